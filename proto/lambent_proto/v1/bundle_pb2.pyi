@@ -1,0 +1,169 @@
+from lambent_proto.v1 import scene_pb2 as _scene_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class BundleManifest(_message.Message):
+    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics")
+    class MetricsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
+    SCENE_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_FIELD_NUMBER: _ClassVar[int]
+    GENERATOR_FIELD_NUMBER: _ClassVar[int]
+    PRESET_FIELD_NUMBER: _ClassVar[int]
+    TRAIN_LIGHTS_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    BOUNDS_FIELD_NUMBER: _ClassVar[int]
+    PRIMARY_RAYS_FIELD_NUMBER: _ClassVar[int]
+    SECONDARY_RAYS_FIELD_NUMBER: _ClassVar[int]
+    FILES_FIELD_NUMBER: _ClassVar[int]
+    GRAPHS_FIELD_NUMBER: _ClassVar[int]
+    GRIDS_FIELD_NUMBER: _ClassVar[int]
+    TENSORS_FIELD_NUMBER: _ClassVar[int]
+    ALBEDO_SCALE_RGB_FIELD_NUMBER: _ClassVar[int]
+    METRICS_FIELD_NUMBER: _ClassVar[int]
+    schema_version: str
+    scene_id: str
+    name: str
+    created_at: str
+    generator: Generator
+    preset: str
+    train_lights: _containers.RepeatedScalarFieldContainer[str]
+    world: World
+    bounds: _scene_pb2.Bounds
+    primary_rays: _scene_pb2.RayRange
+    secondary_rays: SecondaryRays
+    files: _containers.RepeatedCompositeFieldContainer[BundleFile]
+    graphs: _containers.RepeatedCompositeFieldContainer[Graph]
+    grids: _containers.RepeatedCompositeFieldContainer[Grid]
+    tensors: _containers.RepeatedCompositeFieldContainer[TensorEntry]
+    albedo_scale_rgb: _containers.RepeatedScalarFieldContainer[float]
+    metrics: _containers.ScalarMap[str, float]
+    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ...) -> None: ...
+
+class Generator(_message.Message):
+    __slots__ = ("name", "version", "git_revision", "train_step")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    GIT_REVISION_FIELD_NUMBER: _ClassVar[int]
+    TRAIN_STEP_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    version: str
+    git_revision: str
+    train_step: int
+    def __init__(self, name: _Optional[str] = ..., version: _Optional[str] = ..., git_revision: _Optional[str] = ..., train_step: _Optional[int] = ...) -> None: ...
+
+class World(_message.Message):
+    __slots__ = ("up_axis", "handedness", "unit", "environment_convention", "radiance")
+    UP_AXIS_FIELD_NUMBER: _ClassVar[int]
+    HANDEDNESS_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    ENVIRONMENT_CONVENTION_FIELD_NUMBER: _ClassVar[int]
+    RADIANCE_FIELD_NUMBER: _ClassVar[int]
+    up_axis: str
+    handedness: str
+    unit: str
+    environment_convention: str
+    radiance: str
+    def __init__(self, up_axis: _Optional[str] = ..., handedness: _Optional[str] = ..., unit: _Optional[str] = ..., environment_convention: _Optional[str] = ..., radiance: _Optional[str] = ...) -> None: ...
+
+class SecondaryRays(_message.Message):
+    __slots__ = ("origin_offset", "near", "far")
+    ORIGIN_OFFSET_FIELD_NUMBER: _ClassVar[int]
+    NEAR_FIELD_NUMBER: _ClassVar[int]
+    FAR_FIELD_NUMBER: _ClassVar[int]
+    origin_offset: float
+    near: float
+    far: float
+    def __init__(self, origin_offset: _Optional[float] = ..., near: _Optional[float] = ..., far: _Optional[float] = ...) -> None: ...
+
+class BundleFile(_message.Message):
+    __slots__ = ("path", "size_bytes", "sha256", "media_type", "role")
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    MEDIA_TYPE_FIELD_NUMBER: _ClassVar[int]
+    ROLE_FIELD_NUMBER: _ClassVar[int]
+    path: str
+    size_bytes: float
+    sha256: str
+    media_type: str
+    role: str
+    def __init__(self, path: _Optional[str] = ..., size_bytes: _Optional[float] = ..., sha256: _Optional[str] = ..., media_type: _Optional[str] = ..., role: _Optional[str] = ...) -> None: ...
+
+class Graph(_message.Message):
+    __slots__ = ("name", "path", "light", "parity")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    LIGHT_FIELD_NUMBER: _ClassVar[int]
+    PARITY_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    path: str
+    light: str
+    parity: Parity
+    def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., light: _Optional[str] = ..., parity: _Optional[_Union[Parity, _Mapping]] = ...) -> None: ...
+
+class Parity(_message.Message):
+    __slots__ = ("max_abs_error", "tolerance", "num_samples")
+    MAX_ABS_ERROR_FIELD_NUMBER: _ClassVar[int]
+    TOLERANCE_FIELD_NUMBER: _ClassVar[int]
+    NUM_SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    max_abs_error: float
+    tolerance: float
+    num_samples: int
+    def __init__(self, max_abs_error: _Optional[float] = ..., tolerance: _Optional[float] = ..., num_samples: _Optional[int] = ...) -> None: ...
+
+class Grid(_message.Message):
+    __slots__ = ("name", "tensor", "num_features", "half_extent", "output_scale", "levels")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    TENSOR_FIELD_NUMBER: _ClassVar[int]
+    NUM_FEATURES_FIELD_NUMBER: _ClassVar[int]
+    HALF_EXTENT_FIELD_NUMBER: _ClassVar[int]
+    OUTPUT_SCALE_FIELD_NUMBER: _ClassVar[int]
+    LEVELS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    tensor: str
+    num_features: int
+    half_extent: float
+    output_scale: float
+    levels: _containers.RepeatedCompositeFieldContainer[GridLevel]
+    def __init__(self, name: _Optional[str] = ..., tensor: _Optional[str] = ..., num_features: _Optional[int] = ..., half_extent: _Optional[float] = ..., output_scale: _Optional[float] = ..., levels: _Optional[_Iterable[_Union[GridLevel, _Mapping]]] = ...) -> None: ...
+
+class GridLevel(_message.Message):
+    __slots__ = ("resolution", "first_row", "num_rows", "multiplier_y", "multiplier_z")
+    RESOLUTION_FIELD_NUMBER: _ClassVar[int]
+    FIRST_ROW_FIELD_NUMBER: _ClassVar[int]
+    NUM_ROWS_FIELD_NUMBER: _ClassVar[int]
+    MULTIPLIER_Y_FIELD_NUMBER: _ClassVar[int]
+    MULTIPLIER_Z_FIELD_NUMBER: _ClassVar[int]
+    resolution: int
+    first_row: int
+    num_rows: int
+    multiplier_y: int
+    multiplier_z: int
+    def __init__(self, resolution: _Optional[int] = ..., first_row: _Optional[int] = ..., num_rows: _Optional[int] = ..., multiplier_y: _Optional[int] = ..., multiplier_z: _Optional[int] = ...) -> None: ...
+
+class TensorEntry(_message.Message):
+    __slots__ = ("name", "dtype", "shape", "offset_bytes", "size_bytes")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    DTYPE_FIELD_NUMBER: _ClassVar[int]
+    SHAPE_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_BYTES_FIELD_NUMBER: _ClassVar[int]
+    SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    dtype: str
+    shape: _containers.RepeatedScalarFieldContainer[int]
+    offset_bytes: float
+    size_bytes: float
+    def __init__(self, name: _Optional[str] = ..., dtype: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., offset_bytes: _Optional[float] = ..., size_bytes: _Optional[float] = ...) -> None: ...
