@@ -1,0 +1,74 @@
+"""What every test relies on: thread settings, import paths, checked annotations, devices, honest skips."""
+
+import importlib.util
+import os
+import re
+import sys
+from pathlib import Path
+
+# Before torch is imported: a waiting OpenMP thread must sleep, or a busy neighbour slows a step many times.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import jaxtyping
+import pytest
+
+TESTS = Path(__file__).parent
+ROOT = TESTS.parent
+sys.path.insert(0, str(TESTS))
+
+MUST_RUN_IN_CI = ("browser", "services")
+_COMPILED = re.compile(r"^\s*(import|from) (numba|triton)\b", re.MULTILINE)
+
+
+def annotated_modules(package: str) -> list[str]:
+    """Return the dotted names of the modules of `package` whose annotations can be checked.
+
+    Modules that hand functions to a compiler (numba, triton) are left out: it would compile the check.
+    """
+    spec = importlib.util.find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        return []
+    folder = Path(next(iter(spec.submodule_search_locations)))
+    return [
+        ".".join((package, *path.relative_to(folder).with_suffix("").parts))
+        for path in sorted(folder.rglob("*.py"))
+        if path.name != "__init__.py" and not _COMPILED.search(path.read_text(encoding="utf-8"))
+    ]
+
+
+# Shapes and types of the method's functions are documentation everywhere and are enforced here only.
+jaxtyping.install_import_hook(annotated_modules("flashcache"), "beartype.beartype")
+
+
+def _has_cuda() -> bool:
+    import torch
+
+    return torch.cuda.is_available()
+
+
+@pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+def device(request: pytest.FixtureRequest):
+    """Return each torch device that tests run on: the CPU, and CUDA where there is one."""
+    import torch
+
+    return torch.device(request.param)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("gpu") and not _has_cuda():
+        pytest.skip("needs a CUDA device")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
+    """Fail a browser or services test that was skipped in CI, where all they need is installed."""
+    report = yield
+    if not (report.skipped and os.environ.get("CI") == "true") or hasattr(report, "wasxfail"):
+        return report
+    markers = [name for name in MUST_RUN_IN_CI if item.get_closest_marker(name)]
+    if markers:
+        report.outcome = "failed"
+        report.longrepr = (
+            f"a test marked {markers[0]} was skipped, which CI does not allow: {report.longrepr}"
+        )
+    return report
