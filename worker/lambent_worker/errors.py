@@ -1,0 +1,44 @@
+"""Errors that are meant for the person who started the work: a stable code, what was found, what to do."""
+
+from lambent_proto.v1 import scene_pb2
+
+
+class WorkerError(Exception):
+    """Something a user can mend. `code` never changes between versions; `exit_code` ends the command line."""
+
+    exit_code = 1
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(f"{code}: {message}")
+        self.code = code
+        self.message = message
+
+
+class UsageError(WorkerError):
+    """The command was called with arguments that make no sense together."""
+
+    exit_code = 2
+
+
+class SceneRefusedError(WorkerError):
+    """The scene cannot be used; `report` lists every problem that was found."""
+
+    exit_code = 4
+
+    def __init__(self, report: scene_pb2.SceneReport) -> None:
+        errors = [f for f in report.findings if f.severity == scene_pb2.SEVERITY_ERROR]
+        shown = "\n".join(f"  {finding.code}: {finding.message}" for finding in errors)
+        super().__init__(
+            "scene.refused", f"the scene cannot be used; {len(errors)} problem(s) to mend first:\n{shown}"
+        )
+        self.report = report
+
+
+class Stopped(WorkerError):  # noqa: N818 - not a mistake of anyone
+    """The run was asked to end; a checkpoint holds everything that was reached."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "run.stopped",
+            "stopped on request after writing a checkpoint; the same command goes on from there",
+        )

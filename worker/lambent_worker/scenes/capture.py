@@ -1,0 +1,20 @@
+"""What a layout's reader hands on: frames and lights, before extents are chosen."""
+
+from dataclasses import dataclass, field
+
+from lambent_proto.v1 import scene_pb2
+
+
+@dataclass(kw_only=True, slots=True)
+class Capture:
+    """A folder understood frame by frame."""
+
+    name: str
+    frames: list[scene_pb2.Frame] = field(default_factory=list)
+    lights: list[str] = field(default_factory=list)
+    """Lights of the training frames; the first is the default one."""
+    relight_lights: list[str] = field(default_factory=list)
+    near_far: tuple[float, float] | None = None
+    """Range of camera rays in scene units, where the capture states it."""
+    box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Corners of a box around the object, where the capture states it."""

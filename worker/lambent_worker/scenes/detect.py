@@ -1,0 +1,77 @@
+"""Finds out which layout a folder has and describes it as a `SceneManifest`."""
+
+from pathlib import Path
+
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.errors import SceneRefusedError, UsageError
+from lambent_worker.scenes import nerf_blender, tensoir_synthetic
+from lambent_worker.scenes.extent import hold_out, set_extent
+from lambent_worker.scenes.problems import Problems
+
+SCHEMA_VERSION = "1.0"
+
+# A folder may satisfy two readers; the richer layout comes first.
+READERS = {reader.NAME: reader for reader in (tensoir_synthetic, nerf_blender)}
+LAYOUTS = tuple(READERS)
+
+
+def detect_layout(folder: Path) -> str | None:
+    """Return the name of the layout of `folder`, or None where it is none we know."""
+    if not folder.is_dir():
+        return None
+    return next((name for name, reader in READERS.items() if reader.is_layout(folder)), None)
+
+
+def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene_pb2.SceneManifest | None:
+    """Return what could be understood of `folder`; everything that is wrong goes to `problems`.
+
+    `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
+    """
+    if layout is not None and layout not in READERS:
+        raise UsageError(
+            "scene.layout_unknown",
+            f'--layout "{layout}" is none of {", ".join(LAYOUTS)}; choose one of these',
+        )
+    if not folder.is_dir():
+        problems.error(
+            "scene.folder_missing", f'"{folder.name}" is not a folder; give the folder of a capture'
+        )
+        return None
+    layout = layout or detect_layout(folder)
+    if layout is None:
+        problems.error(
+            "scene.layout_unknown",
+            "neither train_*/metadata.json (TensoIR-synthetic) nor transforms_train.json (NeRF-Blender) was "
+            "found; see docs/howto/own-photographs.md",
+        )
+        return None
+    capture = READERS[layout].read_capture(folder, problems)
+    if not capture.frames:
+        return None
+    hold_out(capture.frames)
+    manifest = scene_pb2.SceneManifest(
+        schema_version=SCHEMA_VERSION,
+        name=capture.name,
+        layout=layout,
+        lights=capture.lights,
+        relight_lights=capture.relight_lights,
+        frames=capture.frames,
+    )
+    set_extent(manifest, capture, object_capture=layout == tensoir_synthetic.NAME)
+    return manifest
+
+
+def describe_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneManifest:
+    """Return the description of the capture in `folder`, all lights included.
+
+    Raises `SceneRefusedError` with every problem that the files' names, headers and cameras show; pixels are
+    looked at by `lambent_worker.check`.
+    """
+    problems = Problems()
+    manifest = collect_scene(folder, layout, problems)
+    if manifest is None or not problems.usable:
+        raise SceneRefusedError(
+            scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
+        )
+    return manifest

@@ -1,0 +1,171 @@
+"""Loads the pictures of a described capture into memory, reduced and in linear light."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from flashcache.color import linear_from_srgb
+from flashcache.data.scene import Camera, Scene, View
+from jaxtyping import Float32, Float64
+from lambent_proto.v1 import scene_pb2
+from numpy import ndarray
+
+from lambent_worker.errors import WorkerError
+from lambent_worker.scenes.lights import select_lights
+from lambent_worker.scenes.pictures import PictureError, read_pixels
+
+
+def load_scene(
+    folder: Path,
+    manifest: scene_pb2.SceneManifest,
+    *,
+    max_side: int,
+    lights: tuple[str, ...] | None = None,
+) -> Scene:
+    """Return the capture in memory: linear radiance, straight alpha, no side longer than `max_side` pixels.
+
+    `lights` chooses training lights by name; all lights of `manifest` by default. Larger pictures are
+    averaged over the area of each new pixel, in linear light and weighted by alpha. Ground truth is loaded
+    for test views only, since training must not see it. Raises `WorkerError` with a `scene.*` code when a
+    file cannot be read.
+    """
+    manifest = select_lights(manifest, lights or tuple(manifest.lights))
+    views = [(frame.split, _load_view(folder, frame, max_side)) for frame in manifest.frames]
+    return Scene(
+        name=manifest.name,
+        lights=tuple(manifest.lights),
+        relight_lights=tuple(manifest.relight_lights),
+        train=tuple(view for split, view in views if split == scene_pb2.SPLIT_TRAIN),
+        test=tuple(view for split, view in views if split == scene_pb2.SPLIT_TEST),
+        bounds_min=tuple(manifest.bounds.minimum),
+        bounds_max=tuple(manifest.bounds.maximum),
+        primary=(manifest.primary_rays.near, manifest.primary_rays.far),
+        secondary=(manifest.secondary_rays.near, manifest.secondary_rays.far),
+        contraction_radius=manifest.contraction_radius,
+    )
+
+
+def camera_of(frame: scene_pb2.Frame) -> Camera:
+    """Return the camera of a frame as it is used in memory."""
+    camera = frame.camera
+    return Camera(
+        width=camera.width,
+        height=camera.height,
+        focal_x=camera.focal_x,
+        focal_y=camera.focal_y,
+        centre_x=camera.centre_x,
+        centre_y=camera.centre_y,
+        camera_to_world=np.array(camera.camera_to_world, dtype=np.float64).reshape(4, 4),
+    )
+
+
+def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:
+    """Return the size in pixels after reducing the longer side to `max_side`; never larger than before."""
+    longest = max(width, height)
+    if longest <= max_side:
+        return width, height
+    return max(1, round(width * max_side / longest)), max(1, round(height * max_side / longest))
+
+
+def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int) -> View:
+    size = reduced_size(frame.camera.width, frame.camera.height, max_side)
+    images = {
+        image.light: _reduced(_linear_rgba(folder, image.path, image.encoding), size)
+        for image in frame.images
+    }
+    return View(
+        name=frame.name,
+        camera=camera_of(frame).resized(*size),
+        images=images,
+        truth=_load_truth(folder, frame, size) if frame.split == scene_pb2.SPLIT_TEST else {},
+    )
+
+
+def _pixels(folder: Path, path: str) -> ndarray:
+    try:
+        return read_pixels(folder / path)
+    except PictureError as error:
+        raise WorkerError(error.code, f"{path} {error}") from error
+
+
+def _linear_rgba(folder: Path, path: str, encoding: str) -> Float32[ndarray, "height width 4"]:
+    pixels = _pixels(folder, path)
+    if pixels.shape[-1] <= 2:  # grey, perhaps with alpha
+        pixels = np.concatenate([np.repeat(pixels[..., :1], 3, axis=-1), pixels[..., 1:]], axis=-1)
+    if encoding == "srgb":
+        curve = linear_from_srgb(torch.arange(256) / 255.0).numpy()
+        rgb, alpha = curve[pixels[..., :3]], pixels[..., 3:].astype(np.float32) / 255.0
+    else:
+        rgb, alpha = pixels[..., :3], pixels[..., 3:]
+    return _with_alpha(np.concatenate([rgb, alpha], axis=-1)).astype(np.float32)
+
+
+def _load_truth(
+    folder: Path, frame: scene_pb2.Frame, size: tuple[int, int]
+) -> dict[str, Float32[ndarray, "height width channels"]]:
+    truth: dict[str, ndarray] = {}
+    coverage = None
+    for kind in ("albedo", "normal", "roughness", "metallic", "distance"):
+        if kind not in frame.truth:
+            continue
+        values = _pixels(folder, frame.truth[kind])
+        if values.dtype == np.uint8:
+            values = values.astype(np.float32) / 255.0
+        if kind in ("albedo", "normal"):
+            values = _with_alpha(values)
+            coverage = values[..., 3:]
+            if kind == "normal":
+                values = np.concatenate([values[..., :3] * 2.0 - 1.0, coverage], axis=-1)
+            values = _reduced(values, size)
+            if kind == "normal":
+                length = np.linalg.norm(values[..., :3], axis=-1, keepdims=True)
+                values[..., :3] *= (values[..., 3:] > 0.0) / np.maximum(length, 1e-6)
+        else:
+            values = values[..., :1]
+            weight = (values > 0.0).astype(np.float32) if kind == "distance" or coverage is None else coverage
+            values = _reduced_weighted(values, weight, size)
+        truth[kind] = np.ascontiguousarray(values, dtype=np.float32)
+    return truth
+
+
+def _with_alpha(values: Float32[ndarray, "height width _"]) -> Float32[ndarray, "height width 4"]:
+    if values.shape[-1] == 4:
+        return values
+    return np.concatenate([values[..., :3], np.ones_like(values[..., :1])], axis=-1)
+
+
+def area_weights(source: int, target: int) -> Float64[ndarray, "target source"]:
+    """Return the matrix that averages `source` pixels in a row over the extents of `target` equal ones."""
+    edges = np.linspace(0.0, source, target + 1)
+    columns = np.arange(source)
+    overlap = np.minimum(edges[1:, None], columns + 1.0) - np.maximum(edges[:-1, None], columns)
+    return np.clip(overlap, 0.0, None) * (target / source)
+
+
+def _averaged(values: ndarray, size: tuple[int, int]) -> ndarray:
+    rows = area_weights(values.shape[0], size[1])
+    columns = area_weights(values.shape[1], size[0])
+    return np.einsum("rh,hwc,kw->rkc", rows, values.astype(np.float64), columns, optimize=True)
+
+
+def _reduced(
+    values: Float32[ndarray, "height width 4"], size: tuple[int, int]
+) -> Float32[ndarray, "rows columns 4"]:
+    """Average three channels weighted by the fourth, and the fourth itself."""
+    if (values.shape[1], values.shape[0]) == size:
+        return values
+    premultiplied = np.concatenate([values[..., :3] * values[..., 3:], values[..., 3:]], axis=-1)
+    mean = _averaged(premultiplied, size)
+    mean[..., :3] = np.where(mean[..., 3:] > 0.0, mean[..., :3] / np.maximum(mean[..., 3:], 1e-12), 0.0)
+    return mean.astype(np.float32)
+
+
+def _reduced_weighted(
+    values: Float32[ndarray, "height width 1"],
+    weight: Float32[ndarray, "height width 1"],
+    size: tuple[int, int],
+) -> Float32[ndarray, "rows columns 1"]:
+    """Average one channel weighted by `weight`; zero where the weight is."""
+    if (values.shape[1], values.shape[0]) == size:
+        return values
+    return (_averaged(values * weight, size) / np.maximum(_averaged(weight, size), 1e-12)).astype(np.float32)

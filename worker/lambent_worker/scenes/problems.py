@@ -1,0 +1,45 @@
+"""Collects what is wrong with a scene, all of it, instead of ending at the first problem."""
+
+from lambent_proto.v1 import scene_pb2
+
+MAX_FINDINGS = 100
+
+
+class Problems:
+    """A list of findings that keeps the first hundred, errors first, and counts the rest."""
+
+    def __init__(self) -> None:
+        self._errors: list[scene_pb2.Finding] = []
+        self._warnings: list[scene_pb2.Finding] = []
+
+    def error(self, code: str, message: str, subject: str = "") -> None:
+        """Note something that makes the scene unusable; `subject` is the file or frame it is about."""
+        self._errors.append(_finding(code, scene_pb2.SEVERITY_ERROR, message, subject))
+
+    def warning(self, code: str, message: str, subject: str = "") -> None:
+        """Note something the owner should know although the scene can be used."""
+        self._warnings.append(_finding(code, scene_pb2.SEVERITY_WARNING, message, subject))
+
+    @property
+    def usable(self) -> bool:
+        """Return whether no error was found."""
+        return not self._errors
+
+    def findings(self) -> list[scene_pb2.Finding]:
+        """Return at most `MAX_FINDINGS` findings; the last one says how many were left out."""
+        everything = [*self._errors, *self._warnings]
+        if len(everything) <= MAX_FINDINGS:
+            return everything
+        left_out = len(everything) - (MAX_FINDINGS - 1)
+        severity = scene_pb2.SEVERITY_ERROR if self._errors else scene_pb2.SEVERITY_WARNING
+        rest = _finding(
+            "scene.more_findings",
+            severity,
+            f"{left_out} more findings are not listed; mend these first and check again",
+            "",
+        )
+        return [*everything[: MAX_FINDINGS - 1], rest]
+
+
+def _finding(code: str, severity: scene_pb2.Severity, message: str, subject: str) -> scene_pb2.Finding:
+    return scene_pb2.Finding(code=code, severity=severity, message=message, subject=subject)
