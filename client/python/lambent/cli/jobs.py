@@ -1,0 +1,157 @@
+"""submit, watch, jobs, cancel, retry, logs."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from lambent.cli.output import JsonOption, Output, UrlOption
+from lambent.cli.progress import open_view
+from lambent.client import Client
+from lambent.errors import LambentError, UsageProblemError
+from lambent.models import Job
+
+JobArguments = Annotated[list[str], typer.Argument(metavar="JOB...", help="Job ids.")]
+
+
+def submit(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="Scene id, as `lambent push` prints it.")],
+    preset: Annotated[str, typer.Option("--preset", "-p", help="tiny, fast, long, standard, ...")] = "fast",
+    settings: Annotated[
+        list[str], typer.Option("--set", metavar="KEY=VALUE", help="A setting over the preset; repeatable.")
+    ] = [],  # noqa: B006 - typer reads it once
+    seed: Annotated[int, typer.Option(help="Seed of every random number.", min=0)] = 0,
+    labels: Annotated[
+        list[str],
+        typer.Option("--label", metavar="KEY=VALUE", help="A label to find the job by; repeatable."),
+    ] = [],  # noqa: B006
+    priority: Annotated[int, typer.Option(help="Larger first.")] = 0,
+    gpus: Annotated[int, typer.Option(help="GPUs the job needs.", min=0)] = 0,
+    follow: Annotated[bool, typer.Option("--watch", help="Follow the job until it ends.")] = False,
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Queue a training job on an uploaded scene and print its id."""
+    output = Output(as_json)
+    with Client(url) as client:
+        job = client.submit(
+            scene,
+            preset=preset,
+            params=parse_pairs(settings, "--set"),
+            seed=seed,
+            labels=parse_pairs(labels, "--label"),
+            priority=priority,
+            gpus=gpus,
+        )
+        output.result(job.id, job)
+        if follow:
+            raise typer.Exit(follow_jobs(client, [job.id], as_json=as_json))
+
+
+def watch(jobs: JobArguments, url: UrlOption = "", as_json: JsonOption = False) -> None:
+    """Follow jobs until they end; exit code 1 when one of them did not succeed."""
+    with Client(url) as client:
+        raise typer.Exit(follow_jobs(client, jobs, as_json=as_json))
+
+
+def jobs(
+    state: Annotated[str, typer.Option(help="Only this state (queued, running, succeeded, ...).")] = "",
+    label: Annotated[str, typer.Option(metavar="KEY=VALUE", help="Only jobs with this label.")] = "",
+    limit: Annotated[int, typer.Option(help="How many at most; 0 for all.", min=0)] = 20,
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """List jobs, newest first."""
+    with Client(url) as client:
+        found = list(client.jobs(state=state, label=label, limit=limit))
+    output = Output(as_json)
+    if as_json:
+        for job in found:
+            output.result("", job)
+        return
+    rows = [("JOB", "STATE", "PRESET", "SCENE", "DONE", "CREATED")]
+    rows += [
+        (job.id, job.state, job.preset, job.scene_id, f"{100 * _share(job):.0f} %", job.created_at[:19])
+        for job in found
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def cancel(jobs: JobArguments, url: UrlOption = "", as_json: JsonOption = False) -> None:
+    """Ask for jobs to be stopped; exit code 4 when the server declined one of them."""
+    with Client(url) as client:
+        _each(jobs, client.cancel, Output(as_json))
+
+
+def retry(
+    jobs: JobArguments,
+    follow: Annotated[bool, typer.Option("--watch", help="Follow the jobs until they end.")] = False,
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Queue failed or cancelled jobs again; they go on from their last checkpoint."""
+    with Client(url) as client:
+        _each(jobs, client.retry, Output(as_json))
+        if follow:
+            raise typer.Exit(follow_jobs(client, jobs, as_json=as_json))
+
+
+def logs(
+    job: Annotated[str, typer.Argument(metavar="JOB", help="Job id.")],
+    url: UrlOption = "",
+) -> None:
+    """Print the log of a job."""
+    with Client(url) as client:
+        sys.stdout.write(client.logs(job))
+
+
+def follow_jobs(client: Client, job_ids: Sequence[str], *, as_json: bool) -> int:
+    """Show jobs until they end and return the exit code: 1 when one did not succeed, 130 on Ctrl-C."""
+    ended: dict[str, Job] = {}
+    try:
+        with open_view(as_json) as view:
+            for update in client.watch(list(job_ids)):
+                view.show(update)
+                if isinstance(update, Job) and update.is_final:
+                    ended[update.id] = update
+    except KeyboardInterrupt:
+        ids = " ".join(job_ids)
+        Output(as_json).note(f"stopped watching; the work goes on. Again: lambent watch {ids}")
+        return 130
+    return 0 if all(job.state == "succeeded" for job in ended.values()) else 1
+
+
+def parse_pairs(pairs: Sequence[str], option: str) -> dict[str, str]:
+    """Return {"key": "value"} from "key=value" words; raises `cli.bad_pair`."""
+    parsed = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not key or not equals:
+            raise UsageProblemError("cli.bad_pair", f"{option} {pair!r} is not KEY=VALUE", "write key=value")
+        parsed[key] = value
+    return parsed
+
+
+def _share(job: Job) -> float:
+    return 1.0 if job.state == "succeeded" else job.progress.fraction
+
+
+def _each(job_ids: Sequence[str], call, output: Output) -> None:
+    """Do one call for every job even when some are declined; raise the first refusal at the end."""
+    refusal: LambentError | None = None
+    for job_id in job_ids:
+        try:
+            job = call(job_id)
+        except LambentError as error:
+            if len(job_ids) == 1 or error.exit_code == 3:
+                raise
+            refusal = refusal or error
+            output.note(f"{job_id}: {error}")
+            continue
+        output.result(f"{job.id} {job.state}", asdict(job))
+    if refusal is not None:
+        raise refusal

@@ -1,0 +1,231 @@
+"""How a job's updates look: bars on a terminal, plain lines elsewhere, JSON for machines."""
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from lambent.cli.output import format_duration, format_size
+from lambent.models import Event, Job, Progress
+
+PLAIN_INTERVAL_S = 10.0
+"""Plain lines of one job and stage come at most this often."""
+
+
+class JobView(Protocol):
+    """Shows updates of jobs; a context manager that leaves the terminal as it found it."""
+
+    def __enter__(self) -> Self:
+        """Start showing."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop showing."""
+
+    def show(self, update: Event | Job) -> None:
+        """Show one update."""
+
+
+def open_view(as_json: bool) -> JobView:
+    """Return the view that fits where the words go."""
+    if as_json:
+        return JsonView()
+    return BarView() if sys.stderr.isatty() else PlainView()
+
+
+def describe(progress: Progress) -> str:
+    """Return stage, step, share, ETA and PSNR in one line, leaving out what does not apply."""
+    parts = [progress.stage or "starting"]
+    if progress.num_steps:
+        parts.append(f"{progress.step}/{progress.num_steps}")
+    parts.append(f"{100 * progress.fraction:.0f} %")
+    if progress.eta_s > 0:
+        parts.append(f"eta {format_duration(progress.eta_s)}")
+    if progress.psnr > 0:
+        parts.append(f"psnr {progress.psnr:.1f} dB")
+    return "  ".join(parts)
+
+
+def describe_end(job: Job) -> str:
+    """Return one line about a job that has ended."""
+    if job.state == "succeeded":
+        return f"{job.id} succeeded, bundle {job.bundle_id}" if job.bundle_id else f"{job.id} succeeded"
+    if job.error is not None:
+        return f"{job.id} {job.state}: {job.error.code}: {job.error.message}"
+    return f"{job.id} {job.state}"
+
+
+class _Quiet:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+
+class JsonView(_Quiet):
+    """One JSON object per update on standard output: {"job": …} or {"event": …}."""
+
+    def show(self, update: Event | Job) -> None:
+        """Print the update."""
+        print(json.dumps({type(update).__name__.lower(): asdict(update)}), flush=True)
+
+
+class PlainView(_Quiet):
+    """Lines on standard error, at most one per stage and interval."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._last: dict[str, tuple[str, float]] = {}
+
+    def show(self, update: Event | Job) -> None:
+        """Print the update if it says something new."""
+        line = self._line(update)
+        if line:
+            print(f"{time.strftime('%H:%M:%S')} {line}", file=sys.stderr, flush=True)
+
+    def _line(self, update: Event | Job) -> str:
+        if isinstance(update, Job):
+            return describe_end(update) if update.is_final else f"{update.id} {update.state}"
+        if update.type == "progress":
+            stage, when = self._last.get(update.job_id, ("", -PLAIN_INTERVAL_S))
+            if update.progress.stage == stage and self._clock() - when < PLAIN_INTERVAL_S:
+                return ""
+            self._last[update.job_id] = (update.progress.stage, self._clock())
+            return f"{update.job_id} {describe(update.progress)}"
+        return f"{update.job_id} {note}" if (note := event_note(update)) else ""
+
+
+def event_note(event: Event) -> str:
+    """Return what is worth a line of its own in an event, or nothing."""
+    if event.type == "state":
+        run = f" (run {event.run})" if event.run > 1 else ""
+        return f"{event.state}{run}" + (f": {event.message}" if event.message else "")
+    if event.type == "finding":
+        return f"{event.name or 'finding'}: {event.message}"
+    if event.type == "artifact":
+        return f"artifact {event.name}"
+    return ""
+
+
+class BarView:
+    """One live bar per job on standard error: stage, share, step, ETA, PSNR."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TaskProgressColumn, TextColumn
+        from rich.progress import Progress as Bars
+
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[detail]}"),
+            console=Console(stderr=True),
+        )
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        """Start drawing."""
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the last state of the bars on the screen."""
+        self._bars.stop()
+
+    def show(self, update: Event | Job) -> None:
+        """Move the bar of the update's job, or print a line above the bars."""
+        if isinstance(update, Job):
+            task = self._task(update.id)
+            if update.is_final:
+                done = {"completed": 1.0} if update.state == "succeeded" else {}
+                self._bars.update(task, detail="", description=f"{update.id} {update.state}", **done)
+                self._bars.print(describe_end(update), markup=False)
+            else:
+                self._bars.update(task, description=f"{update.id} {update.state}")
+                self._move(task, update.id, update.progress)
+        elif update.type == "progress":
+            self._move(self._task(update.job_id), update.job_id, update.progress)
+        elif note := event_note(update):
+            self._bars.print(f"{update.job_id} {note}", markup=False)
+
+    def _task(self, job_id: str) -> Any:
+        if job_id not in self._tasks:
+            self._tasks[job_id] = self._bars.add_task(job_id, total=1.0, detail="")
+        return self._tasks[job_id]
+
+    def _move(self, task: Any, job_id: str, progress: Progress) -> None:
+        if not progress.stage:
+            return
+        parts = []
+        if progress.num_steps:
+            parts.append(f"step {progress.step}/{progress.num_steps}")
+        if progress.eta_s > 0:
+            parts.append(f"eta {format_duration(progress.eta_s)}")
+        if progress.psnr > 0:
+            parts.append(f"psnr {progress.psnr:.1f} dB")
+        self._bars.update(
+            task,
+            completed=progress.fraction,
+            description=f"{job_id} {progress.stage}",
+            detail="  ".join(parts),
+        )
+
+
+class TransferView(_Quiet):
+    """Bytes of an upload or download: a bar on a terminal, a line per tenth elsewhere, nothing with JSON."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+        self._bars: Any = None
+        self._tasks: dict[str, Any] = {}
+        self._tenths: dict[str, int] = {}
+        if not as_json and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, DownloadColumn, TextColumn, TransferSpeedColumn
+            from rich.progress import Progress as Bars
+
+            self._bars = Bars(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                DownloadColumn(binary_units=True),
+                TransferSpeedColumn(),
+                console=Console(stderr=True),
+            )
+
+    def __enter__(self) -> Self:
+        """Start drawing."""
+        if self._bars:
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop drawing."""
+        if self._bars:
+            self._bars.stop()
+
+    def show(self, what: str, done_bytes: int, total_bytes: int) -> None:
+        """Show that `done_bytes` of `total_bytes` of the task `what` are done."""
+        if self._as_json:
+            return
+        if self._bars:
+            if what not in self._tasks:
+                self._tasks[what] = self._bars.add_task(what, total=total_bytes)
+            self._bars.update(self._tasks[what], completed=done_bytes, total=total_bytes)
+            return
+        tenth = 10 * done_bytes // total_bytes if total_bytes else 10
+        if tenth != self._tenths.get(what):
+            self._tenths[what] = tenth
+            size = f"{format_size(done_bytes)} of {format_size(total_bytes)}"
+            print(f"{what} {10 * tenth} % ({size})", file=sys.stderr, flush=True)

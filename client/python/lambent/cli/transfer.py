@@ -1,0 +1,37 @@
+"""push and fetch."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lambent.cli.output import JsonOption, Output, UrlOption, format_size
+from lambent.cli.progress import TransferView
+from lambent.client import Client
+
+
+def push(
+    source: Annotated[Path, typer.Argument(metavar="DIR|ZIP", help="Scene folder, or archive of one.")],
+    name: Annotated[str, typer.Option(help="Name of the scene (else the folder's).")] = "",
+    layout: Annotated[str, typer.Option(help="Force a layout: tensoir_synthetic or nerf_blender.")] = "",
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Upload a scene and print its id; run again, it sends only what is missing."""
+    with Client(url) as client, TransferView(as_json) as view:
+        scene = client.push(source, name=name, layout=layout, progress=view.show)
+    Output(as_json).result(scene.id, scene)
+
+
+def fetch(
+    job: Annotated[str, typer.Argument(metavar="JOB", help="Job id (or bundle id).")],
+    target: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where the bundle goes.")],
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Download the bundle of a finished job; every file is verified, and a broken download resumes."""
+    with Client(url) as client, TransferView(as_json) as view:
+        bundle = client.fetch(job, target, progress=lambda _, done, total: view.show("fetch", done, total))
+    size_bytes = sum(entry.size_bytes for entry in bundle.files)
+    text = f"{bundle.path}  ({len(bundle.files)} files, {format_size(size_bytes)}, verified)"
+    Output(as_json).result(text, {"bundle_id": bundle.bundle_id, "path": str(bundle.path)})

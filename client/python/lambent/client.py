@@ -1,0 +1,203 @@
+"""`Client`: everything a Lambent server can be asked for, typed."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from uuid import uuid4
+
+import httpx2
+
+from lambent import fetch as fetching
+from lambent import scenes
+from lambent.connection import Connection
+from lambent.errors import JobNotSucceededError
+from lambent.models import Artifact, Event, Job, Scene
+from lambent.settings import find_server
+from lambent.watch import Watcher
+
+
+class Client:
+    """A connection to one server; use it as a context manager or call `close`.
+
+    Without arguments it talks to the server of LAMBENT_URL, or to the one that `lambent serve` runs on
+    this machine. Every method raises `UnreachableError` when no server answers and `RefusedError` (with
+    `code`, `errors` and `advice`) when it declines. Not for use by several threads at once.
+    """
+
+    def __init__(
+        self,
+        url: str = "",
+        api_key: str = "",
+        *,
+        data: Path | None = None,
+        transport: httpx2.BaseTransport | None = None,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.address = find_server(url, api_key, data=data)
+        self._sleep = sleep
+        self._connection = Connection(self.address, transport=transport, sleep=sleep)
+
+    def __enter__(self) -> Self:
+        """Return the client itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the connection."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+    def version(self) -> Mapping[str, Any]:
+        """Return the server's name, version and schema version."""
+        return self._connection.json("GET", "/v1/version")
+
+    def presets(self) -> Mapping[str, Any]:
+        """Return the presets that jobs may name."""
+        return self._connection.json("GET", "/v1/presets")
+
+    def push(
+        self,
+        source: str | Path,
+        *,
+        name: str = "",
+        layout: str = "",
+        progress: scenes.UploadProgress = scenes.ignore_progress,
+    ) -> Scene:
+        """Upload a scene folder or archive and return the committed scene; a repeat sends nothing twice."""
+        return scenes.push(self._connection, Path(source), name=name, layout=layout, progress=progress)
+
+    def scene(self, scene_id: str) -> Scene:
+        """Return a scene."""
+        return Scene.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}"))
+
+    def delete_scene(self, scene_id: str) -> None:
+        """Delete a scene."""
+        self._connection.send("DELETE", f"/v1/scenes/{scene_id}")
+
+    def submit(
+        self,
+        scene_id: str,
+        *,
+        preset: str = "fast",
+        params: Mapping[str, str] | None = None,
+        seed: int = 0,
+        kind: str = "train",
+        gpus: int = 0,
+        priority: int = 0,
+        labels: Mapping[str, str] | None = None,
+        idempotency_key: str = "",
+    ) -> Job:
+        """Queue a job and return it; the same `idempotency_key` never makes a second one.
+
+        `params` are settings over the preset, such as {"stage_one.num_rays": "512"}.
+        """
+        body = {
+            "scene_id": scene_id,
+            "preset": preset,
+            "params": dict(params or {}),
+            "seed": seed,
+            "kind": kind,
+            "gpus": gpus,
+            "priority": priority,
+            "labels": dict(labels or {}),
+        }
+        # A key even where the caller gave none: the request may be repeated after a lost answer.
+        headers = {"Idempotency-Key": idempotency_key or f"submit-{uuid4().hex}"}
+        return Job.from_json(self._connection.json("POST", "/v1/jobs", json=body, headers=headers))
+
+    def jobs(self, *, state: str = "", label: str = "", limit: int = 0) -> Iterator[Job]:
+        """Yield jobs, newest first; `label` is "name=value", `limit` 0 means all."""
+        params = {key: value for key, value in (("state", state), ("label", label)) if value}
+        num_left = limit or None
+        while True:
+            page = self._connection.json("GET", "/v1/jobs", params=params)
+            for item in page["items"]:
+                yield Job.from_json(item)
+                if num_left is not None:
+                    num_left -= 1
+                    if num_left == 0:
+                        return
+            if not page.get("next_cursor"):
+                return
+            params["cursor"] = page["next_cursor"]
+
+    def job(self, job_id: str, *, wait_s: int = 0) -> Job:
+        """Return a job; with `wait_s`, the answer may wait that long (at most 30 s) for a change."""
+        params = {"wait": min(wait_s, 30)} if wait_s else {}
+        path = f"/v1/jobs/{job_id}"
+        return Job.from_json(self._connection.json("GET", path, params=params, timeout_s=60.0 + wait_s))
+
+    def wait(self, job_id: str) -> Job:
+        """Return the job once it is final, however long that takes."""
+        for update in self.watch([job_id]):
+            if isinstance(update, Job) and update.is_final:
+                return update
+        return self.job(job_id)
+
+    def cancel(self, job_id: str) -> Job:
+        """Ask for a job to be stopped; it is "cancelling" until its process is gone."""
+        return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:cancel", repeatable=True))
+
+    def retry(self, job_id: str) -> Job:
+        """Queue a failed or cancelled job again; it goes on from its last checkpoint."""
+        return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:retry"))
+
+    def watch(
+        self, job_ids: Sequence[str], *, after: Mapping[str, int] | None = None, **timing: float
+    ) -> Iterator[Event | Job]:
+        """Yield jobs and events until every job is final (see `lambent.watch.Watcher` for the promises).
+
+        `after` gives the last event number already seen per job. `timing`: silence_s, patience_s, poll_s.
+        """
+        return iter(Watcher(self._connection, job_ids, after=after, sleep=self._sleep, **timing))
+
+    def events(self, job_id: str, *, after: int = 0) -> list[Event]:
+        """Return the events of a job after number `after`."""
+        answer = self._connection.json("GET", f"/v1/jobs/{job_id}/events", params={"after": after})
+        return [Event.from_json(item) for item in answer["items"]]
+
+    def logs(self, job_id: str) -> str:
+        """Return the log of a job's runs as text."""
+        return self._connection.send("GET", f"/v1/jobs/{job_id}/log").text
+
+    def artifacts(self, job_id: str) -> list[Artifact]:
+        """Return the files that a job has published."""
+        answer = self._connection.json("GET", f"/v1/jobs/{job_id}/artifacts")
+        return [Artifact.from_json(item) for item in answer["items"]]
+
+    def read_artifact(self, artifact: Artifact) -> bytes:
+        """Return the bytes of a published file."""
+        url = artifact.url or f"/v1/blobs/{artifact.sha256}"
+        return self._connection.send("GET", url).content
+
+    def fetch(
+        self,
+        job_or_bundle_id: str,
+        target: str | Path,
+        *,
+        progress: fetching.FetchProgress = fetching.ignore_progress,
+    ) -> fetching.FetchedBundle:
+        """Download the bundle of a finished job (or a bundle by its id) into the folder `target`.
+
+        Verified, atomic and resumable: see `lambent.fetch.fetch`. Raises `job.not_succeeded` when the job
+        has no bundle.
+        """
+        bundle_id = job_or_bundle_id
+        if not job_or_bundle_id.startswith("bundle"):
+            job = self.job(job_or_bundle_id)
+            if not job.bundle_id:
+                raise JobNotSucceededError(
+                    "job.not_succeeded",
+                    f"job {job.id} is {job.state} and has no bundle",
+                    f"watch it with `lambent watch {job.id}`"
+                    if not job.is_final
+                    else f"see `lambent logs {job.id}`, then `lambent retry {job.id}`",
+                )
+            bundle_id = job.bundle_id
+        return fetching.fetch(self._connection, bundle_id, Path(target), progress=progress)

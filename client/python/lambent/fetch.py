@@ -1,0 +1,160 @@
+"""Downloading a bundle: resumable, verified against the manifest, and visible only when it is whole."""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from lambent.connection import Connection
+from lambent.errors import DigestMismatchError, RefusedError, UsageProblemError
+from lambent.models import FileEntry
+
+FetchProgress = Callable[[str, int, int], None]
+"""Called with (path of the file, bytes of the whole bundle done, bytes in all)."""
+
+PIECE_BYTES = 1 << 18
+
+
+def ignore_progress(path: str, done_bytes: int, total_bytes: int) -> None:
+    """Do nothing with download progress."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FetchedBundle:
+    """A complete, verified bundle folder."""
+
+    bundle_id: str
+    path: Path
+    files: tuple[FileEntry, ...]
+
+
+def fetch(
+    connection: Connection,
+    bundle_id: str,
+    target: Path,
+    *,
+    progress: FetchProgress = ignore_progress,
+) -> FetchedBundle:
+    """Download a bundle into the folder `target`, which appears only once every file is verified.
+
+    What an interrupted fetch left in `target.partial` is used. An existing `target` with the same
+    bundle is verified and kept; one with anything else is refused (`fetch.target_in_use`). Raises
+    `fetch.digest_mismatch` when bytes differ from the manifest twice in a row.
+    """
+    manifest = connection.send("GET", f"/v1/bundles/{bundle_id}/manifest").content
+    entries = _entries(manifest)
+    if target.exists() and not (target.is_dir() and not any(target.iterdir())):
+        if _is_complete(target, manifest, entries):
+            progress("", sum(e.size_bytes for e in entries), sum(e.size_bytes for e in entries))
+            return FetchedBundle(bundle_id=bundle_id, path=target, files=entries)
+        raise UsageProblemError(
+            "fetch.target_in_use",
+            f"{target} exists and is not a complete copy of bundle {bundle_id}",
+            "choose another folder, or remove that one",
+        )
+    partial = target.with_name(target.name + ".partial")
+    partial.mkdir(parents=True, exist_ok=True)
+    total_bytes = sum(entry.size_bytes for entry in entries)
+    done_bytes = 0
+    for entry in entries:
+        before = done_bytes
+
+        def advance(file_bytes: int, before: int = before, path: str = entry.path) -> None:
+            progress(path, before + file_bytes, total_bytes)
+
+        _fetch_file(connection, bundle_id, entry, partial / entry.path, advance)
+        done_bytes += entry.size_bytes
+    (partial / "manifest.json").write_bytes(manifest)
+    _remove_strangers(partial, entries)
+    if target.exists():
+        target.rmdir()
+    os.replace(partial, target)
+    return FetchedBundle(bundle_id=bundle_id, path=target, files=entries)
+
+
+def _entries(manifest: bytes) -> tuple[FileEntry, ...]:
+    entries = []
+    for item in json.loads(manifest)["files"]:
+        path = PurePosixPath(item["path"])
+        # The manifest is data from elsewhere: it must not name a place outside the folder.
+        if path.is_absolute() or ".." in path.parts or "\\" in item["path"] or not path.parts:
+            raise UsageProblemError(
+                "fetch.unsafe_path",
+                f"the manifest names the file {item['path']!r}",
+                "do not use this bundle: it would write outside its folder",
+            )
+        entries.append(
+            FileEntry(path=str(path), size_bytes=int(item["size_bytes"]), sha256=item["sha256"].lower())
+        )
+    return tuple(entries)
+
+
+def _is_complete(folder: Path, manifest: bytes, entries: tuple[FileEntry, ...]) -> bool:
+    stored = folder / "manifest.json"
+    return (
+        stored.is_file()
+        and json.loads(stored.read_bytes()) == json.loads(manifest)
+        and all(_matches(folder / entry.path, entry) for entry in entries)
+    )
+
+
+def _matches(path: Path, entry: FileEntry) -> bool:
+    if not path.is_file() or path.stat().st_size != entry.size_bytes:
+        return False
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest() == entry.sha256
+
+
+def _fetch_file(
+    connection: Connection, bundle_id: str, entry: FileEntry, path: Path, advance: Callable[[int], None]
+) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for _ in range(2):
+        if _matches(path, entry):
+            advance(entry.size_bytes)
+            return
+        if path.is_file() and path.stat().st_size >= entry.size_bytes:
+            path.unlink()  # as long as announced, and still wrong: start again
+        _download(connection, f"/v1/bundles/{bundle_id}/files/{entry.path}", path, entry, advance)
+    if not _matches(path, entry):
+        path.unlink(missing_ok=True)
+        raise DigestMismatchError(
+            "fetch.digest_mismatch",
+            f"{entry.path} arrived twice with bytes that do not match the manifest",
+            "check the disk of both machines and any proxy between them, then fetch again",
+        )
+
+
+def _download(
+    connection: Connection, url: str, path: Path, entry: FileEntry, advance: Callable[[int], None]
+) -> None:
+    have = path.stat().st_size if path.is_file() else 0
+    headers = {"Range": f"bytes={have}-", "If-Range": f'"{entry.sha256}"'} if have else {}
+    try:
+        with connection.stream(url, headers=headers, timeout_s=60.0) as response:
+            resumes = have > 0 and response.status_code == 206
+            done = have if resumes else 0
+            with path.open("ab" if resumes else "wb") as file:
+                for piece in response.iter_bytes(PIECE_BYTES):
+                    file.write(piece)
+                    done += len(piece)
+                    advance(done)
+                file.flush()
+                os.fsync(file.fileno())
+    except RefusedError as error:
+        if error.status != 416:
+            raise
+        path.unlink(missing_ok=True)
+
+
+def _remove_strangers(folder: Path, entries: tuple[FileEntry, ...]) -> None:
+    """Drop what an earlier fetch of another bundle left in the partial folder."""
+    wanted = {"manifest.json", *(entry.path for entry in entries)}
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path.is_file() and path.relative_to(folder).as_posix() not in wanted:
+            path.unlink()
+        elif path.is_dir() and not any(path.iterdir()):
+            shutil.rmtree(path)

@@ -1,0 +1,149 @@
+"""What the server's JSON becomes: frozen dataclasses, field for field.
+
+Unknown fields are ignored and unknown states are not final, so that an older client reads a newer server.
+Times are RFC 3339 strings in UTC, sizes bytes, durations seconds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+from lambent.errors import LambentError
+
+FINAL_STATES = frozenset({"succeeded", "failed", "cancelled"})
+"""Job states that never change again."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Message:
+    """A JSON object with the dataclass's fields; those without a default are required."""
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Return the object, or raise `client.unexpected_answer` when required fields are missing."""
+        known = {entry.name for entry in fields(cls)}
+        given = {name: value for name, value in data.items() if name in known and value is not None}
+        try:
+            return cls(**given)
+        except TypeError as error:
+            raise LambentError(
+                "client.unexpected_answer",
+                f"the server's {cls.__name__.lower()} object lacks something: {error}",
+                "check that client and server have the same version (`lambent doctor`)",
+            ) from error
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Progress(_Message):
+    """How far a run is; fields that do not apply to the stage are zero. `psnr` in dB on training pixels."""
+
+    stage: str = ""
+    step: int = 0
+    num_steps: int = 0
+    fraction: float = 0.0
+    eta_s: float = 0.0
+    steps_per_s: float = 0.0
+    loss: float = 0.0
+    psnr: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JobError(_Message):
+    """Why a job failed."""
+
+    code: str = ""
+    message: str = ""
+    retryable: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Job(_Message):
+    """One job. `run` is the number of its latest start; `bundle_id` is set once it has succeeded."""
+
+    id: str
+    state: str
+    scene_id: str = ""
+    preset: str = ""
+    params: Mapping[str, str] = field(default_factory=dict)
+    run: int = 0
+    created_at: str = ""
+    started_at: str = ""
+    finished_at: str = ""
+    progress: Progress = Progress()
+    error: JobError | None = None
+    bundle_id: str = ""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    priority: int = 0
+    kind: str = "train"
+    seed: int = 0
+    gpus: int = 0
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Return the job with its nested objects typed."""
+        nested = dict(data)
+        nested["progress"] = Progress.from_json(data.get("progress") or {})
+        nested["error"] = JobError.from_json(data["error"]) if data.get("error") else None
+        return super(Job, cls).from_json(nested)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether the job's state will never change again (unless it is retried)."""
+        return self.state in FINAL_STATES
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Event(_Message):
+    """One line of a job's history; `seq` counts from 1 inside the job.
+
+    `type` is "state", "progress", "preview", "log", "checkpoint", "artifact" or "finding".
+    """
+
+    job_id: str
+    seq: int
+    type: str
+    at: str = ""
+    run: int = 0
+    state: str = ""
+    progress: Progress = Progress()
+    message: str = ""
+    sha256: str = ""
+    name: str = ""
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Return the event with its progress typed."""
+        nested = dict(data)
+        nested["progress"] = Progress.from_json(data.get("progress") or {})
+        nested["seq"] = int(data.get("seq", 0))
+        return super(Event, cls).from_json(nested)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Artifact(_Message):
+    """A published file of a job; `url` is relative to the server."""
+
+    name: str
+    sha256: str
+    size_bytes: float = 0.0
+    media_type: str = "application/octet-stream"
+    url: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene(_Message):
+    """A set of photographs on the server. `state` is "open" until it is committed."""
+
+    id: str
+    state: str = ""
+    name: str = ""
+    created_at: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FileEntry:
+    """A file of a scene or bundle: its path inside the folder (forward slashes), bytes and SHA-256."""
+
+    path: str
+    size_bytes: int
+    sha256: str
