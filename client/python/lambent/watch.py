@@ -8,7 +8,7 @@ from typing import Any
 import httpx2
 
 from lambent.connection import Connection
-from lambent.errors import LambentError, RefusedError, ServerFaultError, UnreachableError
+from lambent.errors import LambentError, ServerFaultError, UnreachableError
 from lambent.models import FINAL_STATES, Event, Job
 
 SILENCE_S = 45.0
@@ -25,7 +25,7 @@ class Watcher:
 
     Yields a `Job` for every job first, then `Event`s in order and without repeats, and a final `Job` for
     every job. Ends when all are in a final state. A lost connection is taken up again where it broke
-    (Last-Event-ID); after two streams that never delivered a byte it polls instead.
+    (Last-Event-ID); after two streams that were silent or no event streams at all it polls instead.
     """
 
     def __init__(
@@ -104,15 +104,16 @@ class Watcher:
             ) as response:
                 for message in httpx2.EventSource(response):
                     heard = True
+                    self._num_mute_streams = 0
                     event = _event_of(message.data)
                     if event is not None and self._fresh(event):
                         yield event
-        except RefusedError as error:
-            # Some proxies refuse long-lived answers outright (406, 501 arrives as a fault below).
-            if error.status != 406:
-                raise
-        finally:
-            self._num_mute_streams = 0 if heard else self._num_mute_streams + 1
+        except UnreachableError as error:
+            # Nothing came through, or something else than a stream: a proxy that holds answers back or
+            # replaces them. A refused connection is different: that server will come back.
+            if not heard and isinstance(error.__cause__, httpx2.ReadTimeout | httpx2.SSEError):
+                self._num_mute_streams += 1
+            raise
 
     def _polled(self) -> Iterator[Event]:
         for job_id in list(self._open):
