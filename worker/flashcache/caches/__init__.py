@@ -1,0 +1,1 @@
+"""Radiance caches: the environment far away, the NeRF cache, and the fast cache."""

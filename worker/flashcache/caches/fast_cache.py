@@ -1,0 +1,129 @@
+"""The fast cache: near-field radiance, opacity and distance of a ray from nine grid queries.
+
+One query of a distance grid at the ray's origin places eight samples along the ray; one query of
+a feature grid at each of them, weighted and decoded, gives the radiance (supplement 2.1).
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from flashcache.caches.nerf_cache import SECONDARY_CURVE
+from flashcache.encoding.directional import positional_encoding
+from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.fields.mlp import Hidden, linear
+from flashcache.geometry.contraction import contract
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FastCacheConfig:
+    """Sizes of the fast cache (supplement 2.1)."""
+
+    distance_grid: HashGridConfig = field(default_factory=HashGridConfig)
+    feature_grid: HashGridConfig = field(default_factory=lambda: HashGridConfig(half_extent=2.0))
+    code_width: int = 64
+    code_layers: int = 2
+    distance_width: int = 128
+    distance_layers: int = 4
+    num_frequencies: int = 2
+    num_samples: int = 8
+    decoder_widths: tuple[int, int] = (64, 128)
+
+
+class FastCacheAnswer(NamedTuple):
+    """What the fast cache sees along a batch of rays."""
+
+    near_radiance: Float[Tensor, "rays 3"]
+    """Linear, premultiplied by opacity, without environment."""
+    opacity: Float[Tensor, " rays"]
+    distance: Float[Tensor, " rays"]
+    """From the ray's origin, scene units; the far end where nothing is hit."""
+    sample_distances: Float[Tensor, "rays samples"]
+    sample_weights: Float[Tensor, "rays samples"]
+
+
+class FastCache(nn.Module):
+    """Maps secondary rays to what they meet, about ten times cheaper than the NeRF cache."""
+
+    def __init__(
+        self, config: FastCacheConfig, contraction_radius: float, num_lights: int, near: float, far: float
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.contraction_radius = contraction_radius
+        self.num_lights = num_lights
+        self.near, self.far = near, far
+        self.distance_grid = HashGrid(config.distance_grid)
+        self.code = Hidden(self.distance_grid.out_features, config.code_width, config.code_layers)
+        num_encoded = 3 + 6 * config.num_frequencies
+        skip = 3 if config.distance_layers > 3 else None
+        self.distance_network = Hidden(
+            self.code.num_outputs + 2 * num_encoded,
+            config.distance_width,
+            config.distance_layers,
+            skip_after=skip,
+        )
+        self.distance_head = linear(self.distance_network.num_outputs, 3 * config.num_samples + 1)
+        nn.init.zeros_(self.distance_head.weight)
+        self.feature_grid = HashGrid(config.feature_grid)
+        first, second = config.decoder_widths
+        self.decoder = nn.ModuleList([linear(self.feature_grid.out_features, first), linear(first, second)])
+        self.decoder_head = linear(second, 3 * num_lights)
+
+    def forward(
+        self,
+        origins: Float[Tensor, "rays 3"],
+        directions: Float[Tensor, "rays 3"],
+        light_index: Int[Tensor, " rays"],
+    ) -> FastCacheAnswer:
+        """Return radiance, opacity and distance along rays from (offset) surface points.
+
+        Source: supplement 2.1; the explicit product of colour and opacity makes empty rays black.
+        """
+        count = self.config.num_samples
+        contracted = contract(origins, self.contraction_radius)
+        encoded = [
+            self.code(self.distance_grid(contracted)),
+            positional_encoding(contracted, self.config.num_frequencies),
+            positional_encoding(directions, self.config.num_frequencies),
+        ]
+        raw = self.distance_head(self.distance_network(torch.cat(encoded, dim=-1)))
+        offset, gate, logit = raw[:, :-1].reshape(-1, 3, count).unbind(dim=1)
+        distances = self._sample_distances(offset, gate)
+        total = torch.sigmoid(raw[:, -1:] + 2.0)
+        weights = torch.softmax(logit, dim=-1) * total
+        opacity = weights.sum(dim=-1)
+        points = origins[:, None] + distances[..., None] * directions[:, None]
+        features = self.feature_grid(contract(points.reshape(-1, 3), self.contraction_radius))
+        mixed = (weights[..., None] * features.reshape(-1, count, features.shape[-1])).sum(dim=1)
+        hidden = torch.relu(self.decoder[1](torch.relu(self.decoder[0](mixed))))
+        colour = self._of_light(self.decoder_head(hidden), light_index)
+        colour = torch.nn.functional.softplus(colour - 2.0)
+        mean = (weights * distances).sum(dim=-1) / opacity.clamp_min(1e-3)
+        distance = torch.where(opacity < 1e-3, torch.full_like(mean, self.far), mean)
+        return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)
+
+    def _sample_distances(self, offset: Tensor, gate: Tensor) -> Tensor:
+        """Spread the samples over the ray, shift each by its learned offset and fold back into [0, 1].
+
+        Folding keeps every sample between near and far, so none needs a test of validity, which
+        rounding would decide differently in every runtime.
+        """
+        count = self.config.num_samples
+        ladder = torch.linspace(0.0, 1.0, count, device=offset.device, dtype=offset.dtype)
+        shifted = ladder + offset / count * torch.sigmoid(gate - 2.0)
+        whole = shifted.floor()
+        rest = shifted - whole
+        odd = whole - 2.0 * (whole / 2.0).floor()
+        folded = rest + odd * (1.0 - 2.0 * rest)
+        near, far = offset.new_tensor(self.near), offset.new_tensor(self.far)
+        return SECONDARY_CURVE.distance(folded, near, far)
+
+    def _of_light(self, values: Tensor, light_index: Tensor) -> Tensor:
+        if self.num_lights == 1:
+            return values
+        values = values.reshape(len(values), self.num_lights, 3)
+        return values[torch.arange(len(values), device=values.device), light_index]

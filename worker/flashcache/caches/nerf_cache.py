@@ -1,0 +1,204 @@
+"""The NeRF radiance cache: density, normals and outgoing radiance along sampled rays."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.errors import ConfigError
+from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
+from flashcache.fields.density import (
+    DensityConfig,
+    DensityField,
+    DensitySample,
+    NormalConfig,
+    NormalField,
+    derived_normal,
+)
+from flashcache.geometry.rays import Rays
+from flashcache.volume.proposal_sampling import (
+    DistanceCurve,
+    RaySamples,
+    SampleCounts,
+    midpoints,
+    sample_rays,
+)
+from flashcache.volume.quadrature import draw_points, render_weights
+
+PRIMARY_CURVE = DistanceCurve()
+SECONDARY_CURVE = DistanceCurve(power=-1.5, premultiplier=2.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NerfCacheConfig:
+    """Sizes of the NeRF cache and its samples per ray."""
+
+    proposals: tuple[DensityConfig, DensityConfig] = field(
+        default_factory=lambda: (
+            DensityConfig(grid=HashGridConfig(finest_resolution=512, num_features=1)),
+            DensityConfig(grid=HashGridConfig(finest_resolution=1024, num_features=1)),
+        )
+    )
+    density: DensityConfig = field(default_factory=DensityConfig)
+    normals: NormalConfig = field(default_factory=NormalConfig)
+    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
+    primary_counts: SampleCounts = field(default_factory=SampleCounts)
+    secondary_counts: SampleCounts = field(default_factory=SampleCounts)
+    secondary_colours: int = 0
+    """Points at which a secondary ray's radiance is evaluated, drawn by weight; 0 evaluates all."""
+    normal_floor: float = 4.0
+    """Gradient of log density below which derived normals shrink [1/scene unit]."""
+
+    def __post_init__(self) -> None:
+        if self.secondary_colours < 0:
+            raise ConfigError(f"secondary_colours must not be negative, got {self.secondary_colours}")
+
+
+class Geometry(NamedTuple):
+    """What a batch of primary rays meets: N points per ray, flattened where it says `points`."""
+
+    samples: RaySamples
+    weights: Float[Tensor, "rays samples"]
+    hidden: Float[Tensor, "points width"]
+    normal: Float[Tensor, "points 3"]
+    derived: Float[Tensor, "some 3"] | None
+    """Derived normals of the first rays only; None when they were not asked for."""
+
+    @property
+    def opacity(self) -> Float[Tensor, " rays"]:
+        """Sum of the render weights."""
+        return self.weights.sum(dim=-1)
+
+
+class CacheAnswer(NamedTuple):
+    """What the NeRF cache sees along a batch of secondary rays."""
+
+    near_radiance: Float[Tensor, "rays 3"]
+    opacity: Float[Tensor, " rays"]
+    distance: Float[Tensor, " rays"]
+
+
+class NerfCache(nn.Module):
+    """Two proposal densities, the final density with normals, and the appearance."""
+
+    def __init__(self, config: NerfCacheConfig, contraction_radius: float, num_lights: int) -> None:
+        super().__init__()
+        self.config = config
+        self.proposals = nn.ModuleList(
+            DensityField(proposal, contraction_radius) for proposal in config.proposals
+        )
+        self.density = DensityField(config.density, contraction_radius)
+        num_hidden = self.density.network.num_outputs
+        self.normals = NormalField(config.normals, num_hidden, contraction_radius)
+        self.appearance = AppearanceField(config.appearance, num_hidden, contraction_radius, num_lights)
+
+    def sample(
+        self,
+        rays: Rays,
+        counts: SampleCounts,
+        curve: DistanceCurve,
+        *,
+        exponent: float,
+        generator: torch.Generator | None,
+    ) -> RaySamples:
+        """Return the final intervals of `rays`; see `sample_rays`."""
+        first, second = (proposal.density for proposal in self.proposals)
+        return sample_rays(rays, (first, second), counts, curve, exponent=exponent, generator=generator)
+
+    def trace(
+        self,
+        rays: Rays,
+        *,
+        exponent: float,
+        generator: torch.Generator | None,
+        num_derived: int = 0,
+    ) -> Geometry:
+        """Return the geometry that primary rays meet.
+
+        The first `num_derived` rays also get derived normals, which cost a Jacobian per point.
+        """
+        counts = self.config.primary_counts
+        samples = self.sample(rays, counts, PRIMARY_CURVE, exponent=exponent, generator=generator)
+        points = samples.positions.reshape(-1, 3)
+        split = num_derived * counts.final
+        parts: list[DensitySample] = []
+        derived = None
+        if split:
+            part, gradient = self.density.with_gradient(points[:split])
+            parts.append(part)
+            derived = derived_normal(gradient, self.config.normal_floor)
+        if split < len(points):
+            parts.append(self.density(points[split:]))
+        density = torch.cat([part.density for part in parts]).reshape(len(rays), counts.final)
+        hidden = torch.cat([part.hidden for part in parts])
+        weights = render_weights(density, samples.distances)
+        return Geometry(samples, weights, hidden, self.normals(points, hidden), derived)
+
+    def outgoing(
+        self,
+        geometry: Geometry,
+        directions: Float[Tensor, "rays 3"],
+        light_index: Int[Tensor, " rays"],
+        *,
+        with_specular: bool = True,
+    ) -> Appearance:
+        """Return the radiance that all points of `geometry` send back along their rays."""
+        num_samples = geometry.weights.shape[-1]
+        return self.appearance(
+            geometry.samples.positions.reshape(-1, 3),
+            geometry.hidden,
+            geometry.normal,
+            -directions.repeat_interleave(num_samples, dim=0),
+            light_index.repeat_interleave(num_samples),
+            with_specular=with_specular,
+        )
+
+    def incident(
+        self,
+        rays: Rays,
+        light_index: Int[Tensor, " rays"],
+        generator: torch.Generator | None,
+        *,
+        jitter: bool = False,
+    ) -> CacheAnswer:
+        """Return near-field radiance (premultiplied, without environment), opacity and distance.
+
+        With `secondary_colours` K > 0 radiance is evaluated at K points drawn by weight, which
+        needs a generator and is unbiased; otherwise at all of them. `jitter` also moves the
+        intervals at random; the paper keeps them fixed. `distance` is the mean distance over the
+        opaque part, the far end where nothing is hit.
+        """
+        counts = self.config.secondary_counts
+        samples = self.sample(
+            rays, counts, SECONDARY_CURVE, exponent=1.0, generator=generator if jitter else None
+        )
+        points = samples.positions.reshape(-1, 3)
+        found = self.density(points)
+        weights = render_weights(found.density.reshape(len(rays), counts.final), samples.distances)
+        opacity = weights.sum(dim=-1)
+        middles = midpoints(samples.distances)
+        distance = (weights * middles).sum(dim=-1) / opacity.clamp_min(1e-3)
+        distance = torch.where(opacity < 1e-3, rays.far, distance)
+        omega_o = -rays.directions
+        num_colours = self.config.secondary_colours
+        if num_colours and generator is not None:
+            u = torch.rand(len(rays), num_colours, generator=generator, device=weights.device)
+            draw = draw_points(weights, u)
+            flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
+            points, hidden, factors = points[flat], found.hidden[flat], draw.weight
+        else:
+            hidden, factors = found.hidden, weights
+        repeats = factors.shape[-1]
+        normal = self.normals(points, hidden)
+        radiance = self.appearance(
+            points,
+            hidden,
+            normal,
+            omega_o.repeat_interleave(repeats, dim=0),
+            light_index.repeat_interleave(repeats),
+        ).radiance
+        near = (factors[..., None] * radiance.reshape(len(rays), repeats, 3)).sum(dim=1)
+        return CacheAnswer(near, opacity, distance)

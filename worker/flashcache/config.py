@@ -1,0 +1,239 @@
+"""Everything that can be chosen about a run, as one frozen tree of dataclasses."""
+
+import dataclasses
+import json
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Any
+
+from flashcache.data.ray_batches import PixelChoice
+from flashcache.errors import ConfigError
+from flashcache.physical.estimator import EstimatorConfig
+from flashcache.physical.model import ModelConfig
+
+T = typing.TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rates:
+    """Learning rates of one kind of parameter and how they fall."""
+
+    grid: float
+    """Peak rate of feature grids."""
+    network: float
+    """Peak rate of the networks behind them."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StageOneConfig:
+    """Training of the NeRF cache on the photographs (supplement 2.4)."""
+
+    num_steps: int = 100_000
+    num_rays: int = 16_384
+    rates: Rates = field(default_factory=lambda: Rates(grid=0.01, network=0.01))
+    final_rate: float = 0.1
+    """Rate at the end as a share of the peak, reached log-linearly."""
+    warmup_steps: int = 10_000
+    carving_share: float = 0.0
+    """Share of the steps in which shape comes first; 0 as in the paper (decision 0002)."""
+    specular_from: float = 0.0
+    """Share of the steps after which radiance may depend on direction."""
+    random_background: bool = False
+    """Composite over random colours instead of white."""
+    mask_weight: float = 1.0
+    interlevel_weight: float = 0.01
+    interlevel_blur: tuple[float, float] = (0.03, 0.003)
+    """Half widths in normalised distance, per proposal."""
+    distortion_weight: float = 0.0
+    distortion_from: float = 0.0
+    orientation_weight: float = 0.0
+    normal_weight: float = 1.0
+    """Final weight of the normal loss."""
+    normal_start: float = 1e-4
+    """Weight of the normal loss before its ramp."""
+    normal_ramp: tuple[float, float] = (0.2, 0.4)
+    """Shares of the steps between which the weight rises linearly."""
+    normal_every: int = 1
+    """Steps between two normal losses."""
+    normal_rays: float = 1.0
+    """Share of the rays that take part in the normal loss."""
+    normal_weight_gradient: float = 0.1
+    """Share of the gradient that the render weights get from the normal loss."""
+    grid_decay: float = 0.0
+    """Weight of the mean squared grid value, on the density grid."""
+    proposal_exponent: float = 0.4
+    """Largest exponent of the proposal weights (annealing ends there)."""
+
+    def __post_init__(self) -> None:
+        for name in ("num_steps", "num_rays", "normal_every"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"stage_one.{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("carving_share", "specular_from", "normal_rays"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"stage_one.{name} must lie in 0..1, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StageTwoConfig:
+    """Joint training of cache, materials, light, fast cache and sampler (supplement 2.4 to 2.10)."""
+
+    num_steps: int = 40_000
+    num_rays: int = 1024
+    warmup_steps: int = 0
+    """First steps in which only the fast cache and the sampler train (decision 0005)."""
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    """Secondary rays; their near and far distance come from the scene."""
+    points: typing.Literal["categorical", "depth"] = "categorical"
+    points_per_ray: int = 1
+    """K of paper Eq. 11."""
+    symmetric: bool = False
+    """Let gradients flow into both passes instead of the first only; their mean is the same."""
+    material_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
+    cache_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
+    fast_rates: Rates = field(default_factory=lambda: Rates(grid=1.5625e-4, network=1.5625e-4))
+    environment_rate: float = 3.125e-5
+    final_rate: float = 1.0
+    decay_from: float = 0.0
+    """Share of the steps after which the rates begin to fall."""
+    physical_weight: float = 0.1
+    cache_weight: float = 1.0
+    """Weight of the photometric loss of the NeRF cache; 0 freezes the cache."""
+    mask_weight: float = 1.0
+    distortion_weight: float = 0.0
+    orientation_weight: float = 0.0
+    normal_weight: float = 1.0
+    normal_every: int = 1
+    normal_rays: float = 1.0
+    normal_weight_gradient: float = 0.1
+    random_background: bool = False
+    consistency_weight: float = 0.1
+    smoothness_weight: float = 0.05
+    smoothness_step: float = 0.01
+    """Standard deviation of the step between compared points, scene units."""
+    grey_weight: float = 0.0
+    """Weight of the environment's mean deviation from grey (decision 0006)."""
+    grid_decay: float = 0.0
+    proposal_exponent: float = 0.4
+
+    def __post_init__(self) -> None:
+        for name in ("num_steps", "num_rays", "points_per_ray", "normal_every"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"stage_two.{name} must be at least 1, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluationConfig:
+    """The evaluation inside a job; `lambent evaluate` does the full one."""
+
+    num_views: int = 4
+    num_repeats: int = 1
+    num_directions: int = 64
+    """Secondary rays per pixel and repeat."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExportConfig:
+    """What the bundle is made with."""
+
+    gbuffer_samples: int = 128
+    """Uniform samples per primary ray in the gbuffer graph."""
+    mesh_resolution: int = 128
+    """Cells along the longest side of the scene's box."""
+    environment_height: int = 64
+    """Rows of the recovered environment; twice as many columns."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Config:
+    """One run: `presets.py` holds the functions that return one."""
+
+    preset: str
+    max_side: int = 800
+    """Longer photographs are reduced to this many pixels, in linear light."""
+    model: ModelConfig = field(default_factory=ModelConfig)
+    pixels: PixelChoice = field(default_factory=PixelChoice)
+    stage_one: StageOneConfig = field(default_factory=StageOneConfig)
+    stage_two: StageTwoConfig = field(default_factory=StageTwoConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    export: ExportConfig = field(default_factory=ExportConfig)
+    checkpoint_steps: int = 1000
+    """Steps between two checkpoints inside a stage."""
+    checkpoint_interval_s: float = 300.0
+    """Seconds between two checkpoints inside a stage, whichever comes first."""
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Return a configuration as plain JSON-compatible values."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def config_hash(config: Any) -> str:
+    """Return the SHA-256 of a configuration's canonical JSON, in hexadecimal."""
+    return sha256(json.dumps(to_dict(config), sort_keys=True).encode()).hexdigest()
+
+
+def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
+    """Return a configuration from `to_dict`'s values; raises `ConfigError` on unknown or ill-typed ones."""
+    hints = typing.get_type_hints(cls)
+    names = {item.name for item in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in names:
+            raise ConfigError(f"unknown setting {path + name!r}; known here: {', '.join(sorted(names))}")
+    return cls(**{name: _convert(hints[name], value, path + name) for name, value in values.items()})
+
+
+def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
+    """Return `config` with settings changed by dotted path, as `--set stage_one.num_rays=512` does.
+
+    Values are JSON, or bare words for strings. Raises `ConfigError` naming the setting.
+    """
+    values = to_dict(config)
+    for path, text in overrides.items():
+        *parents, last = path.split(".")
+        node = values
+        for depth, name in enumerate(parents):
+            if not isinstance(node, dict) or not isinstance(node.get(name), dict):
+                raise ConfigError(f"unknown setting {path!r}: there is no group {'.'.join(parents[: depth + 1])!r}")
+            node = node[name]
+        if last not in node:
+            raise ConfigError(f"unknown setting {path!r}; known here: {', '.join(sorted(node))}")
+        try:
+            node[last] = json.loads(text)
+        except json.JSONDecodeError:
+            node[last] = text
+    return from_dict(Config, values)
+
+
+def _convert(hint: Any, value: Any, path: str) -> Any:
+    """Return `value` as the annotated type, or raise `ConfigError` with the path of the setting."""
+    origin = typing.get_origin(hint)
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"setting {path!r} is a group, got {value!r}")
+        return from_dict(hint, value, path + ".")  # type: ignore[arg-type]
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in typing.get_args(hint):
+            return None
+        (inner,) = (option for option in typing.get_args(hint) if option is not type(None))
+        return _convert(inner, value, path)
+    if origin is typing.Literal:
+        if value not in typing.get_args(hint):
+            raise ConfigError(f"setting {path!r} must be one of {typing.get_args(hint)}, got {value!r}")
+        return value
+    if origin is tuple:
+        options = typing.get_args(hint)
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"setting {path!r} is a list, got {value!r}")
+        if len(options) == 2 and options[1] is Ellipsis:
+            return tuple(_convert(options[0], item, path) for item in value)
+        if len(options) != len(value):
+            raise ConfigError(f"setting {path!r} has {len(options)} values, got {value!r}")
+        return tuple(_convert(option, item, path) for option, item in zip(options, value, strict=True))
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (hint is not bool and isinstance(value, bool)):
+        raise ConfigError(f"setting {path!r} must be of type {hint.__name__}, got {value!r}")
+    return value

@@ -1,0 +1,37 @@
+"""Losses that tie predicted normals, derived normals and view directions together."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.fields.materials import scale_gradient
+
+
+def normal_consistency(
+    weights: Float[Tensor, "rays samples"],
+    predicted: Float[Tensor, "points 3"],
+    derived: Float[Tensor, "points 3"],
+    weight_gradient: float,
+) -> Float[Tensor, ""]:
+    """Return the weighted squared distance of predicted and derived normals, as two one-sided terms.
+
+    One term moves the density towards the frozen prediction (its weights pass `weight_gradient` of
+    their gradient), the other the prediction towards the frozen derivative.
+    Source: supplement Eq. 8; the split is the authors' practice.
+    """
+    flat = weights.reshape(-1)
+    to_density = (derived - predicted.detach()).square().sum(dim=-1)
+    to_prediction = (derived.detach() - predicted).square().sum(dim=-1)
+    loss = scale_gradient(flat, weight_gradient) * to_density + flat.detach() * to_prediction
+    return 0.5 * loss.sum() / weights.shape[0]
+
+
+def orientation(
+    weights: Float[Tensor, "rays samples"],
+    normal: Float[Tensor, "points 3"],
+    directions: Float[Tensor, "rays 3"],
+) -> Float[Tensor, ""]:
+    """Return the penalty on visible normals that face away from the camera (Ref-NeRF Eq. 11)."""
+    num_samples = weights.shape[-1]
+    cosine = -(normal.reshape(-1, num_samples, 3) * directions[:, None]).sum(dim=-1)
+    return (weights * cosine.clamp_max(0.0).square()).sum(dim=-1).mean()

@@ -1,0 +1,82 @@
+"""Losses that compare rendered with photographed colour and opacity.
+
+Colours are linear Rec. 709 unless a name says srgb; every result is a mean over rays.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.color import loss_curve
+
+CHARBONNIER_PADDING = 1e-3
+
+
+def charbonnier(difference: Tensor) -> Tensor:
+    """Return `sqrt(d^2 + 0.001^2)`, the smooth absolute value (supplement 2.4)."""
+    return torch.sqrt(difference.square() + CHARBONNIER_PADDING**2)
+
+
+def cache_photometric(
+    predicted: Float[Tensor, "rays 3"],
+    photograph: Float[Tensor, "rays 3"],
+    ray_weight: Float[Tensor, " rays"],
+) -> Float[Tensor, ""]:
+    """Return the Charbonnier distance of two linear colours in sRGB, the loss of the NeRF cache.
+
+    `ray_weight` is one on average. Source: supplement 2.4.
+    """
+    difference = loss_curve(predicted) - loss_curve(photograph)
+    return (charbonnier(difference).mean(dim=-1) * ray_weight).mean()
+
+
+def carving(
+    premultiplied: Float[Tensor, "rays 3"],
+    opacity: Float[Tensor, " rays"],
+    photograph: Float[Tensor, "rays 3"],
+    coverage: Float[Tensor, " rays"],
+    ray_weight: Float[Tensor, " rays"],
+) -> Float[Tensor, ""]:
+    """Return the loss of the first phase, which lets light pass where photographs agree only behind.
+
+    On covered pixels the colour is compared after division by opacity, so that a hollow need not
+    be opaque at its rim; opacity itself is only kept above 0.6 there and driven to zero outside.
+    Differs from the paper: see docs/decisions/0002-shape-first.md.
+    """
+    colour = premultiplied / opacity.clamp_min(1e-2)[:, None]
+    difference = charbonnier(loss_curve(colour) - loss_curve(photograph)).mean(dim=-1)
+    inside = difference + 0.3 * torch.relu(0.6 - opacity)
+    loss = torch.where(coverage > 0.99, inside, torch.zeros_like(inside))
+    loss = torch.where(coverage < 0.5, 0.3 * opacity, loss)
+    return (loss * ray_weight).mean()
+
+
+def mask_loss(
+    opacity: Float[Tensor, " rays"],
+    coverage: Float[Tensor, " rays"],
+    ray_weight: Float[Tensor, " rays"],
+) -> Float[Tensor, ""]:
+    """Return the Charbonnier distance of rendered opacity and the photograph's coverage."""
+    return (charbonnier(opacity - coverage) * ray_weight).mean()
+
+
+def physical_photometric(
+    photograph: Float[Tensor, "rays 3"],
+    estimate_a: Float[Tensor, "rays 3"],
+    estimate_b: Float[Tensor, "rays 3"],
+    cache: Float[Tensor, "rays 3"],
+    ray_weight: Float[Tensor, " rays"],
+) -> Float[Tensor, ""]:
+    """Return a loss whose mean gradient is that of the squared error of the *mean* picture.
+
+    `estimate_a` carries gradients, `estimate_b` must be independent of it: with the same samples
+    the expectation would gain the estimator's variance (supplement Eq. 2). The denominator is
+    the tone curve of a raw-noise loss, taken from the cache so that it is free of noise.
+    Saturated channels, where the photograph is clipped and the cache is brighter, are left out.
+    The value may be negative.
+    """
+    scale = torch.maximum(cache, photograph).detach() + 0.01
+    clipped = (photograph >= 254.0 / 255.0) & (cache.detach() > 1.0)
+    loss = 2.0 * (photograph - estimate_a) * (photograph - estimate_b).detach() / scale
+    loss = torch.where(clipped, torch.zeros_like(loss), loss)
+    return (loss.mean(dim=-1) * ray_weight).mean()

@@ -1,0 +1,62 @@
+"""Adam over the parts of a model, each with its own peak rate."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from flashcache.config import Rates
+from flashcache.encoding.hash_grid import HashGrid
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StepRecord:
+    """What a training step tells: its loss terms and, every few steps, how good the picture is."""
+
+    step: int
+    """Number of steps done, counting this one."""
+    num_steps: int
+    loss: float
+    psnr: float
+    """Of the batch, dB, on sRGB values inside the mask."""
+    terms: Mapping[str, float]
+    skipped: bool = False
+    """True when the step was left out because its gradient was not finite."""
+
+
+def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str, object]]:
+    """Return optimiser groups with a `peak` rate each, grids and networks apart; frozen parts are left out."""
+    groups: list[dict[str, object]] = []
+    for module, rates in parts:
+        grids = {id(grid.table) for grid in module.modules() if isinstance(grid, HashGrid)}
+        of_grid = [p for p in module.parameters() if id(p) in grids]
+        of_network = [p for p in module.parameters() if id(p) not in grids]
+        for parameters, peak in ((of_grid, rates.grid), (of_network, rates.network)):
+            if parameters and peak > 0.0:
+                groups.append({"params": parameters, "lr": peak, "peak": peak})
+    return groups
+
+
+def build_optimiser(groups: list[dict[str, object]]) -> torch.optim.Adam:
+    """Return Adam with the paper's constants (supplement 2.4); a zero rate makes it a no-op."""
+    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+
+def set_rates(optimiser: torch.optim.Adam, factor: float) -> None:
+    """Set every group's rate to its peak times `factor`."""
+    for group in optimiser.param_groups:
+        group["lr"] = group["peak"] * factor
+
+
+def apply_gradients(optimiser: torch.optim.Adam, loss: torch.Tensor) -> bool:
+    """Back-propagate and take a step; returns False, and changes nothing, if a gradient is not finite."""
+    optimiser.zero_grad(set_to_none=False)
+    loss.backward()
+    gradients = [p.grad for group in optimiser.param_groups for p in group["params"] if p.grad is not None]
+    # One sum per tensor: a NaN or infinity anywhere makes the total non-finite.
+    total = torch.stack([gradient.sum() for gradient in gradients]).sum()
+    if not bool(torch.isfinite(total)):
+        return False
+    optimiser.step()
+    return True

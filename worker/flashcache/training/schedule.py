@@ -1,0 +1,39 @@
+"""Learning rates and loss weights as functions of the training fraction."""
+
+import math
+from hashlib import sha256
+
+import torch
+
+
+def ramp(fraction: float, start: float, end: float) -> float:
+    """Return 0 before `start`, 1 after `end`, linear between; a step where they coincide."""
+    if fraction >= end:
+        return 1.0
+    return 0.0 if fraction <= start else (fraction - start) / (end - start)
+
+
+def rate_factor(step: int, num_steps: int, warmup_steps: int, final_rate: float, decay_from: float) -> float:
+    """Return the learning rate as a share of its peak.
+
+    A sine ramp over `warmup_steps`, times a log-linear fall to `final_rate` that begins after the share
+    `decay_from` of the steps. Source: supplement 2.4.
+    """
+    warm = math.sin(0.5 * math.pi * min(1.0, (step + 1) / warmup_steps)) if warmup_steps else 1.0
+    return warm * final_rate ** ramp(step / num_steps, decay_from, 1.0)
+
+
+def proposal_exponent(fraction: float, largest: float) -> float:
+    """Return the exponent that flattens proposal weights early in training (Mip-NeRF 360 annealing)."""
+    return min(10.0 * fraction / (9.0 * fraction + 1.0), largest)
+
+
+def generator_for(seed: int, stage: str, step: int, purpose: str, device: torch.device) -> torch.Generator:
+    """Return a fresh random generator that depends on nothing but the arguments.
+
+    Streams of different purposes are independent, and a resumed run continues as if never stopped.
+    """
+    digest = sha256(f"{seed}/{stage}/{step}/{purpose}".encode()).digest()
+    generator = torch.Generator(device=device)
+    generator.manual_seed(int.from_bytes(digest[:8], "little") >> 1)
+    return generator

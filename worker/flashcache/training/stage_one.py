@@ -1,0 +1,175 @@
+"""Stage one: the NeRF cache learns to reproduce the photographs (supplement 2.4)."""
+
+import torch
+from torch import Tensor
+
+from flashcache.caches.nerf_cache import Geometry
+from flashcache.color import srgb_from_linear
+from flashcache.config import StageOneConfig
+from flashcache.data.ray_batches import RayBatch, TrainingPixels
+from flashcache.losses.normals import normal_consistency, orientation
+from flashcache.losses.photometric import cache_photometric, carving, mask_loss
+from flashcache.losses.proposal import distortion, interlevel
+from flashcache.physical.model import InverseModel
+from flashcache.training.optimiser import (
+    StepRecord,
+    apply_gradients,
+    build_optimiser,
+    parameter_groups,
+    set_rates,
+)
+from flashcache.training.schedule import generator_for, proposal_exponent, ramp, rate_factor
+
+STAGE = "cache"
+
+
+class StageOne:
+    """The state of stage one; call `step` until `finished`."""
+
+    def __init__(
+        self, model: InverseModel, pixels: TrainingPixels, config: StageOneConfig, *, seed: int
+    ) -> None:
+        self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
+        self.optimiser = build_optimiser(parameter_groups([(model.nerf, config.rates)]))
+        self.steps_done = 0
+        self.num_skipped = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps have been taken."""
+        return self.steps_done >= self.config.num_steps
+
+    def step(self) -> StepRecord:
+        """Take one training step."""
+        config, step = self.config, self.steps_done
+        fraction = step / config.num_steps
+        generator = generator_for(self.seed, STAGE, step, "rays", self.pixels.device)
+        batch = self.pixels.draw(config.num_rays, generator)
+        normal_weight = self._normal_weight(fraction)
+        with_normals = normal_weight > 0.0 and step % config.normal_every == 0
+        geometry = self.model.nerf.trace(
+            batch.rays,
+            exponent=proposal_exponent(fraction, config.proposal_exponent),
+            generator=generator,
+            num_derived=round(config.normal_rays * len(batch)) if with_normals else 0,
+        )
+        terms, picture = self._picture_terms(batch, geometry, fraction, generator)
+        terms |= proposal_terms(geometry, config.interlevel_weight, config.interlevel_blur)
+        terms |= shape_terms(
+            batch,
+            geometry,
+            normal_weight=normal_weight,
+            normal_weight_gradient=config.normal_weight_gradient,
+            orientation_weight=config.orientation_weight if with_normals else 0.0,
+            distortion_weight=config.distortion_weight if fraction >= config.distortion_from else 0.0,
+        )
+        if config.grid_decay:
+            decay = self.model.nerf.density.grid.table.square().mean()
+            terms["grid_decay"] = 0.5 * config.grid_decay * decay
+        loss = torch.stack(list(terms.values())).sum()
+        set_rates(
+            self.optimiser,
+            rate_factor(step, config.num_steps, config.warmup_steps, config.final_rate, 0.0),
+        )
+        applied = apply_gradients(self.optimiser, loss)
+        self.steps_done += 1
+        self.num_skipped += not applied
+        return StepRecord(
+            step=self.steps_done,
+            num_steps=config.num_steps,
+            loss=float(loss.detach()),
+            psnr=masked_psnr(picture.detach(), batch),
+            terms={name: float(value.detach()) for name, value in terms.items()},
+            skipped=not applied,
+        )
+
+    def _picture_terms(
+        self, batch: RayBatch, geometry: Geometry, fraction: float, generator: torch.Generator
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """Return the losses on the picture, and the premultiplied picture itself."""
+        config = self.config
+        appearance = self.model.nerf.outgoing(
+            geometry,
+            batch.rays.directions,
+            batch.light_index,
+            with_specular=fraction >= config.specular_from,
+        )
+        picture = composite(geometry, appearance.radiance)
+        opacity = geometry.opacity
+        weight = torch.ones_like(opacity)
+        if fraction < config.carving_share:
+            return {"carving": carving(picture, opacity, batch.colour, batch.coverage, weight)}, picture
+        background = torch.ones_like(batch.colour)
+        if config.random_background:
+            background = torch.rand(
+                batch.colour.shape, generator=generator, device=batch.colour.device
+            )
+        terms = {
+            "colour": cache_photometric(
+                picture + (1.0 - opacity)[:, None] * background, batch.over(background), weight
+            )
+        }
+        if config.mask_weight:
+            terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage, weight)
+        return terms, picture
+
+    def _normal_weight(self, fraction: float) -> float:
+        config = self.config
+        if fraction < config.carving_share:
+            return 0.0
+        rise = ramp(fraction, *config.normal_ramp)
+        return config.normal_start + (config.normal_weight - config.normal_start) * rise
+
+
+def composite(geometry: Geometry, radiance: Tensor) -> Tensor:
+    """Return the premultiplied colour [rays, 3] of the points' radiance [points, 3] (paper Eq. 3)."""
+    num_rays, num_samples = geometry.weights.shape
+    return (geometry.weights[..., None] * radiance.reshape(num_rays, num_samples, 3)).sum(dim=1)
+
+
+def proposal_terms(geometry: Geometry, weight: float, blur: tuple[float, float]) -> dict[str, Tensor]:
+    """Return the interlevel losses, one per proposal round."""
+    edges, final = geometry.samples.edges, geometry.weights.detach()
+    return {
+        f"interlevel_{level}": weight * interlevel(proposal, edges, final, half_width)
+        for level, (proposal, half_width) in enumerate(zip(geometry.samples.proposals, blur, strict=True))
+    }
+
+
+def shape_terms(
+    batch: RayBatch,
+    geometry: Geometry,
+    *,
+    normal_weight: float,
+    normal_weight_gradient: float,
+    orientation_weight: float,
+    distortion_weight: float,
+) -> dict[str, Tensor]:
+    """Return the losses on normals and on the spread of weights that have a weight above zero."""
+    terms = {}
+    if geometry.derived is not None:
+        num_samples = geometry.weights.shape[-1]
+        num_rays = len(geometry.derived) // num_samples
+        weights, points = geometry.weights[:num_rays], slice(0, num_rays * num_samples)
+        terms["normals"] = normal_weight * normal_consistency(
+            weights, geometry.normal[points], geometry.derived, normal_weight_gradient
+        )
+        if orientation_weight:
+            directions = batch.rays.directions[:num_rays]
+            terms["orientation"] = orientation_weight * (
+                orientation(weights, geometry.normal[points], directions)
+                + 2.0 * orientation(weights, geometry.derived, directions)
+            )
+    if distortion_weight:
+        terms["distortion"] = distortion_weight * distortion(geometry.samples, geometry.weights)
+    return terms
+
+
+def masked_psnr(premultiplied: Tensor, batch: RayBatch) -> float:
+    """Return the PSNR [dB] of a batch on sRGB values, over pixels that the object covers."""
+    covered = batch.coverage > 0.5
+    if not bool(covered.any()):
+        return 0.0
+    wanted = (batch.colour * batch.coverage[:, None])[covered]
+    difference = srgb_from_linear(premultiplied[covered].clamp(0.0, 1.0)) - srgb_from_linear(wanted)
+    return float(-10.0 * torch.log10(difference.square().mean().clamp_min(1e-10)))

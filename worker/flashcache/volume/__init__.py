@@ -1,0 +1,1 @@
+"""Sampling along rays and the quadrature of the volume rendering equation."""
