@@ -1,0 +1,241 @@
+"""Strategies that draw directions, and how several of them are combined at a batch of points.
+
+A strategy is bound to its points: `sample` maps uniform variates to directions, `pdf` is the density in 1/sr
+of any direction on the whole sphere. Uniform variates and directions have shapes [points, lights, k] and
+[points, lights, 3].
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.geometry.directions import (
+    direction_from_uv,
+    dot,
+    environment_solid_angles,
+    from_frame,
+    normalize,
+    reflect,
+    uv_from_direction,
+)
+from flashcache.physical.brdf import ggx_density
+
+PDF_FLOOR = 1e-5
+"""Smallest density in 1/sr by which a contribution is divided."""
+
+
+class Strategy(Protocol):
+    """A way to draw directions at each point of a batch."""
+
+    num_uniforms: int
+    """Uniform variates that one direction takes."""
+
+    def sample(self, u: Float[Tensor, "points lights k"]) -> Float[Tensor, "points lights 3"]:
+        """Return unit directions."""
+        ...
+
+    def pdf(self, omega_i: Float[Tensor, "points lights 3"]) -> Float[Tensor, "points lights"]:
+        """Return `pdf_solid_angle` of directions, whichever strategy drew them."""
+        ...
+
+
+def _disc(angle: Float[Tensor, "*batch"], sine: Tensor, cosine: Tensor) -> Float[Tensor, "*batch 3"]:
+    return torch.stack([sine * torch.cos(angle), sine * torch.sin(angle), cosine], dim=-1)
+
+
+@dataclass(frozen=True)
+class CosineLobe:
+    """Directions above the surface with density n.omega_i / pi."""
+
+    normal: Float[Tensor, "points 3"]
+    num_uniforms = 2
+
+    def sample(self, u: Float[Tensor, "points lights 2"]) -> Float[Tensor, "points lights 3"]:
+        """Return directions above the surface (Malley's method)."""
+        local = _disc(2.0 * math.pi * u[..., 1], u[..., 0].sqrt(), (1.0 - u[..., 0]).sqrt())
+        return from_frame(local, self.normal.unsqueeze(1))
+
+    def pdf(self, omega_i: Float[Tensor, "points lights 3"]) -> Float[Tensor, "points lights"]:
+        """Return n.omega_i / pi, zero below the surface."""
+        return dot(self.normal.unsqueeze(1), omega_i).squeeze(-1).clamp_min(0.0) / math.pi
+
+
+@dataclass(frozen=True)
+class GgxLobe:
+    """The view direction mirrored about half vectors with density D (n.h).
+
+    Some directions end below the surface. Source: supplement 2.7.
+    """
+
+    omega_o: Float[Tensor, "points 3"]
+    normal: Float[Tensor, "points 3"]
+    alpha: Float[Tensor, "points 1"]
+    num_uniforms = 2
+
+    def sample(self, u: Float[Tensor, "points lights 2"]) -> Float[Tensor, "points lights 3"]:
+        """Return mirrored directions, tan^2 of the half vector's angle being alpha^2 u / (1 - u)."""
+        tangent = self.alpha * (u[..., 0] / (1.0 - u[..., 0])).sqrt()
+        cosine = (1.0 + tangent * tangent).rsqrt()
+        local = _disc(2.0 * math.pi * u[..., 1] - math.pi, tangent * cosine, cosine)
+        omega_h = from_frame(local, self.normal.unsqueeze(1))
+        return reflect(self.omega_o.unsqueeze(1), omega_h)
+
+    def pdf(self, omega_i: Float[Tensor, "points lights 3"]) -> Float[Tensor, "points lights"]:
+        """Return D(h) |n.h| / (4 |omega_o.h|)."""
+        omega_o, normal = self.omega_o.unsqueeze(1), self.normal.unsqueeze(1)
+        omega_h = normalize(omega_i + omega_o)
+        density = ggx_density(normal, omega_h, self.alpha.unsqueeze(1))
+        jacobian = 4.0 * dot(omega_o, omega_h).abs().clamp_min(1e-7)
+        return (density * dot(normal, omega_h).abs() / jacobian).squeeze(-1)
+
+
+class EnvironmentMapSampler:
+    """Directions in proportion to the brightness of a known environment picture; the same at every point.
+
+    A pixel is drawn with probability proportional to (R + G + B) times its solid angle, and a direction
+    uniformly (by solid angle) inside it. A black picture is sampled uniformly. `image` is linear radiance in
+    the convention of `geometry.directions`. For evaluation under a known light only: training uses the
+    learned light sampler.
+    """
+
+    num_uniforms = 2
+
+    def __init__(self, image: Float[Tensor, "height width 3"]) -> None:
+        height, width, _ = image.shape
+        solid_angle = environment_solid_angles(height, width, dtype=torch.float64).to(image.device)
+        brightness = image.double().sum(dim=-1).clamp_min(0.0)
+        if not bool((brightness > 0.0).any()):
+            brightness = torch.ones_like(brightness)
+        power = (brightness * solid_angle[:, None]).reshape(-1)
+        self._shape = (height, width)
+        self._cdf = power.cumsum(0) / power.sum()
+        self._pdf = (brightness / power.sum()).to(image.dtype)
+
+    def sample(self, u: Float[Tensor, "points lights 2"]) -> Float[Tensor, "points lights 3"]:
+        """Return directions; the first variate picks the pixel and is used again inside it."""
+        height, width = self._shape
+        first = u[..., 0].double()
+        flat = torch.searchsorted(self._cdf, first.reshape(-1), right=True).clamp_max(len(self._cdf) - 1)
+        flat = flat.reshape(first.shape)
+        upper = self._cdf[flat]
+        lower = torch.where(flat > 0, self._cdf[(flat - 1).clamp_min(0)], torch.zeros_like(upper))
+        inside = ((first - lower) / (upper - lower).clamp_min(1e-300)).clamp(0.0, 1.0)
+        row, column = flat // width, flat % width
+        top, bottom = (torch.cos((row + offset) * (math.pi / height)) for offset in (0, 1))
+        cosine = top + (bottom - top) * u[..., 1].double()
+        v = torch.acos(cosine.clamp(-1.0, 1.0)) / math.pi
+        uv = torch.stack([(column + inside) / width, v], dim=-1)
+        return direction_from_uv(uv).to(u.dtype)
+
+    def pdf(self, omega_i: Float[Tensor, "points lights 3"]) -> Float[Tensor, "points lights"]:
+        """Return the density of the pixel in which each direction lies."""
+        height, width = self._shape
+        uv = uv_from_direction(omega_i)
+        column = (uv[..., 0] * width).long().clamp(0, width - 1)
+        row = (uv[..., 1] * height).long().clamp(0, height - 1)
+        return self._pdf[row, column]
+
+
+class DirectionSamples(NamedTuple):
+    """Directions drawn by several strategies; a weighted sum over `lights` estimates an integral."""
+
+    omega_i: Float[Tensor, "points lights 3"]
+    pdf_solid_angle: Float[Tensor, "points lights"]
+    """Density of the strategy that drew the direction, at least 1e-5."""
+    mis_weight: Float[Tensor, "points lights"]
+    """Power-heuristic weight of that strategy, in 0..1."""
+    weight: Float[Tensor, "points lights"]
+    """`mis_weight` / (number of directions * `pdf_solid_angle`): the integrand's factor."""
+    groups: tuple[int, ...]
+    """Lengths of the consecutive blocks of directions that one strategy drew for one estimate."""
+    num_floored: Tensor
+    """How many densities were raised to the floor (a count; those directions are biased)."""
+
+
+def draw_uniforms(
+    shape: tuple[int, int, int],
+    generator: torch.Generator,
+    like: Tensor,
+    *,
+    stratified: bool = False,
+) -> Float[Tensor, "points lights k"]:
+    """Return uniform variates in [0, 1): independent ones, or a lattice shifted at random at each point.
+
+    Every variate of the lattice is uniform, so that estimates stay unbiased; those of one point avoid each
+    other. The lattice is the additive recurrence of the generalised golden ratio (Roberts' sequence).
+    """
+    points, count, dimensions = shape
+    if not stratified:
+        return torch.rand(shape, generator=generator, dtype=like.dtype, device=like.device)
+    shift = torch.rand((points, 1, dimensions), generator=generator, dtype=like.dtype, device=like.device)
+    ratio = 2.0
+    for _ in range(40):
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    steps = torch.tensor([ratio ** -(k + 1) for k in range(dimensions)], dtype=torch.float64)
+    lattice = (torch.arange(count, dtype=torch.float64)[:, None] * steps) % 1.0
+    # The remainder of a float32 sum can round up to 1.
+    return ((shift + lattice.to(like)) % 1.0).clamp_max(1.0 - torch.finfo(like.dtype).eps / 2)
+
+
+def draw_directions(
+    strategies: Sequence[tuple[Strategy, Sequence[int]]],
+    generator: torch.Generator,
+    like: Float[Tensor, "points 3"],
+    *,
+    stratified: bool = False,
+) -> DirectionSamples:
+    """Return directions for one or several independent estimates of the same integral.
+
+    Each strategy comes with its number of directions in every estimate. Directions lie in the order of the
+    estimates, within one in the order of the strategies, and are weighted by the power heuristic among the
+    strategies of their own estimate. Without gradients: directions, densities and weights are constants of
+    the estimators (detached sampling). Source: paper Eq. 5 with supplement 2.7.
+    """
+    with torch.no_grad():
+        strategies = [(strategy, tuple(counts)) for strategy, counts in strategies if any(counts)]
+        num_points = like.shape[0]
+        if not strategies:
+            none = like.new_zeros((num_points, 0))
+            return DirectionSamples(
+                like.new_zeros((num_points, 0, 3)), none, none, none, (), like.new_zeros(())
+            )
+        drawn = []
+        for strategy, counts in strategies:
+            shapes = [(num_points, count, strategy.num_uniforms) for count in counts]
+            u = [draw_uniforms(shape, generator, like, stratified=stratified) for shape in shapes]
+            drawn.append(strategy.sample(torch.cat(u, dim=1)).split(counts, dim=1))
+        # (estimate, strategy, directions) of the blocks in the order of the result.
+        blocks = [
+            (estimate, index, counts[estimate])
+            for estimate in range(len(strategies[0][1]))
+            for index, (_, counts) in enumerate(strategies)
+            if counts[estimate]
+        ]
+        groups = tuple(length for _, _, length in blocks)
+        omega_i = torch.cat([drawn[index][estimate] for estimate, index, _ in blocks], dim=1)
+        densities = [strategy.pdf(omega_i) for strategy, _ in strategies]
+        starts = [sum(groups[:block]) for block in range(len(groups))]
+        own = torch.cat(
+            [
+                densities[index][:, start : start + length]
+                for (_, index, length), start in zip(blocks, starts, strict=True)
+            ],
+            dim=1,
+        )
+        num_floored = (own < PDF_FLOOR).sum()
+        own = own.clamp_min(PDF_FLOOR)
+        expected = own * like.new_tensor(groups).repeat_interleave(torch.tensor(groups, device=like.device))
+        if len(strategies) == 1:
+            mis_weight = torch.ones_like(own)
+        else:
+            total = torch.zeros_like(own)
+            for density, (_, counts) in zip(densities, strategies, strict=True):
+                rivals = [counts[estimate] for estimate, _, length in blocks for _ in range(length)]
+                total += (density.clamp_min(PDF_FLOOR) * like.new_tensor(rivals)).square()
+            mis_weight = expected.square() / total
+        return DirectionSamples(omega_i, own, mis_weight, mis_weight / expected, groups, num_floored)
