@@ -1,0 +1,209 @@
+"""Pinhole cameras: files of them, turntables, and the rays through their pixels.
+
+Camera axes are OpenGL's: x right, y up, looking along -z. Pixel centres lie at half-integer
+coordinates, row 0 at the top. The world is right-handed with z up.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.errors import CameraError
+
+_MAX_SIDE = 16384
+_MAX_CAMERAS = 100_000
+_MAX_FILE_BYTES = 64 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera; lengths in pixels, pose in scene units."""
+
+    name: str
+    width: int
+    height: int
+    focal_x: float
+    focal_y: float
+    centre_x: float
+    centre_y: float
+    camera_to_world: NDArray[np.float64]
+    """[4, 4], a rotation and a position."""
+
+    def rays(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return origins and unit directions of the pixel-centre rays, each [height * width, 3], by rows."""
+        x = (np.arange(self.width) + 0.5 - self.centre_x) / self.focal_x
+        y = (self.centre_y - np.arange(self.height) - 0.5) / self.focal_y
+        grid_y, grid_x = np.meshgrid(y, x, indexing="ij")
+        local = np.stack([grid_x, grid_y, -np.ones_like(grid_x)], axis=-1).reshape(-1, 3)
+        local /= np.linalg.norm(local, axis=-1, keepdims=True)
+        directions = local @ self.camera_to_world[:3, :3].T
+        origins = np.broadcast_to(self.camera_to_world[:3, 3], directions.shape)
+        return origins.astype(np.float32), directions.astype(np.float32)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """Return the same view with other pixel counts; the field of view is kept along each axis."""
+        scale_x, scale_y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            focal_x=self.focal_x * scale_x,
+            focal_y=self.focal_y * scale_y,
+            centre_x=self.centre_x * scale_x,
+            centre_y=self.centre_y * scale_y,
+        )
+
+    def key(self) -> bytes:
+        """Return a value that is equal for cameras that see the same rays."""
+        numbers = (self.width, self.height, self.focal_x, self.focal_y, self.centre_x, self.centre_y)
+        return np.array(numbers, np.float64).tobytes() + np.ascontiguousarray(self.camera_to_world).tobytes()
+
+
+def look_at(position: Sequence[float], target: Sequence[float]) -> NDArray[np.float64]:
+    """Return the camera-to-world matrix at `position` that looks at `target` with +z upwards.
+
+    Straight up or down, where that leaves the roll open, +y is upwards.
+    """
+    eye, goal = np.asarray(position, np.float64), np.asarray(target, np.float64)
+    backward = (eye - goal) / np.linalg.norm(eye - goal)
+    up = np.array([0.0, 1.0, 0.0]) if abs(backward[2]) > 1.0 - 1e-9 else np.array([0.0, 0.0, 1.0])
+    right = np.cross(up, backward)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(backward, right), backward, eye
+    return pose
+
+
+def turntable(
+    num_views: int,
+    *,
+    radius: float,
+    elevation_deg: float = 20.0,
+    target: Sequence[float] = (0.0, 0.0, 0.0),
+    width: int = 512,
+    height: int = 512,
+    field_of_view_deg: float = 40.0,
+    start_deg: float = 0.0,
+) -> list[Camera]:
+    """Return `num_views` cameras evenly around the z axis through `target`, at `radius` scene units from it.
+
+    View k stands at azimuth `start_deg` + k 360 / `num_views` (0 = +x, growing towards +y) and looks at
+    `target`. `field_of_view_deg` is horizontal.
+    """
+    if num_views < 1 or num_views > _MAX_CAMERAS:
+        raise CameraError("camera.count", f"{num_views} views asked for", f"ask for 1 to {_MAX_CAMERAS}")
+    if not (radius > 0.0 and math.isfinite(radius)):
+        raise CameraError("camera.radius", f"radius {radius}", "give a positive distance in scene units")
+    if not 0.0 < field_of_view_deg < 180.0:
+        raise CameraError(
+            "camera.field_of_view", f"field of view {field_of_view_deg} degrees", "give 0 to 180, exclusive"
+        )
+    focal = 0.5 * width / math.tan(math.radians(field_of_view_deg) / 2.0)
+    elevation = math.radians(elevation_deg)
+    cameras = []
+    for index in range(num_views):
+        azimuth = math.radians(start_deg + 360.0 * index / num_views)
+        offset = (
+            math.cos(azimuth) * math.cos(elevation),
+            math.sin(azimuth) * math.cos(elevation),
+            math.sin(elevation),
+        )
+        position = np.asarray(target, np.float64) + radius * np.array(offset)
+        cameras.append(
+            Camera(
+                name=f"turntable_{index:03d}",
+                width=width,
+                height=height,
+                focal_x=focal,
+                focal_y=focal,
+                centre_x=width / 2.0,
+                centre_y=height / 2.0,
+                camera_to_world=look_at(position, target),
+            )
+        )
+    return cameras
+
+
+def load_cameras(path: Path | str) -> list[Camera]:
+    """Return the cameras of a cameras.json, in file order.
+
+    Raises CameraError, naming the camera, for missing or impossible values.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise CameraError("camera.file_missing", f'there is no file "{path}"', "check the path")
+    if path.stat().st_size > _MAX_FILE_BYTES:
+        raise CameraError("camera.file_too_large", f'"{path.name}" is above 64 MiB', "split the file")
+    return parse_cameras(path.read_bytes(), source=path.name)
+
+
+def parse_cameras(data: bytes, *, source: str = "cameras.json") -> list[Camera]:
+    """Return the cameras of the text of a cameras.json; see `load_cameras`."""
+    try:
+        entries = json.loads(data)["cameras"]
+        count = len(entries)
+        cameras = [_parse_camera(entry, index, source) for index, entry in enumerate(entries[:_MAX_CAMERAS])]
+    except CameraError:
+        raise
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise CameraError(
+            "camera.file_unreadable",
+            f'"{source}" is not {{"cameras": [...]}} ({type(error).__name__})',
+            "see docs/reference/bundle-format.md for the fields",
+        ) from error
+    if not 0 < count <= _MAX_CAMERAS:
+        raise CameraError("camera.count", f'"{source}" has {count} cameras', f"give 1 to {_MAX_CAMERAS}")
+    return cameras
+
+
+def _parse_camera(entry: dict, index: int, source: str) -> Camera:
+    def fault(what: str, advice: str) -> CameraError:
+        return CameraError("camera.invalid", f'camera {index} of "{source}" {what}', advice)
+
+    try:
+        numbers = {
+            name: float(entry[name])
+            for name in ("width", "height", "focal_x", "focal_y", "centre_x", "centre_y")
+        }
+        pose = np.array(entry["camera_to_world"], np.float64).reshape(4, 4)
+        name = str(entry.get("name", f"camera_{index:03d}"))
+    except KeyError as error:
+        raise fault(f"has no {error}", "add the field") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise fault(
+            "has a field of the wrong kind", "give numbers, and 16 of them in camera_to_world"
+        ) from error
+    width, height = numbers["width"], numbers["height"]
+    if not (
+        width.is_integer() and height.is_integer() and 1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE
+    ):
+        raise fault(f"has the size {width} x {height}", f"give whole numbers from 1 to {_MAX_SIDE}")
+    if not (np.isfinite(pose).all() and np.isfinite(list(numbers.values())).all()):
+        raise fault("holds NaN or infinite values", "mend the pose")
+    if min(numbers["focal_x"], numbers["focal_y"]) <= 0.0:
+        raise fault("has a focal length that is not positive", "give focal lengths in pixels")
+    rotation = pose[:3, :3]
+    orthonormal = np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    if not orthonormal or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        raise fault(
+            "has a camera_to_world that is not a rotation and a position",
+            "remove scale and mirroring; axes are x right, y up, looking along -z",
+        )
+    numbers.update(width=int(width), height=int(height))
+    return Camera(name=name, camera_to_world=pose, **numbers)
+
+
+def cameras_json(cameras: Sequence[Camera]) -> str:
+    """Return the text of a cameras.json that holds `cameras`."""
+    fields = ("name", "width", "height", "focal_x", "focal_y", "centre_x", "centre_y")
+    entries = [
+        {field: getattr(camera, field) for field in fields}
+        | {"camera_to_world": camera.camera_to_world.ravel().tolist()}
+        for camera in cameras
+    ]
+    return json.dumps({"cameras": entries}, indent=1)

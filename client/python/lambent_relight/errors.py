@@ -1,0 +1,35 @@
+"""What can go wrong while relighting, for the person who asked for it."""
+
+
+class RelightError(Exception):
+    """Something a user can mend: a stable `code`, what was found, and what to do about it.
+
+    `str(error)` is `code: message; advice`, one line for a terminal. `code` is part of the public
+    interface and never changes its meaning.
+    """
+
+    def __init__(self, code: str, message: str, advice: str) -> None:
+        super().__init__(f"{code}: {message}; {advice}")
+        self.code = code
+        self.message = message
+        self.advice = advice
+
+
+class BundleError(RelightError):
+    """A bundle is damaged, unsafe, or written for another reader. Codes start with `bundle.`."""
+
+
+class EnvironmentFileError(RelightError):
+    """An environment map cannot be used. Codes start with `environment.`."""
+
+
+class CameraError(RelightError):
+    """A camera description cannot be used. Codes start with `camera.`."""
+
+
+class SettingError(RelightError, ValueError):
+    """A setting of a render is out of range. Codes start with `relight.`."""
+
+
+class UnsupportedQuality(RelightError):  # noqa: N818 - the quality is at fault, not the program
+    """The asked-for quality does not exist in this version. Code `relight.quality_unsupported`."""

@@ -1,0 +1,141 @@
+"""OpenEXR pictures: reading environment maps from strangers, writing results.
+
+The header is read and judged before pixels are, because a file of a few hundred bytes can ask for
+gigabytes. Source: docs/reference/conventions.md (colour).
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from lambent_relight.errors import EnvironmentFileError
+
+REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Red, green, blue and white of linear Rec. 709, CIE x and y each."""
+
+
+def _unusable(code: str, path: Path, what: str, advice: str) -> EnvironmentFileError:
+    return EnvironmentFileError(code, f'"{path.name}" {what}', advice)
+
+
+def read_exr_rgb(path: Path, *, max_pixels: int) -> NDArray[np.float32]:
+    """Return the R, G, B channels as linear float32 [height, width, 3], row 0 at the top.
+
+    Half and float channels are read, from the first part that has all three; alpha is ignored (EXR
+    colours are already multiplied by it). Raises EnvironmentFileError for a damaged file, one without
+    colour, one in other primaries than Rec. 709, a cropped or deep picture, or one above `max_pixels`.
+    """
+    try:
+        headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
+    except Exception as error:
+        raise _damaged(path) from error
+    part_index = _choose_part(path, headers)
+    header = headers[part_index]
+    height, width = _checked_size(path, header, max_pixels)
+    _check_colour(path, header)
+    try:
+        parts = OpenEXR.File(str(path), separate_channels=True, num_threads=1).parts
+        # The library returns fewer parts, and no exception, when it runs out of memory.
+        channels = parts[part_index].channels if part_index < len(parts) else {}
+        planes = [channels[name].pixels for name in "RGB" if name in channels]
+    except Exception as error:
+        raise _damaged(path) from error
+    if len(planes) < 3 or any(p is None or p.shape != (height, width) for p in planes):
+        raise _damaged(path)
+    if any(plane.dtype not in (np.float16, np.float32) for plane in planes):
+        raise _unusable(
+            "environment.exr_channels", path, "stores colour as integers", "save it as half or float"
+        )
+    return np.stack([plane.astype(np.float32) for plane in planes], axis=-1)
+
+
+def _damaged(path: Path) -> EnvironmentFileError:
+    return _unusable(
+        "environment.exr_damaged",
+        path,
+        "cannot be decoded as OpenEXR (damaged, or more than the memory there is)",
+        "export the map again as .exr or .hdr, or reduce it",
+    )
+
+
+def _choose_part(path: Path, headers: list[dict]) -> int:
+    found = []
+    for index, header in enumerate(headers):
+        names = [channel.name for channel in header.get("channels", [])]
+        if {"R", "G", "B"} <= set(names):
+            return index
+        found += names
+    if not headers:
+        raise _damaged(path)
+    raise _unusable(
+        "environment.exr_channels",
+        path,
+        f"has the channels {sorted(found)[:16]}, expected R, G and B in one part",
+        "save the map as RGB or RGBA",
+    )
+
+
+def _checked_size(path: Path, header: dict, max_pixels: int) -> tuple[int, int]:
+    (x0, y0), (x1, y1) = ([int(v) for v in corner] for corner in header["dataWindow"])
+    width, height = x1 - x0 + 1, y1 - y0 + 1
+    if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
+        raise _unusable("environment.exr_deep", path, "is a deep picture", "flatten it")
+    if width <= 0 or height <= 0:
+        raise _damaged(path)
+    if width * height > max_pixels:
+        raise _unusable(
+            "environment.too_large",
+            path,
+            f"has {width} x {height} pixels, the limit is {max_pixels}",
+            "reduce the map (8192 x 4096 is plenty for lighting)",
+        )
+    (a0, b0), (a1, b1) = ([int(v) for v in corner] for corner in header["displayWindow"])
+    if (a1 - a0 + 1, b1 - b0 + 1) != (width, height):
+        raise _unusable(
+            "environment.exr_cropped",
+            path,
+            f"stores {width} x {height} of {a1 - a0 + 1} x {b1 - b0 + 1} pixels",
+            "save the whole picture (data window equal to display window)",
+        )
+    return height, width
+
+
+def _check_colour(path: Path, header: dict) -> None:
+    stated = header.get("chromaticities")
+    if stated is not None and not np.allclose(np.ravel(stated), REC709_CHROMATICITIES, atol=2e-3):
+        raise _unusable(
+            "environment.exr_primaries",
+            path,
+            f"states the primaries {np.round(np.ravel(stated), 4).tolist()}, expected Rec. 709",
+            "convert the map to linear Rec. 709 (sRGB primaries)",
+        )
+
+
+def write_exr(
+    path: Path,
+    channels: Mapping[str, NDArray[np.floating]],
+    *,
+    half: bool = True,
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Write named channels [height, width] of one size as a scan-line EXR, ZIP compressed.
+
+    The file states linear Rec. 709 primaries. With `half`, values are clamped to what half floats
+    hold (65504) instead of becoming infinite.
+    """
+    dtype = np.float16 if half else np.float32
+    limit = float(np.finfo(dtype).max)
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "chromaticities": REC709_CHROMATICITIES,
+        **(attributes or {}),
+    }
+    planes = {
+        name: np.ascontiguousarray(np.clip(plane, -limit, limit), dtype) for name, plane in channels.items()
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    OpenEXR.File(header, planes).write(str(path))

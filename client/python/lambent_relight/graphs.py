@@ -1,0 +1,161 @@
+"""The bundle's three graphs as functions on arrays, run by onnxruntime.
+
+gbuffer: camera ray -> surface.  fast_cache: secondary ray -> opacity and distance.  material: point ->
+surface properties. All arrays are float32; rows are independent, so long batches run in chunks.
+Source: docs/reference/bundle-format.md.
+"""
+
+import os
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from lambent_relight.bundle import WEIGHTS_PATH, Bundle
+from lambent_relight.errors import BundleError
+from lambent_relight.onnx_check import check_onnx
+
+Rows = NDArray[np.float32]
+
+CHUNK_ROWS = 16384
+"""Rows per call of a graph; bounds the memory of its intermediate values (about 10 kB a row)."""
+
+
+@dataclass(frozen=True)
+class PrimaryHits:
+    """What camera rays see; values are means over the ray, valid where `opacity` > 0."""
+
+    opacity: Rows
+    distance: Rows
+    normal: Rows
+    albedo: Rows
+    perceptual_roughness: Rows
+    metalness: Rows
+
+
+@dataclass(frozen=True)
+class SecondaryHits:
+    """What rays from a surface see, whatever the light."""
+
+    opacity: Rows
+    """Probability that the ray is blocked, [ray, 1]; 1 - opacity is visibility of the environment."""
+    distance: Rows
+    """Expected distance from the ray's origin, scene units, [ray, 1]."""
+
+
+@dataclass(frozen=True)
+class PointMaterials:
+    """Surface properties at points."""
+
+    albedo: Rows
+    perceptual_roughness: Rows
+    metalness: Rows
+    normal: Rows
+    opacity: Rows
+
+
+class SurfaceCaches(Protocol):
+    """What refined relighting asks for; answered by ONNX graphs or by the fused reader."""
+
+    def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
+        """Return what rays [ray, 3] from offset surface points see."""
+
+    def material(self, position: Rows) -> PointMaterials:
+        """Return the surface properties at points [point, 3]."""
+
+
+def available_threads() -> int:
+    """Return how many CPU threads this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class OnnxGraph:
+    """One graph with named inputs and outputs."""
+
+    def __init__(
+        self, bundle: Bundle, path: str, inputs: tuple[str, ...], outputs: dict[str, int], threads: int
+    ):
+        """Open a graph; raises BundleError when its inputs or outputs [row, n] are not the named ones."""
+        data, weights = bundle.graph(path), bundle.weights
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        # Idle threads that spin would slow down everything else on a small machine.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        if check_onnx(data, path=path, weights_bytes=len(weights)):
+            name = WEIGHTS_PATH.rpartition("/")[2]
+            options.add_external_initializers_from_files_in_memory([name], [weights], [len(weights)])
+        try:
+            self._session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime has no common base class for its errors
+            raise BundleError(
+                "bundle.graph_damaged",
+                f'onnxruntime refuses "{path}" ({str(error).splitlines()[0][:200]})',
+                "fetch the bundle again, or update onnxruntime",
+            ) from error
+        found_inputs = {item.name: item.shape for item in self._session.get_inputs()}
+        found_outputs = {item.name: item.shape for item in self._session.get_outputs()}
+        wrong_inputs = set(found_inputs) != set(inputs) or any(s[-1] != 3 for s in found_inputs.values())
+        wrong_outputs = any(
+            name not in found_outputs or found_outputs[name][-1] != size for name, size in outputs.items()
+        )
+        if wrong_inputs or wrong_outputs:
+            raise BundleError(
+                "bundle.graph_signature",
+                f'"{path}" has inputs {found_inputs} and outputs {found_outputs}',
+                f"expected inputs {list(inputs)} and outputs {outputs}",
+            )
+        self._inputs, self._outputs = inputs, list(outputs)
+
+    def __call__(self, *arrays: Rows) -> dict[str, Rows]:
+        """Return the outputs by name for inputs [row, 3], computed `CHUNK_ROWS` rows at a time."""
+        pieces = []
+        for start in range(0, max(len(arrays[0]), 1), CHUNK_ROWS):
+            feed = {
+                name: np.ascontiguousarray(array[start : start + CHUNK_ROWS], np.float32)
+                for name, array in zip(self._inputs, arrays, strict=True)
+            }
+            pieces.append(self._session.run(self._outputs, feed))
+        return {name: np.concatenate([p[i] for p in pieces]) for i, name in enumerate(self._outputs)}
+
+
+_WIDTHS = {"normal": 3, "albedo": 3}
+
+
+def _outputs(kind: type) -> dict[str, int]:
+    return {field.name: _WIDTHS.get(field.name, 1) for field in fields(kind)}
+
+
+class OnnxCaches:
+    """The graphs of a bundle, opened when first used."""
+
+    name = "onnxruntime"
+
+    def __init__(self, bundle: Bundle, *, num_threads: int | None = None) -> None:
+        """Prepare `bundle`'s graphs for `num_threads` CPU threads (default: all this process may use)."""
+        self._bundle = bundle
+        self._threads = num_threads or available_threads()
+        self._opened: dict[str, OnnxGraph] = {}
+
+    def _graph(self, name: str, inputs: tuple[str, ...], kind: type) -> OnnxGraph:
+        if name not in self._opened:
+            path = self._bundle.graph_path(name)
+            self._opened[name] = OnnxGraph(self._bundle, path, inputs, _outputs(kind), self._threads)
+        return self._opened[name]
+
+    def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
+        """Return what camera rays [ray, 3] see."""
+        return PrimaryHits(**self._graph("gbuffer", ("origin", "direction"), PrimaryHits)(origin, direction))
+
+    def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
+        """Return what rays [ray, 3] from offset surface points see; all lights share that."""
+        return SecondaryHits(
+            **self._graph("fast_cache", ("origin", "direction"), SecondaryHits)(origin, direction)
+        )
+
+    def material(self, position: Rows) -> PointMaterials:
+        """Return the surface properties at points [point, 3]."""
+        return PointMaterials(**self._graph("material", ("position",), PointMaterials)(position))

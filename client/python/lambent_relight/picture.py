@@ -1,0 +1,47 @@
+"""The result of relighting: a linear picture and its passes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelitPicture:
+    """A relit view. Colours are linear Rec. 709 radiance with straight alpha; rows from the top."""
+
+    rgb: Image
+    """[height, width, 3], not multiplied by `opacity`; zero where `opacity` is zero."""
+    opacity: Image
+    """Coverage in [0, 1], [height, width, 1]; one everywhere when a background was asked for."""
+    standard_error: Image
+    """Monte Carlo standard error of `rgb`, per channel, from independent passes, [height, width, 3]."""
+    direct: Image
+    """Part of `rgb` that comes straight from the environment; without background, straight alpha."""
+    indirect: Image
+    """Part of `rgb` that was reflected once before, [height, width, 3]; without background."""
+    albedo: Image
+    """Base colour used, after the albedo ratio, [height, width, 3]."""
+    normal: Image
+    """Unit world normals, [height, width, 3]; zero on the background."""
+    perceptual_roughness: Image
+    metalness: Image
+    distance: Image
+    """Distance from the camera, scene units, [height, width, 1]; zero on the background."""
+    coverage: Image
+    """Coverage by the object in [0, 1], [height, width, 1], whatever the background."""
+    num_samples: int
+    """Light directions behind every pixel."""
+
+    def exposed(self, exposure_ev: float) -> "RelitPicture":
+        """Return the picture with its radiance multiplied by 2^`exposure_ev`."""
+        factor = np.float32(2.0**exposure_ev)
+        return replace(
+            self,
+            rgb=self.rgb * factor,
+            standard_error=self.standard_error * factor,
+            direct=self.direct * factor,
+            indirect=self.indirect * factor,
+        )

@@ -1,0 +1,166 @@
+"""Quality `refined`: Monte Carlo relighting through the fast cache.
+
+Outgoing radiance of a visible point x under a new light L:
+
+    L_o = integral of f(omega_i) [(1 - a) L(omega_i) + a L_hit] cos d omega_i,
+
+with a the fast cache's opacity along omega_i. L_hit is what the hit point, at the fast cache's distance,
+reflects straight from L, with its own material (both lobes) and its own fast-cache visibility. Given
+the graphs, the estimate is unbiased. Source: paper Eq. 1 with the visibility of supplement 2.1;
+docs/reference/conventions.md.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.brdf import materials_from_roughness
+from lambent_relight.directions import normalise
+from lambent_relight.environments import Environment
+from lambent_relight.graphs import SurfaceCaches
+from lambent_relight.light_sampling import LightSampler
+from lambent_relight.scattering import SurfacePoints, draw_directions
+
+RAYS_PER_CHUNK = 1 << 16
+"""Secondary rays that are in memory at once."""
+# Fractional parts of multiples of these fill the unit cube evenly (Roberts' R3 sequence).
+_R3 = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Light:
+    """An environment and its sampler."""
+
+    environment: Environment
+    sampler: LightSampler
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What reflects the light."""
+
+    caches: SurfaceCaches
+    origin_offset: float
+    """Secondary rays start this far along the normal, scene units."""
+    albedo_ratio: NDArray[np.float32]
+    """Factor on every albedo, [3]."""
+
+
+@dataclass(frozen=True)
+class Radiance:
+    """Monte Carlo means over all passes, [point, 3] each."""
+
+    direct: NDArray[np.float32]
+    indirect: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    """Of `direct` + `indirect`."""
+    num_samples: int
+
+
+def split_samples(num_samples: int) -> tuple[int, int]:
+    """Return (number of passes, directions per pass): at most 8 passes, at least `num_samples` in total."""
+    num_passes = min(8, num_samples)
+    return num_passes, -(-num_samples // num_passes)
+
+
+def outgoing_radiance(
+    points: SurfacePoints,
+    scene: Scene,
+    light: Light,
+    *,
+    num_samples: int,
+    seed: int,
+    indirect: bool,
+    progress: Callable[[float], None] | None = None,
+) -> Radiance:
+    """Return the radiance that `points` reflect towards their `omega_o`, with its standard error.
+
+    `num_samples` (at least 2) is rounded up to whole passes. Passes are independent; inside a pass the
+    directions of a point are a randomly shifted even sequence. Equal seeds give equal results.
+    """
+    num_passes, per_pass = split_samples(num_samples)
+    num_points = len(points.position)
+    sums = np.zeros((3, num_points, 3))
+    chunk = max(1, RAYS_PER_CHUNK // per_pass)
+    starts = range(0, num_points, chunk)
+    for pass_index in range(num_passes):
+        for chunk_index, start in enumerate(starts):
+            rng = np.random.default_rng([seed, pass_index, chunk_index])
+            part = slice(start, start + chunk)
+            direct, bounced = _one_pass(points[part], scene, light, per_pass, rng, indirect)
+            sums[0, part] += direct
+            sums[1, part] += bounced
+            sums[2, part] += (direct.astype(np.float64) + bounced) ** 2
+            if progress is not None:
+                progress((pass_index + (chunk_index + 1) / len(starts)) / num_passes)
+    means = sums / num_passes
+    variance = np.maximum(means[2] - (means[0] + means[1]) ** 2, 0.0) / (num_passes - 1)
+    return Radiance(
+        means[0].astype(np.float32),
+        means[1].astype(np.float32),
+        np.sqrt(variance).astype(np.float32),
+        num_passes * per_pass,
+    )
+
+
+def _one_pass(
+    points: SurfacePoints, scene: Scene, light: Light, per_pass: int, rng: np.random.Generator, indirect: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return direct and once-reflected radiance of points [point, 3], from `per_pass` directions each."""
+    count = len(points.position)
+    shift = rng.random((count, 1, 3))
+    u = (shift + np.arange(per_pass)[:, None] * _R3).reshape(-1, 3) % 1.0
+    rays = points.repeat(per_pass)
+    drawn = draw_directions(rays, light.sampler, u)
+    weight = drawn.weight
+    active = np.flatnonzero(weight.max(axis=-1) > 0.0)
+    origin = rays.position[active] + np.float32(scene.origin_offset) * rays.normal[active]
+    direction = drawn.omega_i[active]
+    seen = scene.caches.secondary(origin, direction)
+    direct = np.zeros_like(weight)
+    direct[active] = weight[active] * (1.0 - seen.opacity) * light.environment.lookup(direction)
+    bounced = np.zeros_like(weight)
+    if indirect:
+        # Following a hit with probability a, at full weight, has the mean of following all at weight a.
+        hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
+        position = origin[hit] + seen.distance[hit] * direction[hit]
+        bounced[active[hit]] = weight[active[hit]] * hit_radiance(
+            position, -direction[hit], scene, light, rng.random((len(hit), 3))
+        )
+    shape = (count, per_pass, 3)
+    return direct.reshape(shape).mean(axis=1), bounced.reshape(shape).mean(axis=1)
+
+
+def hit_radiance(
+    position: NDArray[np.float32],
+    omega_o: NDArray[np.float32],
+    scene: Scene,
+    light: Light,
+    u: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Return an unbiased estimate of what hit points reflect straight from the light, [point, 3].
+
+    One direction per point, drawn with the uniforms `u` [point, 3].
+    """
+    if len(position) == 0:
+        return np.zeros((0, 3), np.float32)
+    points = surface_at(position, omega_o, scene)
+    drawn = draw_directions(points, light.sampler, u)
+    weight = drawn.weight
+    active = np.flatnonzero(weight.max(axis=-1) > 0.0)
+    origin = position[active] + np.float32(scene.origin_offset) * points.normal[active]
+    direction = drawn.omega_i[active]
+    visibility = 1.0 - scene.caches.secondary(origin, direction).opacity
+    radiance = np.zeros_like(weight)
+    radiance[active] = weight[active] * visibility * light.environment.lookup(direction)
+    return radiance
+
+
+def surface_at(position: NDArray[np.float32], omega_o: NDArray[np.float32], scene: Scene) -> SurfacePoints:
+    """Return the surface at points [point, 3], with the albedo ratio applied."""
+    found = scene.caches.material(position)
+    albedo = np.clip(found.albedo * scene.albedo_ratio, 0.0, 1.0)
+    materials = materials_from_roughness(albedo, found.perceptual_roughness, found.metalness)
+    return SurfacePoints(position, normalise(found.normal), omega_o, materials)

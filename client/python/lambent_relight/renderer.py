@@ -1,0 +1,192 @@
+"""Relit pictures from a bundle: the entry point.
+
+picture = render(load_bundle("cow.relight"), camera, load_environment("sky.exr"), rotate_deg=90)
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.brdf import materials_from_roughness
+from lambent_relight.bundle import Bundle
+from lambent_relight.cameras import Camera
+from lambent_relight.environments import Environment
+from lambent_relight.errors import SettingError, UnsupportedQuality
+from lambent_relight.graphs import OnnxCaches, PrimaryHits
+from lambent_relight.light_sampling import LightSampler
+from lambent_relight.picture import RelitPicture
+from lambent_relight.refined import Light, Scene, outgoing_radiance
+from lambent_relight.scattering import SurfacePoints
+
+Background = Literal["transparent", "environment"] | tuple[float, float, float]
+
+_MIN_OPACITY = 1e-3
+"""Pixels that are covered less than this are background."""
+_KEPT_VIEWS = 4
+
+
+class Renderer:
+    """Renders views of one bundle; keeps its graphs open and what the last cameras saw."""
+
+    def __init__(self, bundle: Bundle, *, num_threads: int | None = None) -> None:
+        """Prepare `bundle` for `num_threads` CPU threads (default: all this process may use)."""
+        self.bundle = bundle
+        self._graphs = OnnxCaches(bundle, num_threads=num_threads)
+        self.caches = self._graphs
+        self._seen: dict[bytes, PrimaryHits] = {}
+        self._light: tuple[Environment, Light] | None = None
+
+    def gbuffer(self, camera: Camera) -> PrimaryHits:
+        """Return what `camera` sees, [height * width, n] each; asked for once per camera."""
+        key = camera.key()
+        if key not in self._seen:
+            while len(self._seen) >= _KEPT_VIEWS:
+                self._seen.pop(next(iter(self._seen)))
+            self._seen[key] = self._graphs.gbuffer(*camera.rays())
+        return self._seen[key]
+
+    def _prepared(self, environment: Environment) -> Light:
+        if self._light is None or self._light[0] is not environment:
+            self._light = (environment, Light(environment, LightSampler(environment)))
+        return self._light[1]
+
+    def render(
+        self,
+        camera: Camera,
+        environment: Environment,
+        *,
+        rotate_deg: float = 0.0,
+        quality: str = "refined",
+        num_samples: int = 64,
+        seed: int = 0,
+        indirect: bool = True,
+        albedo_ratio: NDArray[np.floating] | None = None,
+        background: Background = "transparent",
+        progress: Callable[[float], None] | None = None,
+    ) -> RelitPicture:
+        """Return the bundle's object as `camera` sees it in the light of `environment`; see `render`."""
+        if quality != "refined":
+            raise UnsupportedQuality(
+                "relight.quality_unsupported", f"quality {quality!r} does not exist yet", 'use "refined"'
+            )
+        if num_samples < 2:
+            raise SettingError("relight.num_samples", f"{num_samples} samples", "use at least 2")
+        ratio = _checked_ratio(self.bundle, albedo_ratio)
+        light = self._prepared(environment.rotated(rotate_deg) if rotate_deg else environment)
+        seen = self.gbuffer(camera)
+        covered = np.flatnonzero(seen.opacity[:, 0] > _MIN_OPACITY)
+        origin, direction = camera.rays()
+        albedo = np.clip(seen.albedo * ratio, 0.0, 1.0)
+        points = SurfacePoints(
+            origin[covered] + seen.distance[covered] * direction[covered],
+            seen.normal[covered],
+            -direction[covered],
+            materials_from_roughness(
+                albedo[covered], seen.perceptual_roughness[covered], seen.metalness[covered]
+            ),
+        )
+        offset = self.bundle.manifest.secondary_rays.origin_offset
+        radiance = outgoing_radiance(
+            points,
+            Scene(self.caches, offset, ratio),
+            light,
+            num_samples=num_samples,
+            seed=seed,
+            indirect=indirect,
+            progress=progress,
+        )
+
+        def image(rows: NDArray[np.float32], *, compact: bool = False) -> NDArray[np.float32]:
+            full = np.zeros((camera.height * camera.width, rows.shape[-1]), np.float32)
+            full[covered] = rows if compact else rows[covered]
+            return full.reshape(camera.height, camera.width, -1)
+
+        coverage = image(np.clip(seen.opacity, 0.0, 1.0))
+        direct, bounced = image(radiance.direct, compact=True), image(radiance.indirect, compact=True)
+        rgb, error = direct + bounced, image(radiance.standard_error, compact=True)
+        opacity = coverage
+        if background != "transparent":
+            behind = _background(background, light.environment, direction).reshape(rgb.shape)
+            rgb, error = coverage * rgb + (1.0 - coverage) * behind, coverage * error
+            opacity = np.ones_like(coverage)
+        return RelitPicture(
+            rgb=rgb,
+            opacity=opacity,
+            standard_error=error,
+            direct=direct,
+            indirect=bounced,
+            albedo=image(albedo),
+            normal=image(seen.normal),
+            perceptual_roughness=image(seen.perceptual_roughness),
+            metalness=image(seen.metalness),
+            distance=image(seen.distance),
+            coverage=coverage,
+            num_samples=radiance.num_samples,
+        )
+
+
+def _checked_ratio(bundle: Bundle, ratio: NDArray[np.floating] | None) -> NDArray[np.float32]:
+    values = np.asarray(bundle.manifest.albedo_scale_rgb if ratio is None else ratio, np.float32)
+    values = np.broadcast_to(values, (3,)) if values.shape in ((), (1,), (3,)) else values
+    if values.shape != (3,) or not (np.isfinite(values).all() and (values > 0).all()):
+        raise SettingError(
+            "relight.albedo_ratio", f"albedo ratio {ratio}", "give one or three positive numbers"
+        )
+    return values
+
+
+def _background(
+    background: Background, environment: Environment, direction: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return what lies behind the object along every camera ray, [ray, 3]."""
+    if background == "environment":
+        return environment.lookup(direction)
+    colour = np.asarray(background, np.float32) if not isinstance(background, str) else np.empty(0)
+    if colour.shape != (3,) or not (np.isfinite(colour).all() and (colour >= 0).all()):
+        raise SettingError(
+            "relight.background",
+            f"background {background!r}",
+            'use "transparent", "environment" or three linear values',
+        )
+    return np.broadcast_to(colour, direction.shape)
+
+
+def render(
+    bundle: Bundle,
+    camera: Camera,
+    environment: Environment,
+    *,
+    rotate_deg: float = 0.0,
+    quality: str = "refined",
+    num_samples: int = 64,
+    seed: int = 0,
+    indirect: bool = True,
+    albedo_ratio: NDArray[np.floating] | None = None,
+    background: Background = "transparent",
+    progress: Callable[[float], None] | None = None,
+) -> RelitPicture:
+    """Return the bundle's object as `camera` sees it in the light of `environment`.
+
+    `rotate_deg` turns the light by that angle about +z. `num_samples` light directions are spent on every
+    covered pixel; `indirect` adds light that was reflected once before. `albedo_ratio` (one or three
+    factors on the stored albedo, result clipped to [0, 1]) defaults to the manifest's
+    `albedo_scale_rgb`. `background` is "transparent", "environment" or a linear colour. `progress` is
+    called with the finished fraction. Equal seeds give equal pictures.
+
+    Opens the bundle's graphs anew: to render many pictures, make one `Renderer`. Raises SettingError,
+    UnsupportedQuality (every quality but "refined") or BundleError.
+    """
+    return Renderer(bundle).render(
+        camera,
+        environment,
+        rotate_deg=rotate_deg,
+        quality=quality,
+        num_samples=num_samples,
+        seed=seed,
+        indirect=indirect,
+        albedo_ratio=albedo_ratio,
+        background=background,
+        progress=progress,
+    )
