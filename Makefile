@@ -1,0 +1,62 @@
+# Every target works in a fresh clone: it makes .venv and installs what it needs once.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+WEB := client/web
+# Where pip finds torch when the registry's CUDA build is not wanted; see README.md.
+TORCH_INDEX ?=
+PYTEST_ARGS ?=
+# Two workers on two cores: one thread each; a waiting thread sleeps.
+export OMP_NUM_THREADS ?= 1
+export OMP_WAIT_POLICY ?= PASSIVE
+
+SETUP := $(VENV)/.installed $(if $(wildcard $(WEB)/package-lock.json),$(WEB)/node_modules/.installed)
+
+.PHONY: help setup demo test check fix bench schema clean
+.DEFAULT_GOAL := help
+
+help: ## Show the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+setup: $(SETUP) ## Install everything into .venv and client/web/node_modules
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(if $(TORCH_INDEX),$(BIN)/pip install -q -c constraints.txt --index-url $(TORCH_INDEX) torch)
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+$(WEB)/node_modules/.installed: $(WEB)/package.json $(WEB)/package-lock.json
+	cd $(WEB) && npm ci --no-audit --no-fund
+	@touch $@
+
+demo: $(VENV)/.installed ## Train the sample scene on this machine and relight it (about 6 minutes)
+	$(BIN)/lambent demo
+
+test: setup ## Run all tests (at most 15 minutes on 2 cores)
+	$(BIN)/pytest -q -n 2 --dist loadfile $(PYTEST_ARGS)
+
+check: setup ## Style, types, import contracts, schemas, links
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/python scripts/check_modules.py
+	$(BIN)/python scripts/check_docs.py
+	$(BIN)/python scripts/check_changelog.py
+	$(BIN)/python scripts/schema.py --check
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
+	$(if $(wildcard $(WEB)/package.json),cd $(WEB) && npm run check)
+
+fix: setup ## Format, and mend what can be mended by itself
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+bench: setup ## Run the quick variant of every benchmark
+	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script --quick; done
+
+schema: setup ## Generate the code of proto/ again
+	$(BIN)/python scripts/schema.py
+
+clean: ## Remove caches and build products (.venv and results stay)
+	rm -rf build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis .schemathesis .import_linter_cache
+	find proto server worker client/python tests scripts examples benchmarks -name __pycache__ -prune -exec rm -rf {} +
