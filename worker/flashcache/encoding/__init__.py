@@ -1,0 +1,1 @@
+"""Encodings of positions (hash grids) and directions (frequencies, integrated harmonics)."""

@@ -1,0 +1,81 @@
+"""Multi-resolution feature grid with the additive lattice hash (supplement 2.1; formula: `kernels.layout`)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from flashcache.errors import ConfigError
+from flashcache.kernels import dispatch
+from flashcache.kernels.layout import build_layout, level_resolutions
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HashGridConfig:
+    """Size of a feature grid."""
+
+    base_resolution: int = 16
+    """Voxels per side of the coarsest level (supplement: 16)."""
+    finest_resolution: int = 256
+    """Voxels per side of the finest level, at most 2048."""
+    num_levels: int = 0
+    """Levels, spaced geometrically; 0: as many as doubling needs."""
+    num_features: int = 2
+    """Features per voxel, 1 to 8."""
+    log2_table_size: int = 17
+    """Rows per level at most, as a power of two (supplement: 19)."""
+    half_extent: float = 1.0
+    """The grid covers [-half_extent, half_extent]^3; points outside read its border."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.num_features <= 8:
+            raise ConfigError(f"num_features must be 1 to 8, got {self.num_features}")
+        if not self.half_extent > 0.0:
+            raise ConfigError(f"half_extent must be positive, got {self.half_extent}")
+        if self.num_levels < 0:
+            raise ConfigError(f"num_levels must not be negative, got {self.num_levels}")
+
+
+class HashGrid(nn.Module):
+    """Features of points in a cube, interpolated from voxel grids of several resolutions.
+
+    The parameter `table` [rows, features] starts uniform in +-1e-4; `layout` says which row is which voxel.
+    """
+
+    def __init__(self, config: HashGridConfig) -> None:
+        super().__init__()
+        resolutions = level_resolutions(config.base_resolution, config.finest_resolution, config.num_levels)
+        self.layout = build_layout(
+            resolutions,
+            num_features=config.num_features,
+            log2_table_size=config.log2_table_size,
+            half_extent=config.half_extent,
+        )
+        self.out_features = self.layout.num_outputs
+        self.table = nn.Parameter(torch.empty(self.layout.num_rows, config.num_features))
+        nn.init.uniform_(self.table, -1e-4, 1e-4)
+
+    def forward(self, z: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch outputs"]:
+        """Return the features of `z`, levels coarse to fine; differentiable by `table` and `z`.
+
+        `z` is in grid coordinates (contracted space) and is clamped to the cube.
+        """
+        features = dispatch.encode(z.reshape(-1, 3), self.table, self.layout)
+        return features.reshape(*z.shape[:-1], self.out_features)
+
+    def encode_with_jacobian(
+        self, z: Float[Tensor, "*batch 3"]
+    ) -> tuple[Float[Tensor, "*batch outputs"], Float[Tensor, "*batch outputs 3"]]:
+        """Return the features of `z` and their derivative by `z`; both are differentiable by `table`.
+
+        With the gradient of a small network by the features this gives density normals whose loss needs no
+        second derivative of the interpolation.
+        """
+        features, jacobian = dispatch.encode_with_jacobian(z.reshape(-1, 3), self.table, self.layout)
+        batch = z.shape[:-1]
+        return features.reshape(*batch, self.out_features), jacobian.reshape(*batch, self.out_features, 3)
+
+    def level_tables(self) -> list[Float[Tensor, "rows features"]]:
+        """Return the part of `table` that belongs to each level (views), for losses per level."""
+        return [self.table[le.first_row : le.first_row + le.num_rows] for le in self.layout.levels]
