@@ -8,6 +8,7 @@ from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.scenes import nerf_blender, tensoir_synthetic
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.rig import check_rig
 
 SCHEMA_VERSION = "1.0"
 
@@ -48,8 +49,10 @@ def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene
         return None
     capture = READERS[layout].read_capture(folder, problems)
     if not capture.frames:
+        check_rig([], problems)
         return None
     hold_out(capture.frames)
+    check_rig(capture.frames, problems)
     manifest = scene_pb2.SceneManifest(
         schema_version=SCHEMA_VERSION,
         name=capture.name,

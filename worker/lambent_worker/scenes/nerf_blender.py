@@ -2,7 +2,7 @@
 
 Each frame has `file_path` (with or without a suffix) and `transform_matrix`, camera-to-world with camera axes
 x right, y up, looking along -z. The lens is `camera_angle_x`, or `fl_x` (`fl_y`, `cx`, `cy`), for the file or
-per frame. Ground truth, where it exists, lies beside a picture as `<stem>_albedo.png`, `<stem>_normal.png`, ...
+per frame. Ground truth, where it exists, lies beside a picture as `<stem>_albedo.png` and so on.
 """
 
 from pathlib import Path
@@ -119,7 +119,7 @@ def _frame(folder: Path, picture: str, split: scene_pb2.Split, camera: scene_pb2
 
 
 def _find_picture(folder: Path, file_path: str, subject: str, problems: Problems) -> str | None:
-    clean = inside_folder(folder, file_path, subject, problems)
+    clean = inside_folder(file_path, subject, problems)
     if clean is None:
         return None
     candidates = [clean.as_posix()] if clean.suffix.lower() in PICTURE_SUFFIXES else []

@@ -1,6 +1,7 @@
 """Opens picture files: header first, then pixels, with a limit on how many there may be."""
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ from PIL import Image
 
 MAX_PIXELS = 64 * 2**20
 """Pixels a single picture may have: 8192 x 8192."""
+
+MAX_EXR_PIXELS = 16 * 2**20
+"""The same for EXR, whose pixels are up to four times as large in memory."""
 
 PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 PICTURE_SUFFIXES = (*PILLOW_FORMATS, ".exr")
@@ -30,15 +34,51 @@ def picture_size(path: Path) -> tuple[int, int]:
     """
     if path.suffix.lower() == ".exr":
         width, height = _exr_size(path)
+        limit = MAX_EXR_PIXELS
     else:
         with _opened(path) as image:
             width, height = image.size
-    if width * height > MAX_PIXELS or not width or not height:
+        limit = MAX_PIXELS
+    if width * height > limit:
         raise PictureError(
             "scene.image_too_large",
-            f"has {width} x {height} pixels; the limit is {MAX_PIXELS} pixels, so reduce it",
+            f"has {width} x {height} pixels; the limit is {limit} pixels, so reduce it",
         )
+    if not width or not height:
+        raise PictureError("scene.image_broken", "has no pixels; export it again")
     return width, height
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFacts:
+    """What a check needs to know about the pixels of a picture."""
+
+    is_finite: bool
+    is_empty: bool
+    """Nothing but transparent pixels."""
+    has_background: bool
+    """At least one pixel is transparent."""
+
+
+def picture_facts(path: Path) -> PictureFacts:
+    """Return facts about a picture after decoding all of it, in as little memory as that takes.
+
+    Raises `PictureError` as `read_pixels` does.
+    """
+    if path.suffix.lower() == ".exr":
+        pixels = read_pixels(path)
+        alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(1)
+        return PictureFacts(
+            is_finite=bool(np.isfinite(pixels).all()),
+            is_empty=bool(alpha.max() <= 0.0),
+            has_background=bool(alpha.min() < 1.0),
+        )
+    picture_size(path)
+    with _opened(path) as image:
+        _decode(image)
+        bands = image.getextrema() if len(image.getbands()) > 1 else (image.getextrema(),)
+        alpha = dict(zip(image.getbands(), bands, strict=True)).get("A", (255, 255))
+    return PictureFacts(is_finite=True, is_empty=alpha[1] == 0, has_background=alpha[0] < 255)
 
 
 def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
@@ -50,13 +90,9 @@ def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
     if path.suffix.lower() == ".exr":
         return _exr_pixels(path, height, width)
     with _opened(path) as image:
-        try:
-            plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
-            pixels = np.asarray(plain)
-        except Exception as error:  # Pillow's decoders raise many kinds; each means the same to the owner
-            raise PictureError(
-                "scene.image_broken", f"cannot be decoded ({_reason(error)}); export or copy it again"
-            ) from error
+        _decode(image)
+        plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
+        pixels = np.asarray(plain)
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
@@ -80,6 +116,17 @@ def _opened(path: Path) -> Image.Image:
         raise PictureError(
             "scene.image_not_a_picture",
             f"is not a {PILLOW_FORMATS[suffix]} picture ({_reason(error)}); export or copy it again",
+        ) from error
+
+
+def _decode(image: Image.Image) -> None:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            image.load()
+    except Exception as error:  # Pillow's decoders raise many kinds; each means the same to the owner
+        raise PictureError(
+            "scene.image_broken", f"cannot be decoded ({_reason(error)}); export or copy it again"
         ) from error
 
 

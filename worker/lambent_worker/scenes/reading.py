@@ -55,15 +55,13 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def inside_folder(folder: Path, path: str, subject: str, problems: Problems) -> PurePosixPath | None:
+def inside_folder(path: str, subject: str, problems: Problems) -> PurePosixPath | None:
     """Return `path` in normal form, or None after noting that it leads out of the scene folder."""
     if "\\" in path or "\0" in path or not path:
         clean = None
     else:
         parts = [part for part in PurePosixPath(path).parts if part != "."]
         clean = None if path.startswith("/") or ".." in parts or not parts else PurePosixPath(*parts)
-    if clean is not None and not (folder / clean).resolve().is_relative_to(folder.resolve()):
-        clean = None
     if clean is None:
         problems.error(
             "scene.path_unsafe",

@@ -1,0 +1,166 @@
+"""Tells a person or a script at the terminal how far a run is."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+STAGE_TITLES = {
+    "ingest": "reading the photographs",
+    "cache": "training the radiance cache",
+    "joint": "training materials and light",
+    "evaluate": "evaluating",
+    "export": "writing the bundle",
+}
+PLAIN_INTERVAL_S = 5.0
+
+
+class ConsoleReporter:
+    """A `Reporter` for the terminal: bars, plain lines where nobody watches, or JSON lines.
+
+    Bars and plain lines go to standard error, JSON lines to standard output. Everything is also appended to
+    `log.jsonl` in the run folder, and previews are kept in `previews/`.
+    """
+
+    def __init__(
+        self, run_dir: Path | None = None, *, as_json: bool = False, error: TextIO | None = None
+    ) -> None:
+        self._run_dir = run_dir
+        self._as_json = as_json
+        self._error = error or sys.stderr
+        self._console = Console(file=self._error)
+        self._bars: Progress | None = None
+        self._stage = ""
+        self._last_line = 0.0
+        self._stop = False
+
+    def __enter__(self) -> "ConsoleReporter":
+        if not self._as_json and self._console.is_terminal:
+            self._bars = Progress(
+                TextColumn("{task.fields[title]}"),
+                BarColumn(),
+                TaskProgressColumn(),
+                TextColumn("{task.fields[detail]}"),
+                console=self._console,
+            )
+            self._bars.add_task("job", total=1.0, title="", detail="")
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+            self._bars = None
+
+    def request_stop(self) -> None:
+        """Ask the run to end at its next step."""
+        self._stop = True
+
+    def should_stop(self) -> bool:
+        """Return whether `request_stop` was called."""
+        return self._stop
+
+    def progress(
+        self,
+        *,
+        stage: str,
+        step: int,
+        num_steps: int,
+        fraction: float,
+        eta_s: float,
+        steps_per_s: float,
+        loss: float,
+        psnr: float,
+    ) -> None:
+        """Show how far the run is."""
+        self._record(
+            "progress",
+            stage=stage,
+            step=step,
+            num_steps=num_steps,
+            fraction=round(fraction, 5),
+            eta_s=round(eta_s, 1),
+            steps_per_s=round(steps_per_s, 3),
+            loss=loss,
+            psnr=round(psnr, 3),
+        )
+        if self._as_json:
+            return
+        detail = describe_progress(step, num_steps, eta_s, psnr)
+        title = STAGE_TITLES.get(stage, stage)
+        if self._bars is not None:
+            self._bars.update(self._bars.task_ids[0], completed=fraction, title=title, detail=detail)
+            return
+        now = time.monotonic()
+        ended = step >= num_steps
+        if stage != self._stage or ended or now - self._last_line >= PLAIN_INTERVAL_S:
+            self._print(f"{title}: {100 * fraction:.0f} % of the job, {detail}")
+            self._stage, self._last_line = stage, now
+
+    def preview(self, name: str, png: bytes) -> None:
+        """Keep a small picture of the current state in the run folder."""
+        if self._run_dir is None:
+            return
+        folder = self._run_dir / "previews"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.png").write_bytes(png)
+        self._record("preview", name=name, path=str(folder / f"{name}.png"))
+
+    def checkpoint(self, stage: str, step: int, folder: Path) -> None:
+        """Note a checkpoint; it is on the disk already."""
+        self._record("checkpoint", stage=stage, step=step, path=str(folder))
+
+    def artifact(self, name: str, path: Path) -> None:
+        """Say where a file of the result lies."""
+        self._record("artifact", name=name, path=str(path))
+
+    def finding(self, code: str, message: str, *, subject: str = "", error: bool = False) -> None:
+        """Show something about the scene, and what to do."""
+        self._record("finding", code=code, message=message, subject=subject, error=error)
+        if not self._as_json:
+            self._print(f"{'error' if error else 'note'}: {code}: {message}")
+
+    def log(self, event: str, **fields: object) -> None:
+        """Write a line for operators; not shown, since bars and lines say it better."""
+        self._record(event, **fields)
+
+    def _print(self, line: str) -> None:
+        if self._bars is not None:
+            self._bars.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        else:
+            print(line, file=self._error, flush=True)
+
+    def _record(self, event: str, **fields: object) -> None:
+        line = json.dumps({"event": event, "time": round(time.time(), 3), **fields}, default=str)
+        if self._as_json:
+            print(line, flush=True)
+        if self._run_dir is not None and self._run_dir.is_dir():
+            with (self._run_dir / "log.jsonl").open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+
+
+def describe_progress(step: int, num_steps: int, eta_s: float, psnr: float) -> str:
+    """Return step, time to go and PSNR (dB) as words; what is unknown (zero) is left out."""
+    parts = [f"step {step}/{num_steps}"] if num_steps > 1 else []
+    if eta_s > 0.0:
+        parts.append(f"{format_duration(eta_s)} to go")
+    if psnr > 0.0:
+        parts.append(f"PSNR {psnr:.1f} dB")
+    return ", ".join(parts) or "started"
+
+
+def format_duration(seconds: float) -> str:
+    """Return a time in words, as coarse as it is useful: `45 s`, `3 min 20 s`, `2 h 5 min`."""
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -1,0 +1,219 @@
+"""Runs the steps of a job in a run folder, each once: ingest, cache, joint, evaluate, export."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from hashlib import file_digest
+from pathlib import Path
+
+from flashcache.config import Config, to_dict
+
+from lambent_worker.errors import Stopped, UsageError
+from lambent_worker.reporter import Reporter
+from lambent_worker.run_folder import STEP_FOLDERS, begin_step, digest, finish_step, is_done, locked
+
+STEPS = ("ingest", "cache", "joint", "evaluate", "export")
+
+# What a step's files depend on: the step before it, and the parts of the configuration it reads.
+PREVIOUS = {"ingest": None, "cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
+CONFIG_PARTS = {
+    "ingest": (),
+    "cache": ("max_side", "model", "pixels", "stage_one"),
+    "joint": ("stage_two",),
+    "evaluate": ("evaluation",),
+    "export": ("export",),
+}
+
+# Shares of a job's time, from the time budget of preset `fast` (docs/reference/presets.md).
+SHARES = {"ingest": 10.0, "cache": 110.0, "joint": 120.0, "evaluate": 30.0, "export": 80.0}
+
+
+@dataclass(kw_only=True, slots=True)
+class Clock:
+    """Turns the progress of one step into that of the job, and both into a time to go."""
+
+    before: float
+    """Share of the job that lies before the step, 0..1."""
+    share: float
+    """Share of the job that the step is, 0..1."""
+    job_started: float
+    """Share of the job that was done when this process began."""
+    now: Callable[[], float] = time.monotonic
+    began: float = field(default_factory=time.monotonic)
+    """When this process began, on the clock `now`, seconds."""
+
+    def job_fraction(self, step_fraction: float) -> float:
+        """Return the share of the job that is done when `step_fraction` of the step is."""
+        return self.before + self.share * min(max(step_fraction, 0.0), 1.0)
+
+    def eta_s(self, step_fraction: float) -> float:
+        """Return the seconds the rest of the job will take at the speed seen so far (0 while unknown)."""
+        fraction = self.job_fraction(step_fraction)
+        gained = fraction - self.job_started
+        if gained <= 0.0:
+            return 0.0
+        return (1.0 - fraction) * (self.now() - self.began) / gained
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StepContext:
+    """What a step gets: where to work, with which settings, and whom to tell."""
+
+    run_dir: Path
+    scene_dir: Path
+    config: Config
+    seed: int
+    device: str
+    reporter: Reporter
+    stage: str = ""
+    """Name of the step."""
+    lights: tuple[str, ...] = ()
+    """Training lights by name; empty for the scene's first."""
+    layout: str = ""
+    """Layout to read the scene as; empty to detect it."""
+    clock: Clock = field(default_factory=lambda: Clock(before=0.0, share=1.0, job_started=0.0))
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder of this step; what lies there was made from the same inputs."""
+        return self.run_dir / STEP_FOLDERS[self.stage]
+
+    def progress(
+        self, step: int, num_steps: int, *, steps_per_s: float = 0.0, loss: float = 0.0, psnr: float = 0.0
+    ) -> None:
+        """Tell the reporter how far this step is; works out the job's fraction and time to go."""
+        fraction = step / max(num_steps, 1)
+        self.reporter.progress(
+            stage=self.stage,
+            step=step,
+            num_steps=num_steps,
+            fraction=self.clock.job_fraction(fraction),
+            eta_s=self.clock.eta_s(fraction),
+            steps_per_s=steps_per_s,
+            loss=loss,
+            psnr=psnr,
+        )
+
+    def stop_if_asked(self) -> None:
+        """Raise `Stopped` where the run was asked to end; for steps that have nothing to save."""
+        if self.reporter.should_stop():
+            raise Stopped
+
+
+def run_pipeline(
+    scene_dir: Path,
+    run_dir: Path,
+    config: Config,
+    seed: int,
+    device: str,
+    reporter: Reporter,
+    steps: tuple[str, ...] = STEPS,
+    *,
+    lights: tuple[str, ...] = (),
+    layout: str = "",
+) -> None:
+    """Run `steps` in order, leaving out those whose results are there already.
+
+    A step that was interrupted goes on from its last checkpoint. A step whose inputs (scene, lights, the
+    settings it reads, an earlier step) have changed starts afresh. Raises `Stopped` when the reporter asks to
+    end, `SceneRefusedError` for an unusable scene, and what the steps raise.
+    """
+    unknown = [name for name in steps if name not in STEPS]
+    if unknown:
+        raise UsageError(
+            "pipeline.step_unknown", f"unknown steps {', '.join(unknown)}; there are {', '.join(STEPS)}"
+        )
+    with locked(run_dir):
+        hashes = input_hashes(scene_dir, config, seed, lights, layout)
+        total = sum(SHARES[name] for name in steps)
+        done = {name for name in steps if is_done(run_dir / STEP_FOLDERS[name], hashes[name])}
+        started = sum(SHARES[name] for name in done) / total
+        before = 0.0
+        began = time.monotonic()
+        for name in (name for name in STEPS if name in steps):
+            share = SHARES[name] / total
+            clock = Clock(before=before, share=share, job_started=started, began=began)
+            context = StepContext(
+                run_dir=run_dir,
+                scene_dir=scene_dir,
+                config=config,
+                seed=seed,
+                device=device,
+                reporter=reporter,
+                stage=name,
+                lights=lights,
+                layout=layout,
+                clock=clock,
+            )
+            if name in done:
+                reporter.log("step.reused", stage=name)
+            else:
+                _run_step(context, hashes[name])
+            before += share
+
+
+def _run_step(context: StepContext, inputs: str) -> None:
+    context.stop_if_asked()
+    begin_step(context.folder, inputs)
+    started = time.monotonic()
+    context.reporter.log("step.started", stage=context.stage)
+    context.progress(0, 1)
+    _step_function(context.stage)(context)
+    finish_step(context.folder, inputs)
+    context.reporter.log("step.finished", stage=context.stage, seconds=round(time.monotonic() - started, 2))
+
+
+def _step_function(name: str) -> Callable[[StepContext], None]:
+    """Return the function of a step; only the module that is needed is imported, and with it torch."""
+    if name == "ingest":
+        from lambent_worker.steps import ingest
+
+        return ingest.run
+    if name == "cache":
+        from lambent_worker.steps import cache
+
+        return cache.run
+    if name == "joint":
+        from lambent_worker.steps import joint
+
+        return joint.run
+    if name == "evaluate":
+        from lambent_worker.steps import evaluate
+
+        return evaluate.run
+    from lambent_worker.steps import export
+
+    return export.run
+
+
+def input_hashes(
+    scene_dir: Path, config: Config, seed: int, lights: tuple[str, ...], layout: str
+) -> dict[str, str]:
+    """Return for every step the hash of everything its result depends on."""
+    values = to_dict(config)
+    hashes: dict[str, str] = {}
+    for name in STEPS:
+        parts = {part: values[part] for part in CONFIG_PARTS[name]}
+        previous = PREVIOUS[name]
+        if previous is None:
+            base: object = [scene_hash(scene_dir), list(lights), layout]
+        else:
+            base = [hashes[previous], seed]
+        hashes[name] = digest(name, base, parts)
+    return hashes
+
+
+def scene_hash(scene_dir: Path) -> str:
+    """Return a hash of the names and contents of all files of a capture.
+
+    Files whose names begin with a dot do not count, and times do not, so that a copy of the capture on
+    another machine is the same capture.
+    """
+    files = sorted(path for path in scene_dir.rglob("*") if path.is_file() and not path.name.startswith("."))
+    names = [path.relative_to(scene_dir).as_posix() for path in files]
+    return digest([[name, _file_hash(path)] for name, path in zip(names, files, strict=True)])
+
+
+def _file_hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()

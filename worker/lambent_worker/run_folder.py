@@ -1,0 +1,144 @@
+"""The folder a run lives in: what it was asked to do, and which of its steps are done.
+
+run.json                    settings, scene, versions
+scene/ cache/ joint/ evaluation/ bundle/ previews/
+<step folder>/inputs.json   hash of everything the step's files were made from, written before the first
+<step folder>/done.json     the same hash, written after the last
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from fcntl import LOCK_EX, LOCK_NB, flock
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from lambent_worker.errors import UsageError, WorkerError
+
+SCHEMA_VERSION = "1.0"
+STEP_FOLDERS = {
+    "ingest": "scene",
+    "cache": "cache",
+    "joint": "joint",
+    "evaluate": "evaluation",
+    "export": "bundle",
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunSettings:
+    """What a run was asked to do."""
+
+    preset: str
+    config: Mapping[str, Any]
+    """The whole configuration, as `flashcache.config.to_dict` returns it."""
+    seed: int = 0
+    device: str = "cpu"
+    lights: tuple[str, ...] = ()
+    """Training lights by name; empty for the scene's first."""
+    layout: str = ""
+    """Layout to read the scene as; empty to detect it."""
+    scene: str = field(compare=False, default="")
+    """Folder of the capture; may move between two starts."""
+
+
+def write_settings(run_dir: Path, settings: RunSettings) -> None:
+    """Write `run.json`."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    record = {
+        "schema_version": SCHEMA_VERSION,
+        **asdict(settings),
+        "lights": list(settings.lights),
+        "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {name: version(name) for name in ("lambent", "torch", "numpy")},
+    }
+    write_json(run_dir / "run.json", record)
+
+
+def read_settings(run_dir: Path) -> RunSettings:
+    """Return what is in `run.json`; raises `UsageError` where the folder holds no run."""
+    try:
+        record = json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
+        major = record["schema_version"].split(".")[0]
+        settings = RunSettings(
+            preset=record["preset"],
+            config=record["config"],
+            seed=record["seed"],
+            device=record["device"],
+            lights=tuple(record["lights"]),
+            layout=record["layout"],
+            scene=record["scene"],
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(
+            "run.not_found", f'"{run_dir}" holds no readable run.json; give a folder made by lambent train'
+        ) from error
+    if major != SCHEMA_VERSION.split(".")[0]:
+        raise UsageError(
+            "run.version", f'"{run_dir}" was written by another version; train again with this one'
+        )
+    return settings
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write JSON so that a reader sees either the old file or the whole new one."""
+    partial = path.with_name(path.name + ".tmp")
+    with partial.open("w", encoding="utf-8") as file:
+        json.dump(value, file, indent=1)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def digest(*parts: object) -> str:
+    """Return the SHA-256 of JSON-compatible values, in hexadecimal."""
+    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def is_done(folder: Path, inputs: str) -> bool:
+    """Return whether the step in `folder` has finished with exactly these inputs."""
+    return _read_hash(folder / "done.json") == inputs
+
+
+def begin_step(folder: Path, inputs: str) -> None:
+    """Prepare a step's folder: remove what was made from other inputs.
+
+    A folder without `inputs.json` is kept: that is how checkpoints look that were brought from elsewhere.
+    """
+    if _read_hash(folder / "inputs.json") not in (None, inputs):
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "inputs.json", {"sha256": inputs})
+
+
+def finish_step(folder: Path, inputs: str) -> None:
+    """Note that the step has finished."""
+    write_json(folder / "done.json", {"sha256": inputs})
+
+
+def _read_hash(path: Path) -> str | None:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))["sha256"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+@contextmanager
+def locked(run_dir: Path) -> Iterator[None]:
+    """Hold the run folder for this process; raises `WorkerError` where another process works in it."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    with (run_dir / ".lock").open("w") as file:
+        try:
+            flock(file, LOCK_EX | LOCK_NB)
+        except OSError as error:
+            raise WorkerError(
+                "run.busy", f'another process works in "{run_dir}"; wait for it or choose another folder'
+            ) from error
+        yield

@@ -1,0 +1,90 @@
+"""Checks whether the cameras of a capture, taken together, can see an object."""
+
+import numpy as np
+from jaxtyping import Float64
+from lambent_proto.v1 import scene_pb2
+from numpy import ndarray
+
+from lambent_worker.scenes.extent import camera_axes, looked_at_point
+from lambent_worker.scenes.problems import Problems
+
+MIN_TRAIN_FRAMES = 3
+OFF_CENTRE = 0.25
+"""Distance of the object from the origin worth a note, as a share of its distance from the cameras."""
+
+
+def check_rig(frames: list[scene_pb2.Frame], problems: Problems) -> None:
+    """Note in `problems` what makes it impossible or unlikely to reconstruct anything from these cameras."""
+    trained = [frame for frame in frames if frame.split == scene_pb2.SPLIT_TRAIN]
+    if len(trained) < MIN_TRAIN_FRAMES:
+        problems.error(
+            "scene.too_few_images",
+            f"found {len(trained)} usable training photographs, at least {MIN_TRAIN_FRAMES} are needed (40 "
+            "or more for a good result); add photographs from other sides",
+        )
+    if len(frames) < 2:
+        return
+    positions, directions = camera_axes(frames)
+    spread = np.linalg.norm(positions - positions[0], axis=-1).max()
+    if spread <= 1e-6 * max(1.0, float(np.abs(positions).max())):
+        problems.error(
+            "scene.cameras_coincide",
+            "all cameras stand on one spot, so depth cannot be seen; photograph the object from several "
+            "places and solve the poses again",
+        )
+        return
+    centre = looked_at_point(positions, directions)
+    if centre is None:
+        problems.error(
+            "scene.cameras_parallel",
+            "all cameras look in the same direction, so there is no point they look at; photograph the "
+            "object from several sides, or check the axes of the poses (looking along -z)",
+        )
+        return
+    _check_sight(frames, centre, problems)
+    distance = float(np.median(np.linalg.norm(positions - centre, axis=-1)))
+    if np.linalg.norm(centre) > OFF_CENTRE * distance:
+        where = ", ".join(f"{v:.3g}" for v in centre)
+        problems.warning(
+            "scene.off_centre",
+            f"the cameras look at ({where}), away from the origin; move the origin into the object, detail "
+            "is finest there",
+        )
+
+
+def _check_sight(frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], problems: Problems) -> None:
+    depth, inside = np.array([_sight(frame.camera, centre) for frame in frames]).T
+    if (depth < 0.0).mean() > 0.5:
+        problems.error(
+            "scene.cameras_look_away",
+            f"{int((depth < 0.0).sum())} of {len(frames)} cameras look away from the point they surround; "
+            "the poses probably use OpenCV axes (looking along +z), turn them by diag(1, -1, -1, 1)",
+        )
+        return
+    blind = [frame for frame, ok in zip(frames, inside, strict=True) if not ok]
+    if len(blind) > 0.5 * len(frames):
+        problems.error(
+            "scene.no_overlap",
+            f"{len(blind)} of {len(frames)} cameras do not have the common point in the picture, so their "
+            "views do not overlap; check poses, focal length and that the files belong together",
+        )
+        return
+    for frame in blind:
+        problems.warning(
+            "scene.camera_looks_elsewhere",
+            f'frame "{frame.name}" does not show the point the other cameras look at; check its pose or '
+            "leave it out",
+            frame.name,
+        )
+
+
+def _sight(camera: scene_pb2.Camera, point: Float64[ndarray, "3"]) -> tuple[float, bool]:
+    """Return the depth of a point in front of a camera (scene units) and whether the picture shows it."""
+    pose = np.array(camera.camera_to_world).reshape(4, 4)
+    x, y, z = pose[:3, :3].T @ (point - pose[:3, 3])
+    depth = -z
+    if depth <= 0.0:
+        return depth, False
+    column = camera.centre_x + camera.focal_x * x / depth
+    row = camera.centre_y - camera.focal_y * y / depth
+    return depth, bool(0.0 <= column <= camera.width and 0.0 <= row <= camera.height)
