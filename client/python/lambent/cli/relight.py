@@ -1,0 +1,80 @@
+"""relight: a bundle under other environments."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from lambent_relight import load_cameras
+
+from lambent.cli.output import JsonOption, Output
+from lambent.cli.rendering import (
+    Look,
+    Shot,
+    around_object,
+    check_choice,
+    open_renderer,
+    relight_errors,
+    render_shots,
+)
+from lambent.errors import UsageProblemError
+
+QUALITIES = ("refined",)
+
+
+def relight(
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
+    env: Annotated[
+        list[Path], typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr; repeatable.")
+    ],
+    output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where pictures go.")],
+    cameras: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="cameras.json as in the bundle.")
+    ] = None,
+    turntable: Annotated[
+        int, typer.Option(metavar="N", help="N cameras around the object instead of a file.", min=0)
+    ] = 0,
+    rotate_deg: Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")] = 0.0,
+    exposure_ev: Annotated[
+        float, typer.Option(help="Brighten the PNG by this many stops; the EXR stays as it is.")
+    ] = 0.0,
+    quality: Annotated[str, typer.Option(help="refined (the only one so far).")] = "refined",
+    spp: Annotated[int, typer.Option(help="Light directions per pixel.", min=2, max=65536)] = 64,
+    seed: Annotated[int, typer.Option(help="Seed of every random number.", min=0)] = 0,
+    background: Annotated[str, typer.Option(help="transparent, environment or white.")] = "transparent",
+    indirect: Annotated[
+        bool, typer.Option("--indirect/--direct-only", help="Light that bounced once, or not.")
+    ] = True,
+    size: Annotated[int, typer.Option(help="Side of turntable pictures, pixels; 0: as photographed.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Render a bundle under other environments: DIR/<map>/<camera>.png (sRGB) and .exr (linear).
+
+    Run again, it makes only what is missing or has changed; DIR/pictures.json lists everything.
+    """
+    check_choice("--quality", quality, QUALITIES)
+    if (cameras is None) == (turntable == 0):
+        raise UsageProblemError(
+            "cli.cameras", "one of --cameras and --turntable is needed", "for a first look: --turntable 8"
+        )
+    names = [path.stem for path in env]
+    if len(set(names)) != len(names):
+        raise UsageProblemError("cli.same_names", f"two maps are called the same: {names}", "rename one")
+    with relight_errors():
+        renderer = open_renderer(bundle)
+        views = (
+            load_cameras(cameras) if cameras is not None else around_object(renderer, turntable, size=size)
+        )
+        shots = [
+            Shot(name=f"{path.stem}/{view.name}", camera=view, environment=path, rotate_deg=rotate_deg)
+            for path in env
+            for view in views
+        ]
+        look = Look(
+            quality=quality,
+            num_samples=spp,
+            seed=seed,
+            exposure_ev=exposure_ev,
+            background=background,
+            indirect=indirect,
+        )
+        render_shots(renderer, shots, look, output_folder, Output(as_json))
