@@ -9,10 +9,9 @@ from pathlib import Path
 import onnx
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
+from lambent_relight.cameras import Camera, cameras_json, turntable
 from support.analytic_scene import FAR, AnalyticScene
 from support.onnx_expressions import OnnxOps, Value
-
-from lambent_relight.cameras import Camera, cameras_json, turntable
 
 _ROLES = {".onnx": "graph", ".bin": "weights", ".json": "cameras"}
 

@@ -115,7 +115,7 @@ def _one_pass(
     rays = points.repeat(per_pass)
     drawn = draw_directions(rays, light.sampler, u)
     weight = drawn.weight
-    active = np.flatnonzero(weight.max(axis=-1) > 0.0)
+    active = drawn.active
     origin = rays.position[active] + np.float32(scene.origin_offset) * rays.normal[active]
     direction = drawn.omega_i[active]
     seen = scene.caches.secondary(origin, direction)
@@ -149,7 +149,7 @@ def hit_radiance(
     points = surface_at(position, omega_o, scene)
     drawn = draw_directions(points, light.sampler, u)
     weight = drawn.weight
-    active = np.flatnonzero(weight.max(axis=-1) > 0.0)
+    active = drawn.active
     origin = position[active] + np.float32(scene.origin_offset) * points.normal[active]
     direction = drawn.omega_i[active]
     visibility = 1.0 - scene.caches.secondary(origin, direction).opacity

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import (
+    DIELECTRIC_F0,
     Materials,
-    base_reflectance,
     brdf_cos,
     cosine_pdf,
     cosine_sample,
@@ -57,6 +57,8 @@ class LightDirections:
     specular: Array
     pdf_solid_angle: Array
     """Density of the mixture, 1/sr, [point, 1]."""
+    active: NDArray[np.intp]
+    """Indices of the directions above the surface; all others contribute nothing."""
 
     @property
     def weight(self) -> Array:
@@ -66,8 +68,10 @@ class LightDirections:
 
 def strategy_shares(materials: Materials) -> NDArray[np.float32]:
     """Return the probability of the environment, cosine and GGX strategies, [point, 3], rows sum to one."""
-    specular = base_reflectance(materials).mean(axis=-1)
-    diffuse = ((1.0 - materials.metalness) * materials.albedo).mean(axis=-1)
+    albedo = (materials.albedo @ np.full((3, 1), 1 / 3, materials.albedo.dtype))[:, 0]
+    metalness = materials.metalness[:, 0]
+    specular = metalness * albedo + (1.0 - metalness) * DIELECTRIC_F0
+    diffuse = (1.0 - metalness) * albedo
     share = np.clip(specular / np.maximum(specular + diffuse, 1e-6), 0.1, 0.95)
     rest = np.float32(1.0 - LIGHT_SHARE)
     light = np.full_like(share, LIGHT_SHARE)
@@ -111,4 +115,6 @@ def draw_directions(points: SurfacePoints, light: LightSampler, u: NDArray[np.fl
     diffuse_cos, specular_cos = brdf_cos(points.omega_o, omega_i, points.normal, points.materials)
     above = (dot(points.normal, omega_i) > 0.0) & (pdf > 0.0)
     scale = np.where(above, 1.0 / np.maximum(pdf, 1e-20), 0.0).astype(np.float32)
-    return LightDirections(omega_i, diffuse_cos * scale, specular_cos * scale, pdf)
+    return LightDirections(
+        omega_i, diffuse_cos * scale, specular_cos * scale, pdf, np.flatnonzero(above[:, 0])
+    )
