@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import file_digest
 from pathlib import Path
 
@@ -10,14 +10,13 @@ from flashcache.config import Config, to_dict
 
 from lambent_worker.errors import Stopped, UsageError
 from lambent_worker.reporter import Reporter
-from lambent_worker.run_folder import STEP_FOLDERS, begin_step, digest, finish_step, is_done, locked
+from lambent_worker.run_folder import begin_step, digest, done_inputs, finish_step, locked, step_folder
 
 STEPS = ("ingest", "cache", "joint", "evaluate", "export")
 
 # What a step's files depend on: the step before it, and the parts of the configuration it reads.
-PREVIOUS = {"ingest": None, "cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
+PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
-    "ingest": (),
     "cache": ("max_side", "model", "pixels", "stage_one"),
     "joint": ("stage_two",),
     "evaluate": ("evaluation",),
@@ -75,8 +74,8 @@ class StepContext:
 
     @property
     def folder(self) -> Path:
-        """Return the folder of this step; what lies there was made from the same inputs."""
-        return self.run_dir / STEP_FOLDERS[self.stage]
+        """Return the folder of this step; a checkpoint that lies there was made from the same inputs."""
+        return step_folder(self.run_dir, self.stage)
 
     def progress(
         self, step: int, num_steps: int, *, steps_per_s: float = 0.0, loss: float = 0.0, psnr: float = 0.0
@@ -126,41 +125,40 @@ def run_pipeline(
     with locked(run_dir):
         hashes = input_hashes(scene_dir, config, seed, lights, layout)
         total = sum(SHARES[name] for name in steps)
-        done = {name for name in steps if is_done(run_dir / STEP_FOLDERS[name], hashes[name])}
-        started = sum(SHARES[name] for name in done) / total
+        done = {name for name in steps if done_inputs(run_dir, name) == hashes[name]}
+        context = StepContext(
+            run_dir=run_dir,
+            scene_dir=scene_dir,
+            config=config,
+            seed=seed,
+            device=device,
+            reporter=reporter,
+            lights=lights,
+            layout=layout,
+            clock=Clock(before=0.0, share=0.0, job_started=sum(SHARES[name] for name in done) / total),
+        )
         before = 0.0
-        began = time.monotonic()
         for name in (name for name in STEPS if name in steps):
             share = SHARES[name] / total
-            clock = Clock(before=before, share=share, job_started=started, began=began)
-            context = StepContext(
-                run_dir=run_dir,
-                scene_dir=scene_dir,
-                config=config,
-                seed=seed,
-                device=device,
-                reporter=reporter,
-                stage=name,
-                lights=lights,
-                layout=layout,
-                clock=clock,
-            )
+            clock = replace(context.clock, before=before, share=share)
             if name in done:
                 reporter.log("step.reused", stage=name)
             else:
-                _run_step(context, hashes[name])
+                run_step(replace(context, stage=name, clock=clock), hashes[name])
             before += share
 
 
-def _run_step(context: StepContext, inputs: str) -> None:
+def run_step(context: StepContext, inputs: str) -> None:
+    """Run one step with the hash of its inputs, and mark it as done; the caller holds the run folder."""
     context.stop_if_asked()
-    begin_step(context.folder, inputs)
+    begin_step(context.run_dir, context.stage, inputs)
     started = time.monotonic()
     context.reporter.log("step.started", stage=context.stage)
     context.progress(0, 1)
     _step_function(context.stage)(context)
-    finish_step(context.folder, inputs)
-    context.reporter.log("step.finished", stage=context.stage, seconds=round(time.monotonic() - started, 2))
+    finish_step(context.run_dir, context.stage, inputs)
+    seconds = round(time.monotonic() - started, 2)
+    context.reporter.log("step.finished", stage=context.stage, seconds=seconds)
 
 
 def _step_function(name: str) -> Callable[[StepContext], None]:
@@ -190,17 +188,16 @@ def input_hashes(
     scene_dir: Path, config: Config, seed: int, lights: tuple[str, ...], layout: str
 ) -> dict[str, str]:
     """Return for every step the hash of everything its result depends on."""
-    values = to_dict(config)
-    hashes: dict[str, str] = {}
-    for name in STEPS:
-        parts = {part: values[part] for part in CONFIG_PARTS[name]}
-        previous = PREVIOUS[name]
-        if previous is None:
-            base: object = [scene_hash(scene_dir), list(lights), layout]
-        else:
-            base = [hashes[previous], seed]
-        hashes[name] = digest(name, base, parts)
+    hashes = {"ingest": digest("ingest", scene_hash(scene_dir), list(lights), layout)}
+    for name in STEPS[1:]:
+        hashes[name] = step_inputs(name, hashes[PREVIOUS[name]], config, seed)
     return hashes
+
+
+def step_inputs(step: str, previous: str, config: Config, seed: int) -> str:
+    """Return the hash of what a step depends on, given that of the step before it."""
+    values = to_dict(config)
+    return digest(step, previous, seed, {part: values[part] for part in CONFIG_PARTS[step]})
 
 
 def scene_hash(scene_dir: Path) -> str:

@@ -39,13 +39,14 @@ class RunSettings:
     config: Mapping[str, Any]
     """The whole configuration, as `flashcache.config.to_dict` returns it."""
     seed: int = 0
-    device: str = "cpu"
+    device: str = field(compare=False, default="cpu")
+    """May change between two starts, as `scene` may."""
     lights: tuple[str, ...] = ()
     """Training lights by name; empty for the scene's first."""
     layout: str = ""
     """Layout to read the scene as; empty to detect it."""
     scene: str = field(compare=False, default="")
-    """Folder of the capture; may move between two starts."""
+    """Folder of the capture."""
 
 
 def write_settings(run_dir: Path, settings: RunSettings) -> None:
@@ -102,30 +103,38 @@ def digest(*parts: object) -> str:
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def is_done(folder: Path, inputs: str) -> bool:
-    """Return whether the step in `folder` has finished with exactly these inputs."""
-    return _read_hash(folder / "done.json") == inputs
+def step_folder(run_dir: Path, step: str) -> Path:
+    """Return the folder that a step writes into."""
+    return run_dir / STEP_FOLDERS[step]
 
 
-def begin_step(folder: Path, inputs: str) -> None:
+def done_inputs(run_dir: Path, step: str) -> str | None:
+    """Return the hash of the inputs that a step has finished with, or None where it has not."""
+    return _read_hash(run_dir / "steps" / f"{step}.done.json")
+
+
+def begin_step(run_dir: Path, step: str, inputs: str) -> None:
     """Prepare a step's folder: remove what was made from other inputs.
 
-    A folder without `inputs.json` is kept: that is how checkpoints look that were brought from elsewhere.
+    A folder of unknown inputs is kept: that is how checkpoints look that were brought from elsewhere.
     """
-    if _read_hash(folder / "inputs.json") not in (None, inputs):
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "inputs.json", {"sha256": inputs})
+    marker = run_dir / "steps" / f"{step}.inputs.json"
+    if _read_hash(marker) not in (None, inputs):
+        shutil.rmtree(step_folder(run_dir, step), ignore_errors=True)
+    step_folder(run_dir, step).mkdir(parents=True, exist_ok=True)
+    marker.parent.mkdir(exist_ok=True)
+    write_json(marker, {"sha256": inputs})
 
 
-def finish_step(folder: Path, inputs: str) -> None:
-    """Note that the step has finished."""
-    write_json(folder / "done.json", {"sha256": inputs})
+def finish_step(run_dir: Path, step: str, inputs: str) -> None:
+    """Note that a step has finished."""
+    write_json(run_dir / "steps" / f"{step}.done.json", {"sha256": inputs})
 
 
 def _read_hash(path: Path) -> str | None:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))["sha256"]
+        value = json.loads(path.read_text(encoding="utf-8"))
+        return str(value["sha256"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

@@ -1,0 +1,193 @@
+"""The commands that need no server: train, evaluate, export, check. Torch is imported only when they run."""
+
+import functools
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lambent_worker.errors import UsageError, WorkerError
+
+# Without this a busy neighbour makes a training step up to 50 times slower: waiting threads spin.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+Json = Annotated[bool, typer.Option("--json", help="Write machine-readable lines to standard output.")]
+Layout = Annotated[str, typer.Option(help="Read the folder as this layout instead of detecting it.")]
+Device = Annotated[str, typer.Option(help="cpu, cuda, or cuda:N; by default what the run has, else cpu.")]
+
+
+def _reporting_errors(command: Callable[..., None]) -> Callable[..., None]:
+    """Turn our errors into a message and the command line's exit codes; anything else stays a traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except WorkerError as error:
+            typer.echo(str(error), err=True)
+            raise typer.Exit(error.exit_code) from None
+        except Exception as error:
+            code = _exit_code_of_method_error(error)
+            if code is None:
+                raise
+            typer.echo(f"{'config.invalid' if code == 2 else 'training.failed'}: {error}", err=True)
+            raise typer.Exit(code) from None
+
+    return wrapped
+
+
+def _exit_code_of_method_error(error: Exception) -> int | None:
+    """Return the exit code for an error of the method itself (2 for settings), or None for a bug."""
+    from flashcache.errors import ConfigError, FlashCacheError
+
+    if isinstance(error, ConfigError):
+        return 2
+    return 1 if isinstance(error, FlashCacheError) else None
+
+
+@contextmanager
+def _stopping_on_signals(request_stop: Callable[[], None]) -> Iterator[None]:
+    """Ask the run to end on the first Ctrl-C or SIGTERM; a second one ends the process at once."""
+
+    def handle(number: int, frame: object) -> None:
+        request_stop()
+        typer.echo("stopping after this step; once more to stop at once", err=True)
+        signal.signal(number, signal.default_int_handler)
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@_reporting_errors
+def check(
+    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
+    layout: Layout = "",
+    as_json: Json = False,
+) -> None:
+    """Say what is wrong with a capture before any training; exit code 4 if it cannot be used."""
+    from lambent_proto.v1 import scene_pb2
+
+    from lambent_worker.check import check_scene
+    from lambent_worker.messages import message_to_dict
+
+    report = check_scene(scene_dir, layout or None)
+    if as_json:
+        typer.echo(json.dumps(message_to_dict(report), indent=1))
+    else:
+        for finding in report.findings:
+            kind = "error" if finding.severity == scene_pb2.SEVERITY_ERROR else "note"
+            typer.echo(f"{kind}: {finding.code}: {finding.message}")
+        verdict = "can be used" if report.usable else "cannot be used"
+        typer.echo(
+            f'"{scene_dir}" {verdict}: {report.layout or "no known layout"}, '
+            f"{report.num_train_frames} training and {report.num_test_frames} test views"
+        )
+    if not report.usable:
+        raise typer.Exit(4)
+
+
+@_reporting_errors
+def train(
+    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
+    preset: Annotated[str, typer.Option(help="tiny, fast, long, standard, or one of paper_*.")] = "fast",
+    light: Annotated[str, typer.Option(help="Training light, or several with commas.")] = "",
+    layout: Layout = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    device: Device = "",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
+    ] = None,
+    resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Train on a capture and write a relightable bundle; run again to go on after a stop."""
+    from lambent_worker.training_run import prepare_run
+
+    run = prepare_run(
+        scene_dir,
+        out,
+        preset=preset,
+        lights=tuple(name for name in light.split(",") if name),
+        layout=layout,
+        seed=seed,
+        device=device,
+        overrides=parse_settings(settings or []),
+        resume=resume,
+    )
+    from lambent_worker.console import ConsoleReporter
+    from lambent_worker.pipeline import run_pipeline
+
+    with ConsoleReporter(out, as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
+        run_pipeline(
+            scene_dir, out, run.config, run.seed, run.device, reporter, lights=run.lights, layout=run.layout
+        )
+    if not as_json:
+        typer.echo(f"bundle: {out / 'bundle'}")
+        typer.echo(f"report: {out / 'evaluation' / 'report.html'}")
+
+
+@_reporting_errors
+def evaluate(
+    run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
+    scene_dir: Annotated[Path, typer.Argument(help="The capture, or another one of the same object.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for predictions and reports.")],
+    environments: Annotated[
+        Path | None,
+        typer.Option(help="Folder of .hdr or .exr maps named like the scene's test lights, to relight with."),
+    ] = None,
+    views: Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")] = 0,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
+    directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
+    device: Device = "",
+    as_json: Json = False,
+) -> None:
+    """Render test views, relight them, compare with the truth: report.json, report.html, pred/."""
+    from lambent_worker.console import ConsoleReporter
+    from lambent_worker.evaluation_run import EvaluationRequest, evaluate_run
+
+    request = EvaluationRequest(
+        num_views=views, num_repeats=repeats, num_directions=directions, environments=environments
+    )
+    with ConsoleReporter(as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
+        report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
+    if not as_json:
+        for metric in report.metrics:
+            typer.echo(f"{metric.name:40s} {metric.value:9.3f} +- {metric.standard_error:.3f} {metric.unit}")
+        typer.echo(f"report: {out / 'report.html'}")
+
+
+@_reporting_errors
+def export(
+    run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Bundle folder; must not exist yet.")],
+    as_json: Json = False,
+) -> None:
+    """Write the relightable bundle of a trained run into a folder of its own."""
+    from lambent_worker.console import ConsoleReporter
+    from lambent_worker.training_run import export_run
+
+    with ConsoleReporter(as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
+        export_run(run_dir, out, reporter)
+    if not as_json:
+        typer.echo(f"bundle: {out}")
+
+
+def parse_settings(items: list[str]) -> dict[str, str]:
+    """Return `KEY=VALUE` items as a mapping; raises `UsageError` for one without a key or an equals sign."""
+    parsed: dict[str, str] = {}
+    for item in items:
+        key, equals, value = item.partition("=")
+        if not key or not equals:
+            raise UsageError("config.setting_syntax", f'--set "{item}" must look like stage_one.num_rays=512')
+        parsed[key] = value
+    return parsed

@@ -1,0 +1,30 @@
+"""Messages as JSON files: ProtoJSON with proto field names and default values written."""
+
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+from google.protobuf import json_format
+from google.protobuf.message import Message
+
+from lambent_worker.errors import WorkerError
+
+M = TypeVar("M", bound=Message)
+
+
+def message_to_dict(message: Message) -> dict[str, Any]:
+    """Return a message as JSON-compatible values, every field present."""
+    return json_format.MessageToDict(
+        message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
+    )
+
+
+def read_message(path: Path, message: M) -> M:
+    """Fill `message` from a JSON file and return it; raises `WorkerError` where the file cannot be read."""
+    try:
+        return json_format.ParseDict(json.loads(path.read_text(encoding="utf-8")), message)
+    except (OSError, ValueError, json_format.ParseError) as error:
+        raise WorkerError(
+            "run.file_unreadable",
+            f'"{path.name}" of the run cannot be read; run the step that writes it again',
+        ) from error
