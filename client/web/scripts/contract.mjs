@@ -1,0 +1,77 @@
+// Generates the TypeScript of proto/ into src/contract, or with --check lists the files that differ.
+// protoc comes with grpcio-tools in the repository's .venv; set PYTHON to use another interpreter.
+import { execFileSync } from "node:child_process";
+import { existsSync, mkdtempSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { dirname, join, relative, resolve } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const web = resolve(dirname(fileURLToPath(import.meta.url)), "..");
+const root = resolve(web, "../..");
+const proto = join(root, "proto");
+const contract = join(web, "src/contract");
+
+// The service between server and run process is not spoken in the browser.
+const messages = "lambent_proto/v1";
+const skipped = new Set(["worker.proto"]);
+
+function filesUnder(folder) {
+  if (!existsSync(folder)) return [];
+  return readdirSync(folder, { recursive: true, withFileTypes: true })
+    .filter((entry) => entry.isFile())
+    .map((entry) => relative(folder, join(entry.parentPath ?? entry.path, entry.name)))
+    .sort();
+}
+
+function generate(target) {
+  const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
+  const plugin = join(web, "node_modules/.bin/protoc-gen-es");
+  const sources = readdirSync(join(proto, messages))
+    .filter((name) => name.endsWith(".proto") && !skipped.has(name))
+    .sort()
+    .map((name) => `${messages}/${name}`);
+  execFileSync(
+    python,
+    [
+      "-m",
+      "grpc_tools.protoc",
+      `--proto_path=${proto}`,
+      `--plugin=protoc-gen-es=${plugin}`,
+      `--es_out=${target}`,
+      "--es_opt=target=ts,import_extension=js",
+      ...sources,
+    ],
+    { stdio: "inherit" },
+  );
+}
+
+function main() {
+  const check = process.argv.includes("--check");
+  const fresh = mkdtempSync(join(tmpdir(), "lambent-contract-"));
+  try {
+    generate(fresh);
+    const names = filesUnder(fresh);
+    const stale = filesUnder(contract).filter((name) => !names.includes(name));
+    const differing = names.filter(
+      (name) =>
+        !existsSync(join(contract, name)) ||
+        readFileSync(join(contract, name), "utf8") !== readFileSync(join(fresh, name), "utf8"),
+    );
+    if (check) {
+      for (const name of [...differing, ...stale]) {
+        console.error(`differs: client/web/src/contract/${name}; run \`npm run schema\` in client/web`);
+      }
+      return differing.length + stale.length > 0 ? 1 : 0;
+    }
+    for (const name of stale) rmSync(join(contract, name));
+    for (const name of differing) {
+      mkdirSync(dirname(join(contract, name)), { recursive: true });
+      writeFileSync(join(contract, name), readFileSync(join(fresh, name)));
+    }
+    return 0;
+  } finally {
+    rmSync(fresh, { recursive: true, force: true });
+  }
+}
+
+process.exitCode = main();

@@ -1,0 +1,48 @@
+import { describe, expect, it } from "vitest";
+import {
+  directionOfPixel,
+  directionOfUv,
+  lookupUv,
+  pixelOfDirection,
+  rotateAboutZ,
+  uvOfDirection,
+  type Direction,
+} from "../src/engine/environment.js";
+
+function expectClose(found: readonly number[], expected: readonly number[], tolerance: number): void {
+  expect(found.length).toBe(expected.length);
+  found.forEach((value, index) => {
+    expect(Math.abs(value - (expected[index] ?? NaN))).toBeLessThanOrEqual(tolerance);
+  });
+}
+
+describe("environment orientation", () => {
+  it("has +z above row 0, +x in column W/2, and azimuth falling to the right", () => {
+    expectClose(directionOfUv([0.5, 0]), [0, 0, 1], 1e-12);
+    expectClose(directionOfUv([0.5, 0.5]), [1, 0, 0], 1e-12);
+    expectClose(directionOfUv([0.25, 0.5]), [0, 1, 0], 1e-12);
+    expectClose(directionOfUv([0.75, 0.5]), [0, -1, 0], 1e-12);
+  });
+
+  it("finds every pixel of a map again from its direction", () => {
+    for (let row = 0; row < 8; row++) {
+      for (let column = 0; column < 16; column++) {
+        expect(pixelOfDirection(directionOfPixel(row, column, 8, 16), 8, 16)).toEqual([row, column]);
+      }
+    }
+  });
+
+  it("keeps u inside [0, 1) on the seam at -x", () => {
+    for (const y of [0, -0, 1e-17, -1e-17]) {
+      const [u] = uvOfDirection([-1, y, 0]);
+      expect(u).toBeGreaterThanOrEqual(0);
+      expect(u).toBeLessThan(1);
+    }
+  });
+
+  it("turns the light counter-clockwise: what stood at +x stands at +y after 90 degrees", () => {
+    expectClose(rotateAboutZ([1, 0, 0], 90), [0, 1, 0], 1e-12);
+    const light: Direction = [0, 1, 0];
+    expectClose(lookupUv(light, 90), uvOfDirection([1, 0, 0]), 1e-12);
+  });
+});
