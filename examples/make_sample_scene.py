@@ -299,12 +299,13 @@ def description(spp: int) -> dict:
     }
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
+    """Render the scene, or one view of it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--spp", type=int, default=1024)
     parser.add_argument("--only", help="render this view alone, e.g. test_000")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     load_renderer()
     check_environment()
     stored = {

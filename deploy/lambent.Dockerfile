@@ -1,0 +1,28 @@
+# The whole of Lambent on the CPU: server, worker and client in one image, run as an ordinary user.
+FROM python:3.11-slim-bookworm
+
+RUN useradd --uid 10001 --create-home --shell /usr/sbin/nologin lambent \
+    && mkdir /data && chown lambent:lambent /data
+WORKDIR /opt/lambent
+
+# An index with torch's small CPU build; empty takes the registry's build, which is gigabytes larger.
+ARG TORCH_INDEX=
+COPY constraints.txt ./
+RUN if [ -n "$TORCH_INDEX" ]; then \
+        pip install --no-cache-dir -c constraints.txt --index-url "$TORCH_INDEX" torch; \
+    fi
+
+COPY pyproject.toml README.md LICENSE ./
+COPY proto proto
+COPY server server
+COPY worker worker
+COPY client/python client/python
+RUN pip install --no-cache-dir -c constraints.txt '.[server,worker,client]'
+
+# Waiting threads sleep; compiled kernels are kept where the user may write.
+ENV OMP_WAIT_POLICY=PASSIVE \
+    NUMBA_CACHE_DIR=/tmp/numba \
+    PYTHONUNBUFFERED=1
+USER 10001:10001
+ENTRYPOINT ["lambent"]
+CMD ["--help"]
