@@ -28,7 +28,8 @@ class AppearanceConfig:
     bottleneck: int = 128
     factor_width: int = 64
     factor_layers: int = 2
-    directional_degrees: tuple[int, ...] = (1, 2, 4, 8, 16)
+    num_degrees: int = 5
+    """Bands 1, 2, 4, ... of the directional encoding."""
     reflection_width: int = 128
     reflection_layers: int = 4
 
@@ -64,7 +65,7 @@ class AppearanceField(nn.Module):
         self.bottleneck = linear(num_features, config.bottleneck)
         self.factor = Hidden(config.bottleneck + 1, config.factor_width, config.factor_layers)
         self.factor_head = linear(self.factor.num_outputs, 1)
-        self.directional = IntegratedDirectionalEncoding(config.directional_degrees)
+        self.directional = IntegratedDirectionalEncoding(config.num_degrees)
         skip = 3 if config.reflection_layers > 3 else None
         self.reflection = Hidden(
             config.bottleneck + self.directional.out_features,

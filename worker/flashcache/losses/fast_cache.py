@@ -6,15 +6,14 @@ from torch import Tensor
 
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.color import loss_curve
-from flashcache.physical.incident import Incident
+from flashcache.physical.incident import Incident, RayLimits
 
 
 def fast_cache_loss(
     answer: Incident,
     target: Incident,
     inside: Float[Tensor, " rays"],
-    near: float,
-    far: float,
+    limits: RayLimits,
     *,
     opacity_weight: float = 0.125,
     distance_weight: float = 0.1,
@@ -27,7 +26,7 @@ def fast_cache_loss(
     """
     rgb = (loss_curve(answer.near_radiance) - loss_curve(target.near_radiance.detach())).square().mean(dim=-1)
     opacity = (answer.opacity - target.opacity.detach()).square()
-    start, end = answer.distance.new_tensor(near), answer.distance.new_tensor(far)
+    start, end = answer.distance.new_tensor(limits.near), answer.distance.new_tensor(limits.far)
     wanted = SECONDARY_CURVE.normalised(target.distance.detach(), start, end)
     found = SECONDARY_CURVE.normalised(answer.distance, start, end)
     blocked = (target.opacity.detach() > 0.5).to(rgb.dtype)

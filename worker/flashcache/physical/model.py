@@ -10,7 +10,7 @@ from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.caches.nerf_cache import CacheAnswer, NerfCache, NerfCacheConfig
 from flashcache.fields.materials import MaterialConfig, MaterialField
 from flashcache.geometry.rays import Rays
-from flashcache.physical.incident import Incident, RadianceSource, SecondaryRays
+from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.light_sampler import LightSampler, LightSamplerConfig
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,6 +52,7 @@ class InverseModel(nn.Module):
         self.materials = MaterialField(config.materials, radius)
         self.fast = FastCache(config.fast, radius, num_lights, near, far)
         self.light_sampler = LightSampler(config.light_sampler, radius, num_lights)
+        self.limits = RayLimits(near=near, far=far)
 
     def ask_nerf(self, rays: SecondaryRays, generator: torch.Generator | None) -> CacheAnswer:
         """Return what the NeRF cache sees along secondary rays."""
@@ -62,13 +63,8 @@ class InverseModel(nn.Module):
 
     def nerf_source(self, generator: torch.Generator | None) -> RadianceSource:
         """Return the NeRF cache as the estimators see it; see `NerfCache.incident` for the generator."""
-        return lambda rays: Incident(*self.ask_nerf(rays, generator))
+        return lambda rays: self.ask_nerf(rays, generator)
 
     def fast_source(self) -> RadianceSource:
         """Return the fast cache as the estimators see it."""
-
-        def ask(rays: SecondaryRays) -> Incident:
-            answer = self.fast(rays.origins, rays.directions, rays.light_index)
-            return Incident(answer.near_radiance, answer.opacity, answer.distance)
-
-        return ask
+        return lambda rays: self.fast(rays.origins, rays.directions, rays.light_index)

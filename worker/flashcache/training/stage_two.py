@@ -4,7 +4,7 @@ Names: pass A and pass B are two independent estimates of the same pixels; with 
 the squared error would gain the estimator's variance (supplement Eq. 2).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -19,9 +19,10 @@ from flashcache.losses.light_sampler import light_sampler_loss
 from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
 from flashcache.physical.brdf import Materials
-from flashcache.physical.estimator import Estimate, ShadingPoints, control_variate
+from flashcache.physical.estimator import control_variate
 from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.model import InverseModel
+from flashcache.physical.shading import Estimate, ShadingPoints
 from flashcache.training.optimiser import (
     Rates,
     StepRecord,
@@ -58,8 +59,6 @@ class StageTwo:
         self, model: InverseModel, pixels: TrainingPixels, config: StageTwoConfig, *, seed: int
     ) -> None:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
-        near, far = model.domain.secondary
-        self.estimator = replace(config.estimator, near=near, far=far)
         light = Rates(grid=config.environment_rate, network=config.environment_rate)
         parts = [
             (model.materials, config.material_rates),
@@ -147,7 +146,7 @@ class StageTwo:
         )
         materials = model.materials(points.positions)
         mixture = None
-        if self.estimator.sampler == "vmf":
+        if config.estimator.sampler == "vmf":
             mixture = model.light_sampler(points.positions, points.light_index)
         estimate = control_variate(
             points,
@@ -156,7 +155,8 @@ class StageTwo:
             fast=model.fast_source(),
             environment=model.environment,
             mixture=mixture,
-            config=self.estimator,
+            limits=model.limits,
+            config=config.estimator,
             generator=generator,
         )
         picture = (draw.weight[..., None] * estimate.rgb.reshape(num_rays, repeats, 3)).sum(dim=1)
@@ -278,10 +278,10 @@ class StageTwo:
         if exact is None:
             return terms
         if exact.fast is not None:
-            near, far = self.model.domain.secondary
+            limits = self.model.limits
             radius = self.model.domain.contraction_radius
             inside = (exact.rays.origins.norm(dim=-1) < radius).to(exact.nerf.opacity.dtype)
-            terms["fast"] = fast_cache_loss(exact.fast, exact.nerf, inside, near, far)
+            terms["fast"] = fast_cache_loss(exact.fast, exact.nerf, inside, limits)
         if first.mixture is not None:
             terms["sampler"] = light_sampler_loss(first.mixture, exact)
         return terms

@@ -1,0 +1,1 @@
+"""Pictures of a trained model, and how far they are from the truth."""

@@ -1,0 +1,117 @@
+"""Radiance of surface points under an environment they were never photographed in."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+from torch import Tensor
+
+from flashcache.geometry.directions import uv_from_direction
+from flashcache.physical.brdf import Materials
+from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
+from flashcache.physical.incident import Incident, SecondaryRays, visibility_only
+from flashcache.physical.model import InverseModel
+from flashcache.physical.sampling import EnvironmentMapSampler
+from flashcache.physical.shading import ShadingPoints
+
+BOUNCE_COUNTS = DirectionCounts(cosine=1, sampler=1, specular=2)
+"""Directions that shade what a secondary ray hits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapLight:
+    """A known environment: its picture, and a sampler of its bright parts."""
+
+    image: Float[Tensor, "rows columns 3"]
+    sampler: EnvironmentMapSampler
+
+    @classmethod
+    def from_image(cls, image: Float32[ndarray, "rows columns 3"], device: torch.device) -> "MapLight":
+        """Return the light of a linear latitude-longitude picture in the documented convention."""
+        tensor = torch.tensor(image, dtype=torch.float32, device=device)
+        return cls(tensor, EnvironmentMapSampler(tensor))
+
+    def __call__(
+        self, directions: Float[Tensor, "rays 3"], light_index: Int[Tensor, " rays"]
+    ) -> Float[Tensor, "rays 3"]:
+        """Return the bilinearly interpolated radiance from `directions`; the light index has no meaning here."""
+        rows, columns, _ = self.image.shape
+        uv = uv_from_direction(directions)
+        x, y = uv[:, 0] * columns - 0.5, uv[:, 1] * rows - 0.5
+        x0, y0 = x.floor(), y.floor()
+        fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+        left, right = x0.long() % columns, (x0.long() + 1) % columns
+        top, bottom = y0.long().clamp(0, rows - 1), (y0.long() + 1).clamp(0, rows - 1)
+        upper = torch.lerp(self.image[top, left], self.image[top, right], fx)
+        lower = torch.lerp(self.image[bottom, left], self.image[bottom, right], fx)
+        return torch.lerp(upper, lower, fy)
+
+
+def scaled_materials(
+    model: InverseModel, positions: Float[Tensor, "points 3"], ratio: Float[Tensor, "3"]
+) -> Materials:
+    """Return the materials with their albedo multiplied by `ratio` per channel and kept in [0, 1]."""
+    materials = model.materials(positions)
+    return Materials((materials.albedo * ratio).clamp(0.0, 1.0), materials.alpha, materials.metalness)
+
+
+def relit_radiance(
+    model: InverseModel,
+    points: ShadingPoints,
+    light: MapLight,
+    ratio: Float[Tensor, "3"],
+    *,
+    num_directions: int,
+    indirect: bool,
+    generator: torch.Generator,
+) -> Float[Tensor, "points 3"]:
+    """Return radiance towards the viewer under `light`, with the fast cache's shadows.
+
+    With `indirect`, a secondary ray that is blocked (decided at random with its opacity, which keeps the mean)
+    finds the radiance of the point it hits: direct light under the same environment, with that point's material.
+    """
+    config = EstimatorConfig(stratified=True)
+    fast = model.fast_source()
+
+    def near_field(rays: SecondaryRays) -> Incident:
+        answer = fast(rays)
+        blocked = torch.rand(len(rays), generator=generator, device=rays.origins.device) < answer.opacity
+        radiance = torch.zeros_like(rays.origins)
+        index = blocked.nonzero()[:, 0]
+        if len(index):
+            hit = rays.origins[index] + answer.distance[index, None] * rays.directions[index]
+            radiance[index] = _direct(hit, -rays.directions[index], rays.light_index[index])
+        return Incident(radiance, answer.opacity, answer.distance)
+
+    def _direct(positions: Tensor, omega_o: Tensor, light_index: Tensor) -> Tensor:
+        hidden = model.nerf.density(positions).hidden
+        normal = model.nerf.normals(positions, hidden)
+        # A hit's normal faces where the ray came from: opaque matter is only ever seen from outside.
+        facing = (normal * omega_o).sum(dim=-1, keepdim=True)
+        normal = torch.nn.functional.normalize(normal - 1.01 * facing.clamp_max(0.0) * omega_o, dim=-1)
+        return relight(
+            ShadingPoints(positions, normal, omega_o, light_index),
+            scaled_materials(model, positions, ratio),
+            source=visibility_only(fast),
+            environment=light,
+            light=light.sampler,
+            counts=BOUNCE_COUNTS,
+            limits=model.limits,
+            config=config,
+            generator=generator,
+        ).rgb
+
+    quarter = max(1, num_directions // 4)
+    counts = DirectionCounts(cosine=quarter, sampler=quarter, specular=num_directions - 2 * quarter)
+    return relight(
+        points,
+        scaled_materials(model, points.positions, ratio),
+        source=near_field if indirect else visibility_only(fast),
+        environment=light,
+        light=light.sampler,
+        counts=counts,
+        limits=model.limits,
+        config=config,
+        generator=generator,
+    ).rgb

@@ -1,0 +1,142 @@
+"""What the two training steps share: the scene in memory, the model, and the loop around a stage."""
+
+import time
+from pathlib import Path
+
+import torch
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.scene import Scene
+from flashcache.errors import TrainingError
+from flashcache.physical.model import Domain, InverseModel
+from flashcache.training.checkpoint import (
+    CheckpointState,
+    checkpoint_folder,
+    latest_checkpoint,
+    load_checkpoint,
+    prune_checkpoints,
+    save_checkpoint,
+)
+from flashcache.training.stage_one import StageOne
+from flashcache.training.stage_two import StageTwo
+
+from lambent_worker.errors import Stopped
+from lambent_worker.pipeline import StepContext
+from lambent_worker.run_folder import STEP_FOLDERS, digest
+from lambent_worker.scenes.load import load_scene
+from lambent_worker.steps.ingest import read_manifest
+
+REPORT_INTERVAL_S = 0.5
+SKIPPED_SHARE_LIMIT = 0.05
+
+
+def read_scene(context: StepContext) -> Scene:
+    """Return the capture of the run, loaded at the preset's size."""
+    return load_scene(context.scene_dir, read_manifest(context), max_side=context.config.max_side)
+
+
+def domain_of(scene: Scene) -> Domain:
+    """Return what a model must know of a scene's space."""
+    return Domain(
+        bounds_min=scene.bounds_min,
+        bounds_max=scene.bounds_max,
+        primary=scene.primary,
+        secondary=scene.secondary,
+        contraction_radius=scene.contraction_radius,
+        lights=scene.lights,
+    )
+
+
+def new_model(context: StepContext, scene: Scene) -> InverseModel:
+    """Return a model in its initial state, the same for the same seed."""
+    torch.manual_seed(context.seed)
+    return InverseModel(context.config.model, domain_of(scene)).to(context.device)
+
+
+def load_trained(context: StepContext, scene: Scene, stage: str) -> InverseModel:
+    """Return the model at the end of `stage` ("cache" or "joint")."""
+    model = new_model(context, scene)
+    folder = latest_checkpoint(context.run_dir / STEP_FOLDERS[stage])
+    if folder is None:
+        raise TrainingError(f"the run has no checkpoint of stage {stage!r}; train it first")
+    load_checkpoint(folder, model)
+    return model
+
+
+def training_pixels(context: StepContext, scene: Scene) -> TrainingPixels:
+    """Return the training photographs on the run's device."""
+    return TrainingPixels(scene, context.config.pixels, torch.device(context.device))
+
+
+def drive(context: StepContext, stage: StageOne | StageTwo) -> None:
+    """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
+
+    Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too many
+    steps had gradients that were not finite.
+    """
+    config = context.config
+    own_config = config.stage_one if context.stage == "cache" else config.stage_two
+    fingerprint = digest(repr(config.model), repr(own_config))
+    seconds = _resume(context, stage, fingerprint)
+    saved_at = reported_at = time.monotonic()
+    reported_step = stage.steps_done
+    while not stage.finished:
+        record = stage.step()
+        now = time.monotonic()
+        if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
+            rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
+            context.progress(
+                record.step, record.num_steps, steps_per_s=rate, loss=record.loss, psnr=record.psnr
+            )
+            seconds += now - reported_at
+            reported_at, reported_step = now, record.step
+        if stage.num_skipped > 20 and stage.num_skipped > SKIPPED_SHARE_LIMIT * record.step:
+            raise TrainingError(
+                f"{stage.num_skipped} of {record.step} steps had gradients that were not finite; "
+                f"lower the learning rates (for example --set stage_one.rates.network=1e-3) and start again"
+            )
+        stopping = context.reporter.should_stop()
+        due = record.step % config.checkpoint_steps == 0 or now - saved_at >= config.checkpoint_interval_s
+        if stage.finished or stopping or due:
+            _save(context, stage, fingerprint, seconds)
+            saved_at = time.monotonic()
+        if stopping and not stage.finished:
+            raise Stopped
+
+
+def _resume(context: StepContext, stage: StageOne | StageTwo, fingerprint: str) -> float:
+    """Continue from the newest checkpoint that can be read, and return the seconds trained before it."""
+    while (folder := latest_checkpoint(context.folder)) is not None:
+        try:
+            state = load_checkpoint(folder, stage.model, stage.optimiser)
+        except TrainingError as error:
+            context.reporter.log("checkpoint.unreadable", folder=folder.name, reason=str(error))
+            _discard(folder)
+            continue
+        if state.config_sha256 != fingerprint or state.seed != context.seed:
+            raise TrainingError(
+                f"the checkpoint in {folder} was made with other settings or another seed; "
+                f"use another output folder, or the settings it was made with"
+            )
+        stage.steps_done, stage.num_skipped = state.step, state.num_skipped
+        context.reporter.log("checkpoint.resumed", stage=context.stage, step=state.step)
+        return state.seconds
+    return 0.0
+
+
+def _save(context: StepContext, stage: StageOne | StageTwo, fingerprint: str, seconds: float) -> None:
+    state = CheckpointState(
+        stage=context.stage,
+        step=stage.steps_done,
+        seed=context.seed,
+        config_sha256=fingerprint,
+        num_skipped=stage.num_skipped,
+        seconds=seconds,
+    )
+    folder = checkpoint_folder(context.folder, stage.steps_done)
+    save_checkpoint(folder, stage.model, stage.optimiser, state)
+    prune_checkpoints(context.folder, keep=2)
+    context.reporter.checkpoint(context.stage, stage.steps_done, folder)
+
+
+def _discard(folder: Path) -> None:
+    folder.rename(folder.with_name(f"unreadable_{folder.name}"))
