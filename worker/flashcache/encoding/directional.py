@@ -48,8 +48,8 @@ class IntegratedDirectionalEncoding(nn.Module):
     ) -> Float[Tensor, "*batch encoded"]:
         """Return all real parts, then all imaginary parts, by degree and order.
 
-        `directions` are unit vectors. `inverse_concentration` is 1/kappa of the lobe, from 0 (no blur); a term
-        of degree l is attenuated by exp(-l (l + 1) / (2 kappa)), the approximation of Ref-NeRF Eq. 8.
+        `directions` are unit vectors. `inverse_concentration` is 1/kappa of the lobe, from 0 (no blur); a
+        term of degree l is attenuated by exp(-l (l + 1) / (2 kappa)), the approximation of Ref-NeRF Eq. 8.
         """
         x, y, z = directions.unbind(dim=-1)
         chebyshev = [torch.ones_like(z), z]

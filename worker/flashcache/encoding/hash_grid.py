@@ -1,4 +1,4 @@
-"""Multi-resolution feature grid with the additive lattice hash (supplement 2.1; formula: `kernels.layout`)."""
+"""Multi-resolution grid with the additive lattice hash (supplement 2.1; formula: `kernels.layout`)."""
 
 from dataclasses import dataclass
 

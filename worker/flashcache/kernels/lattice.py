@@ -2,7 +2,7 @@
 
 The voxels that share a row with voxel 0 form a lattice; b and c are chosen so that its shortest vector is as
 long as possible, so colliding voxels are as far from each other as T rows allow. Unlike the exclusive-or
-hash of instant NGP the formula needs no integer overflow and no bit operations: every runtime can evaluate it.
+hash of instant NGP the formula needs neither integer overflow nor bit operations, which not every runtime has.
 """
 
 from typing import Final
@@ -18,5 +18,6 @@ MULTIPLIERS: Final[dict[int, tuple[int, int]]] = {
     16: (37642, 4945),
     17: (53974, 15840),
     18: (177852, 190581),
+    19: (5468, 133766),
 }
 """log2(T) -> (b, c), found by `search` (benchmarks/lattice_search.py)."""

@@ -1,0 +1,349 @@
+"""The encoder as compiled loops for the processor: float32, numba, no OpenMP.
+
+numba's own threading would load a second OpenMP runtime beside torch's, so the kernels release the interpreter
+lock and the work is cut by hand: points in the forward pass, levels in the backward pass. Each row of a
+gradient is summed by one task in the order of the points, so results do not depend on the number of threads.
+The number of features is a constant of the compiled code; with a run-time number the loops are half as fast.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from flashcache.kernels.layout import GridLayout
+
+Array = NDArray[np.float32]
+Kernel = Callable[..., None]
+
+BLOCK = 512
+"""Points that visit all levels before the next ones do, so that their features stay in the first-level cache."""
+
+PARALLEL_POINTS = 4096
+"""Below this many point-levels per thread a pool costs more than it saves."""
+
+# Not "nnan" and not "ninf": clamping must catch a NaN before it becomes an address.
+FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+class Levels(NamedTuple):
+    """A layout as arrays, one entry per level."""
+
+    counts: NDArray[np.uint64]
+    """First row, row mask, multiplier of y, multiplier of z, resolution - 2."""
+    scales: Array
+    """d u / d z, u of the cube's centre, largest u."""
+
+
+class Kernels(NamedTuple):
+    """Compiled loops for one number of features."""
+
+    forward: Kernel
+    forward_jacobian: Kernel
+    table_gradient: Kernel
+    table_gradient_jacobian: Kernel
+    position_gradient: Kernel
+
+
+def encode(z: Array, table: Array, layout: GridLayout, num_threads: int) -> Array:
+    """Return the features [points, outputs] of `z` [points, 3]."""
+    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    features = np.empty((len(z), layout.num_outputs), np.float32)
+    _over_points(kernels.forward, len(z), layout, num_threads, (z, table, *levels, features))
+    return features
+
+
+def encode_with_jacobian(z: Array, table: Array, layout: GridLayout, num_threads: int) -> tuple[Array, Array]:
+    """Return the features [points, outputs] of `z` and their derivative [points, outputs, 3]."""
+    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    features = np.empty((len(z), layout.num_outputs), np.float32)
+    jacobian = np.empty((len(z), layout.num_outputs, 3), np.float32)
+    arguments = (z, table, *levels, features, jacobian)
+    _over_points(kernels.forward_jacobian, len(z), layout, num_threads, arguments)
+    return features, jacobian
+
+
+def position_gradient(
+    z: Array, table: Array, layout: GridLayout, features_gradient: Array, num_threads: int
+) -> Array:
+    """Return the gradient by `z` [points, 3], given the one by the features."""
+    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    gradient = np.empty((len(z), 3), np.float32)
+    arguments = (z, table, *levels, features_gradient, gradient)
+    _over_points(kernels.position_gradient, len(z), layout, num_threads, arguments)
+    return gradient
+
+
+def add_table_gradient(
+    z: Array,
+    layout: GridLayout,
+    features_gradient: Array,
+    jacobian_gradient: Array | None,
+    gradient: Array,
+    num_threads: int,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Add the gradient by the table to `gradient` [rows, features], or write it there.
+
+    `jacobian_gradient` [points, outputs, 3] is None where only features were used.
+    """
+    kernels, levels = _kernels(layout.num_features), _levels(layout)
+
+    def one_level(level: int) -> None:
+        le = layout.levels[level]
+        if overwrite:
+            gradient[le.first_row : le.first_row + le.num_rows] = 0.0
+        if jacobian_gradient is None:
+            kernels.table_gradient(level, z, *levels, features_gradient, gradient)
+        else:
+            kernels.table_gradient_jacobian(level, z, *levels, features_gradient, jacobian_gradient, gradient)
+
+    # Fine levels first: they take longest, for their rows are far apart.
+    order = range(len(layout.levels) - 1, -1, -1)
+    if num_threads > 1 and len(z) * len(layout.levels) > PARALLEL_POINTS * num_threads:
+        _drain(_pool(num_threads).map(one_level, order))
+    else:
+        _drain(map(one_level, order))
+
+
+def _over_points(
+    kernel: Kernel, num_points: int, layout: GridLayout, num_threads: int, arguments: Sequence[Any]
+) -> None:
+    """Run `kernel(first, last, *arguments)` over all points, in pieces of whole blocks."""
+    pieces = min(num_threads, 1 + num_points * len(layout.levels) // PARALLEL_POINTS)
+    if pieces <= 1:
+        kernel(0, num_points, *arguments)
+        return
+    step = BLOCK * math.ceil(num_points / (BLOCK * pieces))
+    starts = range(0, num_points, step)
+    pool = _pool(num_threads)
+    _drain(pool.map(lambda first: kernel(first, min(first + step, num_points), *arguments), starts))
+
+
+def _drain(results: Any) -> None:
+    """Wait for all results, raising what a task raised."""
+    for _ in results:
+        pass
+
+
+@lru_cache
+def _pool(num_threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(num_threads, thread_name_prefix="flashcache-encode")
+
+
+@lru_cache
+def _levels(layout: GridLayout) -> Levels:
+    """Return the layout as the arrays the kernels read."""
+    counts = [
+        (
+            le.first_row,
+            2**32 - 1 if le.is_dense else le.num_rows - 1,
+            le.multiplier_y,
+            le.multiplier_z,
+            le.resolution - 2,
+        )
+        for le in layout.levels
+    ]
+    scales = [
+        (le.resolution / (2.0 * layout.half_extent), (le.resolution - 1) / 2.0, le.resolution - 1.0)
+        for le in layout.levels
+    ]
+    return Levels(np.array(counts, np.uint64), np.array(scales, np.float32))
+
+
+_inlined = numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy")
+# Without fused multiply-add, so that positions between voxels are the reference's, bit for bit.
+_inlined_exact = numba.njit(nogil=True, error_model="numpy")
+
+
+def _compile(function: Kernel) -> Kernel:
+    """Return `function` compiled, from numba's cache folder where there is a writable one.
+
+    numba looks at NUMBA_CACHE_DIR, beside this file, and in the user's cache folder, and raises where it can
+    write nowhere; then the code is compiled anew in each process (a few seconds).
+    """
+    options = {"nogil": True, "fastmath": FASTMATH, "error_model": "numpy", "boundscheck": False}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        return numba.njit(**options)(function)
+
+
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
+STEP = np.uint64(1)
+
+
+@_inlined_exact
+def _axis(coordinate, scale, centre, largest):
+    """Return the position u along one axis and whether it was inside (1.0) or clamped (0.0)."""
+    u = coordinate * scale + centre
+    # A NaN fails both comparisons and becomes 0.
+    inside = ONE if ZERO <= u <= largest else ZERO
+    u = u if u > ZERO else ZERO
+    return (u if u < largest else largest), inside
+
+
+@_inlined_exact
+def _locate(z, i, counts, scales, level):
+    """Return the 8 rows around point `i`, x fastest, its position between them, and the three `inside`."""
+    scale, centre, largest = scales[level, 0], scales[level, 1], scales[level, 2]
+    first, mask = counts[level, 0], counts[level, 1]
+    multiplier_y, multiplier_z, top = counts[level, 2], counts[level, 3], counts[level, 4]
+    x, inside_x = _axis(z[i, 0], scale, centre, largest)
+    y, inside_y = _axis(z[i, 1], scale, centre, largest)
+    w, inside_z = _axis(z[i, 2], scale, centre, largest)
+    cell_x = min(np.uint64(np.uint32(x)), top)
+    cell_y = min(np.uint64(np.uint32(y)), top)
+    cell_z = min(np.uint64(np.uint32(w)), top)
+    near = cell_x + cell_y * multiplier_y + cell_z * multiplier_z
+    far = near + multiplier_z
+    rows = (
+        first + (near & mask),
+        first + ((near + STEP) & mask),
+        first + ((near + multiplier_y) & mask),
+        first + ((near + multiplier_y + STEP) & mask),
+        first + (far & mask),
+        first + ((far + STEP) & mask),
+        first + ((far + multiplier_y) & mask),
+        first + ((far + multiplier_y + STEP) & mask),
+    )
+    position = (x - np.float32(cell_x), y - np.float32(cell_y), w - np.float32(cell_z))
+    return rows, position, (inside_x * scale, inside_y * scale, inside_z * scale)
+
+
+@_inlined
+def _mix(a, b, t):
+    """Return a where t is 0 and b where t is 1."""
+    return a + t * (b - a)
+
+
+@lru_cache
+def _kernels(num_features: int) -> Kernels:
+    """Return the loops, compiled on first call, for this number of features."""
+    F = num_features
+
+    def forward(first, last, z, table, counts, scales, features):
+        for block in range(first, last, BLOCK):
+            for level in range(counts.shape[0]):
+                for i in range(block, min(block + BLOCK, last)):
+                    rows, (x, y, w), _ = _locate(z, i, counts, scales, level)
+                    for f in range(F):
+                        c0 = _mix(table[rows[0], f], table[rows[1], f], x)
+                        c1 = _mix(table[rows[2], f], table[rows[3], f], x)
+                        c2 = _mix(table[rows[4], f], table[rows[5], f], x)
+                        c3 = _mix(table[rows[6], f], table[rows[7], f], x)
+                        features[i, level * F + f] = _mix(_mix(c0, c1, y), _mix(c2, c3, y), w)
+
+    def forward_jacobian(first, last, z, table, counts, scales, features, jacobian):
+        for block in range(first, last, BLOCK):
+            for level in range(counts.shape[0]):
+                for i in range(block, min(block + BLOCK, last)):
+                    rows, (x, y, w), (rate_x, rate_y, rate_z) = _locate(z, i, counts, scales, level)
+                    for f in range(F):
+                        v0, v2, v4, v6 = (
+                            table[rows[0], f],
+                            table[rows[2], f],
+                            table[rows[4], f],
+                            table[rows[6], f],
+                        )
+                        d0, d1 = table[rows[1], f] - v0, table[rows[3], f] - v2
+                        d2, d3 = table[rows[5], f] - v4, table[rows[7], f] - v6
+                        c0, c1, c2, c3 = v0 + x * d0, v2 + x * d1, v4 + x * d2, v6 + x * d3
+                        near, far = _mix(c0, c1, y), _mix(c2, c3, y)
+                        column = level * F + f
+                        features[i, column] = _mix(near, far, w)
+                        jacobian[i, column, 0] = rate_x * _mix(_mix(d0, d1, y), _mix(d2, d3, y), w)
+                        jacobian[i, column, 1] = rate_y * _mix(c1 - c0, c3 - c2, w)
+                        jacobian[i, column, 2] = rate_z * (far - near)
+
+    def position_gradient(first, last, z, table, counts, scales, gradient, result):
+        for block in range(first, last, BLOCK):
+            result[block : min(block + BLOCK, last)] = ZERO
+            for level in range(counts.shape[0]):
+                for i in range(block, min(block + BLOCK, last)):
+                    rows, (x, y, w), (rate_x, rate_y, rate_z) = _locate(z, i, counts, scales, level)
+                    sum_x, sum_y, sum_z = ZERO, ZERO, ZERO
+                    for f in range(F):
+                        v0, v2, v4, v6 = (
+                            table[rows[0], f],
+                            table[rows[2], f],
+                            table[rows[4], f],
+                            table[rows[6], f],
+                        )
+                        d0, d1 = table[rows[1], f] - v0, table[rows[3], f] - v2
+                        d2, d3 = table[rows[5], f] - v4, table[rows[7], f] - v6
+                        c0, c1, c2, c3 = v0 + x * d0, v2 + x * d1, v4 + x * d2, v6 + x * d3
+                        g = gradient[i, level * F + f]
+                        sum_x += g * _mix(_mix(d0, d1, y), _mix(d2, d3, y), w)
+                        sum_y += g * _mix(c1 - c0, c3 - c2, w)
+                        sum_z += g * (_mix(c2, c3, y) - _mix(c0, c1, y))
+                    result[i, 0] += rate_x * sum_x
+                    result[i, 1] += rate_y * sum_y
+                    result[i, 2] += rate_z * sum_z
+
+    def table_gradient(level, z, counts, scales, gradient, result):
+        for i in range(len(z)):
+            rows, (x, y, w), _ = _locate(z, i, counts, scales, level)
+            for f in range(F):
+                g = gradient[i, level * F + f]
+                far = g * w
+                near = g - far
+                far_y, near_y = far * y, near * y
+                a0, a1, a2, a3 = near - near_y, near_y, far - far_y, far_y
+                b0, b1, b2, b3 = a0 * x, a1 * x, a2 * x, a3 * x
+                result[rows[0], f] += a0 - b0
+                result[rows[1], f] += b0
+                result[rows[2], f] += a1 - b1
+                result[rows[3], f] += b1
+                result[rows[4], f] += a2 - b2
+                result[rows[5], f] += b2
+                result[rows[6], f] += a3 - b3
+                result[rows[7], f] += b3
+
+    def table_gradient_jacobian(level, z, counts, scales, gradient, jacobian_gradient, result):
+        # `forward_jacobian` read backwards: each line gives the gradient of what that line read.
+        for i in range(len(z)):
+            rows, (x, y, w), (rate_x, rate_y, rate_z) = _locate(z, i, counts, scales, level)
+            for f in range(F):
+                column = level * F + f
+                g = gradient[i, column]
+                gx = jacobian_gradient[i, column, 0] * rate_x
+                gy = jacobian_gradient[i, column, 1] * rate_y
+                gz = jacobian_gradient[i, column, 2] * rate_z
+                far = g * w + gz
+                near = g - far
+                dy_far = gy * w
+                dy_near = gy - dy_far
+                c3 = far * y + dy_far
+                c2 = far - c3
+                c1 = near * y + dy_near
+                c0 = near - c1
+                dx_far = gx * w
+                dx_near = gx - dx_far
+                d3 = dx_far * y
+                d2 = dx_far - d3
+                d1 = dx_near * y
+                d0 = dx_near - d1
+                b0, b1, b2, b3 = c0 * x + d0, c1 * x + d1, c2 * x + d2, c3 * x + d3
+                result[rows[0], f] += c0 - b0
+                result[rows[1], f] += b0
+                result[rows[2], f] += c1 - b1
+                result[rows[3], f] += b1
+                result[rows[4], f] += c2 - b2
+                result[rows[5], f] += b2
+                result[rows[6], f] += c3 - b3
+                result[rows[7], f] += b3
+
+    return Kernels(
+        forward=_compile(forward),
+        forward_jacobian=_compile(forward_jacobian),
+        table_gradient=_compile(table_gradient),
+        table_gradient_jacobian=_compile(table_gradient_jacobian),
+        position_gradient=_compile(position_gradient),
+    )
