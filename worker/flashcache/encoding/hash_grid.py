@@ -41,6 +41,8 @@ class HashGrid(nn.Module):
     """Features of points in a cube, interpolated from voxel grids of several resolutions.
 
     The parameter `table` [rows, features] starts uniform in +-1e-4; `layout` says which row is which voxel.
+    A training loop that only calls `Tensor.backward` may set `in_place_gradient`: gradients are then added to
+    an existing `table.grad` (keep it with `zero_grad(set_to_none=False)`), which saves a copy per call.
     """
 
     def __init__(self, config: HashGridConfig) -> None:
@@ -53,6 +55,7 @@ class HashGrid(nn.Module):
             half_extent=config.half_extent,
         )
         self.out_features = self.layout.num_outputs
+        self.in_place_gradient = False
         self.table = nn.Parameter(torch.empty(self.layout.num_rows, config.num_features))
         nn.init.uniform_(self.table, -1e-4, 1e-4)
 
@@ -61,7 +64,9 @@ class HashGrid(nn.Module):
 
         `z` is in grid coordinates (contracted space) and is clamped to the cube.
         """
-        features = dispatch.encode(z.reshape(-1, 3), self.table, self.layout)
+        features = dispatch.encode(
+            z.reshape(-1, 3), self.table, self.layout, in_place_gradient=self.in_place_gradient
+        )
         return features.reshape(*z.shape[:-1], self.out_features)
 
     def encode_with_jacobian(
@@ -72,7 +77,9 @@ class HashGrid(nn.Module):
         With the gradient of a small network by the features this gives density normals whose loss needs no
         second derivative of the interpolation.
         """
-        features, jacobian = dispatch.encode_with_jacobian(z.reshape(-1, 3), self.table, self.layout)
+        features, jacobian = dispatch.encode_with_jacobian(
+            z.reshape(-1, 3), self.table, self.layout, in_place_gradient=self.in_place_gradient
+        )
         batch = z.shape[:-1]
         return features.reshape(*batch, self.out_features), jacobian.reshape(*batch, self.out_features, 3)
 

@@ -2,7 +2,7 @@
 
 The voxels that share a row with voxel 0 form a lattice; b and c are chosen so that its shortest vector is as
 long as possible, so colliding voxels are as far from each other as T rows allow. Unlike the exclusive-or
-hash of instant NGP the formula needs neither integer overflow nor bit operations, which not every runtime has.
+hash of instant NGP the formula needs neither integer overflow nor bit operations, which some runtimes lack.
 """
 
 from typing import Final
