@@ -1,0 +1,251 @@
+"""Refined relighting is an unbiased estimate of the light that exactly traced scenes reflect."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lambent_relight.brdf import materials_from_roughness
+from lambent_relight.bundle import load_bundle
+from lambent_relight.cameras import Camera, look_at
+from lambent_relight.environments import Environment, environment_from_array
+from lambent_relight.graphs import OnnxCaches
+from lambent_relight.light_sampling import LightSampler
+from lambent_relight.refined import Light, Scene, outgoing_radiance
+from lambent_relight.renderer import Renderer
+from lambent_relight.scattering import SurfacePoints
+from support.analytic_bundle import write_analytic_bundle
+from support.analytic_scene import AnalyticScene, Box, Plane, Sphere, Surface
+from support.brute_force import reflected_samples
+from support.onnx_expressions import NumpyOps
+from support.statistics import assert_mean
+
+GOLDEN = json.loads(
+    (Path(__file__).parents[1] / "golden/environment_orientation.json").read_text(encoding="utf-8")
+)
+RED = Surface(albedo=(0.9, 0.3, 0.2))
+GREEN = Surface(albedo=(0.2, 0.8, 0.3), perceptual_roughness=0.6)
+GOLD = Surface(albedo=(0.9, 0.7, 0.3), perceptual_roughness=0.5, metalness=1.0)
+
+CORNER = AnalyticScene((Plane((0, 0, 0), (0, 0, 1), RED), Plane((0, 0, 0), (1, 0, 0), GREEN)))
+GOLD_CORNER = AnalyticScene((Plane((0, 0, 0), (0, 0, 1), RED), Plane((0, 0, 0), (1, 0, 0), GOLD)))
+SHADED = AnalyticScene((Plane((0, 0, 0), (0, 0, 1), RED), Sphere((0, 0, 1.2), 0.8, GOLD)))
+
+
+def sky(seed: int = 0) -> Environment:
+    """Return a map with a bright window in a dim, coloured sky."""
+    image = np.random.default_rng(seed).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
+    image[1, 5] += np.array([8.0, 7.0, 5.0], np.float32)
+    return environment_from_array(image)
+
+
+def even_sky(radiance: float = 1.0) -> Environment:
+    return environment_from_array(np.full((4, 8, 3), radiance))
+
+
+@pytest.fixture(scope="module")
+def caches(tmp_path_factory):
+    """Return a function from a scene to its graphs."""
+    opened: dict[AnalyticScene, OnnxCaches] = {}
+
+    def open_caches(scene: AnalyticScene) -> OnnxCaches:
+        if scene not in opened:
+            folder = write_analytic_bundle(tmp_path_factory.mktemp("scene") / "a.relight", scene)
+            opened[scene] = OnnxCaches(load_bundle(folder), num_threads=1)
+        return opened[scene]
+
+    return open_caches
+
+
+def surface_points(scene: AnalyticScene, position, viewer, count: int) -> SurfacePoints:
+    """Return the same point `count` times."""
+    where = np.tile(np.array([position], np.float64), (count, 1))
+    omega_o = np.asarray(viewer, np.float64) - where
+    omega_o /= np.linalg.norm(omega_o, axis=-1, keepdims=True)
+    albedo, roughness, metalness, normal = (
+        np.asarray(a, np.float32) for a in scene.surface_at(NumpyOps, where)
+    )
+    return SurfacePoints(
+        where.astype(np.float32),
+        normal,
+        omega_o.astype(np.float32),
+        materials_from_roughness(albedo, roughness, metalness),
+    )
+
+
+def relit(open_caches, scene, environment, position, viewer, *, count=1500, seed=0, indirect=True):
+    """Return independent estimates [count, 3] of the light that leaves `position` towards `viewer`."""
+    radiance = outgoing_radiance(
+        surface_points(scene, position, viewer, count),
+        Scene(open_caches(scene), scene.origin_offset, np.ones(3, np.float32)),
+        Light(environment, LightSampler(environment)),
+        num_samples=4,
+        seed=seed,
+        indirect=indirect,
+    )
+    return (radiance.direct + radiance.indirect).astype(np.float64)
+
+
+def by_definition(scene, environment, position, viewer, *, count=1500, per_sample=128, bounces=1):
+    """Return independent brute-force estimates [count, 3] of the same."""
+    points = surface_points(scene, position, viewer, count * per_sample)
+    samples = reflected_samples(
+        scene,
+        points.position.astype(np.float64),
+        points.omega_o.astype(np.float64),
+        environment.lookup,
+        rng=np.random.default_rng(7),
+        bounces=bounces,
+    )
+    return samples.reshape(count, per_sample, 3).mean(axis=1)
+
+
+@pytest.mark.parametrize("bounces", [0, 1])
+@pytest.mark.parametrize(
+    ("scene", "position", "viewer"),
+    [
+        (CORNER, (0.5, 0.0, 0.0), (2.0, 1.0, 1.5)),
+        (GOLD_CORNER, (0.3, 0.0, 0.0), (2.0, 1.0, 1.5)),
+        (SHADED, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5)),
+        (SHADED, (0.48, 0.0, 0.56), (2.0, 1.0, 0.8)),
+    ],
+    ids=["two coloured walls", "golden wall", "below a golden ball", "on the golden ball"],
+)
+def test_light_of_a_traced_scene_is_what_its_definition_says(caches, scene, position, viewer, bounces):
+    environment = sky()
+    ours = relit(caches, scene, environment, position, viewer, indirect=bounces > 0)
+    expected = by_definition(scene, environment, position, viewer, bounces=bounces)
+    assert_mean(ours - expected, np.zeros(3))
+
+
+def test_the_bounce_between_two_walls_has_the_energy_of_the_closed_form(caches):
+    # Form factors between perpendicular half planes that share an edge are 1/2 everywhere.
+    black = Surface(albedo=(0.6, 0.6, 0.6), perceptual_roughness=1.0)
+    scene = AnalyticScene(
+        (Plane((0, 0, 0), (0, 0, 1), black), Plane((0, 0, 0), (1, 0, 0), black)), origin_offset=1e-4
+    )
+    position, viewer = (0.5, 0.0, 0.0), (0.6, 0.0, 2.0)
+    both = relit(caches, scene, even_sky(), position, viewer)
+    direct = relit(caches, scene, even_sky(), position, viewer, indirect=False)
+    diffuse_direct, diffuse_bounce = 0.6 * 0.5, (0.6 * 0.5) ** 2
+    # The dielectric lobes add at most 0.04 of what arrives, at each of the two reflections.
+    assert diffuse_direct < direct.mean() < diffuse_direct + 0.04
+    assert diffuse_bounce < (both - direct).mean() < (0.3 + 0.04) ** 2
+
+
+@pytest.mark.parametrize("cosine", [0.9, 0.4])
+def test_a_white_ball_in_a_white_sky_reflects_all_of_it_and_a_gloss(caches, cosine):
+    scene = AnalyticScene((Sphere((0, 0, 0), 1.0, Surface(albedo=(1.0, 1.0, 1.0))),))
+    sine = np.sqrt(1 - cosine**2)
+    viewer = (0.0, 1000.0 * sine, 1.0 + 1000.0 * cosine)
+    samples = relit(caches, scene, even_sky(), (0.0, 0.0, 1.0), viewer)
+    expected = by_definition(scene, even_sky(), (0.0, 0.0, 1.0), viewer)
+    assert_mean(samples - expected, np.zeros(3))
+    assert 1.0 < samples.mean() < 1.04
+
+
+def test_a_black_surface_under_any_light_shows_its_gloss_only(caches):
+    scene = AnalyticScene((Plane((0, 0, 0), (0, 0, 1), Surface(albedo=(0.0, 0.0, 0.0))),))
+    samples = relit(caches, scene, even_sky(), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
+    assert 0.0 < samples.mean() < 0.04
+
+
+def test_a_mirror_shows_the_sky_it_reflects(caches):
+    mirror = Surface(albedo=(0.9, 0.9, 0.9), perceptual_roughness=0.05, metalness=1.0)
+    scene = AnalyticScene((Plane((0, 0, 0), (0, 0, 1), mirror),))
+    rows = np.linspace(2.0, 1.0, 32)[:, None, None] * np.array([1.0, 0.5, 0.25])
+    gradient = environment_from_array(np.broadcast_to(rows, (32, 64, 3)))
+    samples = relit(caches, scene, gradient, (0.0, 0.0, 0.0), (-3.0, 0.0, 2.0), count=400)
+    reflected = gradient.lookup(np.array([[3.0, 0.0, 2.0]]) / np.sqrt(13.0))[0]
+    np.testing.assert_allclose(samples.mean(axis=0), 0.9 * reflected, rtol=0.03)
+
+
+def test_relighting_is_linear_in_the_light(caches):
+    first, second = sky(1), sky(2)
+    both = environment_from_array(0.5 * first.radiance + 2.0 * second.radiance)
+    arguments = (SHADED, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5))
+
+    def estimates(environment, seed):
+        return relit(caches, arguments[0], environment, *arguments[1:], seed=seed)
+
+    difference = estimates(both, 3) - 0.5 * estimates(first, 4) - 2.0 * estimates(second, 5)
+    assert_mean(difference, np.zeros(3))
+
+
+def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches):
+    scene, environment = SHADED, sky()
+    points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), 1500)
+    radiance = outgoing_radiance(
+        points,
+        Scene(caches(scene), scene.origin_offset, np.ones(3, np.float32)),
+        Light(environment, LightSampler(environment)),
+        num_samples=64,
+        seed=1,
+        indirect=True,
+    )
+    assert radiance.num_samples == 64
+    total = (radiance.direct + radiance.indirect).astype(np.float64)
+    deviations = (total - total.mean(axis=0)) ** 2
+    assert_mean(deviations * 1500 / 1499 - radiance.standard_error.astype(np.float64) ** 2, np.zeros(3))
+
+
+def camera_at(position, *, side: int = 6, name: str = "view") -> Camera:
+    return Camera(
+        name=name,
+        width=side,
+        height=side,
+        focal_x=4.0 * side,
+        focal_y=4.0 * side,
+        centre_x=side / 2,
+        centre_y=side / 2,
+        camera_to_world=look_at(position, (0.0, 0.0, 0.0)),
+    )
+
+
+@pytest.fixture(scope="module")
+def cube(tmp_path_factory) -> Renderer:
+    scene = AnalyticScene((Box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),))
+    folder = write_analytic_bundle(tmp_path_factory.mktemp("cube") / "cube.relight", scene)
+    return Renderer(load_bundle(folder), num_threads=1)
+
+
+FACES = {f"{sign}{axis}": None for axis in "xyz" for sign in "+-"}
+
+
+@pytest.mark.parametrize("case", GOLDEN["cases"], ids=lambda c: f"{c['row']},{c['column']},{c['rotate_deg']}")
+def test_one_texel_lights_the_golden_face_of_a_cube(cube, case):
+    image = np.zeros((GOLDEN["height"], GOLDEN["width"], 3), np.float32)
+    image[case["row"], case["column"]] = 10.0
+    environment = environment_from_array(image)
+    brightness = {}
+    for face in FACES:
+        normal = np.zeros(3)
+        normal["xyz".index(face[1])] = 1.0 if face[0] == "+" else -1.0
+        picture = cube.render(
+            camera_at(3.0 * normal, side=3), environment, rotate_deg=case["rotate_deg"], num_samples=16
+        )
+        assert (picture.opacity == 1.0).all()
+        np.testing.assert_allclose(picture.normal, np.broadcast_to(normal, (3, 3, 3)), atol=1e-6)
+        brightness[face] = picture.rgb.mean()
+        if normal @ np.array(case["direction"]) < -0.3:
+            assert brightness[face] == 0.0
+    assert max(brightness, key=brightness.get) == case["lit_face"]
+
+
+def test_turning_the_light_is_turning_the_map(cube):
+    image = sky(3).radiance
+    camera = camera_at((2.0, 1.5, 1.0))
+    turned = cube.render(camera, environment_from_array(image), rotate_deg=90.0, num_samples=256)
+    rolled = cube.render(camera, environment_from_array(np.roll(image, -4, axis=1)), num_samples=256, seed=1)
+    difference = turned.rgb - rolled.rgb
+    error = np.sqrt(turned.standard_error**2 + rolled.standard_error**2)
+    assert np.abs(difference / np.maximum(error, 1e-9)).mean() < 1.5
+    straight = cube.render(camera, environment_from_array(image), num_samples=256)
+    assert np.abs(straight.rgb - rolled.rgb).max() > 10 * error.max()
+
+
+def test_equal_seeds_give_equal_pictures_and_other_seeds_do_not(cube):
+    camera = camera_at((2.0, 1.5, 1.0))
+    first, again, other = (cube.render(camera, sky(), num_samples=8, seed=seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.rgb, again.rgb)
+    assert np.abs(first.rgb - other.rgb).max() > 0.0

@@ -1,0 +1,307 @@
+"""Opening bundles: everything is checked before anything is used."""
+
+import shutil
+import stat
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from google.protobuf import json_format
+from lambent_proto.v1.bundle_pb2 import BundleManifest
+from lambent_relight.archive import check_path
+from lambent_relight.bundle import load_bundle
+from lambent_relight.errors import BundleError
+from lambent_relight.graphs import OnnxCaches
+from lambent_relight.onnx_check import summarise_onnx
+from support.analytic_bundle import write_analytic_bundle, write_manifest
+from support.analytic_scene import AnalyticScene, Sphere
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory) -> Path:
+    scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),))
+    return write_analytic_bundle(tmp_path_factory.mktemp("bundle") / "ball.relight", scene)
+
+
+@pytest.fixture
+def bundle(pristine, tmp_path) -> Path:
+    return shutil.copytree(pristine, tmp_path / "ball.relight")
+
+
+def manifest_in(folder: Path) -> BundleManifest:
+    return json_format.Parse((folder / "manifest.json").read_text(encoding="utf-8"), BundleManifest())
+
+
+def store(folder: Path, manifest: BundleManifest) -> None:
+    text = json_format.MessageToJson(manifest, preserving_proto_field_name=True)
+    (folder / "manifest.json").write_text(text, encoding="utf-8")
+
+
+def zipped(folder: Path, *, compression: int = zipfile.ZIP_STORED) -> Path:
+    path = folder.with_suffix(".relight.zip")
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for file in sorted(p for p in folder.rglob("*") if p.is_file()):
+            archive.write(file, file.relative_to(folder).as_posix())
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(BundleError) as caught:
+        load_bundle(path)
+    assert caught.value.advice
+    return caught.value.code
+
+
+def test_a_folder_and_a_zip_of_it_are_the_same_bundle(bundle):
+    from_folder = load_bundle(bundle)
+    for compression in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        from_zip = load_bundle(zipped(bundle, compression=compression))
+        assert from_zip.manifest == from_folder.manifest
+        assert from_zip.weights == from_folder.weights
+        assert [c.name for c in from_zip.cameras()] == [c.name for c in from_folder.cameras()]
+
+
+def test_fields_of_a_later_minor_version_are_passed_over(bundle):
+    text = (bundle / "manifest.json").read_text(encoding="utf-8")
+    text = text.replace('"schema_version": "1.0"', '"schema_version": "1.9", "invented_later": {"a": 1}')
+    (bundle / "manifest.json").write_text(text, encoding="utf-8")
+    assert load_bundle(bundle).manifest.schema_version == "1.9"
+
+
+@pytest.mark.parametrize("version", ["2.0", "0.9", "", "1", "1.0.0", "latest"])
+def test_an_unknown_major_version_is_refused(bundle, version):
+    manifest = manifest_in(bundle)
+    manifest.schema_version = version
+    store(bundle, manifest)
+    assert refusal(bundle) == "bundle.version_unknown"
+
+
+def test_a_changed_byte_in_any_file_is_noticed(bundle):
+    for file in manifest_in(bundle).files:
+        path = bundle / file.path
+        data = path.read_bytes()
+        path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+        assert refusal(bundle) == "bundle.digest_mismatch"
+        assert refusal(zipped(bundle)) == "bundle.digest_mismatch"
+        path.write_bytes(data)
+    load_bundle(bundle)
+
+
+def test_missing_and_additional_files_are_refused(bundle):
+    (bundle / "models" / "extra.bin").write_bytes(b"x")
+    assert refusal(bundle) == "bundle.file_unlisted"
+    (bundle / "models" / "extra.bin").unlink()
+    (bundle / "cameras.json").unlink()
+    assert refusal(bundle) == "bundle.file_missing"
+    (bundle / "manifest.json").unlink()
+    assert refusal(bundle) == "bundle.manifest_missing"
+    assert refusal(bundle / "nowhere") == "bundle.missing"
+
+
+def test_links_are_refused_in_folders_and_archives(bundle, tmp_path):
+    target = tmp_path / "weights.bin"
+    shutil.move(bundle / "models" / "weights.bin", target)
+    (bundle / "models" / "weights.bin").symlink_to(target)
+    assert refusal(bundle) == "bundle.not_a_plain_file"
+    (bundle / "models" / "weights.bin").unlink()
+    archive = zipped(bundle)
+    with zipfile.ZipFile(archive, "a") as opened:
+        link = zipfile.ZipInfo("models/weights.bin")
+        link.external_attr = (stat.S_IFLNK | 0o777) << 16
+        opened.writestr(link, str(target))
+    assert refusal(archive) == "bundle.not_a_plain_file"
+
+
+def test_a_linked_folder_inside_a_bundle_is_refused(bundle, tmp_path):
+    shutil.move(bundle / "models", tmp_path / "models")
+    (bundle / "models").symlink_to(tmp_path / "models", target_is_directory=True)
+    assert refusal(bundle) == "bundle.not_a_plain_file"
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["../x", "/etc/passwd", "a/../../x", "a//b", "./a", "a\\..\\b", "C:/x", "", "a/", "a\0b", "x" * 2000],
+)
+def test_paths_that_could_leave_the_bundle_are_refused(bundle, path):
+    with pytest.raises(BundleError, match=r"bundle\.path_unsafe"):
+        check_path(path)
+    manifest = manifest_in(bundle)
+    manifest.files[0].path = path
+    store(bundle, manifest)
+    assert refusal(bundle) == "bundle.path_unsafe"
+
+
+def test_an_archive_whose_names_leave_it_is_refused(bundle):
+    archive = zipped(bundle)
+    with zipfile.ZipFile(archive, "a") as opened:
+        opened.writestr("../outside.txt", b"x")
+    assert refusal(archive) == "bundle.path_unsafe"
+
+
+def test_an_archive_that_unpacks_to_more_than_it_states_is_refused(bundle):
+    manifest = manifest_in(bundle)
+    manifest.files[0].size_bytes = 10.0
+    store(bundle, manifest)
+    assert refusal(zipped(bundle, compression=zipfile.ZIP_DEFLATED)) == "bundle.digest_mismatch"
+    manifest.files[0].size_bytes = 1e15
+    store(bundle, manifest)
+    assert refusal(bundle) == "bundle.too_large"
+
+
+def test_damaged_archives_are_refused(bundle):
+    archive = zipped(bundle)
+    data = archive.read_bytes()
+    archive.write_bytes(data[: len(data) // 2])
+    assert refusal(archive) == "bundle.archive_damaged"
+    archive.write_bytes(data[:300] + bytes(40) + data[340:])
+    assert refusal(archive).startswith("bundle.")
+
+
+@pytest.mark.parametrize("text", ["", "[3]", "{", '{"files": 3}', "\udcff"])
+def test_an_unreadable_manifest_is_refused(bundle, text):
+    (bundle / "manifest.json").write_bytes(text.encode("utf-8", "surrogateescape"))
+    assert refusal(bundle) == "bundle.manifest_unreadable"
+
+
+def spoil_axis(manifest):
+    manifest.world.up_axis = "y"
+
+
+def spoil_environment(manifest):
+    manifest.world.environment_convention = "opengl"
+
+
+def spoil_range(manifest):
+    manifest.secondary_rays.far = manifest.secondary_rays.near
+
+
+def spoil_offset(manifest):
+    manifest.secondary_rays.origin_offset = float("nan")
+
+
+def spoil_bounds(manifest):
+    manifest.bounds.maximum[1] = -5.0
+
+
+def spoil_scale(manifest):
+    manifest.albedo_scale_rgb[0] = 0.0
+
+
+def spoil_listing(manifest):
+    manifest.files.append(manifest.files[0])
+
+
+def spoil_graph_place(manifest):
+    manifest.graphs[0].path = "cameras.json"
+
+
+def spoil_graph_listing(manifest):
+    manifest.graphs[0].path = "models/other.onnx"
+
+
+def spoil_graph_names(manifest):
+    del manifest.graphs[0]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (spoil_axis, "bundle.convention_unknown"),
+        (spoil_environment, "bundle.convention_unknown"),
+        (spoil_range, "bundle.manifest_invalid"),
+        (spoil_offset, "bundle.manifest_invalid"),
+        (spoil_bounds, "bundle.manifest_invalid"),
+        (spoil_scale, "bundle.manifest_invalid"),
+        (spoil_listing, "bundle.manifest_invalid"),
+        (spoil_graph_place, "bundle.manifest_invalid"),
+        (spoil_graph_listing, "bundle.file_missing"),
+        (spoil_graph_names, "bundle.graph_missing"),
+    ],
+)
+def test_values_this_reader_cannot_work_with_are_refused(bundle, spoil, code):
+    manifest = manifest_in(bundle)
+    spoil(manifest)
+    store(bundle, manifest)
+    assert refusal(bundle) == code
+
+
+def change_graph(bundle: Path, change) -> None:
+    """Rewrite one graph with `change(model)` and state its new hash, as an attacker would."""
+    path = bundle / "models" / "material.onnx"
+    model = onnx.load(path, load_external_data=False)
+    change(model)
+    path.write_bytes(model.SerializeToString())
+    write_manifest(bundle, manifest_in(bundle))
+
+
+def external(model) -> onnx.TensorProto:
+    return next(t for t in model.graph.initializer if t.data_location == onnx.TensorProto.EXTERNAL)
+
+
+def set_entry(tensor, key, value):
+    next(entry for entry in tensor.external_data if entry.key == key).value = value
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("location", "/etc/passwd"),
+        ("location", "../../secret"),
+        ("location", "other.bin"),
+        ("offset", "-4"),
+        ("offset", "999999999"),
+        ("length", "999999999"),
+    ],
+)
+def test_a_graph_that_reads_outside_the_weights_is_refused(bundle, key, value):
+    change_graph(bundle, lambda model: set_entry(external(model), key, value))
+    assert refusal(bundle) == "bundle.external_data"
+
+
+def test_outside_data_is_found_in_nested_graphs_and_attributes(bundle):
+    def hide(model):
+        tensor = onnx.TensorProto()
+        tensor.CopyFrom(external(model))
+        set_entry(tensor, "location", "/etc/passwd")
+        inner = onnx.helper.make_graph([], "inner", [], [], [tensor])
+        model.graph.node[0].attribute.append(onnx.helper.make_attribute("body", inner))
+
+    change_graph(bundle, hide)
+    assert refusal(bundle) == "bundle.external_data"
+
+
+def test_operators_outside_the_standard_are_refused(bundle):
+    change_graph(bundle, lambda model: setattr(model.graph.node[0], "domain", "com.example"))
+    assert refusal(bundle) == "bundle.graph_operators"
+
+
+def test_bytes_that_are_no_graph_are_refused(bundle):
+    (bundle / "models" / "material.onnx").write_bytes(b"\xff" * 100)
+    write_manifest(bundle, manifest_in(bundle))
+    assert refusal(bundle) == "bundle.graph_damaged"
+
+
+def test_a_graph_with_other_outputs_is_refused_when_it_is_opened(bundle):
+    def rename(model):
+        model.graph.node[-1].output[0] = model.graph.output[-1].name = "density"
+
+    change_graph(bundle, rename)
+    caches = OnnxCaches(load_bundle(bundle), num_threads=1)
+    with pytest.raises(BundleError, match=r"bundle\.graph_signature"):
+        caches.material(caches.gbuffer(*[np.ones((1, 3), np.float32)] * 2).normal)
+
+
+def test_the_look_into_a_graph_agrees_with_the_onnx_package(bundle):
+    path = bundle / "models" / "gbuffer.onnx"
+    model = onnx.load(path, load_external_data=False)
+    expected = {
+        (t.name, *(entry.value for entry in t.external_data))
+        for t in model.graph.initializer
+        if t.external_data
+    }
+    summary = summarise_onnx(path.read_bytes(), path="gbuffer.onnx")
+    found = {(t.name, t.location, str(t.offset), str(t.length)) for t in summary.external}
+    assert found == expected
+    assert summary.domains <= {"", "ai.onnx"}
