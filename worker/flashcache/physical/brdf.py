@@ -45,8 +45,16 @@ def ggx_density(
     cosine = dot(normal, omega_h)
     across = omega_h - cosine * normal
     width = alpha * alpha
-    denominator = dot(across, across) + width * (cosine * cosine)
+    # The bound is below every value that two unit vectors give, and keeps opposite directions finite.
+    denominator = (dot(across, across) + width * (cosine * cosine)).clamp_min(1e-10)
     return width / (math.pi * denominator * denominator)
+
+
+def lambert_cos(
+    omega_i: Float[Tensor, "*#batch 3"], normal: Float[Tensor, "*#batch 3"]
+) -> Float[Tensor, "*batch 1"]:
+    """Return the reflectance of a white diffuse surface times the cosine, in 1/sr; zero below the surface."""
+    return dot(normal, omega_i).clamp_min(0.0) / math.pi
 
 
 def diffuse_brdf_cos(
@@ -56,7 +64,7 @@ def diffuse_brdf_cos(
 
     Source: supplement Eq. 3; (1 - metalness) albedo / pi, not attenuated by Fresnel reflection.
     """
-    return diffuse_albedo(materials) * (dot(normal, omega_i).clamp_min(0.0) / math.pi)
+    return diffuse_albedo(materials) * lambert_cos(omega_i, normal)
 
 
 def specular_brdf_cos(

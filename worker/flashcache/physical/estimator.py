@@ -85,7 +85,7 @@ class EstimatorConfig:
             used = self.control_variate != ("off" if name == "fast" else "fast_only")
             if used and (counts.cosine + counts.sampler < 1 or counts.specular < 1):
                 # No fast estimate at all leaves the correction alone; half of one is wrong.
-                if name == "fast" and counts.total == 0:
+                if name == "fast" and counts.total == 0 and self.control_variate == "on":
                     continue
                 raise ConfigError(
                     f"{name} needs at least one diffuse and one specular direction, got {counts}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -56,6 +56,7 @@ class SecondaryRays:
         )
 
 
+@runtime_checkable
 class NearField(Protocol):
     """What a cache answers about secondary rays; see `Incident` for the meaning."""
 

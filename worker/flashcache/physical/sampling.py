@@ -8,7 +8,7 @@ of any direction on the whole sphere. Uniform variates and directions have shape
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -29,6 +29,7 @@ PDF_FLOOR = 1e-5
 """Smallest density in 1/sr by which a contribution is divided."""
 
 
+@runtime_checkable
 class Strategy(Protocol):
     """A way to draw directions at each point of a batch."""
 
@@ -119,9 +120,8 @@ class EnvironmentMapSampler:
     def sample(self, u: Float[Tensor, "points lights 2"]) -> Float[Tensor, "points lights 3"]:
         """Return directions; the first variate picks the pixel and is used again inside it."""
         height, width = self._shape
-        first = u[..., 0].double()
-        flat = torch.searchsorted(self._cdf, first.reshape(-1), right=True).clamp_max(len(self._cdf) - 1)
-        flat = flat.reshape(first.shape)
+        first = u[..., 0].double().contiguous()
+        flat = torch.searchsorted(self._cdf, first, right=True).clamp_max(len(self._cdf) - 1)
         upper = self._cdf[flat]
         lower = torch.where(flat > 0, self._cdf[(flat - 1).clamp_min(0)], torch.zeros_like(upper))
         inside = ((first - lower) / (upper - lower).clamp_min(1e-300)).clamp(0.0, 1.0)

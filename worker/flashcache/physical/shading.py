@@ -4,7 +4,6 @@
 exact directions (that the NeRF cache answers), then the fast ones.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.geometry.directions import dot
-from flashcache.physical.brdf import Materials, diffuse_albedo, specular_brdf_cos
+from flashcache.physical.brdf import Materials, diffuse_albedo, lambert_cos, specular_brdf_cos
 from flashcache.physical.incident import Incident, NearField, RayLimits, SecondaryRays
 from flashcache.physical.sampling import DirectionSamples, Strategy, draw_directions
 
@@ -158,7 +157,7 @@ class DrawnDirections:
         num_diffuse = self.halves[0].omega_i.shape[1]
         normal = scale_gradient(self.points.normal, normal_gradient).unsqueeze(1)
         omega_d, omega_s = self.omega_i.split([num_diffuse, self.omega_i.shape[1] - num_diffuse], dim=1)
-        cosine = dot(normal, omega_d).clamp_min(0.0) / math.pi
+        cosine = lambert_cos(omega_d, normal)
         specular_cos = specular_brdf_cos(
             self.points.omega_o.unsqueeze(1), omega_s, normal, materials.per_direction()
         )
