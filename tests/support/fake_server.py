@@ -53,16 +53,11 @@ class FakeServer:
 
     def _scenes(self, request: httpx2.Request, parts: list[str]) -> httpx2.Response:
         if not parts:
-            key = request.headers.get("Idempotency-Key", f"none-{len(self.scenes)}")
-            for scene in self.scenes.values():
-                if scene["key"] == key:
-                    return httpx2.Response(201, json=scene)
             name = json.loads(request.content)["name"]
             scene = {
                 "id": f"scene_{len(self.scenes) + 1}",
                 "state": "open",
                 "name": name,
-                "key": key,
                 "files": [],
             }
             self.scenes[scene["id"]] = scene
@@ -74,15 +69,17 @@ class FakeServer:
         if parts[1:] == ["files:plan"]:
             scene["files"] = json.loads(request.content)
             missing = [entry["sha256"] for entry in scene["files"] if entry["sha256"] not in self.blobs]
-            return httpx2.Response(200, json={"missing": missing})
+            return httpx2.Response(200, json={"missing": missing, "unsupported": []})
         if parts[1:2] == ["files"]:
             if sha256(request.content) != parts[2]:
                 return problem(422, "digest_mismatch")
             self.blobs[parts[2]] = request.content
             return httpx2.Response(204)
         if parts[1:] == ["archive"]:
+            if scene["state"] != "open":
+                return problem(409, "scene_committed")
             self.blobs["archive"] = request.content
-            return httpx2.Response(204)
+            scene["state"] = "uploaded"
         if verb == "commit":
             scene["state"] = "uploaded"
         return httpx2.Response(200, json=scene)

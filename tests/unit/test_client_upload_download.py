@@ -6,7 +6,8 @@ import httpx2
 import pytest
 from lambent import Client
 from lambent.errors import DigestMismatchError, JobNotSucceededError, UnreachableError, UsageProblemError
-from support.fake_server import FakeServer, problem, sha256
+from lambent.scenes import content_sha256, list_files
+from support.fake_server import FakeServer, sha256
 
 
 @pytest.fixture
@@ -50,10 +51,10 @@ def test_push_sends_every_distinct_file_once_and_commits(server, client, scene_f
     }
 
 
-def test_pushing_again_lands_on_the_same_scene_and_sends_nothing(server, client, scene_folder):
-    first = client.push(scene_folder)
+def test_pushing_again_sends_nothing(server, client, scene_folder):
+    client.push(scene_folder)
     sent = len(puts(server))
-    assert client.push(scene_folder) == first
+    assert client.push(scene_folder).state == "uploaded"
     assert len(puts(server)) == sent
 
 
@@ -69,28 +70,15 @@ def test_an_interrupted_push_goes_on_where_it_stopped(server, client, scene_fold
     server.requests.clear()
     client.push(scene_folder)
     assert len(puts(server)) == 1
-    assert len(server.scenes) == 1
 
 
-def test_a_scene_deleted_on_the_server_is_made_anew(server, client, scene_folder):
-    first = client.push(scene_folder)
-    gone = problem(404, "not_found")
-    server.faults.append(lambda request: gone if request.url.path == f"/v1/scenes/{first.id}" else None)
-    original = server._scenes
-
-    def forget_key(request, parts):
-        if not parts and "Idempotency-Key" not in request.headers:
-            server.scenes[first.id]["key"] = "expired"
-        return original(request, parts)
-
-    server._scenes = forget_key
-    assert client.push(scene_folder).id != first.id
-
-
-def test_changed_content_is_another_scene(server, client, scene_folder):
-    first = client.push(scene_folder)
+def test_a_change_of_any_path_or_byte_changes_the_content_hash(scene_folder):
+    before = content_sha256(list_files(scene_folder))
     (scene_folder / "scene.json").write_bytes(b"{ }")
-    assert client.push(scene_folder).id != first.id
+    changed = content_sha256(list_files(scene_folder))
+    (scene_folder / "scene.json").rename(scene_folder / "other.json")
+    moved = content_sha256(list_files(scene_folder))
+    assert len({before, changed, moved}) == 3
 
 
 def test_a_symbolic_link_in_a_scene_is_refused(client, scene_folder, tmp_path):
@@ -115,6 +103,19 @@ def test_an_archive_is_sent_whole_with_its_length(server, client, tmp_path):
     (tmp_path / "cup.zip").write_bytes(b"PK-something")
     assert client.push(tmp_path / "cup.zip").name == "cup"
     assert server.blobs["archive"] == b"PK-something"
+
+
+def test_an_archive_whose_first_answer_was_lost_is_still_pushed(server, client, tmp_path):
+    (tmp_path / "cup.zip").write_bytes(b"PK-something")
+    lost = []
+
+    def lose_answer(request):
+        if request.url.path.endswith("/archive") and not lost:
+            lost.append(server._scenes(request, request.url.path.removeprefix("/v1/scenes/").split("/")))
+            raise httpx2.ReadError("lost")
+
+    server.faults.append(lose_answer)
+    assert client.push(tmp_path / "cup.zip").state == "uploaded"
 
 
 def test_upload_progress_ends_at_all_bytes(client, scene_folder):

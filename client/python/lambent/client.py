@@ -13,7 +13,7 @@ from lambent import fetch as fetching
 from lambent import scenes
 from lambent.connection import Connection
 from lambent.errors import JobNotSucceededError
-from lambent.models import Artifact, Event, Job, Scene
+from lambent.models import Artifact, Event, Job, Scene, SceneReport
 from lambent.settings import find_server
 from lambent.watch import Watcher
 
@@ -66,15 +66,18 @@ class Client:
         source: str | Path,
         *,
         name: str = "",
-        layout: str = "",
         progress: scenes.UploadProgress = scenes.ignore_progress,
     ) -> Scene:
         """Upload a scene folder or archive and return the committed scene; a repeat sends nothing twice."""
-        return scenes.push(self._connection, Path(source), name=name, layout=layout, progress=progress)
+        return scenes.push(self._connection, Path(source), name=name, progress=progress)
 
     def scene(self, scene_id: str) -> Scene:
         """Return a scene."""
         return Scene.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}"))
+
+    def scene_report(self, scene_id: str) -> SceneReport:
+        """Return what was found out about a scene, with what to mend."""
+        return SceneReport.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}/report"))
 
     def delete_scene(self, scene_id: str) -> None:
         """Delete a scene."""
@@ -88,14 +91,15 @@ class Client:
         params: Mapping[str, str] | None = None,
         seed: int = 0,
         kind: str = "train",
-        gpus: int = 0,
+        gpus: int | None = None,
         priority: int = 0,
         labels: Mapping[str, str] | None = None,
         idempotency_key: str = "",
     ) -> Job:
         """Queue a job and return it; the same `idempotency_key` never makes a second one.
 
-        `params` are settings over the preset, such as {"stage_one.num_rays": "512"}.
+        `params` are settings over the preset, such as {"stage_one.num_rays": "512"}. `gpus` None leaves
+        the number to the preset.
         """
         body = {
             "scene_id": scene_id,
@@ -103,7 +107,7 @@ class Client:
             "params": dict(params or {}),
             "seed": seed,
             "kind": kind,
-            "gpus": gpus,
+            **({} if gpus is None else {"gpus": gpus}),
             "priority": priority,
             "labels": dict(labels or {}),
         }
@@ -128,8 +132,8 @@ class Client:
             params["cursor"] = page["next_cursor"]
 
     def job(self, job_id: str, *, wait_s: int = 0) -> Job:
-        """Return a job; with `wait_s`, the answer may wait that long (at most 30 s) for a change."""
-        params = {"wait": min(wait_s, 30)} if wait_s else {}
+        """Return a job; with `wait_s`, as soon as it has ended, but after that time (at most 60 s) anyway."""
+        params = {"wait": min(wait_s, 60)} if wait_s else {}
         path = f"/v1/jobs/{job_id}"
         return Job.from_json(self._connection.json("GET", path, params=params, timeout_s=60.0 + wait_s))
 
@@ -145,7 +149,7 @@ class Client:
         return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:cancel", repeatable=True))
 
     def retry(self, job_id: str) -> Job:
-        """Queue a failed or cancelled job again; it goes on from its last checkpoint."""
+        """Queue a new job with the order of one that failed or was cancelled, and return the new one."""
         return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:retry"))
 
     def watch(
@@ -172,9 +176,14 @@ class Client:
         return [Artifact.from_json(item) for item in answer["items"]]
 
     def read_artifact(self, artifact: Artifact) -> bytes:
-        """Return the bytes of a published file."""
-        url = artifact.url or f"/v1/blobs/{artifact.sha256}"
-        return self._connection.send("GET", url).content
+        """Return the bytes of a published file; raises `fetch.digest_mismatch` for any others."""
+        content = self._connection.send("GET", f"/v1/blobs/{artifact.sha256}").content
+        fetching.check_digest(artifact.name, content, artifact.sha256)
+        return content
+
+    def login_link(self) -> str:
+        """Return a link that opens the server's pages in one browser, once."""
+        return str(self._connection.json("POST", "/v1/login-links")["url"])
 
     def fetch(
         self,

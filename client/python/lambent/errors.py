@@ -69,8 +69,11 @@ class ProblemError(LambentError):
         )
 
     def __str__(self) -> str:
-        """Return code, finding, every pointer and the advice."""
-        pointers = "".join(f"\n  {error.pointer or '/'}: {error.message}" for error in self.errors)
+        """Return code, what was found, every pointer, the findings about a scene, and the advice."""
+        pointers = "".join(f"\n  {error.pointer or '#'}: {error.message}" for error in self.errors)
+        for finding in self.problem.get("findings") or ():
+            about = f" ({finding['subject']})" if finding.get("subject") else ""
+            pointers += f"\n  {finding.get('code')}: {finding.get('message')}{about}"
         advice = f"\n  what to do: {self.advice}" if self.advice else ""
         return f"{self.code}: {self.message}{pointers}{advice}"
 

@@ -75,6 +75,16 @@ def fetch(
     return FetchedBundle(bundle_id=bundle_id, path=target, files=entries)
 
 
+def check_digest(name: str, content: bytes, sha256: str) -> None:
+    """Raise `fetch.digest_mismatch` unless `content` has the hash it was announced with."""
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise DigestMismatchError(
+            "fetch.digest_mismatch",
+            f"{name} arrived with other bytes than were announced",
+            "check any proxy between the machines, then fetch again",
+        )
+
+
 def _entries(manifest: bytes) -> tuple[FileEntry, ...]:
     entries = []
     for item in json.loads(manifest)["files"]:

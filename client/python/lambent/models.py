@@ -53,12 +53,13 @@ class JobError(_Message):
 
     code: str = ""
     message: str = ""
-    retryable: bool = False
+    cause: str = ""
+    run: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Job(_Message):
-    """One job. `run` is the number of its latest start; `bundle_id` is set once it has succeeded."""
+    """One job. `run` counts its starts, `last_event` its events; `bundle_id` is set once it has succeeded."""
 
     id: str
     state: str
@@ -77,6 +78,7 @@ class Job(_Message):
     kind: str = "train"
     seed: int = 0
     gpus: int = 0
+    last_event: int = 0
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -88,7 +90,7 @@ class Job(_Message):
 
     @property
     def is_final(self) -> bool:
-        """Whether the job's state will never change again (unless it is retried)."""
+        """Whether the job's state will never change again."""
         return self.state in FINAL_STATES
 
 
@@ -131,13 +133,51 @@ class Artifact(_Message):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Finding(_Message):
+    """One thing about a scene: `severity` is "warning" or "error", `subject` a frame or file."""
+
+    code: str
+    message: str
+    severity: str = ""
+    subject: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SceneReport(_Message):
+    """What a look at a scene found; nothing yet where `checked` is false."""
+
+    scene_id: str
+    state: str = ""
+    checked: bool = False
+    usable: bool = False
+    layout: str = ""
+    findings: tuple[Finding, ...] = ()
+    num_train_frames: int = 0
+    num_test_frames: int = 0
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Return the report with its findings typed."""
+        findings = tuple(Finding.from_json(item) for item in data.get("findings") or ())
+        return super(SceneReport, cls).from_json({**data, "findings": findings})
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Scene(_Message):
-    """A set of photographs on the server. `state` is "open" until it is committed."""
+    """A set of photographs on the server. `state` is "open", "uploaded", "ready" or "rejected".
+
+    `content_sha256` is equal for scenes with equal paths and bytes.
+    """
 
     id: str
     state: str = ""
     name: str = ""
     created_at: str = ""
+    num_files: int = 0
+    size_bytes: float = 0.0
+    content_sha256: str = ""
+    left_out: tuple[str, ...] = ()
+    """Files of the pushed folder that have no place in a scene; known to the push only."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

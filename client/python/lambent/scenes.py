@@ -1,11 +1,10 @@
 """Uploading a scene: plan, send what is missing, commit. Run again, it sends only what is still missing."""
 
 import hashlib
-import json
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from lambent.connection import Connection
 from lambent.errors import RefusedError, UsageProblemError
@@ -15,7 +14,12 @@ UploadProgress = Callable[[str, int, int], None]
 """Called with (what is going on: "hash" or "upload", bytes done, bytes in all)."""
 
 PIECE_BYTES = 1 << 20
-ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz")
+ARCHIVES = {
+    ".zip": "application/zip",
+    ".tar": "application/x-tar",
+    ".tar.gz": "application/gzip",
+    ".tgz": "application/gzip",
+}
 
 
 def ignore_progress(what: str, done_bytes: int, total_bytes: int) -> None:
@@ -67,39 +71,25 @@ def push(
     source: Path,
     *,
     name: str = "",
-    layout: str = "",
     progress: UploadProgress = ignore_progress,
 ) -> Scene:
     """Upload a scene folder or archive and return the committed scene.
 
-    The same folder pushed again lands on the same scene and sends nothing twice.
+    Bytes that the server has from an earlier push, even a broken one, are not sent again.
     """
     if source.is_file():
-        return _push_archive(connection, source, name=name, layout=layout, progress=progress)
+        return _push_archive(connection, source, name=name, progress=progress)
     entries = list_files(source, progress)
-    body = {"name": name or source.resolve().name, **({"layout": layout} if layout else {})}
-    key = f"push-{hashlib.sha256((json.dumps(body) + content_sha256(entries)).encode()).hexdigest()[:40]}"
-    scene = _create(connection, body, key)
-    if scene.state not in {"", "open"}:
-        return scene
+    scene = _create(connection, name or source.resolve().name)
     files = [{"path": e.path, "size": e.size_bytes, "sha256": e.sha256} for e in entries]
     plan = connection.json("POST", f"/v1/scenes/{scene.id}/files:plan", json=files, repeatable=True)
-    missing = {_digest_of(item) for item in plan["missing"]}
-    _send_missing(connection, scene.id, source, entries, missing, progress)
-    return Scene.from_json(connection.json("POST", f"/v1/scenes/{scene.id}:commit", repeatable=True))
+    _send_missing(connection, scene.id, source, entries, set(plan["missing"]), progress)
+    committed = Scene.from_json(connection.json("POST", f"/v1/scenes/{scene.id}:commit", repeatable=True))
+    return replace(committed, left_out=tuple(plan.get("unsupported") or ()))
 
 
-def _create(connection: Connection, body: dict[str, str], key: str) -> Scene:
-    """Return the open or committed scene for this content; make a new one where the old was deleted."""
-    created = Scene.from_json(
-        connection.json("POST", "/v1/scenes", json=body, headers={"Idempotency-Key": key})
-    )
-    try:
-        return Scene.from_json(connection.json("GET", f"/v1/scenes/{created.id}"))
-    except RefusedError as error:
-        if error.status != 404:
-            raise
-    return Scene.from_json(connection.json("POST", "/v1/scenes", json=body))
+def _create(connection: Connection, name: str) -> Scene:
+    return Scene.from_json(connection.json("POST", "/v1/scenes", json={"name": name[:100]}))
 
 
 def _send_missing(
@@ -135,26 +125,15 @@ def _send_missing(
     progress("upload", total_bytes, total_bytes)
 
 
-def _digest_of(item: Any) -> str:
-    return item["sha256"] if isinstance(item, dict) else str(item)
-
-
-def _push_archive(
-    connection: Connection, source: Path, *, name: str, layout: str, progress: UploadProgress
-) -> Scene:
-    if not source.name.lower().endswith(ARCHIVE_SUFFIXES):
+def _push_archive(connection: Connection, source: Path, *, name: str, progress: UploadProgress) -> Scene:
+    media_type = next((kind for end, kind in ARCHIVES.items() if source.name.lower().endswith(end)), "")
+    if not media_type:
         raise UsageProblemError(
             "scene.unknown_archive",
             f"{source.name} is not an archive this client sends",
-            f"give a folder, or a file that ends in {', '.join(ARCHIVE_SUFFIXES)}",
+            f"give a folder, or a file that ends in {', '.join(ARCHIVES)}",
         )
-    with source.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    body = {"name": name or source.name.split(".")[0], **({"layout": layout} if layout else {})}
-    key = f"push-{hashlib.sha256((json.dumps(body) + digest).encode()).hexdigest()[:40]}"
-    scene = _create(connection, body, key)
-    if scene.state not in {"", "open"}:
-        return scene
+    scene = _create(connection, name or source.name.split(".")[0])
     size_bytes = source.stat().st_size
 
     def pieces() -> Iterator[bytes]:
@@ -165,11 +144,16 @@ def _push_archive(
                 sent += len(piece)
                 progress("upload", sent, size_bytes)
 
-    media_type = "application/zip" if source.suffix.lower() == ".zip" else "application/x-tar"
-    connection.send(
-        "PUT",
-        f"/v1/scenes/{scene.id}/archive",
-        make_content=pieces,
-        headers={"Content-Length": str(size_bytes), "Content-Type": media_type},
-    )
-    return Scene.from_json(connection.json("POST", f"/v1/scenes/{scene.id}:commit", repeatable=True))
+    try:
+        answer = connection.json(
+            "PUT",
+            f"/v1/scenes/{scene.id}/archive",
+            make_content=pieces,
+            headers={"Content-Length": str(size_bytes), "Content-Type": media_type},
+        )
+    except RefusedError as error:
+        # The first try got through and only its answer was lost.
+        if error.code != "scene_committed":
+            raise
+        answer = connection.json("GET", f"/v1/scenes/{scene.id}")
+    return Scene.from_json(answer)

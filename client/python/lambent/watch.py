@@ -78,8 +78,10 @@ class Watcher:
                 pause_s = min(pause_s * 2.0, 5.0)
 
     def _settle(self, job_id: str, only_final: bool = False) -> Iterator[Job]:
-        """Ask for the job itself: an event of an earlier run does not make it final."""
+        """Ask for the job itself, which alone says whether it is final."""
         job = Job.from_json(self._connection.json("GET", f"/v1/jobs/{job_id}"))
+        # Where nothing was seen yet, events are told from now on.
+        self._seen.setdefault(job_id, job.last_event)
         if job.is_final:
             self._open.pop(job_id, None)
         if job.is_final or not only_final:

@@ -1,8 +1,7 @@
 """submit, watch, jobs, cancel, retry, logs."""
 
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
@@ -28,7 +27,7 @@ def submit(
         typer.Option("--label", metavar="KEY=VALUE", help="A label to find the job by; repeatable."),
     ] = [],  # noqa: B006
     priority: Annotated[int, typer.Option(help="Larger first.")] = 0,
-    gpus: Annotated[int, typer.Option(help="GPUs the job needs.", min=0)] = 0,
+    gpus: Annotated[int | None, typer.Option(help="GPUs the job needs; else the preset says.", min=0)] = None,
     follow: Annotated[bool, typer.Option("--watch", help="Follow the job until it ends.")] = False,
     url: UrlOption = "",
     as_json: JsonOption = False,
@@ -93,11 +92,11 @@ def retry(
     url: UrlOption = "",
     as_json: JsonOption = False,
 ) -> None:
-    """Queue failed or cancelled jobs again; they go on from their last checkpoint."""
+    """Queue failed or cancelled jobs again, as new jobs with the same order; print their ids."""
     with Client(url) as client:
-        _each(jobs, client.retry, Output(as_json))
+        fresh = _each(jobs, client.retry, Output(as_json))
         if follow:
-            raise typer.Exit(follow_jobs(client, jobs, as_json=as_json))
+            raise typer.Exit(follow_jobs(client, [job.id for job in fresh], as_json=as_json))
 
 
 def logs(
@@ -140,9 +139,10 @@ def _share(job: Job) -> float:
     return 1.0 if job.state == "succeeded" else job.progress.fraction
 
 
-def _each(job_ids: Sequence[str], call, output: Output) -> None:
+def _each(job_ids: Sequence[str], call: Callable[[str], Job], output: Output) -> list[Job]:
     """Do one call for every job even when some are declined; raise the first refusal at the end."""
     refusal: LambentError | None = None
+    answers = []
     for job_id in job_ids:
         try:
             job = call(job_id)
@@ -152,6 +152,8 @@ def _each(job_ids: Sequence[str], call, output: Output) -> None:
             refusal = refusal or error
             output.note(f"{job_id}: {error}")
             continue
-        output.result(f"{job.id} {job.state}", asdict(job))
+        answers.append(job)
+        output.result(f"{job.id} {job.state}", job)
     if refusal is not None:
         raise refusal
+    return answers

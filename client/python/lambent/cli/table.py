@@ -67,7 +67,7 @@ ENTRIES = (
     Entry(
         name="retry",
         panel=_SERVER,
-        summary="Queue failed or cancelled jobs again, from their last checkpoint.",
+        summary="Queue failed or cancelled jobs again, as new jobs.",
         target="lambent.cli.jobs:retry",
     ),
     Entry(name="logs", panel=_SERVER, summary="Print the log of a job.", target="lambent.cli.jobs:logs"),

@@ -13,14 +13,17 @@ from lambent.client import Client
 def push(
     source: Annotated[Path, typer.Argument(metavar="DIR|ZIP", help="Scene folder, or archive of one.")],
     name: Annotated[str, typer.Option(help="Name of the scene (else the folder's).")] = "",
-    layout: Annotated[str, typer.Option(help="Force a layout: tensoir_synthetic or nerf_blender.")] = "",
     url: UrlOption = "",
     as_json: JsonOption = False,
 ) -> None:
     """Upload a scene and print its id; run again, it sends only what is missing."""
     with Client(url) as client, TransferView(as_json) as view:
-        scene = client.push(source, name=name, layout=layout, progress=view.show)
-    Output(as_json).result(scene.id, scene)
+        scene = client.push(source, name=name, progress=view.show)
+    output = Output(as_json)
+    if scene.left_out:
+        shown = ", ".join(scene.left_out[:5]) + (" ..." if len(scene.left_out) > 5 else "")
+        output.note(f"left out, no place in a scene: {shown}")
+    output.result(scene.id, scene)
 
 
 def fetch(

@@ -1,0 +1,256 @@
+"""The demo's pictures and figures: everything comes out of the bundle, and stands beside the truth."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lambent_relight import (
+    RelitPicture,
+    Renderer,
+    load_bundle,
+    load_environment,
+    write_picture_exr,
+    write_png,
+)
+from lambent_relight.images import linear_from_srgb, srgb_from_linear
+
+from lambent import truth
+from lambent.contact_sheet import write_contact_sheet
+from lambent.truth import Picture, TrueView
+
+NUM_SAMPLES = 64
+NUM_SHOWN = 2
+
+Note = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Figure:
+    """One line of the table: what was reached, and what a trivial answer reaches (see `floors`)."""
+
+    name: str
+    unit: str
+    value: float
+    floor: float
+    larger_is_better: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sample:
+    """The scene of the demo: where it lies and which lights it was photographed and rendered in."""
+
+    folder: Path
+    train_light: str
+    unseen_lights: tuple[str, ...]
+
+    @classmethod
+    def open(cls, folder: Path) -> "Sample":
+        """Return the sample in `folder`, as its scene.json describes it."""
+        info = json.loads((folder / "scene.json").read_text())
+        train_light = f"{info['train_env']}_{info['rotations'][0]}"
+        return cls(folder=folder, train_light=train_light, unseen_lights=tuple(info["test_envs"]))
+
+    def environment(self, light: str) -> Path:
+        """Return the file of an unseen light's environment map."""
+        return self.folder / "envmaps" / f"{light}.hdr"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendered:
+    """What the bundle shows at one held-out view; colours over white, sRGB-encoded unless it says linear."""
+
+    view: TrueView
+    reconstruction: RelitPicture
+    relit: dict[str, RelitPicture]
+    albedo_linear: Picture
+    normal: Picture
+
+
+def make_pictures(bundle: Path, sample: Sample, output: Path, note: Note) -> list[Figure]:
+    """Render, write and score; return the figures that were written to `output`/metrics.json."""
+    opened = load_bundle(bundle)
+    renderer = Renderer(opened)
+    lights = (sample.train_light, *sample.unseen_lights)
+    folders = sorted(path for path in sample.folder.glob("test_*") if path.is_dir())
+    views = [truth.read_view(folder, lights) for folder in folders]
+    # Views of different height: the first and one from the middle of the spiral.
+    shown = [views[round(index * (len(views) - 1) / NUM_SHOWN)] for index in range(NUM_SHOWN)]
+    albedo = {view.name: _albedo_over_white(renderer, view) for view in views}
+    ratio = truth.albedo_ratio([albedo[view.name] for view in views], views)
+    trained = opened.trained_environment(sample.train_light)
+    unseen = {light: load_environment(sample.environment(light)) for light in sample.unseen_lights}
+    rendered = []
+    for view in shown:
+        note(f"rendering {view.name}: as photographed")
+        reconstruction = renderer.render(view.camera, trained, num_samples=NUM_SAMPLES)
+        relit = {}
+        for light, environment in unseen.items():
+            note(f"rendering {view.name}: under {light}")
+            relit[light] = renderer.render(
+                view.camera, environment, num_samples=NUM_SAMPLES, albedo_ratio=ratio
+            )
+        seen = reconstruction
+        rendered.append(
+            Rendered(
+                view=view,
+                reconstruction=reconstruction,
+                relit=relit,
+                albedo_linear=np.clip(ratio * albedo[view.name], 0.0, 1.0),
+                normal=truth.blend_normals(seen.normal.astype(np.float64), seen.coverage.astype(np.float64)),
+            )
+        )
+    figures = _score(sample, views, albedo, ratio, rendered)
+    _write_pictures(rendered, output)
+    _write_sheet(sample, rendered, figures, output / "contact_sheet.png")
+    _write_metrics(opened.manifest, ratio, figures, [view.name for view in shown], output)
+    return figures
+
+
+def format_table(figures: list[Figure]) -> str:
+    """Return the figures as a plain table."""
+    width = max(len(figure.name) for figure in figures)
+    lines = [f"{'':{width}}  {'here':>9}  {'floor':>9}"]
+    for figure in figures:
+        here, floor = (f"{number:6.2f} {figure.unit}" for number in (figure.value, figure.floor))
+        lines.append(f"{figure.name:{width}}  {here:>9}  {floor:>9}")
+    lines.append(
+        "floor: the nearest photograph as reconstruction; the photograph itself as albedo and as relit"
+    )
+    lines.append("picture; the direction to the camera as normal.")
+    return "\n".join(lines)
+
+
+def _albedo_over_white(renderer: Renderer, view: TrueView) -> Picture:
+    seen = renderer.gbuffer(view.camera)
+    shape = (view.camera.height, view.camera.width, -1)
+    alpha = np.clip(seen.opacity.reshape(shape), 0.0, 1.0).astype(np.float64)
+    return seen.albedo.reshape(shape) * alpha + 1.0 - alpha
+
+
+def _shown(picture: RelitPicture) -> Picture:
+    """Return a picture as it is compared: sRGB-encoded with straight alpha, then over white."""
+    return srgb_from_linear(picture.rgb.astype(np.float64)) * picture.opacity + 1.0 - picture.opacity
+
+
+def _score(
+    sample: Sample,
+    views: list[TrueView],
+    albedo: dict[str, Picture],
+    ratio: Picture,
+    rendered: list[Rendered],
+) -> list[Figure]:
+    light = sample.train_light
+
+    def mean(values: list[float]) -> float:
+        return float(np.mean(values))
+
+    def decibel(name: str, value: float, floor: float) -> Figure:
+        return Figure(name=name, unit="dB", value=value, floor=floor, larger_is_better=True)
+
+    photographs = [linear_from_srgb(view.pictures_srgb[light]) for view in views]
+    figures = [
+        decibel(
+            "reconstruction, PSNR",
+            mean([truth.psnr(_shown(r.reconstruction), r.view.pictures_srgb[light]) for r in rendered]),
+            mean(
+                [
+                    truth.psnr(
+                        truth.nearest_photograph(sample.folder, r.view, light), r.view.pictures_srgb[light]
+                    )
+                    for r in rendered
+                ]
+            ),
+        ),
+        decibel(
+            "albedo (scaled), PSNR",
+            truth.albedo_psnr([albedo[view.name] for view in views], ratio, views),
+            truth.albedo_psnr(photographs, truth.albedo_ratio(photographs, views), views),
+        ),
+    ]
+    for unseen in sample.unseen_lights:
+        true = [r.view.pictures_srgb[unseen] for r in rendered]
+        copied = [r.view.pictures_srgb[light] for r in rendered]
+        figures.append(
+            decibel(
+                f"relit under {unseen}, PSNR",
+                mean([truth.psnr(_shown(r.relit[unseen]), t) for r, t in zip(rendered, true, strict=True)]),
+                mean([truth.psnr(c, t) for c, t in zip(copied, true, strict=True)]),
+            )
+        )
+    figures.append(
+        Figure(
+            name="normals, mean error",
+            unit="deg",
+            value=mean([truth.normal_error_deg(r.normal, r.view) for r in rendered]),
+            floor=mean([truth.normal_error_deg(_towards_camera(r.view), r.view) for r in rendered]),
+            larger_is_better=False,
+        )
+    )
+    return figures
+
+
+def _towards_camera(view: TrueView) -> Picture:
+    _, direction = view.camera.rays()
+    return -direction.reshape(view.camera.height, view.camera.width, 3).astype(np.float64)
+
+
+def _write_pictures(rendered: list[Rendered], output: Path) -> None:
+    for item in rendered:
+        folder = output / item.view.name
+        pictures = {"reconstruction": item.reconstruction}
+        pictures |= {f"relit_{light}": picture for light, picture in item.relit.items()}
+        for name, picture in pictures.items():
+            write_png(folder / f"{name}.png", picture)
+            write_picture_exr(folder / f"{name}.exr", picture)
+
+
+def _write_sheet(sample: Sample, rendered: list[Rendered], figures: list[Figure], path: Path) -> None:
+    columns = ["photograph", "reconstruction", "albedo", "true albedo", "normals", "true normals"]
+    for light in sample.unseen_lights:
+        columns += [f"relit: {light}", f"truth: {light}"]
+    rows = []
+    for item in rendered:
+        mask = item.view.mask[..., None]
+        tiles = [
+            item.view.pictures_srgb[sample.train_light],
+            _shown(item.reconstruction),
+            srgb_from_linear(np.where(mask, item.albedo_linear, 1.0)),
+            srgb_from_linear(item.view.albedo),
+            np.where(mask, 0.5 + 0.5 * item.normal, 1.0),
+            np.where(mask, 0.5 + 0.5 * item.view.normal, 1.0),
+        ]
+        for light in sample.unseen_lights:
+            tiles += [_shown(item.relit[light]), item.view.pictures_srgb[light]]
+        rows.append((item.view.name, tiles))
+    note = "   ".join(f"{f.name} {f.value:.1f} {f.unit} (floor {f.floor:.1f})" for f in figures)
+    title = "Lambent demo: held-out views of the bundled sample, and two lights it was never photographed in"
+    write_contact_sheet(path, columns, rows, title=title, note=note)
+
+
+def _write_metrics(
+    manifest: Any, ratio: Picture, figures: list[Figure], shown: list[str], output: Path
+) -> None:
+    report = {
+        "bundle_files_sha256": sorted(entry.sha256 for entry in manifest.files),
+        "views": shown,
+        "num_samples": NUM_SAMPLES,
+        "albedo_ratio_rgb": ratio.tolist(),
+        "figures": [asdict(figure) for figure in figures],
+    }
+    (output / "metrics.json").write_text(json.dumps(report, indent=1) + "\n")
+    (output / "metrics.txt").write_text(format_table(figures) + "\n")
+
+
+def read_figures(bundle: Path, output: Path) -> list[Figure] | None:
+    """Return the figures of an earlier run if its pictures were made from this very bundle, else None."""
+    report_path = output / "metrics.json"
+    if not (report_path.is_file() and (output / "contact_sheet.png").is_file()):
+        return None
+    report = json.loads(report_path.read_text())
+    manifest = json.loads((bundle / "manifest.json").read_text())
+    if report.get("bundle_files_sha256") != sorted(entry["sha256"] for entry in manifest["files"]):
+        return None
+    return [Figure(**figure) for figure in report["figures"]]
