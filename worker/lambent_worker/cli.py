@@ -2,7 +2,6 @@
 
 import functools
 import json
-import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,9 +11,6 @@ from typing import Annotated, Any
 import typer
 
 from lambent_worker.errors import UsageError, WorkerError
-
-# Without this a busy neighbour makes a training step up to 50 times slower: waiting threads spin.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 Json = Annotated[bool, typer.Option("--json", help="Write machine-readable lines to standard output.")]
 Layout = Annotated[str, typer.Option(help="Read the folder as this layout instead of detecting it.")]
@@ -111,6 +107,9 @@ def train(
     as_json: Json = False,
 ) -> None:
     """Train on a capture and write a relightable bundle; run again to go on after a stop."""
+    from lambent_worker.process import prepare
+
+    prepare()
     from lambent_worker.training_run import prepare_run
 
     run = prepare_run(
@@ -148,15 +147,24 @@ def evaluate(
     views: Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")] = 0,
     repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
     directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
+    max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
     device: Device = "",
     as_json: Json = False,
 ) -> None:
     """Render test views, relight them, compare with the truth: report.json, report.html, pred/."""
+    from lambent_worker.process import prepare
+
+    prepare()
     from lambent_worker.console import ConsoleReporter
-    from lambent_worker.evaluation_run import EvaluationRequest, evaluate_run
+    from lambent_worker.evaluation_run import evaluate_run
+    from lambent_worker.report.request import EvaluationRequest
 
     request = EvaluationRequest(
-        num_views=views, num_repeats=repeats, num_directions=directions, environments=environments
+        num_views=views,
+        num_repeats=repeats,
+        num_directions=directions,
+        environments=environments,
+        max_side=max_side,
     )
     with ConsoleReporter(as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
         report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
@@ -173,6 +181,9 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write the relightable bundle of a trained run into a folder of its own."""
+    from lambent_worker.process import prepare
+
+    prepare()
     from lambent_worker.console import ConsoleReporter
     from lambent_worker.training_run import export_run
 

@@ -10,7 +10,15 @@ from flashcache.config import Config, to_dict
 
 from lambent_worker.errors import Stopped, UsageError
 from lambent_worker.reporter import Reporter
-from lambent_worker.run_folder import begin_step, digest, done_inputs, finish_step, locked, step_folder
+from lambent_worker.run_folder import (
+    add_step_seconds,
+    begin_step,
+    digest,
+    done_inputs,
+    finish_step,
+    locked,
+    step_folder,
+)
 
 STEPS = ("ingest", "cache", "joint", "evaluate", "export")
 
@@ -155,9 +163,12 @@ def run_step(context: StepContext, inputs: str) -> None:
     started = time.monotonic()
     context.reporter.log("step.started", stage=context.stage)
     context.progress(0, 1)
-    _step_function(context.stage)(context)
+    try:
+        _step_function(context.stage)(context)
+    finally:
+        seconds = round(time.monotonic() - started, 2)
+        add_step_seconds(context.run_dir, context.stage, seconds)
     finish_step(context.run_dir, context.stage, inputs)
-    seconds = round(time.monotonic() - started, 2)
     context.reporter.log("step.finished", stage=context.stage, seconds=seconds)
 
 

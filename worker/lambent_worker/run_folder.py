@@ -121,9 +121,17 @@ def begin_step(run_dir: Path, step: str, inputs: str) -> None:
     marker = run_dir / "steps" / f"{step}.inputs.json"
     if _read_hash(marker) not in (None, inputs):
         shutil.rmtree(step_folder(run_dir, step), ignore_errors=True)
+        marker.unlink()
     step_folder(run_dir, step).mkdir(parents=True, exist_ok=True)
     marker.parent.mkdir(exist_ok=True)
-    write_json(marker, {"sha256": inputs})
+    write_json(marker, {**read_record(marker), "sha256": inputs})
+
+
+def add_step_seconds(run_dir: Path, step: str, seconds: float) -> None:
+    """Add the time of one sitting to what a step has taken; a killed sitting does not count."""
+    marker = run_dir / "steps" / f"{step}.inputs.json"
+    record = read_record(marker)
+    write_json(marker, {**record, "seconds": round(record.get("seconds", 0.0) + seconds, 3)})
 
 
 def finish_step(run_dir: Path, step: str, inputs: str) -> None:
@@ -131,12 +139,23 @@ def finish_step(run_dir: Path, step: str, inputs: str) -> None:
     write_json(run_dir / "steps" / f"{step}.done.json", {"sha256": inputs})
 
 
+def stage_seconds(run_dir: Path) -> dict[str, float]:
+    """Return the time in seconds that each step of a run has taken so far, over all sittings."""
+    found = {step: read_record(run_dir / "steps" / f"{step}.inputs.json") for step in STEP_FOLDERS}
+    return {step: float(record["seconds"]) for step, record in found.items() if "seconds" in record}
+
+
 def _read_hash(path: Path) -> str | None:
+    return read_record(path).get("sha256")
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return the object in a small JSON file of ours, empty where there is none."""
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
-        return str(value["sha256"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    except (OSError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 @contextmanager

@@ -1,0 +1,99 @@
+"""The whole evaluation of a model: predictions, figures, report.json and report.html."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from flashcache.data.scene import View
+from jaxtyping import Float
+from lambent_proto.v1 import evaluation_pb2
+from numpy import ndarray
+
+from lambent_worker.messages import message_to_dict
+from lambent_worker.report import figures
+from lambent_worker.report.page import write_page
+from lambent_worker.report.predictions import encoded, predict_relit, predict_surfaces
+from lambent_worker.report.request import PROTOCOL_VERSION, UNSCALED_VIEWS, Subject
+from lambent_worker.report.scores import albedo_ratios, load, score
+from lambent_worker.run_folder import write_json
+
+SCHEMA_VERSION = "1.0"
+SHEET_VIEWS = 3
+
+
+def evaluate(
+    subject: Subject, *, preset: str, seconds: Mapping[str, float], notes: Sequence[str] = ()
+) -> evaluation_pb2.EvaluationReport:
+    """Render, score and write everything below `subject.out`; returns what is in report.json.
+
+    Pictures that are there already are kept: the caller clears the folder when they would differ.
+    """
+    predict_surfaces(subject)
+    ratios = albedo_ratios(subject.out, subject.views)
+    median = np.ones(3) if ratios is None else ratios[0]
+    predict_relit(subject, (float(median[0]), float(median[1]), float(median[2])))
+    table = score(subject.out, subject.scene, subject.views, held_out=subject.held_out)
+    report = evaluation_pb2.EvaluationReport(
+        schema_version=SCHEMA_VERSION,
+        protocol_version=PROTOCOL_VERSION,
+        scene=subject.scene.name,
+        preset=preset,
+        seed=subject.seed,
+        num_views=len(subject.views),
+        num_secondary_rays=subject.request.num_directions,
+        num_repeats=subject.request.num_repeats,
+        metrics=table.as_metrics(),
+        albedo_ratio_rgb=[] if ratios is None else median.tolist(),
+        seconds=dict(seconds),
+        notes=[*notes, *_notes(subject, has_ratio=ratios is not None)],
+    )
+    write_json(subject.out / "report.json", message_to_dict(report))
+    write_page(
+        subject.out / "report.html",
+        report,
+        subject.out,
+        subject.scene,
+        subject.views,
+        None if ratios is None else median,
+    )
+    return report
+
+
+def preview_sheet(subject: Subject) -> bytes:
+    """Return a PNG with photograph, physically based picture, albedo and normals of a few views."""
+    rows = [_sheet_row(subject, view) for view in subject.views[:SHEET_VIEWS]]
+    return figures.png(figures.contact_sheet(rows), max_side=512)
+
+
+def _sheet_row(subject: Subject, view: View) -> list[Float[ndarray, "height width 3"]]:
+    light = subject.scene.lights[0]
+    image = view.images[light]
+    albedo = load(subject.out, "pred", view, "albedo")
+    normal = load(subject.out, "pred", view, "normal")
+    rendered = load(subject.out, "pred", view, f"rgba_{light}")
+    assert albedo is not None
+    assert normal is not None
+    assert rendered is not None
+    alpha = albedo[..., 3:]
+    return [
+        figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64)),
+        figures.picture(rendered),
+        figures.albedo_map(albedo[..., :3]) * alpha + (1.0 - alpha),
+        figures.normal_map(normal, alpha),
+    ]
+
+
+def _notes(subject: Subject, *, has_ratio: bool) -> list[str]:
+    notes = ["LPIPS is not computed: it needs network weights that are not part of this release."]
+    if not subject.held_out:
+        notes.append("The scene has no test views; the figures are on training views and flatter the model.")
+    if has_ratio and subject.maps:
+        notes.append(
+            "Relit pictures use albedo times the median ratio; relight_unscaled, on at most "
+            f"{UNSCALED_VIEWS} views, does without."
+        )
+    missing = [light for light in subject.scene.relight_lights if light not in subject.maps]
+    if missing:
+        notes.append(
+            f"Not relit under {', '.join(missing)}: --environments names no folder with maps of these names."
+        )
+    return notes

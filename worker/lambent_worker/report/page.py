@@ -1,0 +1,143 @@
+"""Builds report.html: one file with pictures, tables and the protocol they follow."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from flashcache.data.scene import Scene, View
+from flashcache.evaluation import metrics
+from jaxtyping import Float
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from lambent_proto.v1 import evaluation_pb2
+from numpy import ndarray
+
+from lambent_worker.report import figures
+from lambent_worker.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, encoded
+from lambent_worker.report.request import evenly_spaced
+from lambent_worker.report.scores import load
+
+MAX_VIEWS = 6
+"""Views shown as pictures; the tables cover all."""
+
+# Rows of the page's table, by the start of a metric's name; the first match decides.
+GROUPS = (
+    ("Novel views", ("nvs", "training_views")),
+    ("Relighting", ("relight",)),
+    ("Albedo", ("albedo",)),
+    ("Shape", ("normal", "distance")),
+    ("Materials", ("roughness", "metallic")),
+    ("By light", ("rgb",)),
+)
+
+Picture = Float[ndarray, "height width 3"]
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One picture of the page."""
+
+    title: str
+    uri: str
+
+
+def write_page(
+    path: Path,
+    report: evaluation_pb2.EvaluationReport,
+    out: Path,
+    scene: Scene,
+    views: Sequence[View],
+    ratio: Float[ndarray, "3"] | None,
+) -> None:
+    """Write the report as a page that needs nothing beside it, from predictions below `out`."""
+    environment = Environment(
+        loader=PackageLoader("lambent_worker.report", "."), autoescape=True, undefined=StrictUndefined
+    )
+    shown = evenly_spaced(tuple(views), MAX_VIEWS)
+    rows = [(view.name, view_figures(out, scene, view, ratio)) for view in shown]
+    page = environment.get_template("page.html.j2").render(
+        report=report, groups=grouped(report.metrics), rows=rows, error_scale=figures.ERROR_SCALE
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def grouped(
+    rows: Sequence[evaluation_pb2.Metric],
+) -> list[tuple[str, list[evaluation_pb2.Metric]]]:
+    """Return the metrics under the headings of the page, empty headings left out."""
+    groups = [
+        (title, [row for row in rows if row.name.split("/")[0].startswith(starts)])
+        for title, starts in GROUPS
+    ]
+    return [(title, members) for title, members in groups if members]
+
+
+def view_figures(
+    out: Path, scene: Scene, view: View, ratio: Float[ndarray, "3"] | None
+) -> list[list[Figure]]:
+    """Return the pictures of one view, in the lines in which they are shown."""
+    lines = [_light_line(out, view, light) for light in scene.lights]
+    lines.append(_surface_line(out, view, ratio))
+    lines += [_relit_line(out, view, light) for light in scene.relight_lights]
+    return [[Figure(title, figures.data_uri(values)) for title, values in line] for line in lines if line]
+
+
+def _photograph(view: View, light: str) -> Picture | None:
+    if light not in view.images:
+        return None
+    image = view.images[light]
+    return figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
+
+
+def _light_line(out: Path, view: View, light: str) -> list[tuple[str, Picture]]:
+    truth = _photograph(view, light)
+    line = [] if truth is None else [(f"photograph, {light}", truth)]
+    for title, folder in (("physically based", "pred"), ("cache", CACHE_FOLDER)):
+        line += _with_error(title, load(out, folder, view, f"rgba_{light}"), truth)
+    return line
+
+
+def _relit_line(out: Path, view: View, light: str) -> list[tuple[str, Picture]]:
+    predicted = load(out, "pred", view, f"rgba_{light}")
+    if predicted is None:
+        return []
+    truth = _photograph(view, light)
+    line = [] if truth is None else [(f"truth, {light}", truth)]
+    line += _with_error(f"relit, {light}", predicted, truth)
+    line += _with_error("relit, direct light only", load(out, DIRECT_FOLDER, view, f"rgba_{light}"), truth)
+    return line
+
+
+def _with_error(
+    title: str, predicted: Float[ndarray, "height width 4"] | None, truth: Picture | None
+) -> list[tuple[str, Picture]]:
+    if predicted is None:
+        return []
+    shown = figures.picture(predicted)
+    if truth is None:
+        return [(title, shown)]
+    return [(title, shown), (f"error, {title}", figures.error_map(shown, truth))]
+
+
+def _surface_line(out: Path, view: View, ratio: Float[ndarray, "3"] | None) -> list[tuple[str, Picture]]:
+    albedo, normal = load(out, "pred", view, "albedo"), load(out, "pred", view, "normal")
+    roughness, metalness = load(out, "pred", view, "roughness"), load(out, "pred", view, "metallic")
+    if albedo is None or normal is None or roughness is None or metalness is None:
+        return []
+    alpha = albedo[..., 3:]
+    factor = np.ones(3) if ratio is None else ratio
+    scaled = metrics.scaled_albedo(albedo, factor, alpha[..., 0] > 0.0)
+    line = [("albedo" if ratio is None else "albedo, scaled", figures.albedo_map(scaled))]
+    if "albedo" in view.truth:
+        truth = metrics.over_white(view.truth["albedo"].astype(np.float64))
+        line.append(("true albedo", figures.albedo_map(truth)))
+    line.append(("normal", figures.normal_map(normal, alpha)))
+    if "normal" in view.truth:
+        truth = view.truth["normal"].astype(np.float64)
+        line.append(("true normal", figures.normal_map(truth[..., :3], truth[..., 3:])))
+    for title, kind, values in (("roughness", "roughness", roughness), ("metalness", "metallic", metalness)):
+        line.append((title, figures.grey_map(values, alpha)))
+        if kind in view.truth:
+            coverage = view.truth["albedo"][..., 3:] if "albedo" in view.truth else alpha
+            line.append((f"true {title}", figures.grey_map(view.truth[kind].astype(np.float64), coverage)))
+    return line

@@ -1,0 +1,56 @@
+"""What an evaluation is asked for, and what it works on."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from flashcache.data.scene import Scene, View
+from flashcache.physical.model import InverseModel
+from jaxtyping import Float32
+from numpy import ndarray
+
+PROTOCOL_VERSION = "1.0"
+"""Version of docs/reference/protocol.md."""
+
+UNSCALED_VIEWS = 5
+"""Views that are relit a second time without the albedo ratio."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluationRequest:
+    """How much to render."""
+
+    num_views: int = 0
+    """Test views, evenly spaced; 0 for all."""
+    num_repeats: int = 4
+    """Repeats behind every Monte Carlo picture."""
+    num_directions: int = 64
+    """Secondary rays per pixel and repeat."""
+    environments: Path | None = None
+    """Folder of maps named like the scene's relighting lights."""
+    max_side: int = 0
+    """Longer side of the pictures in pixels; 0 for that of the files."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Subject:
+    """A trained model, the scene it is compared with, and where the predictions go."""
+
+    model: InverseModel
+    scene: Scene
+    views: tuple[View, ...]
+    """The views to look at."""
+    held_out: bool
+    """Whether the views were kept from training."""
+    maps: Mapping[str, Float32[ndarray, "rows columns 3"]]
+    """Environments to relight with, by the name of the light, linear radiance."""
+    request: EvaluationRequest
+    seed: int
+    out: Path
+    advance: Callable[[], None]
+    """Called after every picture; raises `Stopped` when the run was asked to end."""
+
+
+def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:
+    """Return at most `count` of `views` at equal strides, all of them for 0."""
+    return views[:: max(1, len(views) // count)][:count] if count else views

@@ -1,0 +1,60 @@
+"""Fourth step: a quick look at a few test views; `lambent evaluate` does the full evaluation."""
+
+from dataclasses import replace
+
+from flashcache.data.scene import Scene, View
+
+from lambent_worker.pipeline import StepContext
+from lambent_worker.report.evaluate import evaluate, preview_sheet
+from lambent_worker.report.predictions import num_pictures
+from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced
+from lambent_worker.run_folder import stage_seconds
+from lambent_worker.steps.training import load_trained, read_scene
+
+
+def run(context: StepContext) -> None:
+    """Write `evaluation/` with predictions, report.json and report.html for the preset's number of views."""
+    settings = context.config.evaluation
+    scene = read_scene(context)
+    request = EvaluationRequest(
+        num_views=settings.num_views,
+        num_repeats=settings.num_repeats,
+        num_directions=settings.num_directions,
+        max_side=context.config.max_side,
+    )
+    views, held_out = evaluated_views(scene, settings.num_views)
+    subject = Subject(
+        model=load_trained(context, scene, "joint"),
+        scene=scene,
+        views=views,
+        held_out=held_out,
+        maps={},
+        request=request,
+        seed=context.seed,
+        out=context.folder,
+        advance=lambda: None,
+    )
+    subject = with_progress(subject, context)
+    report = evaluate(subject, preset=context.config.preset, seconds=stage_seconds(context.run_dir))
+    context.reporter.preview("evaluation", preview_sheet(subject))
+    for name in ("report.json", "report.html"):
+        context.reporter.artifact(name, context.folder / name)
+    context.reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
+
+
+def evaluated_views(scene: Scene, count: int) -> tuple[tuple[View, ...], bool]:
+    """Return at most `count` test views (0: all), or training views where there are none, and which it is."""
+    return evenly_spaced(scene.test or scene.train, count), bool(scene.test)
+
+
+def with_progress(subject: Subject, context: StepContext) -> Subject:
+    """Return `subject` with its pictures counted into the progress of `context`."""
+    total, done = num_pictures(subject), 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        context.progress(done, total)
+        context.stop_if_asked()
+
+    return replace(subject, advance=advance)
