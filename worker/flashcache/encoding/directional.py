@@ -17,6 +17,8 @@ def positional_encoding(
     Frequencies double from 1; each block keeps the order of the channels. Nothing is multiplied by pi.
     Source: NeRF Eq. 4, with the identity kept.
     """
+    if num_frequencies == 0:
+        return values
     scaled = torch.cat([values * 2.0**octave for octave in range(num_frequencies)], dim=-1)
     return torch.cat([values, scaled.sin(), scaled.cos()], dim=-1)
 

@@ -1,8 +1,8 @@
 """The encoder as compiled loops for the processor: float32, numba, no OpenMP.
 
 numba's own threading would load a second OpenMP runtime beside torch's, so the kernels release the
-interpreter lock and the work is cut by hand: points in the forward pass, levels in the backward pass. Each row
-of a gradient is summed by one task in the order of the points: results do not depend on the number of threads.
+interpreter lock and the work is cut by hand: points in the forward pass, levels in the backward pass. Each
+row of a gradient is summed by one task in the order of the points, whatever the number of threads.
 The number of features is a constant of the compiled code; with a run-time number the loops are half as fast.
 """
 
@@ -158,8 +158,8 @@ def _levels(layout: GridLayout) -> Levels:
 
 
 _inlined = numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy")
-# Without fused multiply-add, so that positions between voxels are the reference's, bit for bit. It must be said
-# explicitly: a function without the option inherits that of its caller.
+# Without fused multiply-add, so that positions between voxels are the reference's, bit for bit. The option must
+# be given: a function without it inherits that of its caller.
 _inlined_exact = numba.njit(nogil=True, fastmath=False, error_model="numpy")
 
 
