@@ -11,7 +11,6 @@ from support.statements import (
     QUADRATURE,
     assert_estimates_agree_with_quadrature,
     assert_gradients_agree_with_quadrature,
-    assert_two_passes_minimise_the_error_of_the_mean,
     estimates,
 )
 from support.statistics import assert_mean
@@ -92,10 +91,6 @@ def test_detached_sampling_has_the_gradient_of_the_integral_without_control_vari
     assert_gradients_agree_with_quadrature(ROWS, alpha=0.6, control_variate="off", sampler="none")
 
 
-def test_two_independent_passes_minimise_the_error_of_the_mean_picture():
-    assert_two_passes_minimise_the_error_of_the_mean(ROWS)
-
-
 @pytest.mark.parametrize("control_variate", ["on", "off"])
 def test_the_variance_that_estimates_report_is_the_one_they_have(control_variate):
     given = case(ROWS)
@@ -143,7 +138,7 @@ def test_relighting_with_a_known_map_is_unbiased_and_far_quieter_than_without_it
             generator=torch.Generator().manual_seed(21),
         )
         # The picture has steps: a fine grid of midpoints is exact to about a thousandth of the sun.
-        expected = reflected(given, light=_texels(image), num_polar=700, num_azimuth=1400)
+        expected = reflected(given, light=_texels(image), num_polar=400, num_azimuth=800)
         assert_mean(found.diffuse, expected["diffuse"], expected_error=2e-3)
         assert_mean(found.specular, expected["specular"], expected_error=2e-3)
         spread[name] = float(found.rgb.std(dim=0).mean())

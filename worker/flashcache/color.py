@@ -29,8 +29,8 @@ def linear_from_srgb(srgb: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 def loss_curve(linear: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Return radiance on the scale on which losses compare it: the sRGB curve of max(., 1e-5).
 
-    Not clipped above. The gradient is zero below the floor. Source: supplement 2.4 (losses are taken in
-    sRGB).
+    Not clipped above. The gradient is zero below the floor. Source: the authors' public code, which
+    compares radiance in sRGB.
     """
     return srgb_from_linear(linear.clamp_min(LOSS_FLOOR))
 

@@ -39,7 +39,7 @@ def ggx_density(
 ) -> Float[Tensor, "*batch 1"]:
     """Return the Trowbridge-Reitz density D of half vectors, in 1/sr; the integral of D (n.h) is one.
 
-    Even in `omega_h`. Source: supplement Eq. 4. The sine comes from the component across the normal, because
+    Even in `omega_h`. Source: supplement 2.6. The sine comes from the component across the normal, because
     1 - (n.h)^2 has no correct digits left in float32 once alpha is below 0.001.
     """
     cosine = dot(normal, omega_h)
@@ -62,7 +62,7 @@ def diffuse_brdf_cos(
 ) -> Float[Tensor, "*batch 3"]:
     """Return the diffuse lobe times the cosine, in 1/sr; zero below the surface.
 
-    Source: supplement Eq. 3; (1 - metalness) albedo / pi, not attenuated by Fresnel reflection.
+    Source: supplement Eq. 4; (1 - metalness) albedo / pi, not attenuated by Fresnel reflection.
     """
     return diffuse_albedo(materials) * lambert_cos(omega_i, normal)
 
@@ -76,8 +76,7 @@ def specular_brdf_cos(
     """Return the specular lobe times the cosine, D F G / (4 n.omega_o), in 1/sr.
 
     Zero when either direction is below the surface. F is Schlick's, G is Smith's product of Schlick-GGX terms
-    with k = alpha / 2. The cosine at the viewer cancels against G and never divides. Source: supplement Eqs.
-    4 and 5.
+    with k = alpha / 2. The cosine at the viewer cancels against G and never divides. Source: supplement Eq. 5.
     """
     total = omega_i + omega_o
     omega_h = total * dot(total, total).clamp_min(1e-20).rsqrt()
