@@ -158,8 +158,8 @@ def _levels(layout: GridLayout) -> Levels:
 
 
 _inlined = numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy")
-# Without fused multiply-add, so that positions between voxels are the reference's, bit for bit. The option must
-# be given: a function without it inherits that of its caller.
+# Without fused multiply-add, so that positions between voxels are the reference's, bit for bit. The option
+# must be given: a function without it inherits its caller's.
 _inlined_exact = numba.njit(nogil=True, fastmath=False, error_model="numpy")
 
 

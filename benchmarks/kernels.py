@@ -1,0 +1,112 @@
+"""Time the compiled encoder against the torch reference, side by side in one run.
+
+    OMP_NUM_THREADS=1 python benchmarks/kernels.py
+
+Each row is one step on points along rays. `features` is forward and backward; `normals` is a density with its
+gradient by position and a loss on both: from features and Jacobian on the compiled side, by eager double
+backward on the other. Figures are milliseconds of processor time in this thread, the smaller half of the repeats
+averaged, so that a busy neighbour matters little; the ratio is reference / compiled.
+"""
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+
+import torch
+from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.kernels import reference
+from torch import Tensor
+
+GRIDS = {
+    "6 levels x 1, 2^15": (
+        HashGridConfig(finest_resolution=128, num_levels=6, num_features=1, log2_table_size=15),
+        32,
+    ),
+    "6 levels x 2, 2^15": (HashGridConfig(finest_resolution=128, num_levels=6, log2_table_size=15), 32),
+    "8 levels x 2, 2^17": (HashGridConfig(num_levels=8), 16),
+    "8 levels x 4, 2^19": (HashGridConfig(finest_resolution=2048, num_features=4, log2_table_size=19), 16),
+}
+
+
+def points_on_rays(num_rays: int, num_samples: int) -> Tensor:
+    """Return equidistant points along random rays through the unit cube, ray after ray."""
+    generator = torch.Generator().manual_seed(0)
+    origins = torch.rand(num_rays, 1, 3, generator=generator) * 0.6 - 0.3
+    directions = torch.nn.functional.normalize(torch.randn(num_rays, 1, 3, generator=generator), dim=-1)
+    return (origins + directions * torch.linspace(-0.8, 0.8, num_samples)[:, None]).reshape(-1, 3)
+
+
+def features_step(encode: Callable[[Tensor], Tensor], z: Tensor, table: Tensor) -> None:
+    """Encode `z` and send a gradient back to the table."""
+    table.grad = None
+    encode(z).sum().backward()
+
+
+def jacobian_step(grid: HashGrid, network: torch.nn.Module, z: Tensor) -> None:
+    """Density and its gradient from features and Jacobian; backward from a loss on both."""
+    grid.table.grad = None
+    features, jacobian = grid.encode_with_jacobian(z)
+    density = network(features)
+    (by_feature,) = torch.autograd.grad(density.sum(), features, create_graph=True)
+    gradient = (by_feature[:, :, None] * jacobian).sum(dim=1)
+    (gradient.square().sum() + density.sum()).backward()
+
+
+def double_backward_step(grid: HashGrid, network: torch.nn.Module, z: Tensor) -> None:
+    """Do the same by differentiating through the interpolation twice."""
+    grid.table.grad = None
+    z = z.detach().requires_grad_()
+    density = network(reference.encode(z, grid.table, grid.layout))
+    (gradient,) = torch.autograd.grad(density.sum(), z, create_graph=True)
+    (gradient.square().sum() + density.sum()).backward()
+
+
+def milliseconds(step: Callable[[], None], repeats: int) -> float:
+    """Return the typical processor time of one call."""
+    step()
+    times = []
+    for _ in range(repeats):
+        start = time.thread_time()
+        step()
+        times.append(1e3 * (time.thread_time() - start))
+    return statistics.mean(sorted(times)[: (repeats + 1) // 2])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rays", type=int, default=1024)
+    parser.add_argument("--repeats", type=int, default=10)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    print(f"{'grid':22}{'points':>8}{'step':>10}{'compiled':>10}{'reference':>11}{'ratio':>7}")
+    for name, (config, num_samples) in GRIDS.items():
+        z = points_on_rays(arguments.rays, num_samples)
+        grid = HashGrid(config)
+        torch.nn.init.normal_(grid.table)
+        network = torch.nn.Sequential(
+            torch.nn.Linear(grid.out_features, 64), torch.nn.Softplus(beta=10.0), torch.nn.Linear(64, 1)
+        )
+        steps = {
+            "features": (
+                lambda grid=grid, z=z: features_step(grid, z, grid.table),
+                lambda grid=grid, z=z: features_step(
+                    lambda z: reference.encode(z, grid.table, grid.layout), z, grid.table
+                ),
+            ),
+            "normals": (
+                lambda grid=grid, network=network, z=z: jacobian_step(grid, network, z),
+                lambda grid=grid, network=network, z=z: double_backward_step(grid, network, z),
+            ),
+        }
+        for kind, (compiled, eager) in steps.items():
+            fast = milliseconds(compiled, arguments.repeats)
+            slow = milliseconds(eager, max(2, arguments.repeats // 3))
+            print(f"{name:22}{len(z):8}{kind:>10}{fast:10.2f}{slow:11.2f}{slow / fast:7.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
