@@ -12,7 +12,7 @@ from lambent.cli.output import format_duration, format_size
 from lambent.models import Event, Job, Progress
 
 PLAIN_INTERVAL_S = 10.0
-"""Plain lines of one job and stage come at most this often."""
+"""Plain lines of one job and stage, or of a transfer, come at most this often."""
 
 
 class JobView(Protocol):
@@ -182,13 +182,14 @@ class BarView:
 
 
 class TransferView(_Quiet):
-    """Bytes of an upload or download: a bar on a terminal, a line per tenth elsewhere, nothing with JSON."""
+    """Bytes of an upload or download: a bar on a terminal, now and then a line elsewhere, none with JSON."""
 
-    def __init__(self, as_json: bool) -> None:
+    def __init__(self, as_json: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._as_json = as_json
+        self._clock = clock
+        self._last_line = clock()
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
-        self._tenths: dict[str, int] = {}
         if not as_json and sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, DownloadColumn, TextColumn, TransferSpeedColumn
@@ -224,8 +225,7 @@ class TransferView(_Quiet):
                 self._tasks[what] = self._bars.add_task(what, total=total_bytes)
             self._bars.update(self._tasks[what], completed=done_bytes, total=total_bytes)
             return
-        tenth = 10 * done_bytes // total_bytes if total_bytes else 10
-        if tenth != self._tenths.get(what):
-            self._tenths[what] = tenth
+        if self._clock() - self._last_line >= PLAIN_INTERVAL_S:
+            self._last_line = self._clock()
             size = f"{format_size(done_bytes)} of {format_size(total_bytes)}"
-            print(f"{what} {10 * tenth} % ({size})", file=sys.stderr, flush=True)
+            print(f"{time.strftime('%H:%M:%S')} {what} {size}", file=sys.stderr, flush=True)

@@ -1,0 +1,142 @@
+"""relight and turntable: the files that come out, what is kept, and what is refused."""
+
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+from lambent.cli import app
+from lambent_relight import cameras_json, turntable, write_environment
+from PIL import Image
+from support.analytic_bundle import write_analytic_bundle
+from support.analytic_scene import AnalyticScene, Sphere
+
+
+@pytest.fixture
+def bundle(tmp_path):
+    """Return a bundle of one grey ball."""
+    return write_analytic_bundle(tmp_path / "ball", AnalyticScene([Sphere((0.0, 0.0, 0.0), 1.0)]))
+
+
+@pytest.fixture
+def sky(tmp_path):
+    """Return a map that shines from +z only."""
+    radiance = np.zeros((8, 16, 3), np.float32)
+    radiance[:4] = (0.2, 0.4, 0.6)
+    write_environment(tmp_path / "sky.exr", radiance)
+    return tmp_path / "sky.exr"
+
+
+def relight(bundle, sky, out, *words):
+    return app.run(["relight", str(bundle), "--env", str(sky), "-o", str(out), "--spp", "8", *words])
+
+
+def test_a_turntable_writes_png_and_linear_exr_for_every_view(bundle, sky, tmp_path):
+    assert relight(bundle, sky, tmp_path / "out", "--turntable", "2", "--size", "12") == 0
+    assert sorted(path.name for path in (tmp_path / "out" / "sky").iterdir()) == [
+        "turntable_000.exr",
+        "turntable_000.png",
+        "turntable_001.exr",
+        "turntable_001.png",
+    ]
+    with Image.open(tmp_path / "out/sky/turntable_000.png") as image:
+        assert image.size == (12, 12)
+        assert image.mode == "RGBA"
+        top, bottom = np.asarray(image)[3, 6], np.asarray(image)[9, 6]
+    assert top[:3].sum() > bottom[:3].sum(), "the light comes from above"
+    assert top[2] > top[0], "and is blue"
+
+
+def test_exposure_brightens_the_png_and_leaves_the_exr(bundle, sky, tmp_path):
+    pixels = {}
+    for stops in ("0", "1"):
+        out = tmp_path / stops
+        assert relight(bundle, sky, out, "--turntable", "1", "--size", "8", "--exposure-ev", stops) == 0
+        with OpenEXR.File(str(out / "sky/turntable_000.exr"), separate_channels=True) as file:
+            linear = file.parts[0].channels["B"].pixels.copy()
+        pixels[stops] = (np.asarray(Image.open(out / "sky/turntable_000.png")).astype(int), linear)
+    assert pixels["1"][0][2, 4, 2] > pixels["0"][0][2, 4, 2]
+    np.testing.assert_array_equal(pixels["1"][1], pixels["0"][1])
+
+
+def test_cameras_come_from_a_file_and_keep_their_names(bundle, sky, tmp_path):
+    (view,) = turntable(1, radius=4.0, width=6, height=4)
+    (tmp_path / "views.json").write_text(cameras_json([view]))
+    assert relight(bundle, sky, tmp_path / "out", "--cameras", str(tmp_path / "views.json")) == 0
+    with Image.open(tmp_path / "out/sky/turntable_000.png") as image:
+        assert image.size == (6, 4)
+
+
+def test_run_again_it_makes_only_what_is_missing_or_changed(bundle, sky, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ("--turntable", "2", "--size", "6", "--json")
+
+    def made(*more):
+        capsys.readouterr()
+        assert relight(bundle, sky, out, *words, *more) == 0
+        return json.loads(capsys.readouterr().out)["made"]
+
+    assert made() == 2
+    assert made() == 0
+    (out / "sky/turntable_001.exr").unlink()
+    assert made() == 1
+    assert made("--rotate-deg", "90") == 2
+    write_environment(sky, np.ones((8, 16, 3), np.float32))
+    assert made("--rotate-deg", "90") == 2
+    assert not list(out.rglob(".partial*"))
+
+
+def test_what_was_measured_is_in_the_list_of_pictures(bundle, sky, tmp_path):
+    relight(bundle, sky, tmp_path / "out", "--turntable", "1", "--size", "6")
+    (record,) = json.loads((tmp_path / "out/pictures.json").read_text())["pictures"]
+    assert record["files"] == ["sky/turntable_000.png", "sky/turntable_000.exr"]
+    assert record["mean_standard_error"] > 0
+    assert record["num_samples"] >= 8
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--turntable", "1", "--quality", "preview"), "cli.bad_choice"),
+        (("--turntable", "1", "--quality", "baked"), "cli.bad_choice"),
+        (("--turntable", "1", "--background", "pink"), "cli.bad_choice"),
+        ((), "cli.cameras"),
+        (("--turntable", "1", "--cameras", "x.json"), "cli.cameras"),
+        (("--cameras", "missing.json"), "camera.file_missing"),
+    ],
+)
+def test_what_cannot_be_done_exits_with_two_and_a_code(bundle, sky, tmp_path, capsys, words, code):
+    assert relight(bundle, sky, tmp_path / "out", *words) == 2
+    assert code in capsys.readouterr().err
+
+
+def test_a_missing_map_and_a_missing_bundle_are_named(bundle, sky, tmp_path, capsys):
+    assert relight(bundle, tmp_path / "no.exr", tmp_path / "out", "--turntable", "1") == 2
+    assert "no.exr" in capsys.readouterr().err
+    assert relight(tmp_path / "nowhere", sky, tmp_path / "out", "--turntable", "1") == 2
+    assert "bundle.missing" in capsys.readouterr().err
+
+
+def test_a_damaged_bundle_exits_with_one(bundle, sky, tmp_path, capsys):
+    weights = bundle / "models" / "weights.bin"
+    data = bytearray(weights.read_bytes())
+    data[0] ^= 1
+    weights.write_bytes(bytes(data))
+    assert relight(bundle, sky, tmp_path / "out", "--turntable", "1") == 1
+    assert "bundle." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("turn", ["camera", "light"])
+def test_a_turntable_is_an_animation_of_one_turn(bundle, sky, tmp_path, turn):
+    words = ["turntable", str(bundle), "--env", str(sky), "-o", str(tmp_path), "--turn", turn]
+    assert app.run([*words, "--frames", "3", "--size", "8", "--spp", "8", "--fps", "10"]) == 0
+    with Image.open(tmp_path / "turntable.webp") as film:
+        assert film.n_frames == 3
+        assert film.size == (8, 8)
+
+
+def test_mp4_without_ffmpeg_is_a_usage_error(bundle, sky, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    words = ["turntable", str(bundle), "--env", str(sky), "-o", str(tmp_path), "--format", "mp4"]
+    assert app.run(words) == 2
+    assert "turntable.no_ffmpeg" in capsys.readouterr().err
