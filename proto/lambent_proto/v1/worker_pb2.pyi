@@ -72,7 +72,7 @@ class StartRequest(_message.Message):
     def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., code_version: _Optional[str] = ...) -> None: ...
 
 class StartResponse(_message.Message):
-    __slots__ = ("spec", "files", "checkpoints", "check_scene", "device", "adjustments", "progress_interval_s", "preview_interval_s")
+    __slots__ = ("spec", "files", "checkpoints", "check_scene", "device", "adjustments", "progress_interval_s", "preview_interval_s", "scene_name")
     SPEC_FIELD_NUMBER: _ClassVar[int]
     FILES_FIELD_NUMBER: _ClassVar[int]
     CHECKPOINTS_FIELD_NUMBER: _ClassVar[int]
@@ -81,6 +81,7 @@ class StartResponse(_message.Message):
     ADJUSTMENTS_FIELD_NUMBER: _ClassVar[int]
     PROGRESS_INTERVAL_S_FIELD_NUMBER: _ClassVar[int]
     PREVIEW_INTERVAL_S_FIELD_NUMBER: _ClassVar[int]
+    SCENE_NAME_FIELD_NUMBER: _ClassVar[int]
     spec: _job_pb2.JobSpec
     files: _containers.RepeatedCompositeFieldContainer[SceneFile]
     checkpoints: _containers.RepeatedCompositeFieldContainer[_job_pb2.CheckpointManifest]
@@ -89,15 +90,18 @@ class StartResponse(_message.Message):
     adjustments: Adjustments
     progress_interval_s: float
     preview_interval_s: float
-    def __init__(self, spec: _Optional[_Union[_job_pb2.JobSpec, _Mapping]] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ...) -> None: ...
+    scene_name: str
+    def __init__(self, spec: _Optional[_Union[_job_pb2.JobSpec, _Mapping]] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ..., scene_name: _Optional[str] = ...) -> None: ...
 
 class Adjustments(_message.Message):
-    __slots__ = ("ray_chunk", "learning_rate")
+    __slots__ = ("ray_chunk", "learning_rate", "stage")
     RAY_CHUNK_FIELD_NUMBER: _ClassVar[int]
     LEARNING_RATE_FIELD_NUMBER: _ClassVar[int]
+    STAGE_FIELD_NUMBER: _ClassVar[int]
     ray_chunk: float
     learning_rate: float
-    def __init__(self, ray_chunk: _Optional[float] = ..., learning_rate: _Optional[float] = ...) -> None: ...
+    stage: str
+    def __init__(self, ray_chunk: _Optional[float] = ..., learning_rate: _Optional[float] = ..., stage: _Optional[str] = ...) -> None: ...
 
 class SceneFile(_message.Message):
     __slots__ = ("path", "sha256", "size_bytes")

@@ -1,0 +1,77 @@
+"""Puts the REST interface together."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from pydantic.json_schema import models_json_schema
+
+from lambent_server.http import errors
+from lambent_server.http.gate import App, Gate
+from lambent_server.http.identity import LoginCodes
+from lambent_server.messages import ProblemDocument
+from lambent_server.routes import about, environments, events, files, jobs, login, pages, scenes
+from lambent_server.services import Services
+from lambent_server.settings import Settings
+
+_PUBLIC = frozenset({"/healthz", "/readyz", "/v1/version", "/v1/login"})
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+def _bare(services: Services | None) -> FastAPI:
+    app = FastAPI(
+        title="Lambent",
+        version="1",
+        summary="Photographs of an object in, a relightable asset out.",
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=None,
+        generate_unique_id_function=lambda route: route.name,
+    )
+    app.state.services = services
+    errors.install(app)
+    for module in (scenes, jobs, events, files, environments, about, login, pages):
+        app.include_router(module.router)
+    app.add_api_route("/openapi.json", describe, include_in_schema=False)
+    return app
+
+
+def make_app(services: Services) -> tuple[FastAPI, App]:
+    """Return the application and the same behind its gate; serve the second."""
+    app = _bare(services)
+    app.state.login_codes = LoginCodes(services.settings.login_code_s)
+    return app, Gate(app, services, allowed_hosts(services.settings))
+
+
+def allowed_hosts(settings: Settings) -> frozenset[str]:
+    """Return the names under which the server may be addressed, against DNS rebinding."""
+    return LOOPBACK | {settings.host} | set(settings.allowed_hosts)
+
+
+def describe() -> dict[str, Any]:
+    """Return the OpenAPI description."""
+    app = _bare(None)
+    description = app.openapi()
+    schemas = description["components"]["schemas"]
+    _, extra = models_json_schema(
+        [(ProblemDocument, "serialization")], ref_template="#/components/schemas/{model}"
+    )
+    schemas |= extra["$defs"]
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    description["components"]["securitySchemes"] = {
+        "key": {"type": "http", "scheme": "bearer"},
+        "session": {"type": "apiKey", "in": "cookie", "name": "lambent_session"},
+    }
+    problem = {
+        "description": "Something is wrong with the request or the server.",
+        "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
+    }
+    for path, operations in description["paths"].items():
+        for operation in operations.values():
+            if path not in _PUBLIC:
+                operation["security"] = [{"key": []}, {"session": []}]
+            # FastAPI describes its own validation body, which never gets out.
+            if "HTTPValidationError" in str(operation["responses"].get("422")):
+                operation["responses"]["422"] = problem
+            operation["responses"]["default"] = problem
+    return description

@@ -1,0 +1,24 @@
+"""Times as the database keeps them (Unix seconds) and as the interface shows them (RFC 3339, UTC)."""
+
+import secrets
+import time
+from datetime import UTC, datetime
+
+_ALPHABET = "0123456789abcdefghjkmnpqrstvwxyz"
+
+
+def now() -> float:
+    """Return the time in Unix seconds."""
+    return time.time()
+
+
+def rfc3339(at: float) -> str:
+    """Return `at` (Unix seconds) as text with milliseconds."""
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def new_id(prefix: str) -> str:
+    """Return an identifier that nobody can guess and that sorts by the time it was made."""
+    value = (int(time.time() * 1000) << 80) | secrets.randbits(80)
+    digits = [_ALPHABET[(value >> shift) & 31] for shift in range(125, -1, -5)]
+    return f"{prefix}_{''.join(digits)}"

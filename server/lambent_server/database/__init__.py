@@ -1,0 +1,1 @@
+"""Tables, connections and the one way to reach a tenant's rows."""

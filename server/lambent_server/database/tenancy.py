@@ -1,0 +1,57 @@
+"""The only statements that routes may build: each needs to be told whose rows it is about."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import (
+    Connection,
+    Delete,
+    Insert,
+    RowMapping,
+    Select,
+    Table,
+    Update,
+    delete,
+    insert,
+    select,
+    update,
+)
+
+DEFAULT_TENANT_ID = "default"
+
+
+@dataclass(frozen=True, slots=True)
+class Tenant:
+    """Whose rows a statement reads or changes."""
+
+    id: str
+
+
+def rows(tenant: Tenant, table: Table, *columns: Any) -> Select[Any]:
+    """Return a selection from the rows of `tenant`."""
+    return select(*(columns or (table,))).where(table.c.tenant_id == tenant.id)
+
+
+def change(tenant: Tenant, table: Table) -> Update:
+    """Return an update of the rows of `tenant`."""
+    return update(table).where(table.c.tenant_id == tenant.id)
+
+
+def remove(tenant: Tenant, table: Table) -> Delete:
+    """Return a removal of rows of `tenant`."""
+    return delete(table).where(table.c.tenant_id == tenant.id)
+
+
+def add(tenant: Tenant, table: Table, **values: Any) -> Insert:
+    """Return an insertion of a row of `tenant`."""
+    return insert(table).values(tenant_id=tenant.id, **values)
+
+
+def find(connection: Connection, tenant: Tenant, table: Table, identifier: str) -> RowMapping | None:
+    """Return the row of `tenant` with this id, or None; another tenant's row is none."""
+    return connection.execute(rows(tenant, table).where(table.c.id == identifier)).mappings().one_or_none()
+
+
+def across_tenants(table: Table, *columns: Any) -> Select[Any]:
+    """Return a selection from everybody's rows: for the controller and the sweeper, never for a route."""
+    return select(*(columns or (table,)))

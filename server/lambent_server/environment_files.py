@@ -1,0 +1,98 @@
+"""Reads the head of an OpenEXR or Radiance file: what it is and how large, without decoding a pixel."""
+
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from lambent_server.problems import Problem, invalid
+
+HEAD_BYTES = 64 * 1024
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d{1,9}) ([-+][XY]) (\d{1,9})\n")
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentHead:
+    """What the head of a file says."""
+
+    format: str
+    width: int
+    height: int
+    media_type: str
+
+
+def _broken(message: str) -> Problem:
+    return invalid("environment_invalid", "#", message)
+
+
+def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
+    """Return what the file is; `environment_invalid` where it is no environment of a sane size."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    if head.startswith(_EXR_MAGIC):
+        result = _read_exr(head)
+    elif head.startswith((b"#?RADIANCE", b"#?RGBE")):
+        result = _read_hdr(head)
+    else:
+        raise _broken("this is neither an OpenEXR nor a Radiance HDR picture")
+    if result.width < 2 or result.height < 1 or result.width * result.height > max_pixels:
+        raise _broken(
+            f"{result.width} x {result.height} pixels are not between 2 x 1 and {max_pixels} in all"
+        )
+    return result
+
+
+def _read_exr(head: bytes) -> EnvironmentHead:
+    version = int.from_bytes(head[4:8], "little")
+    # Bits of the version field: 0x200 tiled, 0x400 long names, 0x800 deep, 0x1000 several parts.
+    if version & 0xFF != 2 or version & 0x1800:
+        raise _broken("only flat OpenEXR 2 pictures with one part are read")
+    attributes: dict[bytes, bytes] = {}
+    at = 8
+    while head[at : at + 1] not in (b"\0", b""):
+        name, type_, rest = _strings(head, at)
+        (size,) = struct.unpack_from("<i", head, rest) if len(head) >= rest + 4 else (-1,)
+        if size < 0 or rest + 4 + size > len(head):
+            raise _broken("the head of the OpenEXR picture is cut off or too long")
+        attributes[name + b":" + type_] = head[rest + 4 : rest + 4 + size]
+        at = rest + 4 + size
+    window = attributes.get(b"dataWindow:box2i", b"")
+    channels = attributes.get(b"channels:chlist", b"")
+    if len(window) != 16 or not channels:
+        raise _broken("the OpenEXR picture has no data window or no channels")
+    left, top, right, bottom = struct.unpack("<4i", window)
+    if not {b"R", b"G", b"B"} <= _channel_names(channels):
+        raise _broken("the OpenEXR picture needs the channels R, G and B")
+    return EnvironmentHead("exr", right - left + 1, bottom - top + 1, "image/x-exr")
+
+
+def _strings(head: bytes, at: int) -> tuple[bytes, bytes, int]:
+    middle = head.find(b"\0", at, at + 256)
+    end = head.find(b"\0", middle + 1, middle + 257)
+    if middle < 0 or end < 0:
+        raise _broken("the head of the OpenEXR picture cannot be read")
+    return head[at:middle], head[middle + 1 : end], end + 1
+
+
+def _channel_names(channels: bytes) -> set[bytes]:
+    """Return the names in a channel list: each is ended by a zero and followed by 16 bytes."""
+    names, at = set(), 0
+    while at < len(channels) and channels[at] != 0:
+        end = channels.find(b"\0", at)
+        if end < 0:
+            break
+        names.add(channels[at:end])
+        at = end + 17
+    return names
+
+
+def _read_hdr(head: bytes) -> EnvironmentHead:
+    end = head.find(b"\n\n")
+    match = _HDR_SIZE.match(head, end + 1) if end >= 0 else None
+    if match is None:
+        raise _broken("the Radiance picture does not say its size")
+    first, rows, _, columns = match.groups()
+    if not first.endswith(b"Y"):
+        raise _broken("only Radiance pictures that are stored row by row are read")
+    return EnvironmentHead("hdr", int(columns), int(rows), "image/vnd.radiance")

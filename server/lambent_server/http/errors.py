@@ -1,0 +1,65 @@
+"""Every error of the framework as a problem document; none of its own bodies gets out."""
+
+from typing import Any
+
+import structlog
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, Response
+from starlette.exceptions import HTTPException
+
+from lambent_server.http.gate import unexpected
+from lambent_server.problems import MEDIA_TYPE, Detail, Problem
+
+log = structlog.get_logger()
+_CODES = {
+    404: "route_not_found",
+    405: "method_not_allowed",
+    400: "bad_request",
+    415: "unsupported_media_type",
+}
+MAX_ERRORS = 100
+
+
+def respond(request: Request, problem: Problem) -> Response:
+    """Return the answer that tells a problem."""
+    document = problem.document(request.state.request_id)
+    return JSONResponse(document, problem.status, headers=problem.headers, media_type=MEDIA_TYPE)
+
+
+def _pointer(location: tuple[Any, ...]) -> str:
+    """Return a JSON pointer into the body, or into what came beside it ("#/query/limit")."""
+    parts = location[1:] if location and location[0] == "body" else location
+    return "#" + "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
+
+
+def _validation(error: RequestValidationError) -> Problem:
+    found = error.errors()
+    if any(each["type"] == "json_invalid" for each in found):
+        return Problem(
+            400, "invalid_json", "the body is not JSON", errors=(Detail("#", str(found[0]["msg"])),)
+        )
+    details = tuple(Detail(_pointer(each["loc"]), str(each["msg"])) for each in found[:MAX_ERRORS])
+    return Problem(422, "invalid_request", f"{len(found)} value(s) cannot be used", errors=details)
+
+
+def install(app: FastAPI) -> None:
+    """Override the handlers of the framework."""
+
+    @app.exception_handler(Problem)
+    async def problem(request: Request, error: Problem) -> Response:
+        return respond(request, error)
+
+    @app.exception_handler(RequestValidationError)
+    async def validation(request: Request, error: RequestValidationError) -> Response:
+        return respond(request, _validation(error))
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> Response:
+        code = _CODES.get(error.status_code, "refused")
+        headers = dict(error.headers or {})
+        return respond(request, Problem(error.status_code, code, str(error.detail), headers=headers))
+
+    @app.exception_handler(Exception)
+    async def anything(request: Request, error: Exception) -> Response:
+        return respond(request, unexpected(error))

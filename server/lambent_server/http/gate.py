@@ -1,0 +1,246 @@
+"""The outermost layer: host, identity, size and pace of every request are settled before any route sees it."""
+
+import asyncio
+import json
+import re
+import time
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+from urllib.parse import urlsplit
+
+import structlog
+from anyio import to_thread
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.datastructures import Headers, MutableHeaders
+
+from lambent_server.clock import new_id
+from lambent_server.database.tenancy import Tenant
+from lambent_server.http.identity import cookie_token, tenant_of_key, tenant_of_session
+from lambent_server.metrics import REQUEST_SECONDS
+from lambent_server.problems import MEDIA_TYPE, Detail, Problem
+from lambent_server.services import Services
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+log = structlog.get_logger()
+
+CSRF_HEADER = "x-lambent-csrf"
+_PUBLIC = re.compile(r"/|/assets/.*|/healthz|/readyz|/openapi\.json|/v1/version|/v1/login")
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "content-security-policy": _POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+}
+
+
+class Gate:
+    """ASGI middleware around the whole application."""
+
+    def __init__(self, app: App, services: Services, hosts: frozenset[str]) -> None:
+        self._app = app
+        self._services = services
+        self._hosts = hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = _Request(self._services, scope, receive, send)
+        try:
+            headers = Headers(scope=scope)
+            self._check_host(headers)
+            await self._identify(scope, headers)
+            request.check_length(headers)
+            await self._app(scope, request.receive, request.send)
+        except Problem as problem:
+            await request.refuse(problem)
+        except Exception as error:
+            log.exception("request_failed", request=request.id, path=scope["path"])
+            await request.refuse(unexpected(error))
+        finally:
+            request.observe()
+
+    def _check_host(self, headers: Headers) -> None:
+        host = headers.get("host", "")
+        name = urlsplit(f"//{host}").hostname or ""
+        if name not in self._hosts:
+            raise Problem(
+                421,
+                "host_not_allowed",
+                f"this server does not answer for {host[:100]!r}; start it with that name in LAMBENT_ALLOWED_HOSTS",
+            )
+
+    async def _identify(self, scope: Scope, headers: Headers) -> None:
+        if _PUBLIC.fullmatch(scope["path"]):
+            return
+        database = self._services.database
+        scheme, _, key = headers.get("authorization", "").partition(" ")
+        tenant: Tenant | None = None
+        if scheme.lower() == "bearer":
+            tenant = await to_thread.run_sync(tenant_of_key, database, key.strip())
+        elif token := cookie_token(headers.get("cookie", "")):
+            tenant = await to_thread.run_sync(tenant_of_session, database, token)
+            if tenant is not None and scope["method"] not in _SAFE:
+                self._check_same_site(headers)
+        if tenant is None:
+            raise Problem(
+                401,
+                "not_authenticated",
+                "send 'Authorization: Bearer <key>' (the key is in api.key in the server's data folder), or open "
+                "the one-time link that `lambent serve` printed",
+                headers={"www-authenticate": 'Bearer realm="lambent"'},
+            )
+        scope.setdefault("state", {})["tenant"] = tenant
+
+    @staticmethod
+    def _check_same_site(headers: Headers) -> None:
+        """Refuse a write that another site may have made the browser send."""
+        origin = headers.get("origin")
+        foreign = origin is not None and urlsplit(origin).netloc != headers.get("host")
+        if headers.get(CSRF_HEADER) != "1" or foreign:
+            raise Problem(
+                403, "csrf", f"a browser's write needs the header {CSRF_HEADER}: 1 from this very site"
+            )
+
+
+def unexpected(error: Exception) -> Problem:
+    """Return the answer to what nobody has foreseen; the log has the rest."""
+    if isinstance(error, SQLAlchemyError):
+        return Problem(503, "database_unavailable", "the database does not answer", retryable=True)
+    return Problem(500, "internal", "the server made a mistake; its log tells which", retryable=True)
+
+
+class _Request:
+    """One request on its way: counts what it brings and adds what every answer carries."""
+
+    def __init__(self, services: Services, scope: Scope, receive: Receive, send: Send) -> None:
+        self.id = new_id("req")
+        self._settings = services.settings
+        self._scope = scope
+        self._receive = receive
+        self._send = send
+        self._limit = body_limit(services, scope["method"], scope["path"])
+        self._received = 0
+        self._complete = False
+        self._window = [0.0, 0]
+        self._answered = False
+        self._cut = False
+        self._status = 0
+        self._began = time.perf_counter()
+        scope.setdefault("state", {})["request_id"] = self.id
+
+    def check_length(self, headers: Headers) -> None:
+        """Refuse a body that says itself that it is too large, before reading it."""
+        text = headers.get("content-length")
+        if text is not None and text.isdigit() and int(text) > self._limit:
+            raise self._too_large()
+
+    def _too_large(self) -> Problem:
+        return Problem(
+            413,
+            "body_too_large",
+            f"this request may bring {self._limit} bytes",
+            errors=(Detail("#", f"at most {self._limit} bytes"),),
+            headers={"connection": "close"},
+        )
+
+    async def receive(self) -> Message:
+        """Return the next piece of the body, if it is in time and within the limit."""
+        if self._cut:
+            return {"type": "http.disconnect"}
+        if self._complete:
+            return await self._receive()
+        try:
+            message = await self._next_piece()
+        except TimeoutError:
+            return await self._cut_off(
+                Problem(
+                    408,
+                    "body_too_slow",
+                    f"a body must bring {self._settings.body_bytes_per_s:g} bytes per second",
+                    retryable=True,
+                    headers={"connection": "close"},
+                )
+            )
+        if message["type"] == "http.request":
+            size = len(message.get("body", b""))
+            self._received += size
+            self._window[1] += size
+            self._complete = not message.get("more_body", False)
+            if self._received > self._limit:
+                return await self._cut_off(self._too_large())
+        return message
+
+    async def _next_piece(self) -> Message:
+        """Wait for a piece; TimeoutError when a whole window of waiting has brought too little."""
+        settings = self._settings
+        waited, brought = self._window
+        began = time.monotonic()
+        message = await asyncio.wait_for(self._receive(), max(settings.body_window_s - waited, 0.001))
+        waited += time.monotonic() - began
+        if waited >= settings.body_window_s:
+            if brought < settings.body_bytes_per_s * waited:
+                raise TimeoutError
+            waited, brought = 0.0, 0
+        self._window = [waited, brought]
+        return message
+
+    async def _cut_off(self, problem: Problem) -> Message:
+        await self.refuse(problem)
+        self._cut = True
+        return {"type": "http.disconnect"}
+
+    async def send(self, message: Message) -> None:
+        """Pass an answer on, with the headers that all have."""
+        if self._cut:
+            return
+        if message["type"] == "http.response.start":
+            self._answered = True
+            self._status = message["status"]
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers.setdefault(name, value)
+            headers["x-request-id"] = self.id
+        await self._send(message)
+
+    async def refuse(self, problem: Problem) -> None:
+        """Answer with a problem, unless an answer is under way."""
+        if self._answered or self._cut:
+            return
+        body = json.dumps(problem.document(self.id)).encode()
+        pairs = {"content-type": MEDIA_TYPE, "content-length": str(len(body)), **problem.headers}
+        headers = [(name.encode(), value.encode()) for name, value in pairs.items()]
+        await self.send({"type": "http.response.start", "status": problem.status, "headers": headers})
+        await self.send({"type": "http.response.body", "body": body})
+
+    def observe(self) -> None:
+        """Count the request."""
+        route = getattr(self._scope.get("route"), "path", "none")
+        REQUEST_SECONDS.labels(self._scope["method"], route, str(self._status)).observe(
+            time.perf_counter() - self._began
+        )
+
+
+def body_limit(services: Services, method: str, path: str) -> int:
+    """Return how many bytes a request may bring."""
+    settings = services.settings
+    if method in ("PUT", "POST"):
+        if re.fullmatch(r"/v1/scenes/[^/]+/(files/[^/]+|archive)", path):
+            return settings.max_scene_bytes
+        if path.endswith("/files:plan"):
+            return settings.max_plan_bytes
+        if path == "/v1/environments":
+            return settings.max_environment_bytes
+    return settings.max_json_bytes

@@ -1,0 +1,91 @@
+"""Who asks: bearer keys for programs, a cookie for the browser that opened the one-time link."""
+
+import secrets
+import threading
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+
+from sqlalchemy import Connection
+
+from lambent_server.capability import sha256_text
+from lambent_server.clock import new_id, now
+from lambent_server.database.engine import Database
+from lambent_server.database.schema import api_keys, sessions
+from lambent_server.database.tenancy import Tenant, across_tenants, add
+
+COOKIE = "lambent_session"
+
+
+class LoginCodes:
+    """Codes of one-time links; they are forgotten when the server ends."""
+
+    def __init__(self, lifetime_s: float) -> None:
+        self._lifetime_s = lifetime_s
+        self._lock = threading.Lock()
+        self._valid_until: dict[str, tuple[Tenant, float]] = {}
+
+    def issue(self, tenant: Tenant) -> tuple[str, float]:
+        """Return a new code and when it ends (Unix seconds)."""
+        code, until = secrets.token_urlsafe(32), now() + self._lifetime_s
+        with self._lock:
+            self._valid_until = {key: value for key, value in self._valid_until.items() if value[1] > now()}
+            self._valid_until[sha256_text(code)] = (tenant, until)
+        return code, until
+
+    def redeem(self, code: str) -> Tenant | None:
+        """Return whose code it is and forget it; None where it is unknown, used or too old."""
+        with self._lock:
+            tenant, until = self._valid_until.pop(sha256_text(code), (None, 0.0))
+        return tenant if until > now() else None
+
+
+def open_session(connection: Connection, tenant: Tenant, lifetime_s: float) -> str:
+    """Return the token of a new browser session."""
+    token = secrets.token_urlsafe(32)
+    connection.execute(
+        add(
+            tenant,
+            sessions,
+            token_sha256=sha256_text(token),
+            created_at=now(),
+            expires_at=now() + lifetime_s,
+        )
+    )
+    return token
+
+
+def register_key(database: Database, tenant: Tenant, key: str, name: str) -> None:
+    """Accept `key` from now on; only its hash is stored."""
+    with database.write() as connection:
+        known = across_tenants(api_keys, api_keys.c.id).where(api_keys.c.key_sha256 == sha256_text(key))
+        if connection.execute(known).first() is None:
+            values = {"id": new_id("key"), "name": name, "key_sha256": sha256_text(key), "created_at": now()}
+            connection.execute(add(tenant, api_keys, **values))
+
+
+def cookie_token(header: str) -> str | None:
+    """Return the session token of a Cookie header."""
+    jar: SimpleCookie = SimpleCookie()
+    try:
+        jar.load(header)
+    except CookieError:
+        return None
+    return jar[COOKIE].value if COOKIE in jar else None
+
+
+def tenant_of_key(database: Database, key: str) -> Tenant | None:
+    """Return whose key it is, or None where it is not valid (any more)."""
+    statement = across_tenants(api_keys).where(api_keys.c.key_sha256 == sha256_text(key))
+    with database.read() as connection:
+        row: Any = connection.execute(statement).mappings().one_or_none()
+    if row is None or row["revoked_at"] is not None or (row["expires_at"] or now() + 1) < now():
+        return None
+    return Tenant(row["tenant_id"])
+
+
+def tenant_of_session(database: Database, token: str) -> Tenant | None:
+    """Return whose browser it is, or None where the session is not valid (any more)."""
+    statement = across_tenants(sessions).where(sessions.c.token_sha256 == sha256_text(token))
+    with database.read() as connection:
+        row = connection.execute(statement).mappings().one_or_none()
+    return Tenant(row["tenant_id"]) if row is not None and row["expires_at"] > now() else None

@@ -1,0 +1,220 @@
+"""Questions about jobs, and the way a new one comes in."""
+
+import base64
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from sqlalchemy import Connection, func
+
+from lambent_server.clock import new_id, now, rfc3339
+from lambent_server.database.schema import idempotency_keys, job_labels, jobs, scenes
+from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.job_rows import FINAL, QUEUED, NewEvent, append_event
+from lambent_server.messages import Event, Job, NewJob, Preset
+from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
+from lambent_server.services import Services
+
+Row = dict[str, Any]
+
+
+@cache
+def presets() -> tuple[dict[str, Preset], str]:
+    """Return the presets by name and the name of the default one."""
+    text = resources.files("lambent_server").joinpath("presets.json").read_text(encoding="utf-8")
+    table = json.loads(text)
+    return {each["name"]: Preset(**each) for each in table["presets"]}, table["default"]
+
+
+def require_job(connection: Connection, tenant: Tenant, job_id: str) -> Row:
+    """Return the job's row."""
+    row = find(connection, tenant, jobs, job_id)
+    if row is None:
+        raise not_found("job", job_id)
+    return dict(row)
+
+
+def _time(at: float | None) -> str | None:
+    return None if at is None else rfc3339(at)
+
+
+def show(row: Any) -> Job:
+    """Return the job as the interface shows it."""
+    return Job(
+        **{
+            name: row[name]
+            for name in [
+                "id",
+                "kind",
+                "scene_id",
+                "preset",
+                "params",
+                "gpus",
+                "priority",
+                "labels",
+                "seed",
+                "state",
+                "run",
+                "progress",
+                "error",
+                "bundle_id",
+            ]
+        },
+        created_at=rfc3339(row["created_at"]),
+        started_at=_time(row["started_at"]),
+        finished_at=_time(row["finished_at"]),
+        retry_at=_time(row["retry_at"]),
+        last_event=row["event_seq"],
+    )
+
+
+def show_event(row: Any) -> Event:
+    """Return a line of a job's history as the interface shows it."""
+    names = ["job_id", "seq", "type", "run", "state", "progress", "message", "sha256", "name"]
+    return Event(at=rfc3339(row["at"]), **{name: row[name] for name in names})
+
+
+def order_of(row: Row) -> NewJob:
+    """Return what was asked for when the job came in."""
+    names = ["scene_id", "preset", "params", "gpus", "priority", "labels", "kind", "seed"]
+    return NewJob(**{name: row[name] for name in names})
+
+
+def find_repeated(connection: Connection, tenant: Tenant, key: str, digest: str) -> Row | None:
+    """Return the job that this key made before; another body under the same key is a mistake."""
+    statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
+    row = connection.execute(statement).mappings().one_or_none()
+    if row is None:
+        return None
+    if row["body_sha256"] != digest:
+        message = "this key was used with another body; take a new key for a new job"
+        raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
+    return require_job(connection, tenant, row["job_id"])
+
+
+def remember_key(connection: Connection, tenant: Tenant, key: str, digest: str, job_id: str) -> None:
+    """Note which job a key made."""
+    values = {"key": key, "body_sha256": digest, "job_id": job_id, "created_at": now()}
+    connection.execute(add(tenant, idempotency_keys, **values))
+
+
+def submit(connection: Connection, tenant: Tenant, order: NewJob, services: Services) -> Row:
+    """Add a job to the queue, or say why not."""
+    gpus = _check_order(order, services)
+    scene = find(connection, tenant, scenes, order.scene_id)
+    if scene is None:
+        raise Problem(
+            404,
+            "scene_not_found",
+            f"there is no scene {order.scene_id!r}",
+            errors=(Detail("#/scene_id", "no such scene"),),
+        )
+    if scene["state"] == "open":
+        raise conflict("scene_not_committed", "the upload of this scene was not ended; call :commit first")
+    if scene["state"] == "rejected":
+        findings = (scene["report"] or {}).get("findings", [])
+        raise conflict(
+            "scene_rejected", "this scene cannot be used; mend what `findings` names", findings=findings
+        )
+    active = rows(tenant, jobs, func.count()).where(jobs.c.state.not_in(FINAL))
+    in_use = connection.execute(active).scalar_one()
+    limit = services.settings.max_queued_jobs
+    if in_use >= limit:
+        raise Problem(
+            429,
+            "quota_jobs",
+            f"{in_use} jobs have not ended yet, {limit} are allowed",
+            retryable=True,
+            headers={"retry-after": "30"},
+            members={"quota": {"name": "max_queued_jobs", "limit": limit, "used": in_use}},
+        )
+    identifier = new_id("job")
+    connection.execute(
+        add(
+            tenant,
+            jobs,
+            id=identifier,
+            kind=order.kind,
+            scene_id=order.scene_id,
+            preset=order.preset,
+            params=order.params,
+            gpus=gpus,
+            priority=order.priority,
+            labels=order.labels,
+            seed=order.seed,
+            state=QUEUED,
+            created_at=now(),
+            updated_at=now(),
+            adjustments={},
+        )
+    )
+    for name, value in order.labels.items():
+        connection.execute(add(tenant, job_labels, job_id=identifier, name=name, value=value))
+    job = require_job(connection, tenant, identifier)
+    append_event(connection, job, NewEvent(type="state", state=QUEUED))
+    return require_job(connection, tenant, identifier)
+
+
+def _check_order(order: NewJob, services: Services) -> int:
+    """Return how many GPUs the job gets."""
+    known, _ = presets()
+    if order.preset not in known:
+        names = ", ".join(known)
+        raise invalid("preset_unknown", "#/preset", f"there is no preset {order.preset!r}; there are {names}")
+    available = max_gpus(services)
+    wanted = order.gpus
+    if wanted is None:
+        wanted = min(known[order.preset].gpus, available) if order.kind == "train" else 0
+        if wanted < known[order.preset].gpus and order.kind == "train":
+            message = (
+                f'preset {order.preset!r} is made for a GPU and there is none; say "gpus": 0 to run it anyway'
+            )
+            raise invalid("unsatisfiable_resources", "#/gpus", message)
+    if wanted > available:
+        message = f"a job can have {available} GPU(s) on this server, not {wanted}"
+        raise invalid("unsatisfiable_resources", "#/gpus", message)
+    return wanted
+
+
+def max_gpus(services: Services) -> int:
+    """Return how many GPUs one job can have: a run uses one device at most."""
+    return min(services.local_gpus, 1)
+
+
+def _cursor(job_id: str) -> str:
+    return base64.urlsafe_b64encode(job_id.encode()).decode().rstrip("=")
+
+
+def _from_cursor(cursor: str) -> str:
+    try:
+        return base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("ascii")
+    except ValueError as error:
+        message = "take the cursor from `next_cursor` as it is"
+        raise invalid("cursor_invalid", "#/query/cursor", message) from error
+
+
+def select_page(
+    connection: Connection,
+    tenant: Tenant,
+    *,
+    states: Sequence[str],
+    labels: Sequence[tuple[str, ...]],
+    limit: int,
+    cursor: str | None,
+) -> tuple[list[Row], str | None]:
+    """Return up to `limit` jobs, the newest first, and the cursor of the next page."""
+    statement = rows(tenant, jobs).order_by(jobs.c.id.desc()).limit(limit + 1)
+    if cursor is not None:
+        statement = statement.where(jobs.c.id < _from_cursor(cursor))
+    if states:
+        statement = statement.where(jobs.c.state.in_(states))
+    for name, value in labels:
+        having = rows(tenant, job_labels, job_labels.c.job_id).where(
+            job_labels.c.name == name, job_labels.c.value == value
+        )
+        statement = statement.where(jobs.c.id.in_(having))
+    found = [dict(row) for row in connection.execute(statement).mappings()]
+    more = len(found) > limit
+    return found[:limit], _cursor(found[limit - 1]["id"]) if more else None

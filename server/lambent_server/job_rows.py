@@ -1,0 +1,105 @@
+"""Jobs and their history as rows: the only place that moves a job from one state to another."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, RowMapping
+
+from lambent_server.clock import now
+from lambent_server.database.schema import events, jobs
+from lambent_server.database.tenancy import Tenant, add, change, rows
+
+QUEUED = "queued"
+RUNNING = "running"
+CANCELLING = "cancelling"
+RETRY_WAIT = "retry_wait"
+SUCCEEDED = "succeeded"
+FAILED = "failed"
+CANCELLED = "cancelled"
+FINAL = frozenset({SUCCEEDED, FAILED, CANCELLED})
+HAS_RUN = frozenset({RUNNING, CANCELLING})
+
+Job = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NewEvent:
+    """A line of a job's history that has no number yet."""
+
+    type: str
+    run: int = 0
+    state: str = ""
+    progress: dict[str, Any] | None = None
+    message: str = ""
+    sha256: str = ""
+    name: str = ""
+
+
+def owner(job: Job) -> Tenant:
+    """Return whose job it is."""
+    return Tenant(job["tenant_id"])
+
+
+def append_event(connection: Connection, job: Job, event: NewEvent) -> int:
+    """Add a line to the job's history and return its number; numbers have no gaps."""
+    statement = (
+        change(owner(job), jobs)
+        .where(jobs.c.id == job["id"])
+        .values(event_seq=jobs.c.event_seq + 1, updated_at=now())
+        .returning(jobs.c.event_seq)
+    )
+    seq: int = connection.execute(statement).scalar_one()
+    connection.execute(
+        add(
+            owner(job),
+            events,
+            job_id=job["id"],
+            seq=seq,
+            at=now(),
+            type=event.type,
+            run=event.run or job["run"],
+            state=event.state,
+            progress=event.progress,
+            message=event.message,
+            sha256=event.sha256,
+            name=event.name,
+        )
+    )
+    return seq
+
+
+def set_fields(connection: Connection, job: Job, **values: Any) -> None:
+    """Write columns of the job."""
+    connection.execute(
+        change(owner(job), jobs).where(jobs.c.id == job["id"]).values(updated_at=now(), **values)
+    )
+
+
+def move(connection: Connection, job: Job, state: str, message: str = "", **values: Any) -> bool:
+    """Move the job to `state` and record it; return False, changing nothing, if somebody else moved it first."""
+    if state in FINAL:
+        values |= {"finished_at": now(), "retry_at": None}
+    statement = (
+        change(owner(job), jobs)
+        .where(jobs.c.id == job["id"], jobs.c.state == job["state"], jobs.c.run == job["run"])
+        .values(state=state, updated_at=now(), **values)
+    )
+    if connection.execute(statement).rowcount == 0:
+        return False
+    event = NewEvent(type="state", state=state, message=message, run=values.get("run", job["run"]))
+    append_event(connection, job, event)
+    return True
+
+
+def read_events(
+    connection: Connection, tenant: Tenant, job_id: str, after: int, limit: int
+) -> list[RowMapping]:
+    """Return up to `limit` lines of the history that come after number `after`."""
+    statement = (
+        rows(tenant, events)
+        .where(events.c.job_id == job_id, events.c.seq > after)
+        .order_by(events.c.seq)
+        .limit(limit)
+    )
+    return list(connection.execute(statement).mappings())

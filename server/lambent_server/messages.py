@@ -1,0 +1,291 @@
+"""Bodies of the REST interface. What mirrors a message of `proto/` has its fields, names and defaults."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
+LabelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}$")]
+SettingName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$", max_length=100)]
+SettingValue = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+JobState = Literal["queued", "running", "cancelling", "retry_wait", "succeeded", "failed", "cancelled"]
+JobKind = Literal["train", "check"]
+SceneState = Literal["open", "uploaded", "ready", "rejected"]
+
+
+class Given(BaseModel):
+    """What a client sends: nothing unknown, nothing converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Shown(BaseModel):
+    """What the server answers."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class NewScene(Given):
+    """A scene to upload files to."""
+
+    name: Name
+
+
+class PlannedFile(Given):
+    """A file that the scene shall have."""
+
+    path: Annotated[str, Field(min_length=1, max_length=240)]
+    size: Annotated[int, Field(ge=0, le=2**53)]
+    sha256: Sha256
+
+
+class Plan(Shown):
+    """What is still to be sent, and what will not be part of the scene."""
+
+    missing: list[Sha256]
+    unsupported: list[str]
+
+
+class Scene(Shown):
+    """A set of photographs."""
+
+    id: str
+    name: str
+    state: SceneState
+    layout: str | None
+    created_at: str
+    committed_at: str | None
+    num_files: int
+    size_bytes: float
+    content_sha256: str | None
+
+
+class Finding(Shown):
+    """Mirrors lambent_proto.v1.Finding."""
+
+    code: str
+    severity: Literal["", "warning", "error"]
+    message: str
+    subject: str
+
+
+class SceneReport(Shown):
+    """Mirrors lambent_proto.v1.SceneReport."""
+
+    usable: bool
+    layout: str
+    findings: list[Finding]
+    num_train_frames: int
+    num_test_frames: int
+
+
+class SceneReportAnswer(SceneReport):
+    """The report together with the state it led to; `checked` is false before anything was looked at."""
+
+    scene_id: str
+    state: SceneState
+    checked: bool
+
+
+class NewJob(Given):
+    """What is to be done with a scene; mirrors lambent_proto.v1.JobSpec."""
+
+    scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
+    preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"
+    params: Annotated[dict[SettingName, SettingValue], Field(max_length=64)] = {}
+    gpus: Annotated[int, Field(ge=0, le=1024)] | None = None
+    priority: Annotated[int, Field(ge=-1000, le=1000)] = 0
+    labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32)] = {}
+    kind: JobKind = "train"
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+
+
+class Progress(Shown):
+    """Mirrors lambent_proto.v1.Progress."""
+
+    stage: str
+    step: int
+    num_steps: int
+    fraction: float
+    eta_s: float
+    steps_per_s: float
+    loss: float
+    psnr: float
+
+
+class JobError(Shown):
+    """Why the last run ended badly."""
+
+    code: str
+    message: str
+    cause: str
+    run: int
+
+
+class Job(Shown):
+    """A job and how far it is."""
+
+    id: str
+    kind: JobKind
+    scene_id: str
+    preset: str
+    params: dict[str, str]
+    gpus: int
+    priority: int
+    labels: dict[str, str]
+    seed: int
+    state: JobState
+    run: int
+    created_at: str
+    started_at: str | None
+    finished_at: str | None
+    retry_at: str | None
+    progress: Progress | None
+    error: JobError | None
+    bundle_id: str | None
+    last_event: int
+
+
+class JobList(Shown):
+    """One page of jobs, the newest first."""
+
+    items: list[Job]
+    next_cursor: str | None
+
+
+class Event(Shown):
+    """Mirrors lambent_proto.v1.Event."""
+
+    job_id: str
+    seq: int
+    at: str
+    type: str
+    run: int
+    state: Literal["", JobState]
+    progress: Progress | None
+    message: str
+    sha256: str
+    name: str
+
+
+class EventList(Shown):
+    """Lines of a job's history, in order."""
+
+    items: list[Event]
+
+
+class Artifact(Shown):
+    """A file that a job has made, besides its bundle."""
+
+    name: str
+    sha256: Sha256
+    size_bytes: float
+    media_type: str
+    url: str
+
+
+class ArtifactList(Shown):
+    """The files that a job has made."""
+
+    items: list[Artifact]
+
+
+class Environment(Shown):
+    """Light from all directions, as an equirectangular picture."""
+
+    id: str
+    name: str
+    format: Literal["exr", "hdr"]
+    width: int
+    height: int
+    sha256: Sha256
+    size_bytes: float
+    created_at: str
+    url: str
+
+
+class EnvironmentList(Shown):
+    """The environments of this tenant, the newest first."""
+
+    items: list[Environment]
+
+
+class Preset(Shown):
+    """A set of numbers to train with."""
+
+    name: str
+    description: str
+    gpus: int
+
+
+class PresetList(Shown):
+    """What `preset` may be."""
+
+    items: list[Preset]
+    default: str
+
+
+class Limits(Shown):
+    """What the server accepts."""
+
+    max_json_bytes: int
+    max_scene_bytes: int
+    max_scene_files: int
+    max_archive_ratio: float
+    max_environment_bytes: int
+    max_environment_pixels: int
+    max_queued_jobs: int
+    max_gpus: int
+    max_wait_s: float
+    scene_suffixes: list[str]
+
+
+class Version(Shown):
+    """Which server this is."""
+
+    name: Literal["lambent"]
+    version: str
+    api: Literal["v1"]
+
+
+class Health(Shown):
+    """Whether the server lives, and in which state its parts are."""
+
+    status: Literal["ok", "unavailable"]
+    checks: dict[str, str] = {}
+
+
+class LoginCode(Given):
+    """The code of a one-time link."""
+
+    code: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class LoginLink(Shown):
+    """A link that logs one browser in, once."""
+
+    url: str
+    expires_at: str
+
+
+class ProblemDetail(Shown):
+    """One thing that is wrong with a request."""
+
+    pointer: str
+    message: str
+
+
+class ProblemDocument(BaseModel):
+    """An RFC 9457 problem document."""
+
+    type: str
+    title: str
+    status: int
+    code: str
+    detail: str
+    retryable: bool
+    errors: list[ProblemDetail]
+    request_id: str
+    findings: list[Finding] | None = None
+    quota: dict[str, Any] | None = None

@@ -1,0 +1,86 @@
+"""Messages as the REST interface writes them.
+
+That is ProtoJSON with proto field names and every field written, except that enumerations are lower-case words
+without their prefix ("queued") and a message that is not set is null.
+"""
+
+from typing import Any, TypeVar
+
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
+from google.protobuf.message import Message
+
+Kind = TypeVar("Kind", bound=Message)
+
+
+def _prefix(enum_name: str) -> str:
+    words = "".join(f"_{letter}" if letter.isupper() else letter for letter in enum_name)
+    return words.strip("_").upper() + "_"
+
+
+def enum_text(enum: Any, number: int) -> str:
+    """Return the word for a number of an enumeration ("" for the unspecified one)."""
+    descriptor = enum.DESCRIPTOR if isinstance(enum, EnumTypeWrapper) else enum
+    name = descriptor.values_by_number[number].name.removeprefix(_prefix(descriptor.name)).lower()
+    return "" if name == "unspecified" else str(name)
+
+
+def enum_number(enum: Any, text: str) -> int:
+    """Return the number for a word of an enumeration."""
+    descriptor = enum.DESCRIPTOR if isinstance(enum, EnumTypeWrapper) else enum
+    name = _prefix(descriptor.name) + (text.upper() or "UNSPECIFIED")
+    return int(descriptor.values_by_name[name].number)
+
+
+def _is_map(field: FieldDescriptor) -> bool:
+    return field.message_type is not None and field.message_type.GetOptions().map_entry
+
+
+def _value_to_rest(field: FieldDescriptor, value: Any) -> Any:
+    if field.message_type is not None:
+        return to_rest(value)
+    if field.enum_type is not None:
+        return enum_text(field.enum_type, value)
+    return value
+
+
+def to_rest(message: Message) -> dict[str, Any]:
+    """Return the REST object of a message."""
+    result: dict[str, Any] = {}
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if _is_map(field):
+            inner = field.message_type.fields_by_name["value"]
+            result[field.name] = {key: _value_to_rest(inner, value[key]) for key in sorted(value)}
+        elif field.is_repeated:
+            result[field.name] = [_value_to_rest(field, each) for each in value]
+        elif field.message_type is not None and not message.HasField(field.name):
+            result[field.name] = None
+        else:
+            result[field.name] = _value_to_rest(field, value)
+    return result
+
+
+def _value_from_rest(field: FieldDescriptor, value: Any) -> Any:
+    if field.message_type is not None:
+        return from_rest(field.message_type._concrete_class, value)
+    if field.enum_type is not None:
+        return enum_number(field.enum_type, value)
+    return value
+
+
+def from_rest(kind: type[Kind], value: dict[str, Any]) -> Kind:
+    """Return the message of a REST object; the inverse of `to_rest`."""
+    given: dict[str, Any] = {}
+    for field in kind.DESCRIPTOR.fields:
+        member = value.get(field.name)
+        if member is None:
+            continue
+        if _is_map(field):
+            inner = field.message_type.fields_by_name["value"]
+            given[field.name] = {key: _value_from_rest(inner, each) for key, each in member.items()}
+        elif field.is_repeated:
+            given[field.name] = [_value_from_rest(field, each) for each in member]
+        else:
+            given[field.name] = _value_from_rest(field, member)
+    return kind(**given)

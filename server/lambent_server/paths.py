@@ -1,0 +1,70 @@
+"""Names of files that came from outside: what is allowed and what belongs to a scene."""
+
+import re
+import unicodedata
+from pathlib import PurePosixPath
+
+from lambent_server.problems import invalid
+
+MAX_PATH_CHARACTERS = 240
+# Pictures, poses and tables. Anything else is never stored, let alone loaded.
+SCENE_SUFFIXES = frozenset(
+    {
+        ".bin",
+        ".bmp",
+        ".csv",
+        ".exr",
+        ".hdr",
+        ".jpeg",
+        ".jpg",
+        ".json",
+        ".npy",
+        ".png",
+        ".tif",
+        ".tiff",
+        ".txt",
+        ".webp",
+    }
+)
+_FORBIDDEN = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
+_RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
+
+
+def path_problem(path: str) -> str | None:
+    """Return why `path` cannot name a file inside a folder on every system, or None where it can."""
+    if not path or len(path) > MAX_PATH_CHARACTERS:
+        return f"a path has 1 to {MAX_PATH_CHARACTERS} characters"
+    if _FORBIDDEN.search(path):
+        return 'control characters, backslash and any of :*?"<>| are not allowed'
+    parts = path.split("/")
+    if any(part in ("", ".", "..") for part in parts):
+        return "the path must be relative, without empty parts, '.' or '..'"
+    if any(part != part.strip() or part.endswith(".") for part in parts):
+        return "parts must not begin or end with a space, nor end with a dot"
+    if any(_RESERVED.fullmatch(part) for part in parts):
+        return "a part is a reserved name on Windows"
+    try:
+        path.encode("utf-8")
+    except UnicodeEncodeError:
+        return "the path is not valid Unicode"
+    return None
+
+
+def check_path(path: str, pointer: str) -> str:
+    """Return the path, or raise the problem that names it."""
+    problem = path_problem(path)
+    if problem is not None:
+        raise invalid("path_unsafe", pointer, f"{path[:80]!r}: {problem}")
+    return path
+
+
+def folded(path: str) -> str:
+    """Return what two paths share that clash on a file system which ignores case or composition."""
+    return unicodedata.normalize("NFC", path).casefold()
+
+
+def is_scene_file(path: str) -> bool:
+    """Return whether a file of this name can belong to a scene."""
+    pure = PurePosixPath(path)
+    hidden = any(part.startswith(".") or part == "__MACOSX" for part in pure.parts)
+    return pure.suffix.lower() in SCENE_SUFFIXES and not hidden

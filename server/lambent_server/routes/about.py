@@ -1,0 +1,78 @@
+"""What the server is, accepts and does at the moment."""
+
+from importlib.metadata import version
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import JSONResponse
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+
+from lambent_server import job_queries
+from lambent_server.clock import now
+from lambent_server.messages import Health, Limits, PresetList, Version
+from lambent_server.metrics import registry
+from lambent_server.paths import SCENE_SUFFIXES
+from lambent_server.routes.common import ServicesOf, TenantOf, problems
+
+router = APIRouter(tags=["about"])
+
+
+@router.get("/v1/limits", responses=problems())
+def get_limits(services: ServicesOf, tenant: TenantOf) -> Limits:
+    """Return what the server accepts."""
+    settings = services.settings
+    names = set(Limits.model_fields) - {"max_gpus", "scene_suffixes"}
+    return Limits(
+        **{name: getattr(settings, name) for name in names},
+        max_gpus=job_queries.max_gpus(services),
+        scene_suffixes=sorted(SCENE_SUFFIXES),
+    )
+
+
+@router.get("/v1/presets", responses=problems())
+def list_presets(tenant: TenantOf) -> PresetList:
+    """Return what `preset` of a job may be."""
+    known, default = job_queries.presets()
+    return PresetList(items=list(known.values()), default=default)
+
+
+@router.get("/v1/version")
+def get_version() -> Version:
+    """Return which server this is."""
+    return Version(name="lambent", version=version("lambent"), api="v1")
+
+
+@router.get("/healthz")
+def get_health() -> Health:
+    """Say that the process answers."""
+    return Health(status="ok")
+
+
+@router.get("/readyz", responses={503: {"model": Health, "description": "Some part does not work."}})
+def get_readiness(services: ServicesOf, request: Request) -> JSONResponse:
+    """Say whether the parts work; 503 where one does not."""
+    checks = {"database": "ok", "controller": "ok", "disk": "ok"}
+    try:
+        with services.database.read() as connection:
+            connection.execute(text("SELECT 1"))
+    except SQLAlchemyError as error:
+        checks["database"] = type(error).__name__
+    controller = getattr(request.app.state, "controller", None)
+    if controller is not None and now() - controller.turned_at > 30 + 10 * services.settings.tick_s:
+        checks["controller"] = "stuck"
+    if services.wakeups.closing:
+        checks["controller"] = "ending"
+    well = all(value == "ok" for value in checks.values())
+    health = Health(status="ok" if well else "unavailable", checks=checks)
+    return JSONResponse(health.model_dump(), 200 if well else 503)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={**problems(), 200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def get_metrics(services: ServicesOf, tenant: TenantOf) -> Response:
+    """Return figures for Prometheus."""
+    return Response(generate_latest(registry(services)), media_type=CONTENT_TYPE_LATEST)

@@ -1,0 +1,70 @@
+"""What every route is given."""
+
+from typing import Annotated, Any
+
+from fastapi import Depends, Path, Request
+from starlette.convertors import Convertor, register_url_convertor
+
+from lambent_server.database.tenancy import Tenant
+from lambent_server.messages import ProblemDocument
+from lambent_server.problems import MEDIA_TYPE
+from lambent_server.services import Services
+
+
+class _Identifier(Convertor[str]):
+    """Part of a path without a colon, so that `/jobs/x:cancel` is never the job "x:cancel"."""
+
+    regex = "[^/:]+"
+
+    def convert(self, value: str) -> str:
+        return value
+
+    def to_string(self, value: str) -> str:
+        return value
+
+
+register_url_convertor("id", _Identifier())
+
+
+def _services(request: Request) -> Services:
+    services: Services = request.app.state.services
+    return services
+
+
+def _tenant(request: Request) -> Tenant:
+    tenant: Tenant = request.state.tenant
+    return tenant
+
+
+ServicesOf = Annotated[Services, Depends(_services)]
+TenantOf = Annotated[Tenant, Depends(_tenant)]
+Id = Annotated[str, Path(min_length=1, max_length=64)]
+Sha = Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI entries of the problems an operation may answer."""
+    content = {MEDIA_TYPE: {"schema": {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}}}
+    texts = {
+        400: "The body is not JSON.",
+        401: "No valid key or session.",
+        403: "The write may come from another site.",
+        404: "There is no such thing, or it belongs to somebody else.",
+        408: "The body came too slowly.",
+        409: "The present state does not allow it.",
+        413: "The body is too large.",
+        416: "The range lies outside of the file.",
+        421: "The server does not answer for this host name.",
+        422: "Values cannot be used; `errors` points at each.",
+        429: "A quota is used up.",
+        503: "The database does not answer, or the server is about to end.",
+        507: "The disk is nearly full.",
+    }
+    always = (401, 421, 503)
+    return {each: {"description": texts[each], "content": content} for each in sorted({*statuses, *always})}
+
+
+def binary_body(*media_types: str) -> dict[str, Any]:
+    """Return the OpenAPI entry of a body that is read as it comes."""
+    schema = {"type": "string", "format": "binary"}
+    return {"requestBody": {"required": True, "content": {each: {"schema": schema} for each in media_types}}}

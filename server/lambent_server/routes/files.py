@@ -1,0 +1,141 @@
+"""Bundles, artifacts and previews: immutable bytes, so their hash is their ETag."""
+
+import re
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Path, Response
+from fastapi.responses import StreamingResponse
+
+from lambent_server.database.schema import bundle_files, bundles
+from lambent_server.database.tenancy import Tenant, find, rows
+from lambent_server.problems import Problem, not_found
+from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, problems
+from lambent_server.services import Services
+from lambent_server.store import Blob, find_blob
+
+router = APIRouter(tags=["files"])
+
+RangeHeader = Annotated[str | None, Header(alias="Range", max_length=200)]
+MatchHeader = Annotated[str | None, Header(alias="If-None-Match", max_length=2000)]
+IfRangeHeader = Annotated[str | None, Header(alias="If-Range", max_length=200)]
+
+_BINARY: dict[str, Any] = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+_RESPONSES: dict[int | str, dict[str, Any]] = {
+    **problems(404, 416, 422),
+    200: {"description": "The whole file.", "content": _BINARY},
+    206: {"description": "The part asked for.", "content": _BINARY},
+    304: {"description": "What the client has is current."},
+}
+_RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+
+
+def parse_range(header: str, size: int) -> tuple[int, int] | None:
+    """Return (first byte, one past the last), or None where the header is to be ignored (RFC 9110, 14.2).
+
+    Raises `range_not_satisfiable` for a part that lies outside of the file.
+    """
+    match = _RANGE.fullmatch(header.strip())
+    if match is None or match.groups() == ("", ""):
+        return None
+    first, last = match.groups()
+    if first and last and int(last) < int(first):
+        return None
+    if not first:
+        start, end = max(size - int(last), 0), size
+        satisfiable = int(last) > 0 and size > 0
+    else:
+        start, end = int(first), min(int(last) + 1, size) if last else size
+        satisfiable = start < size
+    if not satisfiable:
+        raise Problem(
+            416,
+            "range_not_satisfiable",
+            f"the file has {size} bytes",
+            headers={"content-range": f"bytes */{size}"},
+        )
+    return start, end
+
+
+def send_blob(
+    services: Services, blob: Blob, range_: str | None, if_none_match: str | None, if_range: str | None
+) -> Response:
+    """Return the answer that sends a blob, or the part of it that is asked for."""
+    etag = f'"{blob.sha256}"'
+    headers = {
+        "etag": etag,
+        "accept-ranges": "bytes",
+        "cache-control": "private, max-age=31536000, immutable",
+        # Whatever a scene or a run made is data, never a page of this site.
+        "content-security-policy": "default-src 'none'; sandbox",
+    }
+    if if_none_match is not None:
+        tags = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
+        if etag in tags or "*" in tags:
+            return Response(status_code=304, headers=headers)
+    part = parse_range(range_, blob.size_bytes) if range_ and if_range in (None, etag) else None
+    start, end = part or (0, blob.size_bytes)
+    headers["content-length"] = str(end - start)
+    if part is not None:
+        headers["content-range"] = f"bytes {start}-{end - 1}/{blob.size_bytes}"
+    content = services.store.read(blob.sha256, start, end) if part else services.store.read(blob.sha256)
+    return StreamingResponse(
+        content, status_code=206 if part else 200, headers=headers, media_type=blob.media_type
+    )
+
+
+def _bundle_file(services: Services, tenant: Tenant, bundle_id: str, path: str) -> Blob:
+    with services.database.read() as connection:
+        if find(connection, tenant, bundles, bundle_id) is None:
+            raise not_found("bundle", bundle_id)
+        statement = rows(tenant, bundle_files).where(
+            bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == path
+        )
+        row = connection.execute(statement).mappings().one_or_none()
+    if row is None:
+        raise not_found("file", path)
+    return Blob(row["sha256"], int(row["size_bytes"]), row["media_type"])
+
+
+@router.get("/v1/bundles/{bundle_id:id}/manifest", response_class=Response, responses=_RESPONSES)
+def get_manifest(
+    services: ServicesOf,
+    tenant: TenantOf,
+    bundle_id: Id,
+    if_none_match: MatchHeader = None,
+) -> Response:
+    """Return manifest.json of a bundle."""
+    blob = _bundle_file(services, tenant, bundle_id, "manifest.json")
+    blob = Blob(blob.sha256, blob.size_bytes, "application/json")
+    return send_blob(services, blob, None, if_none_match, None)
+
+
+@router.get("/v1/bundles/{bundle_id:id}/files/{path:path}", response_class=Response, responses=_RESPONSES)
+def get_bundle_file(
+    services: ServicesOf,
+    tenant: TenantOf,
+    bundle_id: Id,
+    path: Annotated[str, Path(min_length=1, max_length=240)],
+    range_: RangeHeader = None,
+    if_none_match: MatchHeader = None,
+    if_range: IfRangeHeader = None,
+) -> Response:
+    """Return a file of a bundle, or a part of it."""
+    blob = _bundle_file(services, tenant, bundle_id, path)
+    return send_blob(services, blob, range_, if_none_match, if_range)
+
+
+@router.get("/v1/blobs/{sha256}", response_class=Response, responses=_RESPONSES)
+def get_blob(
+    services: ServicesOf,
+    tenant: TenantOf,
+    sha256: Sha,
+    range_: RangeHeader = None,
+    if_none_match: MatchHeader = None,
+    if_range: IfRangeHeader = None,
+) -> Response:
+    """Return an artifact, a preview or an environment by its hash."""
+    with services.database.read() as connection:
+        blob = find_blob(connection, tenant, sha256)
+    if blob is None:
+        raise not_found("blob", sha256)
+    return send_blob(services, blob, range_, if_none_match, if_range)

@@ -1,0 +1,193 @@
+"""Jobs: submit, look, wait, cancel, retry."""
+
+import hashlib
+from typing import Annotated, Any
+
+from anyio import to_thread
+from fastapi import APIRouter, Header, Query, Response
+from fastapi.responses import PlainTextResponse
+from pydantic import BaseModel, ConfigDict, Field
+
+from lambent_server import job_queries
+from lambent_server.clock import now
+from lambent_server.database.schema import artifacts
+from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.job_rows import (
+    CANCELLED,
+    CANCELLING,
+    FAILED,
+    FINAL,
+    QUEUED,
+    RETRY_WAIT,
+    RUNNING,
+    move,
+    read_events,
+)
+from lambent_server.messages import Artifact, ArtifactList, EventList, Job, JobList, JobState, NewJob
+from lambent_server.problems import conflict
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
+from lambent_server.services import Services
+
+router = APIRouter(tags=["jobs"])
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        pattern=r"^[\x21-\x7e]{1,200}$",
+        description="The same key with the same body gives the same job for a week.",
+    ),
+]
+
+
+class JobFilter(BaseModel):
+    """Which jobs to list."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    state: Annotated[list[JobState], Field(max_length=7)] = []
+    label: Annotated[
+        list[Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}=[^\x00-\x1f\x7f]{0,200}$")]],
+        Field(max_length=8, description='"name=value"; all must hold'),
+    ] = []
+    limit: Annotated[int, Field(ge=1, le=200)] = 50
+    cursor: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,100}$")] | None = None
+
+
+@router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
+def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: IdempotencyKey = None) -> Job:
+    """Queue a job. Once this is answered with 202 the job is never lost."""
+    services.require_disk()
+    digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
+    with services.database.write() as connection:
+        job = job_queries.find_repeated(connection, tenant, key, digest) if key is not None else None
+        if job is None:
+            job = job_queries.submit(connection, tenant, body, services)
+            if key is not None:
+                job_queries.remember_key(connection, tenant, key, digest, job["id"])
+    services.wakeups.signal()
+    return job_queries.show(job)
+
+
+@router.get("/v1/jobs", responses=problems(422))
+def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter, Query()]) -> JobList:
+    """List jobs, the newest first."""
+    labels = [tuple(each.split("=", 1)) for each in given.label]
+    with services.database.read() as connection:
+        found, cursor = job_queries.select_page(
+            connection, tenant, states=given.state, labels=labels, limit=given.limit, cursor=given.cursor
+        )
+    return JobList(items=[job_queries.show(job) for job in found], next_cursor=cursor)
+
+
+def _load(services: Services, tenant: Tenant, job_id: str) -> dict[str, Any]:
+    with services.database.read() as connection:
+        return job_queries.require_job(connection, tenant, job_id)
+
+
+@router.get("/v1/jobs/{job_id:id}", responses=problems(404, 422))
+async def get_job(
+    services: ServicesOf,
+    tenant: TenantOf,
+    job_id: Id,
+    wait: Annotated[float, Query(ge=0, le=60, description="Seconds to wait for the job to end.")] = 0.0,
+) -> Job:
+    """Return a job, at once or as soon as it has ended."""
+    deadline = now() + min(wait, services.settings.max_wait_s)
+    while True:
+        job = await to_thread.run_sync(_load, services, tenant, job_id)
+        left = deadline - now()
+        if job["state"] in FINAL or left <= 0 or services.wakeups.closing:
+            return job_queries.show(job)
+        await services.wakeups.wait(min(left, services.settings.stream_poll_s))
+
+
+@router.post("/v1/jobs/{job_id:id}:cancel", status_code=202, responses=problems(404, 409))
+def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
+    """Ask for the end of a job; it is `cancelled` when its process is gone."""
+    with services.database.write() as connection:
+        job = job_queries.require_job(connection, tenant, job_id)
+        if job["state"] in (QUEUED, RETRY_WAIT):
+            move(connection, job, CANCELLED, "cancelled before it started")
+        elif job["state"] == RUNNING:
+            move(connection, job, CANCELLING, "cancel asked for", stop_reason="cancel", stop_at=None)
+        elif job["state"] not in (CANCELLING, CANCELLED):
+            raise conflict("job_final", f"job {job_id} has {job['state']}; that is final")
+        job = job_queries.require_job(connection, tenant, job_id)
+    services.wakeups.signal()
+    return job_queries.show(job)
+
+
+@router.post("/v1/jobs/{job_id:id}:retry", status_code=202, responses=problems(404, 409, 429, 507))
+def retry_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
+    """Queue a new job with the order of one that failed or was cancelled; the old one stays as it is."""
+    services.require_disk()
+    with services.database.write() as connection:
+        job = job_queries.require_job(connection, tenant, job_id)
+        if job["state"] not in (FAILED, CANCELLED):
+            raise conflict(
+                "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled ones can"
+            )
+        fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
+    services.wakeups.signal()
+    return job_queries.show(fresh)
+
+
+@router.get("/v1/jobs/{job_id:id}/events", responses=problems(404, 422))
+def list_events(
+    services: ServicesOf,
+    tenant: TenantOf,
+    job_id: Id,
+    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="Number of the last event known.")] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+) -> EventList:
+    """Return the history of a job, in order."""
+    with services.database.read() as connection:
+        job_queries.require_job(connection, tenant, job_id)
+        found = read_events(connection, tenant, job_id, after, limit)
+    return EventList(items=[job_queries.show_event(row) for row in found])
+
+
+@router.get(
+    "/v1/jobs/{job_id:id}/log",
+    response_class=PlainTextResponse,
+    responses={**problems(404, 422), 200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def get_log(
+    services: ServicesOf,
+    tenant: TenantOf,
+    job_id: Id,
+    tail_bytes: Annotated[int, Query(ge=1, le=16 * 1024 * 1024)] = 1024 * 1024,
+) -> Response:
+    """Return what the run processes of a job wrote, the last bytes of each."""
+    job = _load(services, tenant, job_id)
+    parts = []
+    for run in range(1, job["run"] + 1):
+        path = services.settings.runs / job["id"] / f"run-{run}.log"
+        if path.exists():
+            with path.open("rb") as file:
+                file.seek(max(path.stat().st_size - tail_bytes, 0))
+                parts.append(f"== run {run} ==\n".encode() + file.read(tail_bytes))
+    text = b"\n".join(parts).decode("utf-8", errors="replace")
+    return PlainTextResponse(text)
+
+
+@router.get("/v1/jobs/{job_id:id}/artifacts", responses=problems(404))
+def list_artifacts(services: ServicesOf, tenant: TenantOf, job_id: Id) -> ArtifactList:
+    """Return the files a job has made besides its bundle."""
+    with services.database.read() as connection:
+        job_queries.require_job(connection, tenant, job_id)
+        found = connection.execute(
+            rows(tenant, artifacts).where(artifacts.c.job_id == job_id).order_by(artifacts.c.name)
+        ).mappings()
+        items = [
+            Artifact(
+                name=row["name"],
+                sha256=row["sha256"],
+                size_bytes=row["size_bytes"],
+                media_type=row["media_type"],
+                url=f"/v1/blobs/{row['sha256']}",
+            )
+            for row in found
+        ]
+    return ArtifactList(items=items)

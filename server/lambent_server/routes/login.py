@@ -1,0 +1,43 @@
+"""How a browser gets in: a one-time link is swapped for a cookie that scripts cannot read."""
+
+from fastapi import APIRouter, Request, Response
+
+from lambent_server.clock import rfc3339
+from lambent_server.http.identity import COOKIE, LoginCodes, open_session
+from lambent_server.messages import LoginCode, LoginLink
+from lambent_server.problems import Problem
+from lambent_server.routes.common import ServicesOf, TenantOf, problems
+
+router = APIRouter(tags=["login"])
+
+
+def _codes(request: Request) -> LoginCodes:
+    codes: LoginCodes = request.app.state.login_codes
+    return codes
+
+
+@router.post("/v1/login", status_code=204, response_class=Response, responses=problems(400, 413, 422))
+def log_in(services: ServicesOf, request: Request, body: LoginCode) -> Response:
+    """Swap the code of a one-time link for a session cookie."""
+    tenant = _codes(request).redeem(body.code)
+    if tenant is None:
+        raise Problem(
+            401,
+            "login_code_invalid",
+            "this link was used before or is too old; `POST /v1/login-links` or a restart of the server makes one",
+            headers={"www-authenticate": 'Bearer realm="lambent"'},
+        )
+    with services.database.write() as connection:
+        token = open_session(connection, tenant, services.settings.session_s)
+    response = Response(status_code=204)
+    secure = request.url.scheme == "https"
+    lifetime = int(services.settings.session_s)
+    response.set_cookie(COOKIE, token, max_age=lifetime, httponly=True, samesite="strict", secure=secure)
+    return response
+
+
+@router.post("/v1/login-links", status_code=201, responses=problems(403))
+def create_login_link(request: Request, tenant: TenantOf) -> LoginLink:
+    """Make a link that logs one browser in, once."""
+    code, until = _codes(request).issue(tenant)
+    return LoginLink(url=f"{str(request.base_url).rstrip('/')}/#code={code}", expires_at=rfc3339(until))

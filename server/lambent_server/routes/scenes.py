@@ -1,0 +1,168 @@
+"""Scenes: plan, send what is missing, commit; or one archive."""
+
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+from anyio import to_thread
+from fastapi import APIRouter, Body, Request, Response
+
+from lambent_server import scene_rows
+from lambent_server.archives import unpack
+from lambent_server.database.schema import scene_files
+from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.messages import NewScene, Plan, PlannedFile, Scene, SceneReportAnswer
+from lambent_server.problems import Problem, invalid
+from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, binary_body, problems
+from lambent_server.scene_rows import SceneFile
+from lambent_server.services import Services
+from lambent_server.uploads import Upload, received
+
+router = APIRouter(tags=["scenes"])
+
+
+@router.post("/v1/scenes", status_code=201, responses=problems(400, 413, 422, 507))
+def create_scene(services: ServicesOf, tenant: TenantOf, body: NewScene) -> Scene:
+    """Make an empty scene."""
+    services.require_disk()
+    with services.database.write() as connection:
+        return scene_rows.show(scene_rows.create(connection, tenant, body.name))
+
+
+@router.post("/v1/scenes/{scene_id:id}/files:plan", responses=problems(400, 404, 409, 413, 422))
+def plan_files(
+    services: ServicesOf,
+    tenant: TenantOf,
+    scene_id: Id,
+    body: Annotated[list[PlannedFile], Body(max_length=1_000_000)],
+) -> Plan:
+    """Say which files the scene has; the answer is what the server does not have yet.
+
+    A second plan replaces the first.
+    """
+    files = [SceneFile(file.path, file.sha256, file.size) for file in body]
+    with services.database.write() as connection:
+        scene = scene_rows.require_scene(connection, tenant, scene_id)
+        scene_rows.require_open(scene)
+        scene_rows.check_files(files, services.settings)
+        missing, unsupported = scene_rows.plan(connection, tenant, scene, files)
+    return Plan(missing=missing, unsupported=unsupported)
+
+
+@router.put(
+    "/v1/scenes/{scene_id:id}/files/{sha256}",
+    status_code=204,
+    response_class=Response,
+    openapi_extra=binary_body("application/octet-stream"),
+    responses=problems(400, 404, 408, 409, 413, 422, 507),
+)
+async def put_file(
+    services: ServicesOf, tenant: TenantOf, scene_id: Id, sha256: Sha, request: Request
+) -> Response:
+    """Send a planned file under its hash; sending it again changes nothing."""
+    size = await to_thread.run_sync(_planned_size, services, tenant, scene_id, sha256)
+    async with received(services, request, size) as upload:
+        if upload.sha256 != sha256:
+            raise invalid(
+                "digest_mismatch", "#", f"the body has the hash {upload.sha256}, the path says {sha256}"
+            )
+        await to_thread.run_sync(_store, services, tenant, upload.path, sha256)
+    return Response(status_code=204)
+
+
+def _planned_size(services: Services, tenant: Tenant, scene_id: str, sha256: str) -> int:
+    with services.database.read() as connection:
+        scene_rows.require_open(scene_rows.require_scene(connection, tenant, scene_id))
+        planned = rows(tenant, scene_files, scene_files.c.size_bytes).where(
+            scene_files.c.scene_id == scene_id, scene_files.c.sha256 == sha256
+        )
+        size = connection.execute(planned.limit(1)).scalar_one_or_none()
+    if size is None:
+        raise invalid("file_not_planned", "#/path/sha256", "no planned file of this scene has this hash")
+    return int(size)
+
+
+def _store(services: Services, tenant: Tenant, path: Path, sha256: str) -> None:
+    services.store.put_file(services.database.write, tenant, path, sha256, "application/octet-stream")
+
+
+@router.put(
+    "/v1/scenes/{scene_id:id}/archive",
+    openapi_extra=binary_body("application/zip", "application/x-tar", "application/gzip"),
+    responses=problems(400, 404, 408, 409, 413, 422, 507),
+)
+async def put_archive(services: ServicesOf, tenant: TenantOf, scene_id: Id, request: Request) -> Scene:
+    """Send the whole scene as zip, tar or tar.gz; it is committed when the archive is found to be safe."""
+    await to_thread.run_sync(_require_open, services, tenant, scene_id)
+    async with received(services, request, services.settings.max_scene_bytes) as upload:
+        return await to_thread.run_sync(_take_archive, services, tenant, scene_id, upload)
+
+
+def _require_open(services: Services, tenant: Tenant, scene_id: str) -> None:
+    with services.database.read() as connection:
+        scene_rows.require_open(scene_rows.require_scene(connection, tenant, scene_id))
+
+
+def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upload) -> Scene:
+    with tempfile.TemporaryDirectory(dir=services.settings.data) as name:
+        try:
+            members, left_out = unpack(upload.path, Path(name), services.settings)
+        except Problem as problem:
+            with services.database.write() as connection:
+                scene = scene_rows.require_scene(connection, tenant, scene_id)
+                scene_rows.require_open(scene)
+                subject = problem.errors[0].pointer.removeprefix("#").removeprefix("/")
+                scene_rows.reject(connection, tenant, scene, problem.code, problem.detail, subject)
+            raise
+        for member in members:
+            _store(services, tenant, member.file, member.sha256)
+        with services.database.write() as connection:
+            scene = scene_rows.require_scene(connection, tenant, scene_id)
+            files = [SceneFile(member.path, member.sha256, member.size_bytes) for member in members]
+            extra = [SceneFile(path, "", 0) for path in left_out]
+            scene_rows.plan(connection, tenant, scene, files + extra)
+            return scene_rows.show(scene_rows.commit(connection, tenant, scene))
+
+
+@router.post("/v1/scenes/{scene_id:id}:commit", responses=problems(404, 409))
+def commit_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
+    """End the upload; every planned file must have been sent. Doing it again changes nothing."""
+    with services.database.write() as connection:
+        scene = scene_rows.require_scene(connection, tenant, scene_id)
+        return scene_rows.show(scene_rows.commit(connection, tenant, scene))
+
+
+@router.get("/v1/scenes/{scene_id:id}", responses=problems(404))
+def get_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
+    """Return a scene."""
+    with services.database.read() as connection:
+        return scene_rows.show(scene_rows.require_scene(connection, tenant, scene_id))
+
+
+@router.delete(
+    "/v1/scenes/{scene_id:id}", status_code=204, response_class=Response, responses=problems(404, 409)
+)
+def delete_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Response:
+    """Remove a scene and its files; bundles made from it stay."""
+    with services.database.write() as connection:
+        scene_rows.delete(connection, tenant, scene_rows.require_scene(connection, tenant, scene_id))
+    return Response(status_code=204)
+
+
+@router.get("/v1/scenes/{scene_id:id}/report", responses=problems(404))
+def get_scene_report(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> SceneReportAnswer:
+    """Return what was found out about a scene, with what to mend."""
+    with services.database.read() as connection:
+        scene = scene_rows.require_scene(connection, tenant, scene_id)
+    return report_of(scene)
+
+
+def report_of(scene: Any) -> SceneReportAnswer:
+    """Return the report of a scene's row."""
+    empty = {"usable": False, "layout": "", "findings": [], "num_train_frames": 0, "num_test_frames": 0}
+    return SceneReportAnswer(
+        scene_id=scene["id"],
+        state=scene["state"],
+        checked=scene["state"] in ("ready", "rejected"),
+        **(scene["report"] or empty),
+    )

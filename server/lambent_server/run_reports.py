@@ -1,0 +1,259 @@
+"""What the messages of a run change in the database; called inside the transaction that checked its fence."""
+
+from typing import Any
+
+from google.protobuf.json_format import MessageToJson, Parse, ParseError
+from lambent_proto.v1 import bundle_pb2, job_pb2, scene_pb2, worker_pb2
+from sqlalchemy import Connection
+
+from lambent_server.clock import new_id, now
+from lambent_server.database.schema import (
+    artifacts,
+    bundle_files,
+    bundles,
+    checkpoint_files,
+    checkpoints,
+    scene_files,
+    scenes,
+)
+from lambent_server.database.tenancy import add, change, find, remove, rows
+from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fields
+from lambent_server.mirror import enum_text, to_rest
+from lambent_server.outcomes import Failure, fail, lose
+from lambent_server.paths import check_path
+from lambent_server.problems import Problem, invalid
+from lambent_server.settings import Settings
+from lambent_server.store import BlobStore, find_blob
+from lambent_server.sweeper import discard
+
+KEPT_CHECKPOINTS = 2
+_WORKER_EVENTS = frozenset({"preview", "log", "finding", "artifact"})
+_YOUNG_S = 600.0
+_OLD_S = 3600.0
+
+
+def describe_run(connection: Connection, job: Job, settings: Settings) -> worker_pb2.StartResponse:
+    """Return what the run has to do and where an earlier one stopped."""
+    tenant = owner(job)
+    files = connection.execute(
+        rows(tenant, scene_files)
+        .where(scene_files.c.scene_id == job["scene_id"])
+        .order_by(scene_files.c.path)
+    ).mappings()
+    kept = connection.execute(
+        rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"]).order_by(checkpoints.c.id)
+    ).mappings()
+    scene = find(connection, tenant, scenes, job["scene_id"])
+    response = worker_pb2.StartResponse(
+        spec=job_pb2.JobSpec(
+            scene_id=job["scene_id"],
+            preset=job["preset"],
+            params=job["params"],
+            gpus=job["gpus"],
+            priority=job["priority"],
+            labels=job["labels"],
+            kind=job["kind"],
+            seed=job["seed"],
+        ),
+        files=[
+            worker_pb2.SceneFile(path=row["path"], sha256=row["sha256"], size_bytes=row["size_bytes"])
+            for row in files
+        ],
+        check_scene=scene is None or scene["state"] != "ready",
+        device="cuda" if job["gpus"] else "cpu",
+        adjustments=worker_pb2.Adjustments(
+            ray_chunk=job["adjustments"].get("ray_chunk", 1.0),
+            learning_rate=job["adjustments"].get("learning_rate", 1.0),
+            stage=job["adjustments"].get("stage", ""),
+        ),
+        progress_interval_s=settings.progress_interval_s,
+        preview_interval_s=settings.preview_interval_s,
+        scene_name=scene["name"] if scene is not None else "",
+    )
+    for row in kept:
+        manifest = response.checkpoints.add()
+        Parse(row["manifest"], manifest)
+    return response
+
+
+def _progress_gap_s(job: Job, settings: Settings) -> float:
+    """Return how far apart progress events are kept: the longer a job runs, the fewer."""
+    age = now() - (job["started_at"] or now())
+    factor = 1 if age < _YOUNG_S else 10 if age < _OLD_S else 60
+    return factor * settings.progress_interval_s
+
+
+def store_report(
+    connection: Connection, job: Job, report: worker_pb2.ReportRequest, settings: Settings
+) -> None:
+    """Store progress and events, unless this very report was stored before."""
+    if report.sequence <= job["report_seq"]:
+        return
+    values: dict[str, Any] = {"report_seq": report.sequence, "heartbeat_at": now()}
+    if report.HasField("progress"):
+        progress = to_rest(report.progress)
+        values |= {"progress": progress, "progress_at": now()}
+        stage_ended = progress["step"] == progress["num_steps"]
+        due = now() - (job["progress_event_at"] or 0.0) >= 0.9 * _progress_gap_s(job, settings)
+        if due or stage_ended or progress["stage"] != (job["progress"] or {}).get("stage"):
+            values["progress_event_at"] = now()
+            append_event(connection, job, NewEvent(type="progress", progress=progress))
+    set_fields(connection, job, **values)
+    for event in report.events:
+        if event.type not in _WORKER_EVENTS:
+            raise Problem(422, "event_type", f"a run reports no {event.type!r} events")
+        append_event(
+            connection,
+            job,
+            NewEvent(type=event.type, message=event.message, sha256=event.sha256, name=event.name),
+        )
+
+
+def store_scene_report(connection: Connection, job: Job, report: scene_pb2.SceneReport) -> None:
+    """Store what was found out about the scene and whether jobs may use it."""
+    scene = find(connection, owner(job), scenes, job["scene_id"])
+    if scene is None or scene["state"] not in ("uploaded", "ready"):
+        return
+    fresh = to_rest(report)
+    # What the server noticed while the files came in stays true.
+    codes = {(each["code"], each["subject"]) for each in fresh["findings"]}
+    earlier = [
+        each
+        for each in (scene["report"] or {}).get("findings", [])
+        if (each["code"], each["subject"]) not in codes
+    ]
+    fresh["findings"] = earlier + fresh["findings"]
+    statement = change(owner(job), scenes).where(scenes.c.id == scene["id"])
+    state = "ready" if report.usable else "rejected"
+    connection.execute(statement.values(report=fresh, layout=report.layout or None, state=state))
+
+
+def store_failure(
+    connection: Connection, job: Job, request: worker_pb2.FailRequest, settings: Settings
+) -> None:
+    """End the run as its cause demands."""
+    cause = enum_text(worker_pb2.FailCause, request.cause)
+    if cause == "killed":
+        set_fields(connection, job, error=None)
+        lose(connection, job, request.message, settings)
+        return
+    code = request.code or "run_failed"
+    fail(connection, job, Failure(cause, code, request.message or "the run failed; see the log"), settings)
+
+
+def _require_blob(connection: Connection, job: Job, sha256: str, path: str) -> int:
+    blob = find_blob(connection, owner(job), sha256)
+    if blob is None:
+        raise Problem(422, "blob_missing", f"{path}: blob {sha256} was never uploaded")
+    return blob.size_bytes
+
+
+def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.CheckpointManifest) -> None:
+    """Keep the checkpoint, and drop those that no later run would use."""
+    tenant = owner(job)
+    for file in manifest.files:
+        check_path(file.path, "#/files")
+        _require_blob(connection, job, file.sha256, file.path)
+    identifier = new_id("chk")
+    text = MessageToJson(manifest, preserving_proto_field_name=True, indent=None)
+    connection.execute(
+        add(
+            tenant,
+            checkpoints,
+            id=identifier,
+            job_id=job["id"],
+            run=job["run"],
+            stage=manifest.stage,
+            step=manifest.step,
+            created_at=now(),
+            manifest=text,
+        )
+    )
+    for file in manifest.files:
+        connection.execute(
+            add(tenant, checkpoint_files, checkpoint_id=identifier, path=file.path, sha256=file.sha256)
+        )
+    set_fields(connection, job, losses_without_checkpoint=0, progress_at=now())
+    append_event(
+        connection, job, NewEvent(type="checkpoint", name=manifest.stage, message=f"step {manifest.step}")
+    )
+    kept = connection.execute(
+        rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"]).order_by(checkpoints.c.id.desc())
+    ).mappings()
+    newest_of_stage: set[str] = set()
+    for place, row in enumerate(kept):
+        if place >= KEPT_CHECKPOINTS and row["stage"] in newest_of_stage:
+            drop_checkpoint(connection, job, row["id"])
+        newest_of_stage.add(row["stage"])
+
+
+def drop_checkpoint(connection: Connection, job: Job, identifier: str) -> None:
+    """Forget a checkpoint; its blobs are swept away."""
+    tenant = owner(job)
+    mine = checkpoint_files.c.checkpoint_id == identifier
+    for sha256 in connection.execute(
+        rows(tenant, checkpoint_files, checkpoint_files.c.sha256).where(mine)
+    ).scalars():
+        discard(connection, tenant, sha256)
+    connection.execute(remove(tenant, checkpoint_files).where(mine))
+    connection.execute(remove(tenant, checkpoints).where(checkpoints.c.id == identifier))
+
+
+def drop_checkpoints(connection: Connection, job: Job) -> None:
+    """Forget every checkpoint of a job that needs none any more."""
+    mine = rows(owner(job), checkpoints, checkpoints.c.id).where(checkpoints.c.job_id == job["id"])
+    for identifier in list(connection.execute(mine).scalars()):
+        drop_checkpoint(connection, job, identifier)
+
+
+def publish(
+    connection: Connection, job: Job, request: worker_pb2.PublishRequest, store: BlobStore
+) -> str | None:
+    """Write the rows that make bundle and artifacts visible; return the bundle's id."""
+    tenant = owner(job)
+    for file in (*request.bundle_files, *request.artifacts):
+        check_path(file.path, "#/files")
+        if _require_blob(connection, job, file.sha256, file.path) != int(file.size_bytes):
+            raise Problem(422, "size_mismatch", f"{file.path}: the blob has another size")
+    for file in request.artifacts:
+        values = _file_values(file)
+        connection.execute(add(tenant, artifacts, job_id=job["id"], name=values.pop("path"), **values))
+        append_event(connection, job, NewEvent(type="artifact", name=file.path, sha256=file.sha256))
+    drop_checkpoints(connection, job)
+    if not request.bundle_files:
+        return None
+    _check_manifest(request, store)
+    bundle_id = new_id("bundle")
+    connection.execute(
+        add(tenant, bundles, id=bundle_id, job_id=job["id"], scene_id=job["scene_id"], created_at=now())
+    )
+    for file in request.bundle_files:
+        connection.execute(add(tenant, bundle_files, bundle_id=bundle_id, **_file_values(file)))
+    return bundle_id
+
+
+def _file_values(file: worker_pb2.PublishedFile) -> dict[str, Any]:
+    return {
+        "path": file.path,
+        "sha256": file.sha256,
+        "size_bytes": file.size_bytes,
+        "media_type": file.media_type or "application/octet-stream",
+    }
+
+
+def _check_manifest(request: worker_pb2.PublishRequest, store: BlobStore) -> None:
+    """Refuse a bundle whose manifest does not describe exactly its files."""
+    given = {file.path: file for file in request.bundle_files}
+    manifest_file = given.pop("manifest.json", None)
+    if manifest_file is None:
+        raise Problem(422, "bundle_manifest", "a bundle needs a manifest.json")
+    try:
+        manifest = Parse(store.read_all(manifest_file.sha256), bundle_pb2.BundleManifest())
+    except (ParseError, UnicodeDecodeError) as error:
+        raise Problem(422, "bundle_manifest", f"manifest.json is not a BundleManifest: {error}") from error
+    described = {file.path: file.sha256 for file in manifest.files}
+    if described != {path: file.sha256 for path, file in given.items()}:
+        different = sorted(set(described) ^ set(given)) or sorted(
+            path for path, file in given.items() if described[path] != file.sha256
+        )
+        raise invalid("bundle_manifest", "#/files", f"manifest and files differ in {different[:5]}")

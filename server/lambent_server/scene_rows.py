@@ -1,0 +1,205 @@
+"""Scenes as rows: planning files, committing, rejecting, removing."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, insert
+
+from lambent_server.clock import new_id, now, rfc3339
+from lambent_server.database.schema import blobs, jobs, scene_files, scenes
+from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
+from lambent_server.job_rows import FINAL
+from lambent_server.messages import Scene
+from lambent_server.paths import check_path, folded, is_scene_file
+from lambent_server.problems import Detail, Problem, conflict, not_found
+from lambent_server.settings import Settings
+from lambent_server.store import touch
+from lambent_server.sweeper import discard
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFile:
+    """A file a scene shall have."""
+
+    path: str
+    sha256: str
+    size_bytes: int
+
+
+def require_scene(connection: Connection, tenant: Tenant, scene_id: str) -> Row:
+    """Return the scene's row."""
+    row = find(connection, tenant, scenes, scene_id)
+    if row is None:
+        raise not_found("scene", scene_id)
+    return row
+
+
+def require_open(row: Row) -> None:
+    """Refuse to change the files of a scene that has been committed."""
+    if row["state"] != "open":
+        raise conflict(
+            "scene_committed", f"scene {row['id']} is {row['state']}: its files cannot change any more"
+        )
+
+
+def show(row: Row) -> Scene:
+    """Return the scene as the interface shows it."""
+    return Scene(
+        id=row["id"],
+        name=row["name"],
+        state=row["state"],
+        layout=row["layout"],
+        created_at=rfc3339(row["created_at"]),
+        committed_at=rfc3339(row["committed_at"]) if row["committed_at"] is not None else None,
+        num_files=row["num_files"],
+        size_bytes=row["size_bytes"],
+        content_sha256=row["content_sha256"],
+    )
+
+
+def create(connection: Connection, tenant: Tenant, name: str) -> Row:
+    """Add an empty scene."""
+    identifier = new_id("scene")
+    connection.execute(add(tenant, scenes, id=identifier, name=name, state="open", created_at=now()))
+    return require_scene(connection, tenant, identifier)
+
+
+def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
+    """Refuse a list of files that cannot be a scene, naming each that is wrong."""
+    details: list[Detail] = []
+    seen: dict[str, str] = {}
+    for place, file in enumerate(files):
+        try:
+            check_path(file.path, f"#/{place}/path")
+        except Problem as problem:
+            details.extend(problem.errors)
+            continue
+        other = seen.setdefault(folded(file.path), file.path)
+        if other != file.path or sum(len(part) for part in details) > 100_000:
+            details.append(Detail(f"#/{place}/path", f"clashes with {other!r} on some systems"))
+    if details:
+        raise Problem(422, "path_unsafe", f"{len(details)} path(s) cannot be used", errors=details[:100])
+    total = sum(file.size_bytes for file in files)
+    if len(files) > settings.max_scene_files:
+        detail = f"a scene may have {settings.max_scene_files} files, this one has {len(files)}"
+        raise Problem(413, "scene_too_many_files", detail)
+    if total > settings.max_scene_bytes:
+        detail = f"a scene may have {settings.max_scene_bytes} bytes, this one has {total}"
+        raise Problem(413, "scene_too_large", detail)
+
+
+def unsupported_report(paths: Sequence[str]) -> dict[str, Any] | None:
+    """Return a report that tells which files are left out, or None where there are none."""
+    if not paths:
+        return None
+    findings = [
+        {
+            "code": "unsupported_file",
+            "severity": "warning",
+            "message": "this kind of file has no place in a scene; it was left out",
+            "subject": path,
+        }
+        for path in paths[:100]
+    ]
+    return {"usable": False, "layout": "", "findings": findings, "num_train_frames": 0, "num_test_frames": 0}
+
+
+def plan(
+    connection: Connection, tenant: Tenant, scene: Row, files: Sequence[SceneFile]
+) -> tuple[list[str], list[str]]:
+    """Make `files` the list of the scene; return hashes the server lacks and paths that are left out."""
+    require_open(scene)
+    _forget_files(connection, tenant, scene["id"])
+    kept = {file.path: file for file in files if is_scene_file(file.path)}
+    unsupported = sorted({file.path for file in files} - set(kept))
+    if kept:
+        values = [
+            {
+                "tenant_id": tenant.id,
+                "scene_id": scene["id"],
+                "path": file.path,
+                "sha256": file.sha256,
+                "size_bytes": float(file.size_bytes),
+            }
+            for file in kept.values()
+        ]
+        connection.execute(insert(scene_files), values)
+    update = change(tenant, scenes).where(scenes.c.id == scene["id"])
+    connection.execute(update.values(report=unsupported_report(unsupported)))
+    missing = sorted({file.sha256 for file in kept.values() if not touch(connection, tenant, file.sha256)})
+    return missing, unsupported
+
+
+def _forget_files(connection: Connection, tenant: Tenant, scene_id: str) -> None:
+    mine = scene_files.c.scene_id == scene_id
+    for sha256 in set(
+        connection.execute(rows(tenant, scene_files, scene_files.c.sha256).where(mine)).scalars()
+    ):
+        discard(connection, tenant, sha256)
+    connection.execute(remove(tenant, scene_files).where(mine))
+
+
+def commit(connection: Connection, tenant: Tenant, scene: Row) -> Row:
+    """End the upload; every planned file must be there. Doing it again changes nothing."""
+    if scene["state"] != "open":
+        return scene
+    mine = scene_files.c.scene_id == scene["id"]
+    files = (
+        connection.execute(rows(tenant, scene_files).where(mine).order_by(scene_files.c.path))
+        .mappings()
+        .all()
+    )
+    if not files:
+        raise conflict("scene_empty", "no file is planned; send the list to files:plan, or an archive")
+    held = rows(tenant, blobs, blobs.c.sha256).where(blobs.c.sha256.in_({file["sha256"] for file in files}))
+    have = set(connection.execute(held).scalars())
+    missing = [file for file in files if file["sha256"] not in have]
+    if missing:
+        errors = tuple(
+            Detail(f"#/files/{file['path']}", f"{file['sha256']} was not sent") for file in missing[:100]
+        )
+        raise Problem(409, "files_missing", f"{len(missing)} file(s) were not sent yet", errors=errors)
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file['path']}\0{file['sha256']}\n".encode())
+    connection.execute(
+        change(tenant, scenes)
+        .where(scenes.c.id == scene["id"])
+        .values(
+            state="uploaded",
+            committed_at=now(),
+            content_sha256=digest.hexdigest(),
+            num_files=len(files),
+            size_bytes=sum(file["size_bytes"] for file in files),
+        )
+    )
+    return require_scene(connection, tenant, scene["id"])
+
+
+def reject(connection: Connection, tenant: Tenant, scene: Row, code: str, message: str, subject: str) -> None:
+    """Mark the scene as not usable, with the reason."""
+    finding = {"code": code, "severity": "error", "message": message, "subject": subject}
+    report = {
+        "usable": False,
+        "layout": "",
+        "findings": [finding],
+        "num_train_frames": 0,
+        "num_test_frames": 0,
+    }
+    _forget_files(connection, tenant, scene["id"])
+    update = change(tenant, scenes).where(scenes.c.id == scene["id"])
+    connection.execute(update.values(state="rejected", report=report, committed_at=now()))
+
+
+def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
+    """Remove the scene and its files; bundles made from it stay."""
+    busy = rows(tenant, jobs, jobs.c.id).where(jobs.c.scene_id == scene["id"], jobs.c.state.not_in(FINAL))
+    job_id = connection.execute(busy.limit(1)).scalar_one_or_none()
+    if job_id is not None:
+        raise conflict("scene_in_use", f"job {job_id} works on this scene; cancel it first")
+    _forget_files(connection, tenant, scene["id"])
+    connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))

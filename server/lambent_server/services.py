@@ -1,0 +1,49 @@
+"""What the routes, the worker service and the controller share."""
+
+import shutil
+from dataclasses import dataclass
+
+from lambent_server.database.engine import Database
+from lambent_server.problems import Problem
+from lambent_server.settings import Settings
+from lambent_server.store import BlobStore
+from lambent_server.wakeups import Wakeups
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """The parts of one running server."""
+
+    settings: Settings
+    database: Database
+    store: BlobStore
+    wakeups: Wakeups
+    local_gpus: int
+
+    def require_disk(self) -> None:
+        """Refuse what would fill the disk; runs that are going on are not asked."""
+        free = shutil.disk_usage(self.settings.data).free
+        if free < self.settings.disk_floor_bytes:
+            raise Problem(
+                507,
+                "disk_floor",
+                f"{free} bytes are free, {self.settings.disk_floor_bytes} must stay free; "
+                "remove scenes or raise the space",
+                retryable=True,
+            )
+
+
+def open_services(settings: Settings) -> Services:
+    """Create the folders, bring the database up to date and return the parts."""
+    from .executors.local import count_gpus
+
+    for folder in (settings.data, settings.runs, settings.scratch):
+        folder.mkdir(parents=True, exist_ok=True)
+    # Uploads that were in flight when an earlier server ended.
+    for path in settings.scratch.iterdir():
+        path.unlink()
+    database = Database(settings.database_url)
+    database.migrate()
+    store = BlobStore(settings.data / "store", settings.store)
+    gpus = count_gpus() if settings.local_gpus is None else settings.local_gpus
+    return Services(settings, database, store, Wakeups(), gpus)

@@ -1,0 +1,212 @@
+"""One server process from start to end: HTTP, worker service and controller around the same parts."""
+
+import asyncio
+import contextlib
+import fcntl
+import json
+import os
+import signal
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+from granian.constants import HTTPModes, Interfaces
+from granian.http import HTTP1Settings
+from granian.server.embed import Server as Granian
+from sqlalchemy import text
+
+from lambent_server.app import LOOPBACK, make_app
+from lambent_server.capability import read_or_create_secret
+from lambent_server.controller import Controller
+from lambent_server.database.engine import Database
+from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
+from lambent_server.executors.local import LocalExecutor
+from lambent_server.http.identity import register_key
+from lambent_server.services import Services, open_services
+from lambent_server.settings import Settings
+from lambent_server.worker_service import serve_workers
+
+log = structlog.get_logger()
+
+# Longest path of a Unix socket that every system takes.
+MAX_SOCKET_PATH = 100
+_LEADER_LOCK = 0x1A4BE47
+
+
+class ServeError(Exception):
+    """A server that cannot start; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """What is told when the server answers."""
+
+    url: str
+    login_url: str
+    key_file: Path
+
+
+def check_address(settings: Settings) -> None:
+    """Refuse an address that others can reach without TLS, unless that is wanted."""
+    if settings.host not in LOOPBACK and not settings.insecure:
+        raise ServeError(
+            f"serve.insecure_address: {settings.host} can be reached from other machines and the connection is not "
+            "encrypted; add --insecure if a proxy or the network protects it, or use --host 127.0.0.1"
+        )
+
+
+@contextlib.contextmanager
+def sole_user(folder: Path) -> Iterator[None]:
+    """Hold the data folder for this process."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "server.lock").open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ServeError(
+                f"serve.data_in_use: another server uses {folder} (see server.json there); stop it, or choose "
+                "another folder with --data"
+            ) from error
+        yield
+
+
+@contextlib.contextmanager
+def leadership(database: Database) -> Iterator[bool]:
+    """Tell whether this process is the one that controls jobs; with SQLite the folder's lock says so already."""
+    if database.is_sqlite:
+        yield True
+        return
+    with database.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        yield bool(
+            connection.execute(text("SELECT pg_try_advisory_lock(:key)"), {"key": _LEADER_LOCK}).scalar()
+        )
+
+
+def free_port(host: str) -> int:
+    """Return a port that nobody listens on."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
+
+
+def require_free(host: str, port: int) -> None:
+    """Refuse a port that somebody listens on, before anything is started."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise ServeError(
+                f"serve.port_in_use: {host}:{port} cannot be used ({error.strerror}); choose another with --port, "
+                "0 takes any free one"
+            ) from error
+
+
+def worker_address(settings: Settings) -> str:
+    """Return where run processes find the server, the same after every restart."""
+    path = (settings.data / "worker.sock").resolve()
+    if len(str(path)) <= MAX_SOCKET_PATH:
+        path.unlink(missing_ok=True)
+        return f"unix:{path}"
+    noted = settings.data / "worker.port"
+    if not noted.exists():
+        noted.write_text(str(free_port("127.0.0.1")), encoding="ascii")
+    return f"127.0.0.1:{noted.read_text(encoding='ascii').strip()}"
+
+
+def _write_whole(path: Path, data: Any) -> None:
+    partial = path.with_suffix(".tmp")
+    partial.write_text(json.dumps(data) + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+async def run(settings: Settings, on_ready: Any) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    SIGTERM leaves run processes alone: the next server adopts them. SIGINT (Ctrl-C) ends them too, after a
+    checkpoint where they can write one.
+    """
+    check_address(settings)
+    with sole_user(settings.data):
+        port = settings.port or free_port(settings.host)
+        require_free(settings.host, port)
+        services = open_services(settings)
+        try:
+            with leadership(services.database) as leader:
+                await _serve(services, port, on_ready, leader)
+        finally:
+            services.database.close()
+
+
+async def _serve(services: Services, port: int, on_ready: Any, leader: bool) -> None:
+    settings = services.settings
+    loop = asyncio.get_running_loop()
+    ended: asyncio.Future[int] = loop.create_future()
+
+    def end(number: int) -> None:
+        if not ended.done():
+            ended.set_result(number)
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, end, number)
+
+    tenant = Tenant(DEFAULT_TENANT_ID)
+    key_file = settings.data / "api.key"
+    register_key(services.database, tenant, read_or_create_secret(key_file, "lk_"), "api.key")
+    secret = read_or_create_secret(settings.data / "worker.secret")
+    app, gate = make_app(services)
+    address = worker_address(settings)
+    workers = serve_workers(services, secret, address)
+    controller = Controller(services, LocalExecutor(settings.run_command), secret=secret, address=address)
+    if leader:
+        controller.start()
+        app.state.controller = controller
+    server = Granian(
+        gate,
+        address=settings.host,
+        port=port,
+        interface=Interfaces.ASGINL,
+        http=HTTPModes.http1,
+        websockets=False,
+        log_enabled=False,
+        http1_settings=HTTP1Settings(header_read_timeout=int(settings.header_timeout_s * 1000)),
+    )
+    serving = loop.create_task(server.serve())
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    url = f"http://{host}:{port}"
+    await _until_listening(settings.host, port, serving)
+    _write_whole(settings.data / "server.json", {"url": url, "pid": os.getpid()})
+    code, _ = app.state.login_codes.issue(tenant)
+    on_ready(Ready(url, f"{url}/#code={code}", key_file))
+    log.info("serving", url=url, data=str(settings.data), leader=leader)
+
+    await asyncio.wait({ended, serving}, return_when=asyncio.FIRST_COMPLETED)
+    interrupted = ended.done() and ended.result() == signal.SIGINT
+    log.info("ending", stop_runs=interrupted)
+    (settings.data / "server.json").unlink(missing_ok=True)
+    services.wakeups.close()
+    # Run processes that are asked to end still commit their checkpoint, so their service ends after them.
+    await asyncio.to_thread(controller.close, stop_runs=interrupted and leader)
+    server.stop()
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)
+    await asyncio.to_thread(workers.stop(1).wait)
+    log.info("ended")
+
+
+async def _until_listening(host: str, port: int, serving: asyncio.Task[None]) -> None:
+    while not serving.done():
+        try:
+            _, writer = await asyncio.open_connection(host, port)
+        except OSError:
+            await asyncio.sleep(0.02)
+            continue
+        writer.close()
+        return
+    serving.result()
+    raise ServeError("serve.not_started: the HTTP server ended at once; see the log")

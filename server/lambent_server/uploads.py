@@ -1,0 +1,51 @@
+"""Bodies that are files: hashed while they are written to the scratch folder, and gone if anything fails."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from fastapi import Request
+from starlette.requests import ClientDisconnect
+
+from lambent_server.metrics import UPLOAD_BYTES
+from lambent_server.problems import Problem
+from lambent_server.services import Services
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A complete body on disk."""
+
+    path: Path
+    sha256: str
+    size_bytes: int
+
+
+@asynccontextmanager
+async def received(services: Services, request: Request, max_bytes: int) -> AsyncIterator[Upload]:
+    """Yield the body as a file that lasts as long as the block."""
+    services.require_disk()
+    descriptor, name = tempfile.mkstemp(dir=services.settings.scratch)
+    path, digest, size = Path(name), hashlib.sha256(), 0
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            try:
+                async for chunk in request.stream():
+                    size += len(chunk)
+                    if size > max_bytes:
+                        detail = f"this file may have {max_bytes} bytes"
+                        raise Problem(413, "body_too_large", detail, headers={"connection": "close"})
+                    digest.update(chunk)
+                    file.write(chunk)
+            except ClientDisconnect as error:
+                raise Problem(400, "body_incomplete", "the connection ended before the body did") from error
+        UPLOAD_BYTES.inc(size)
+        yield Upload(path, digest.hexdigest(), size)
+    except OSError as error:
+        raise Problem(507, "disk_full", "the file could not be written", retryable=True) from error
+    finally:
+        path.unlink(missing_ok=True)

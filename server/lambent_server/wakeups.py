@@ -1,0 +1,49 @@
+"""Tells waiting requests that something has happened; the database says what."""
+
+import asyncio
+import threading
+from collections.abc import Callable
+
+
+class Wakeups:
+    """A signal from any thread to any number of coroutines. Missing one costs a polling interval, no more."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: set[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = set()
+        self._listeners: list[Callable[[], None]] = []
+        self.closing = False
+
+    def listen(self, callback: Callable[[], None]) -> None:
+        """Call `callback` at every signal, in the signalling thread."""
+        self._listeners.append(callback)
+
+    def signal(self) -> None:
+        """Wake everybody."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, set()
+        for loop, event in waiting:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(event.set)
+        for listener in self._listeners:
+            listener()
+
+    def close(self) -> None:
+        """Wake everybody for the last time: streams end."""
+        self.closing = True
+        self.signal()
+
+    async def wait(self, timeout_s: float) -> None:
+        """Return at the next signal or after `timeout_s`."""
+        if self.closing:
+            return
+        entry = (asyncio.get_running_loop(), asyncio.Event())
+        with self._lock:
+            self._waiting.add(entry)
+        try:
+            await asyncio.wait_for(entry[1].wait(), timeout_s)
+        except TimeoutError:
+            pass
+        finally:
+            with self._lock:
+                self._waiting.discard(entry)

@@ -1,0 +1,264 @@
+"""The gRPC side that run processes talk to; each request is checked against the job's current run."""
+
+import hmac
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import grpc
+import structlog
+from google.protobuf.message import Message
+from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
+from sqlalchemy import Connection
+from sqlalchemy.exc import SQLAlchemyError
+
+from lambent_server import run_reports
+from lambent_server.capability import run_token
+from lambent_server.clock import now
+from lambent_server.database.schema import jobs
+from lambent_server.database.tenancy import across_tenants
+from lambent_server.job_rows import CANCELLING, HAS_RUN, SUCCEEDED, Job, owner, set_fields
+from lambent_server.outcomes import requeue, succeed
+from lambent_server.problems import Problem
+from lambent_server.services import Services
+from lambent_server.store import CHUNK_BYTES, find_blob, hash_file
+
+log = structlog.get_logger()
+
+MAX_MESSAGE_BYTES = 8 * 1024 * 1024
+Reply = TypeVar("Reply")
+
+
+class Refused(Exception):
+    """A request that is answered with a status other than OK."""
+
+    def __init__(self, code: grpc.StatusCode, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
+    if isinstance(error, Refused):
+        context.abort(error.code, str(error))
+    if isinstance(error, Problem):
+        context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{error.code}: {error.detail}")
+    # The run keeps trying: a database that is away or a full disk is not its fault.
+    log.error("worker_request_failed", exc_info=error)
+    context.abort(grpc.StatusCode.UNAVAILABLE, type(error).__name__)
+    raise AssertionError
+
+
+class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
+    """Answers run processes."""
+
+    def __init__(self, services: Services, secret: str) -> None:
+        self._services = services
+        self._secret = secret
+
+    def _authenticate(self, context: grpc.ServicerContext, fence: worker_pb2.Fence) -> None:
+        given = dict(context.invocation_metadata()).get("authorization", "")
+        expected = f"Bearer {run_token(self._secret, fence.job_id, fence.run)}"
+        if not hmac.compare_digest(str(given), expected):
+            raise Refused(grpc.StatusCode.UNAUTHENTICATED, "the token is not the one of this run")
+
+    @staticmethod
+    def _current_job(connection: Connection, fence: worker_pb2.Fence) -> Job:
+        job = (
+            connection.execute(across_tenants(jobs).where(jobs.c.id == fence.job_id)).mappings().one_or_none()
+        )
+        if job is None:
+            raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no job {fence.job_id!r}")
+        if job["run"] != fence.run:
+            raise Refused(
+                grpc.StatusCode.FAILED_PRECONDITION,
+                f"run {fence.run} of {fence.job_id} is stale, the current one is {job['run']}",
+            )
+        return job
+
+    @staticmethod
+    def _require_active(job: Job, fence: worker_pb2.Fence) -> None:
+        if job["state"] not in HAS_RUN:
+            raise Refused(
+                grpc.StatusCode.FAILED_PRECONDITION,
+                f"run {fence.run} of {fence.job_id} has ended, the job is {job['state']}",
+            )
+
+    def _answer(
+        self,
+        context: grpc.ServicerContext,
+        fence: worker_pb2.Fence,
+        act: Callable[[Connection, Job], Reply],
+        *,
+        even_if_ended: bool = False,
+        signal: bool = True,
+    ) -> Reply:
+        """Run `act` in one transaction, if the fence is that of the current run."""
+        try:
+            self._authenticate(context, fence)
+            with self._services.database.write() as connection:
+                job = self._current_job(connection, fence)
+                if not even_if_ended:
+                    self._require_active(job, fence)
+                reply = act(connection, job)
+        except (Refused, Problem, SQLAlchemyError, OSError) as error:
+            _abort(context, error)
+        if signal:
+            self._services.wakeups.signal()
+        return reply
+
+    def Register(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Note where the process runs, for a server that started it and ended before it could."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            values: dict[str, Any] = {"heartbeat_at": now()}
+            if job["handle"] is None:
+                values["handle"] = {"pid": request.pid, "identity": request.process_identity, "gpus": []}
+            set_fields(connection, job, **values)
+            return worker_pb2.RegisterResponse(heartbeat_s=self._services.settings.heartbeat_s)
+
+        return self._answer(context, request.fence, act, signal=False)
+
+    def Start(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Return what to do."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            set_fields(connection, job, heartbeat_at=now(), progress_at=now())
+            return run_reports.describe_run(connection, job, self._services.settings)
+
+        return self._answer(context, request.fence, act, signal=False)
+
+    def Heartbeat(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Note that the process is alive and tell it whether to end."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            set_fields(connection, job, heartbeat_at=now())
+            return worker_pb2.HeartbeatResponse(stop=_must_stop(job))
+
+        return self._answer(context, request.fence, act, signal=False)
+
+    def Report(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Store progress and events; a report that came before is stored once."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            run_reports.store_report(connection, job, request, self._services.settings)
+            return worker_pb2.ReportResponse(stop=_must_stop(job))
+
+        return self._answer(context, request.fence, act)
+
+    def ReportScene(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Store what was found out about the scene."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            run_reports.store_scene_report(connection, job, request.report)
+            return worker_pb2.ReportSceneResponse()
+
+        return self._answer(context, request.fence, act)
+
+    def PutBlob(self, request_iterator: Iterator[Any], context: Any) -> Any:  # noqa: N802
+        """Store a file of the run; complete and of the promised hash, or not at all."""
+        header = next(request_iterator).header
+        with tempfile.NamedTemporaryFile(dir=self._services.settings.scratch) as file:
+
+            def act(_connection: Connection, job: Job) -> Job:
+                return job
+
+            # Fence first: a stale run must not even fill the disk.
+            job = self._answer(context, header.fence, act, signal=False)
+            try:
+                for message in request_iterator:
+                    file.write(message.data)
+                file.flush()
+                if hash_file(Path(file.name)) != header.sha256:
+                    raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not have the promised hash")
+                created = self._services.store.put_file(
+                    self._services.database.write,
+                    owner(job),
+                    Path(file.name),
+                    header.sha256,
+                    header.media_type or "application/octet-stream",
+                )
+            except (Refused, SQLAlchemyError, OSError) as error:
+                _abort(context, error)
+        return worker_pb2.PutBlobResponse(created=created)
+
+    def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
+        """Send a file that the tenant of the job may read."""
+
+        def act(connection: Connection, job: Job) -> bool:
+            return find_blob(connection, owner(job), request.sha256) is not None
+
+        if not self._answer(context, request.fence, act, signal=False):
+            context.abort(grpc.StatusCode.NOT_FOUND, f"there is no blob {request.sha256}")
+        try:
+            for chunk in self._services.store.read(request.sha256):
+                # The store decides the size of its pieces, the channel limits that of a message.
+                for start in range(0, len(chunk), CHUNK_BYTES):
+                    yield worker_pb2.GetBlobResponse(data=chunk[start : start + CHUNK_BYTES])
+        except OSError as error:
+            _abort(context, error)
+
+    def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Make a checkpoint the newest one."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            run_reports.store_checkpoint(connection, job, request.manifest)
+            return worker_pb2.CommitCheckpointResponse()
+
+        return self._answer(context, request.fence, act)
+
+    def Publish(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Make the result visible and the job succeeded; asked twice, it answers twice the same."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            if job["state"] == SUCCEEDED:
+                return worker_pb2.PublishResponse(bundle_id=job["bundle_id"] or "")
+            self._require_active(job, request.fence)
+            if job["state"] == CANCELLING:
+                raise Refused(grpc.StatusCode.FAILED_PRECONDITION, "the job is being cancelled")
+            bundle_id = run_reports.publish(connection, job, request, self._services.store)
+            succeed(connection, job, bundle_id=bundle_id)
+            return worker_pb2.PublishResponse(bundle_id=bundle_id or "")
+
+        return self._answer(context, request.fence, act, even_if_ended=True)
+
+    def Finish(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """End a run without a bundle."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            # A stop that was asked for is settled when the process is gone.
+            if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
+                if request.outcome == worker_pb2.OUTCOME_SUCCEEDED:
+                    succeed(connection, job)
+                else:
+                    requeue(connection, job, "stopped from outside after a checkpoint")
+            return worker_pb2.FinishResponse()
+
+        return self._answer(context, request.fence, act, even_if_ended=True)
+
+    def Fail(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """End a run that failed, and decide whether there is another."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
+                run_reports.store_failure(connection, job, request, self._services.settings)
+            return worker_pb2.FailResponse()
+
+        return self._answer(context, request.fence, act, even_if_ended=True)
+
+
+def _must_stop(job: Job) -> bool:
+    return job["state"] == CANCELLING or job["stop_reason"] is not None
+
+
+def serve_workers(services: Services, secret: str, address: str) -> grpc.Server:
+    """Start answering run processes at `address` ("unix:/path" or "127.0.0.1:port")."""
+    server = grpc.server(
+        ThreadPoolExecutor(max_workers=16, thread_name_prefix="worker-service"),
+        options=[("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)],
+    )
+    worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret), server)
+    server.add_insecure_port(address)
+    server.start()
+    return server

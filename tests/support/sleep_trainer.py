@@ -1,0 +1,124 @@
+"""A run process whose pipeline only sleeps: the faults of the service are tried on it, without a model.
+
+`python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer it:
+`num_steps`, `step_s`, `checkpoint_every`, `fail_at` (with `fail_how`), `hang_at`, `reject`, `touch` (a file that
+gets one line for every time the pipeline comes to its end).
+"""
+
+import hashlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+from google.protobuf.json_format import MessageToJson
+from lambent_proto.v1 import bundle_pb2, scene_pb2
+from lambent_worker.errors import Stopped, WorkerError
+from lambent_worker.run import Task, work
+from lambent_worker.supervisor import supervise
+
+PNG = bytes.fromhex(
+    "89504e470d0a1a0a0000000d494844520000000100000001080200000090"
+    "7753de0000000c49444154789c63f8cfc0000003010100c9fe92ef0000000049454e44ae426082"
+)
+
+
+def fail(how: str) -> None:
+    """End in the way that is asked for."""
+    if how == "exit":
+        os._exit(7)
+    if how == "memory":
+        raise MemoryError
+    if how == "worker_error":
+        raise WorkerError("test.failed", "the test asked for it")
+    raise RuntimeError("the test asked for it")
+
+
+def pipeline(task: Task) -> Path:
+    """Count steps, keep the count in checkpoints, and write a bundle that says how far it came."""
+    params = task.spec.params
+    num_steps = int(params.get("num_steps", "20"))
+    step_s = float(params.get("step_s", "0.02"))
+    every = int(params.get("checkpoint_every", "5"))
+    folder = task.run_dir / "joint"
+    found = sorted(folder.glob("step_*/state.json"))
+    first = json.loads(found[-1].read_text())["step"] if found else 0
+    task.reporter.log("sleep.started", first_step=first, run_pid=os.getpid())
+    for step in range(first + 1, num_steps + 1):
+        time.sleep(step_s)
+        if step == int(params.get("fail_at", "0")) and first < step:
+            once = Path(params["fail_once"]) if "fail_once" in params else None
+            if once is None or not once.exists():
+                if once is not None:
+                    once.touch()
+                fail(params.get("fail_how", ""))
+        while step == int(params.get("hang_at", "0")):
+            time.sleep(0.1)
+        task.reporter.progress(
+            stage="joint",
+            step=step,
+            num_steps=num_steps,
+            fraction=step / num_steps,
+            eta_s=(num_steps - step) * step_s,
+            steps_per_s=1 / step_s if step_s else 0.0,
+            loss=1.0 / step,
+            psnr=20.0 + step / num_steps,
+        )
+        task.reporter.preview("view", PNG)
+        stopping = task.reporter.should_stop()
+        if step % every == 0 or stopping:
+            target = folder / f"step_{step:06d}"
+            target.mkdir(parents=True, exist_ok=True)
+            (target / "state.json").write_text(json.dumps({"step": step, "run_dir": str(task.run_dir)}))
+            task.reporter.checkpoint("joint", step, target)
+        if stopping:
+            raise Stopped
+    return write_result(task, num_steps)
+
+
+def write_result(task: Task, num_steps: int) -> Path:
+    """Write a bundle and an artifact."""
+    bundle = task.run_dir / "bundle"
+    (bundle / "models").mkdir(parents=True)
+    weights = bytes(range(256)) * 40
+    (bundle / "models" / "weights.bin").write_bytes(weights)
+    manifest = bundle_pb2.BundleManifest(schema_version="1.0", scene_id=task.spec.scene_id, name="sleep")
+    manifest.generator.train_step = num_steps
+    manifest.files.add(
+        path="models/weights.bin",
+        size_bytes=len(weights),
+        sha256=hashlib.sha256(weights).hexdigest(),
+        media_type="application/octet-stream",
+        role="weights",
+    )
+    text = MessageToJson(
+        manifest, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
+    )
+    (bundle / "manifest.json").write_text(text)
+    report = task.run_dir / "report.json"
+    report.write_text('{"metrics": []}')
+    task.reporter.artifact("report.json", report)
+    if "touch" in task.spec.params:
+        with Path(task.spec.params["touch"]).open("a") as file:
+            file.write(f"{task.run_dir.name}\n")
+    return bundle
+
+
+def check(scene_dir: Path) -> scene_pb2.SceneReport:
+    """Accept every scene but one with a file called reject.txt."""
+    if (scene_dir / "reject.txt").exists():
+        finding = scene_pb2.Finding(
+            code="scene.test",
+            severity=scene_pb2.SEVERITY_ERROR,
+            message="mend reject.txt",
+            subject="reject.txt",
+        )
+        return scene_pb2.SceneReport(usable=False, findings=[finding])
+    return scene_pb2.SceneReport(usable=True, layout="nerf_blender", num_train_frames=3, num_test_frames=1)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["run"]:
+        sys.exit(supervise([sys.executable, __file__, "work"]))
+    sys.exit(work(pipeline, check))

@@ -1,0 +1,26 @@
+"""`python -m lambent_worker run`: what the server starts for a job; `work` is the part that trains."""
+
+import sys
+
+from lambent_worker.supervisor import supervise
+
+USAGE = "usage: python -m lambent_worker run (started by the server, with LAMBENT_RUN in the environment)"
+
+
+def main(arguments: list[str]) -> int:
+    """Return the exit code."""
+    if arguments == ["run"]:
+        return supervise([sys.executable, "-m", "lambent_worker", "work"])
+    if arguments == ["work"]:
+        from lambent_worker.process import prepare
+
+        prepare()
+        from lambent_worker.run import work
+
+        return work()
+    print(USAGE, file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
