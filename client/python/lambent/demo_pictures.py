@@ -76,11 +76,11 @@ def make_pictures(bundle: Path, sample: Sample, output: Path, note: Note) -> lis
     lights = (sample.train_light, *sample.unseen_lights)
     folders = sorted(path for path in sample.folder.glob("test_*") if path.is_dir())
     views = [truth.read_view(folder, lights) for folder in folders]
-    # Views of different height: the first and one from the middle of the spiral.
-    shown = [views[round(index * (len(views) - 1) / NUM_SHOWN)] for index in range(NUM_SHOWN)]
+    # Views of different height: the sample's test cameras climb a spiral.
+    shown = views[:: max(1, len(views) // NUM_SHOWN)][:NUM_SHOWN]
     albedo = {view.name: _albedo_over_white(renderer, view) for view in views}
     ratio = truth.albedo_ratio([albedo[view.name] for view in views], views)
-    trained = opened.trained_environment(sample.train_light)
+    trained = opened.trained_environment(opened.manifest.train_lights[0])
     unseen = {light: load_environment(sample.environment(light)) for light in sample.unseen_lights}
     rendered = []
     for view in shown:
