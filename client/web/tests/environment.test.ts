@@ -1,3 +1,4 @@
+import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import {
   directionOfPixel,
@@ -8,6 +9,35 @@ import {
   uvOfDirection,
   type Direction,
 } from "../src/engine/environment.js";
+
+type Golden = {
+  readonly height: number;
+  readonly width: number;
+  readonly cases: readonly {
+    readonly row: number;
+    readonly column: number;
+    readonly rotate_deg: number;
+    readonly direction: Direction;
+    readonly lit_face: string;
+  }[];
+};
+
+// The same numbers hold in Python (lambent_relight) and in here.
+const goldenFile = new URL("../../../tests/golden/environment_orientation.json", import.meta.url);
+const golden = JSON.parse(readFileSync(goldenFile, "utf8")) as Golden;
+
+const faces: readonly (readonly [string, Direction])[] = [
+  ["+x", [1, 0, 0]],
+  ["-x", [-1, 0, 0]],
+  ["+y", [0, 1, 0]],
+  ["-y", [0, -1, 0]],
+  ["+z", [0, 0, 1]],
+  ["-z", [0, 0, -1]],
+];
+
+function dot(a: Direction, b: Direction): number {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 function expectClose(found: readonly number[], expected: readonly number[], tolerance: number): void {
   expect(found.length).toBe(expected.length);
@@ -44,5 +74,15 @@ describe("environment orientation", () => {
     expectClose(rotateAboutZ([1, 0, 0], 90), [0, 1, 0], 1e-12);
     const light: Direction = [0, 1, 0];
     expectClose(lookupUv(light, 90), uvOfDirection([1, 0, 0]), 1e-12);
+  });
+
+  it.each(golden.cases)("row $row, column $column, turned by $rotate_deg lights $lit_face", (one) => {
+    const centre = directionOfPixel(one.row, one.column, golden.height, golden.width);
+    const turned = rotateAboutZ(centre, one.rotate_deg);
+    expectClose(turned, one.direction, 1e-8);
+    const brightest = faces.reduce((best, face) => (dot(face[1], turned) > dot(best[1], turned) ? face : best));
+    expect(brightest[0]).toBe(one.lit_face);
+    const [u, v] = lookupUv(turned, one.rotate_deg);
+    expect([Math.floor(v * golden.height), Math.floor(u * golden.width)]).toEqual([one.row, one.column]);
   });
 });
