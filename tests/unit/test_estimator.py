@@ -228,6 +228,12 @@ def test_contributions_that_are_not_numbers_or_too_large_are_counted_and_kept_ou
     assert [int(count) for count in result.guards] == [0, 1, 1]
 
 
+def test_no_points_give_an_empty_estimate():
+    result, *_ = _ask(case(0), EstimatorConfig())
+    assert result.rgb.shape == (0, 3)
+    assert result.exact.omega_i.shape == (0, 16, 3)
+
+
 def test_hiding_a_source_leaves_direct_light_with_shadows():
     rays = SecondaryRays(
         torch.zeros(4, 3).double(), unit(1.0, 0.0, 0.2).expand(4, 3), 0.05, 2.0, torch.zeros(4).long()

@@ -76,7 +76,8 @@ def specular_brdf_cos(
     """Return the specular lobe times the cosine, D F G / (4 n.omega_o), in 1/sr.
 
     Zero when either direction is below the surface. F is Schlick's, G is Smith's product of Schlick-GGX terms
-    with k = alpha / 2. The cosine at the viewer cancels against G and never divides. Source: supplement Eq. 5.
+    with k = alpha / 2. The cosine at the viewer cancels against G and never divides.
+    Source: supplement Eq. 5.
     """
     total = omega_i + omega_o
     omega_h = total * dot(total, total).clamp_min(1e-20).rsqrt()

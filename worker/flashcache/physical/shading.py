@@ -148,7 +148,7 @@ class DrawnDirections:
     def scatter(self, values: Tensor) -> Tensor:
         """Return [points, lights, 3] of values per ray, zero where no ray was traced."""
         flat = values.new_zeros((self.above.numel(), values.shape[-1]))
-        return flat.index_copy(0, self.index, values).reshape(*self.above.shape, -1)
+        return flat.index_copy(0, self.index, values).reshape(*self.above.shape, values.shape[-1])
 
     def integrate(
         self, radiance: Tensor, materials: Materials, normal_gradient: float, with_variance: bool

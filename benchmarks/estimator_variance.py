@@ -1,0 +1,178 @@
+"""Compare estimators of reflected light on a trained run: noise, time, and noise at equal time.
+
+    OMP_NUM_THREADS=1 python benchmarks/estimator_variance.py RUN_DIR [--points 512] [--repeats 64] [-o FILE]
+
+Every estimator shades the same surface points of the run's scene many times. Columns: `spread`, the standard
+deviation of one estimate relative to the mean radiance; `time`, processor time per point in microseconds;
+`gain`, how many times less variance than the first row at equal time; `bias`, the deviation of the mean from
+the first row's relative to the mean radiance, with its standard error. Only `fast only` should have a bias.
+"""
+
+import argparse
+import json
+import os
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import torch
+from flashcache.evaluation.views import camera_rays
+from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
+from flashcache.physical.model import InverseModel
+from flashcache.physical.shading import ShadingPoints
+from flashcache.training.schedule import generator_for
+from flashcache.volume.quadrature import draw_points
+from lambent_worker.console import ConsoleReporter
+from lambent_worker.steps.training import load_trained, read_scene
+from lambent_worker.training_run import open_run, step_context
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What was measured of one estimator."""
+
+    name: str
+    rays: str
+    spread: float
+    time_us: float
+    gain: float
+    bias: float
+    bias_error: float
+
+
+def estimators(own: EstimatorConfig) -> dict[str, EstimatorConfig]:
+    """Return the paper's ablations with its numbers of directions, and the run's own settings."""
+    paper = replace(
+        own,
+        fast=DirectionCounts.split(64),
+        exact=DirectionCounts.split(16),
+        control_variate="on",
+        sampler="vmf",
+        stratified=False,
+    )
+    return {
+        "NeRF cache, cosine": replace(paper, control_variate="off", sampler="none"),
+        "NeRF cache, light sampler": replace(paper, control_variate="off"),
+        "control variate, cosine": replace(paper, sampler="none"),
+        "control variate, light sampler": paper,
+        "the same, stratified": replace(paper, stratified=True),
+        "fast only, light sampler": replace(paper, control_variate="fast_only"),
+        "settings of the run": own,
+    }
+
+
+def surface_points(model: InverseModel, cameras: list, count: int) -> ShadingPoints:
+    """Return surface points that the cameras see, drawn by their render weights."""
+    parts: list[tuple[Tensor, ...]] = []
+    for number, camera in enumerate(cameras):
+        rays = camera_rays(model, camera, torch.device("cpu"))
+        generator = generator_for(0, "benchmark", number, "points", torch.device("cpu"))
+        chosen = torch.randperm(len(rays), generator=generator)[: 20 * count // len(cameras)]
+        rays = rays.select(chosen)
+        rays = rays.select(rays.far > rays.near)
+        geometry = model.nerf.trace(rays, exponent=1.0, generator=None)
+        u = torch.rand(len(rays), 1, generator=generator)
+        index = draw_points(geometry.weights, u).index[:, 0]
+        seen = (geometry.opacity > 0.5).nonzero()[:, 0][: count // len(cameras)]
+        flat = (index + geometry.weights.shape[-1] * torch.arange(len(rays)))[seen]
+        positions = geometry.samples.positions.reshape(-1, 3)[flat]
+        parts.append((positions, geometry.normal[flat], -rays.directions[seen]))
+    positions, normal, omega_o = (torch.cat(column) for column in zip(*parts, strict=True))
+    return ShadingPoints(positions, normal, omega_o, torch.zeros(len(positions), dtype=torch.long))
+
+
+def measure(
+    model: InverseModel, points: ShadingPoints, config: EstimatorConfig, repeats: int
+) -> tuple[Tensor, float]:
+    """Return [repeats, points] of mean-channel radiance, and the seconds of processor time per estimate."""
+    materials = model.materials(points.positions)
+    values = []
+    began = time.process_time()
+    for repeat in range(repeats):
+        generator = generator_for(1, "benchmark", repeat, "estimate", torch.device("cpu"))
+        mixture = None
+        if config.sampler == "vmf":
+            mixture = model.light_sampler(points.positions, points.light_index)
+        estimate = control_variate(
+            points,
+            materials,
+            nerf=model.nerf_source(generator),
+            fast=model.fast_source(),
+            environment=model.environment,
+            mixture=mixture,
+            limits=model.limits,
+            config=config,
+            generator=generator,
+        )
+        values.append(estimate.rgb.mean(dim=-1))
+    return torch.stack(values), (time.process_time() - began) / repeats
+
+
+def describe(config: EstimatorConfig) -> str:
+    """Return the rays per point as fast + exact."""
+    parts = {
+        "on": f"{config.fast.total} + {config.exact.total}",
+        "off": f"0 + {config.exact.total}",
+        "fast_only": f"{config.fast.total} + 0",
+    }
+    return parts[config.control_variate]
+
+
+@torch.no_grad()
+def compare(run_dir: Path, num_points: int, repeats: int) -> list[Row]:
+    """Return one row per estimator for the trained model in `run_dir`."""
+    run = open_run(run_dir, "cpu")
+    context = step_context(run, run_dir, ConsoleReporter(), "joint")
+    scene = read_scene(context)
+    model = load_trained(context, scene, "joint")
+    cameras = [view.camera for view in (scene.test or scene.train)[:4]]
+    points = surface_points(model, cameras, num_points)
+    if len(points.positions) == 0:
+        raise SystemExit("no pixel of the first four views is opaque; give a run that was trained to its end")
+    rows: list[Row] = []
+    reference: tuple[Tensor, float] | None = None
+    for name, config in estimators(run.config.stage_two.estimator).items():
+        measure(model, points, config, 2)
+        values, seconds = measure(model, points, config, repeats)
+        variance = float(values.var(dim=0).mean())
+        mean = values.mean(dim=1)
+        if reference is None:
+            reference = (mean, variance * seconds)
+        level = float(reference[0].mean())
+        error = (float(mean.var()) / repeats + float(reference[0].var()) / repeats) ** 0.5
+        rows.append(
+            Row(
+                name=name,
+                rays=describe(config),
+                spread=variance**0.5 / level,
+                time_us=seconds / len(points.positions) * 1e6,
+                gain=reference[1] / (variance * seconds),
+                bias=float(mean.mean() - reference[0].mean()) / level,
+                bias_error=error / level,
+            )
+        )
+    return rows
+
+
+def main() -> None:
+    """Print the table, and write it as JSON where asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("run_dir", type=Path)
+    parser.add_argument("--points", type=int, default=512)
+    parser.add_argument("--repeats", type=int, default=64)
+    parser.add_argument("-o", "--output", type=Path)
+    arguments = parser.parse_args()
+    rows = compare(arguments.run_dir, arguments.points, arguments.repeats)
+    print(f"{'estimator':32}{'fast + exact':>14}{'spread':>9}{'time':>9}{'gain':>8}{'bias':>20}")
+    for row in rows:
+        bias = f"{100 * row.bias:+.2f} % +- {100 * row.bias_error:.2f}"
+        print(f"{row.name:32}{row.rays:>14}{row.spread:9.3f}{row.time_us:9.1f}{row.gain:8.2f}{bias:>20}")
+    if arguments.output:
+        arguments.output.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
