@@ -1,0 +1,42 @@
+import json
+
+import pytest
+from flashcache.config import Config, config_hash, from_dict, to_dict, with_overrides
+from flashcache.errors import ConfigError
+from flashcache.presets import PRESETS, preset
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_configuration_survives_json(name: str):
+    config = preset(name)
+    assert from_dict(Config, json.loads(json.dumps(to_dict(config)))) == config
+
+
+def test_an_override_changes_one_setting_and_the_hash():
+    config = with_overrides(preset("tiny"), {"stage_one.num_rays": "64"})
+    assert config.stage_one.num_rays == 64
+    assert config.stage_two == preset("tiny").stage_two
+    assert config_hash(config) != config_hash(preset("tiny"))
+
+
+def test_an_override_may_be_a_bare_word():
+    config = with_overrides(preset("tiny"), {"stage_two.estimator.control_variate": "off"})
+    assert config.stage_two.estimator.control_variate == "off"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("stage_one.num_ray", "64", "num_rays"),
+        ("stage_three.num_rays", "64", "no group 'stage_three'"),
+        ("stage_one.num_rays", "many", "must be of type int"),
+        ("stage_one.num_rays", "true", "must be of type int"),
+        ("stage_one.num_rays", "0", "at least 1"),
+        ("stage_one.normal_ramp", "[0.1]", "has 2 values"),
+        ("stage_two.points", "median", "must be one of"),
+        ("stage_two.estimator.control_variate", "maybe", "control_variate"),
+    ],
+)
+def test_a_wrong_setting_is_named(path: str, value: str, message: str):
+    with pytest.raises(ConfigError, match=message):
+        with_overrides(preset("tiny"), {path: value})

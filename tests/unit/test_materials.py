@@ -1,0 +1,40 @@
+import torch
+from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.fields.materials import MaterialConfig, MaterialField
+
+GRID = HashGridConfig(finest_resolution=32, log2_table_size=12)
+
+
+def field(**settings: float) -> MaterialField:
+    torch.manual_seed(0)
+    return MaterialField(MaterialConfig(grid=GRID, width=16, **settings), 1.5)
+
+
+def positions() -> torch.Tensor:
+    return torch.randn(50, 3, generator=torch.Generator().manual_seed(1))
+
+
+def test_a_new_field_gives_the_starting_values_everywhere():
+    found = field(metalness_bias=-2.0)(positions())
+    start = torch.sigmoid(torch.tensor([-1.0, -1.0, -2.0]))
+    for values, expected in zip((found.albedo, found.alpha, found.metalness), start, strict=True):
+        assert (values - expected).abs().max() < 2e-3
+
+
+def test_materials_stay_in_their_range_however_extreme_the_network():
+    made = field()
+    with torch.no_grad():
+        made.grid.table.normal_(0.0, 100.0)
+    found = made(positions())
+    assert found.alpha.min() >= 1e-4
+    for values in (found.albedo, found.alpha, found.metalness):
+        assert values.min() >= 0.0
+        assert values.max() <= 1.0
+
+
+def test_the_width_gets_a_share_of_its_gradient_and_its_whole_value():
+    full, quarter = field(alpha_gradient=1.0), field(alpha_gradient=0.25)
+    for made in (full, quarter):
+        made(positions()).alpha.sum().backward()
+    torch.testing.assert_close(full(positions()).alpha, quarter(positions()).alpha)
+    torch.testing.assert_close(0.25 * full.head.bias.grad, quarter.head.bias.grad)

@@ -1,0 +1,34 @@
+import torch
+from flashcache.losses.normals import normal_consistency, orientation
+
+WEIGHTS = torch.tensor([[0.2, 0.5]])
+DIRECTION = torch.tensor([[0.0, 0.0, -1.0]])
+UP, DOWN = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
+
+
+def test_equal_normals_cost_nothing_and_opposite_ones_four_times_the_weight():
+    up, down = torch.tensor([UP, UP]), torch.tensor([DOWN, DOWN])
+    assert normal_consistency(WEIGHTS, up, up, 0.1) == 0.0
+    torch.testing.assert_close(normal_consistency(WEIGHTS, up, down, 0.1), 4.0 * WEIGHTS.sum())
+
+
+def test_both_normals_move_towards_each_other():
+    predicted = torch.tensor([UP, UP]).requires_grad_()
+    derived = torch.tensor([[1.0, 0.0, 0.0]] * 2).requires_grad_()
+    normal_consistency(WEIGHTS, predicted, derived, 0.1).backward()
+    assert (predicted.grad[:, 0] < 0.0).all()
+    assert (derived.grad[:, 2] < 0.0).all()
+
+
+def test_weights_get_their_share_of_the_gradient_from_one_side_only():
+    gradients = []
+    for share in (1.0, 0.1):
+        weights = WEIGHTS.clone().requires_grad_()
+        normal_consistency(weights, torch.tensor([UP, UP]), torch.tensor([DOWN, UP]), share).backward()
+        gradients.append(weights.grad)
+    torch.testing.assert_close(gradients[1], 0.1 * gradients[0])
+
+
+def test_normals_towards_the_camera_cost_nothing_and_others_their_weighted_cosine():
+    assert orientation(WEIGHTS, torch.tensor([UP, UP]), DIRECTION) == 0.0
+    torch.testing.assert_close(orientation(WEIGHTS, torch.tensor([UP, DOWN]), DIRECTION), torch.tensor(0.5))
