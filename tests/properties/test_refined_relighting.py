@@ -227,7 +227,7 @@ def test_one_texel_lights_the_golden_face_of_a_cube(cube, case):
         assert (picture.opacity == 1.0).all()
         np.testing.assert_allclose(picture.normal, np.broadcast_to(normal, (3, 3, 3)), atol=1e-6)
         brightness[face] = picture.rgb.mean()
-        if normal @ np.array(case["direction"]) < -0.3:
+        if normal @ np.array(case["direction"]) < -0.5:
             assert brightness[face] == 0.0
     assert max(brightness, key=brightness.get) == case["lit_face"]
 
@@ -235,13 +235,13 @@ def test_one_texel_lights_the_golden_face_of_a_cube(cube, case):
 def test_turning_the_light_is_turning_the_map(cube):
     image = sky(3).radiance
     camera = camera_at((2.0, 1.5, 1.0))
-    turned = cube.render(camera, environment_from_array(image), rotate_deg=90.0, num_samples=256)
-    rolled = cube.render(camera, environment_from_array(np.roll(image, -4, axis=1)), num_samples=256, seed=1)
-    difference = turned.rgb - rolled.rgb
+    rolled_map = environment_from_array(np.roll(image, -4, axis=1))
+    turned = cube.render(camera, environment_from_array(image), rotate_deg=90.0, num_samples=512)
+    rolled = cube.render(camera, rolled_map, num_samples=512, seed=1)
+    straight = cube.render(camera, environment_from_array(image), num_samples=512)
     error = np.sqrt(turned.standard_error**2 + rolled.standard_error**2)
-    assert np.abs(difference / np.maximum(error, 1e-9)).mean() < 1.5
-    straight = cube.render(camera, environment_from_array(image), num_samples=256)
-    assert np.abs(straight.rgb - rolled.rgb).max() > 10 * error.max()
+    assert np.abs((turned.rgb - rolled.rgb) / error).mean() < 1.5
+    assert np.abs((straight.rgb - rolled.rgb) / error).mean() > 3.0
 
 
 def test_equal_seeds_give_equal_pictures_and_other_seeds_do_not(cube):

@@ -18,7 +18,7 @@ from lambent_relight.directions import (
 from lambent_relight.environments import environment_from_array, load_environment, write_environment
 from lambent_relight.errors import EnvironmentFileError
 from lambent_relight.exr import write_exr
-from lambent_relight.light_sampling import LightSampler
+from lambent_relight.light_sampling import LOBE_ALPHAS, LightSampler, lobe_of_alpha
 from support.statistics import assert_mean
 
 GOLDEN = json.loads(
@@ -64,8 +64,10 @@ def test_one_texel_shines_from_the_golden_direction(case):
     direction = np.array([case["direction"]])
     np.testing.assert_allclose(environment.lookup(direction), [[1.0, 2.0, 3.0]], rtol=1e-5)
     assert np.abs(environment.lookup(-direction)).max() == 0.0
-    drawn = LightSampler(environment).sample(*np.random.default_rng(1).random((2, 500)))
-    assert normalise(drawn.mean(axis=0)) @ direction[0] > 0.98
+    for lobe in range(1 + len(LOBE_ALPHAS)):
+        axes = np.broadcast_to(direction, (500, 3))
+        drawn = LightSampler(environment).sample(*np.random.default_rng(1).random((2, 500)), axes, lobe)
+        assert normalise(drawn.mean(axis=0)) @ direction[0] > 0.97
 
 
 def test_directions_and_pixels_are_inverse_to_each_other():
@@ -107,39 +109,84 @@ def test_light_from_plus_x_comes_from_plus_y_after_a_quarter_turn():
     ] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("rotate_deg", [0.0, 37.0])
-def test_importance_sampling_integrates_any_function_of_direction(rotate_deg):
-    environment = environment_from_array(random_map(8, 16)).rotated(rotate_deg)
+AXES = normalise(np.random.default_rng(8).normal(size=(3, 3)))
+
+
+@pytest.mark.parametrize("lobe", range(1 + len(LOBE_ALPHAS)))
+@pytest.mark.parametrize(("height", "width", "rotate_deg"), [(8, 16, 0.0), (8, 16, 37.0), (50, 90, 0.0)])
+def test_importance_sampling_integrates_any_function_of_direction(height, width, rotate_deg, lobe):
+    environment = environment_from_array(random_map(height, width)).rotated(rotate_deg)
     sampler = LightSampler(environment)
-    directions = sampler.sample(*np.random.default_rng(3).random((2, 40000)))
-    estimate = environment.lookup(directions) / sampler.pdf(directions)
-    grid = directions_of_uv(*np.meshgrid((np.arange(512) + 0.5) / 512, (np.arange(256) + 0.5) / 256))
-    measure = pixel_solid_angles(256, 512)[:, None, None]
-    weights = 1.0 + grid[..., :1] * 0.5
-    expected = (environment.lookup(grid) * weights * measure).sum(axis=(0, 1))
-    samples = estimate * (1.0 + directions[:, :1] * 0.5)
-    assert_mean(samples, expected, expected_error=2e-3 * expected.max())
+    axis = AXES[lobe % 3]
+    axes = np.broadcast_to(axis, (30000, 3))
+    directions = sampler.sample(*np.random.default_rng(3).random((2, 30000)), axes, lobe)
+    density = sampler.pdf(directions, axes, lobe)
+    # A function that the lobe fits, so that its tails do not drown the test in variance.
+    sharpness = 0.5 if lobe == 0 else 0.7 / LOBE_ALPHAS[lobe - 1] ** 2
+
+    def function(d):
+        return (
+            environment.lookup(d)
+            * np.exp(sharpness * (d @ axis - 1.0))[..., None]
+            * ((d @ axis) > 0)[..., None]
+        )
+
+    fine = (height * 16, width * 16) if height < 20 else (height * 5, width * 5)
+    grid = directions_of_uv(
+        *np.meshgrid((np.arange(fine[1]) + 0.5) / fine[1], (np.arange(fine[0]) + 0.5) / fine[0])
+    )
+    expected = (function(grid) * pixel_solid_angles(*fine)[:, None, None]).sum(axis=(0, 1))
+    assert_mean(function(directions) / density, expected, expected_error=2e-3 * expected.max())
 
 
-def test_density_of_the_light_sampler_integrates_to_one_and_is_positive_wherever_light_is():
-    image = np.zeros((8, 16, 3), np.float32)
+@pytest.mark.parametrize("shape", [(8, 16), (30, 70), (64, 128)])
+def test_density_of_the_light_sampler_integrates_to_one_and_is_positive_wherever_light_is(shape):
+    image = np.zeros((*shape, 3), np.float32)
     image[3, 5] = 100.0
     environment = environment_from_array(image)
     sampler = LightSampler(environment)
-    assert sampler.pmf.sum() == pytest.approx(1.0, rel=1e-12)
-    directions = normalise(np.random.default_rng(4).normal(size=(100_000, 3)))
-    density = sampler.pdf(directions)
-    assert_mean(density * 4 * np.pi, np.ones(1))
-    lit = environment.lookup(directions).max(axis=-1) > 0.0
-    assert lit.any()
-    assert (density[lit] > 0.0).all()
+    grid = 24
+    v, u = np.meshgrid(
+        (np.arange(shape[0] * grid) + 0.5) / (shape[0] * grid),
+        (np.arange(shape[1] * grid) + 0.5) / (shape[1] * grid),
+        indexing="ij",
+    )
+    rows = slice(0, 8 * grid)
+    columns = slice(0, 10 * grid)
+    directions = directions_of_uv(u[rows, columns].ravel(), v[rows, columns].ravel())
+    measure = np.repeat(pixel_solid_angles(*u.shape)[rows], 10 * grid)
+    for lobe in range(1 + len(LOBE_ALPHAS)):
+        density = sampler.pdf(directions, np.broadcast_to(AXES[0], directions.shape), lobe)[:, 0]
+        assert (density * measure).sum() == pytest.approx(1.0, rel=1e-4)
+        lit = environment.lookup(directions).max(axis=-1) > 0.0
+        assert lit.any()
+        assert (density[lit] > 0.0).all()
+
+
+def test_a_map_above_the_table_size_is_sampled_by_blocks_of_pixels():
+    image = np.full((1024, 2048, 3), 0.1, np.float32)
+    image[300:310, 500:520] = 50.0
+    environment = environment_from_array(image)
+    sampler = LightSampler(environment)
+    axes = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (20000, 3))
+    directions = sampler.sample(*np.random.default_rng(0).random((2, 20000)), axes, 1)
+    density = sampler.pdf(directions, axes, 1)
+    measure = pixel_solid_angles(1024, 2048)[:, None, None]
+    expected = (image.astype(np.float64) * measure).sum(axis=(0, 1))
+    assert_mean(environment.lookup(directions) / density, expected, expected_error=1e-3 * expected.max())
 
 
 def test_a_black_map_is_sampled_evenly_instead_of_dividing_by_zero():
-    sampler = LightSampler(environment_from_array(np.zeros((4, 8, 3))))
-    directions = sampler.sample(*np.random.default_rng(5).random((2, 2000)))
-    assert_mean(directions, np.zeros(3))
-    np.testing.assert_allclose(sampler.pdf(directions), 1.0 / (4.0 * np.pi), rtol=1e-5)
+    sampler = LightSampler(environment_from_array(np.zeros((16, 32, 3))))
+    axes = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (2000, 3))
+    directions = sampler.sample(*np.random.default_rng(5).random((2, 2000)), axes, 1)
+    assert np.isfinite(directions).all()
+    assert_mean(1.0 / sampler.pdf(directions, axes, 1), np.full(1, 4.0 * np.pi), expected_error=1e-3)
+
+
+def test_the_lobe_of_a_width_is_the_nearest_one():
+    widths = np.array([[1.0], [0.6], [0.45], [0.2], [0.13], [0.01]])
+    assert lobe_of_alpha(widths).tolist() == [1, 2, 2, 3, 4, 4]
 
 
 @pytest.mark.parametrize("coded", [True, False])

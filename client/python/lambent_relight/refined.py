@@ -21,12 +21,12 @@ from lambent_relight.directions import normalise
 from lambent_relight.environments import Environment
 from lambent_relight.graphs import SurfaceCaches
 from lambent_relight.light_sampling import LightSampler
-from lambent_relight.scattering import SurfacePoints, draw_directions
+from lambent_relight.scattering import SurfacePoints, draw_directions, strategy_shares, whole_shares
 
 RAYS_PER_CHUNK = 1 << 16
 """Secondary rays that are in memory at once."""
-# Fractional parts of multiples of these fill the unit cube evenly (Roberts' R3 sequence).
-_R3 = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+# Fractional parts of multiples of these fill the unit square evenly (Roberts' R2 sequence).
+_R2 = 1.32471795724474602596 ** -np.arange(1.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -110,10 +110,10 @@ def _one_pass(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return direct and once-reflected radiance of points [point, 3], from `per_pass` directions each."""
     count = len(points.position)
-    shift = rng.random((count, 1, 3))
-    u = (shift + np.arange(per_pass)[:, None] * _R3).reshape(-1, 3) % 1.0
+    u = _even_uniforms(count, per_pass, rng).reshape(-1, 3)
     rays = points.repeat(per_pass)
-    drawn = draw_directions(rays, light.sampler, u)
+    shares = np.repeat(whole_shares(strategy_shares(points.materials), per_pass), per_pass, axis=0)
+    drawn = draw_directions(rays, light.sampler, u, shares)
     weight = drawn.weight
     active = drawn.active
     origin = rays.position[active] + np.float32(scene.origin_offset) * rays.normal[active]
@@ -133,6 +133,18 @@ def _one_pass(
     return direct.reshape(shape).mean(axis=1), bounced.reshape(shape).mean(axis=1)
 
 
+def _even_uniforms(count: int, per_pass: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return uniforms in [0, 1), [count, per_pass, 3], evenly spread over the second axis.
+
+    The first is stratified in rising order, so that every sampling strategy gets consecutive elements of
+    the sequence that the other two follow, and as many as its share says, give or take one.
+    """
+    index = np.arange(per_pass)[:, None]
+    first = (index + rng.random((count, 1, 1))) / per_pass
+    rest = (rng.random((count, 1, 2)) + index * _R2) % 1.0
+    return np.concatenate([np.broadcast_to(first, (count, per_pass, 1)), rest], axis=-1)
+
+
 def hit_radiance(
     position: NDArray[np.float32],
     omega_o: NDArray[np.float32],
@@ -147,7 +159,7 @@ def hit_radiance(
     if len(position) == 0:
         return np.zeros((0, 3), np.float32)
     points = surface_at(position, omega_o, scene)
-    drawn = draw_directions(points, light.sampler, u)
+    drawn = draw_directions(points, light.sampler, u, strategy_shares(points.materials))
     weight = drawn.weight
     active = drawn.active
     origin = position[active] + np.float32(scene.origin_offset) * points.normal[active]
