@@ -19,9 +19,11 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import torch
 from flashcache.evaluation.views import camera_rays
+from flashcache.geometry.directions import normalize
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
-from flashcache.physical.model import InverseModel
+from flashcache.physical.model import Domain, InverseModel
 from flashcache.physical.shading import ShadingPoints
+from flashcache.presets import tiny
 from flashcache.training.schedule import generator_for
 from flashcache.volume.quadrature import draw_points
 from lambent_worker.console import ConsoleReporter
@@ -122,8 +124,8 @@ def describe(config: EstimatorConfig) -> str:
 
 
 @torch.no_grad()
-def compare(run_dir: Path, num_points: int, repeats: int) -> list[Row]:
-    """Return one row per estimator for the trained model in `run_dir`."""
+def trained(run_dir: Path, num_points: int) -> tuple[InverseModel, ShadingPoints, EstimatorConfig]:
+    """Return a run's model, points on its surface, and how it estimates."""
     run = open_run(run_dir, "cpu")
     context = step_context(run, run_dir, ConsoleReporter(), "joint")
     scene = read_scene(context)
@@ -132,9 +134,34 @@ def compare(run_dir: Path, num_points: int, repeats: int) -> list[Row]:
     points = surface_points(model, cameras, num_points)
     if len(points.positions) == 0:
         raise SystemExit("no pixel of the first four views is opaque; give a run that was trained to its end")
+    return model, points, run.config.stage_two.estimator
+
+
+def untrained(num_points: int) -> tuple[InverseModel, ShadingPoints, EstimatorConfig]:
+    """Return a fresh model of preset `tiny` and random points: good for times only."""
+    config = tiny()
+    torch.manual_seed(0)
+    domain = Domain(
+        bounds_min=(-1.0, -1.0, -1.0),
+        bounds_max=(1.0, 1.0, 1.0),
+        primary=(1.0, 6.0),
+        secondary=(0.05, 2.0),
+        contraction_radius=1.0,
+        lights=("light",),
+    )
+    normal, omega_o = normalize(torch.randn(2, num_points, 3))
+    omega_o = torch.where((normal * omega_o).sum(dim=-1, keepdim=True) > 0.0, omega_o, -omega_o)
+    index = torch.zeros(num_points, dtype=torch.long)
+    points = ShadingPoints(torch.rand(num_points, 3) - 0.5, normal, omega_o, index)
+    return InverseModel(config.model, domain), points, config.stage_two.estimator
+
+
+@torch.no_grad()
+def compare(model: InverseModel, points: ShadingPoints, own: EstimatorConfig, repeats: int) -> list[Row]:
+    """Return one row per estimator."""
     rows: list[Row] = []
     reference: tuple[Tensor, float] | None = None
-    for name, config in estimators(run.config.stage_two.estimator).items():
+    for name, config in estimators(own).items():
         measure(model, points, config, 2)
         values, seconds = measure(model, points, config, repeats)
         variance = float(values.var(dim=0).mean())
@@ -160,12 +187,21 @@ def compare(run_dir: Path, num_points: int, repeats: int) -> list[Row]:
 def main() -> None:
     """Print the table, and write it as JSON where asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("run_dir", type=Path)
+    parser.add_argument("run_dir", type=Path, nargs="?")
+    parser.add_argument("--quick", action="store_true", help="few points; an untrained model without RUN_DIR")
     parser.add_argument("--points", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=64)
     parser.add_argument("-o", "--output", type=Path)
     arguments = parser.parse_args()
-    rows = compare(arguments.run_dir, arguments.points, arguments.repeats)
+    if arguments.quick:
+        arguments.points, arguments.repeats = 64, 8
+    if arguments.run_dir is None:
+        if not arguments.quick:
+            parser.error("RUN_DIR is missing; --quick does without, and then only the times mean something")
+        model, points, own = untrained(arguments.points)
+    else:
+        model, points, own = trained(arguments.run_dir, arguments.points)
+    rows = compare(model, points, own, arguments.repeats)
     print(f"{'estimator':32}{'fast + exact':>14}{'spread':>9}{'time':>9}{'gain':>8}{'bias':>20}")
     for row in rows:
         bias = f"{100 * row.bias:+.2f} % +- {100 * row.bias_error:.2f}"
