@@ -4,8 +4,8 @@
 
 Each row is one step on points along rays. `features` is forward and backward; `normals` is a density with its
 gradient by position and a loss on both: from features and Jacobian on the compiled side, by eager double
-backward on the other. Figures are milliseconds of processor time in this thread, the smaller half of the repeats
-averaged, so that a busy neighbour matters little; the ratio is reference / compiled.
+backward on the other. Figures are milliseconds of processor time in this thread, the smaller half of the
+repeats averaged, so that a busy neighbour matters little; the ratio is reference / compiled.
 """
 
 import argparse
