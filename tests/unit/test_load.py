@@ -1,0 +1,164 @@
+"""Pictures in memory are linear, straight-alpha, and reduced by area."""
+
+import numpy as np
+import pytest
+from flashcache.evaluation.metrics import over_white
+from lambent_proto.v1 import scene_pb2
+from lambent_worker.errors import WorkerError
+from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.load import area_weights, load_scene, reduced_size
+from support.captures import REFERENCES, save, write_blender
+
+SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
+
+
+def load(folder, max_side=1000, **options):
+    return load_scene(folder, describe_scene(folder), max_side=max_side, **options)
+
+
+def test_a_half_transparent_pixel_over_white_is_blended_in_linear_light(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((12, 12, 4), dtype=np.uint8)
+    pixels[..., 0], pixels[..., 3] = 188, 128  # sRGB 188 is half of full radiance
+    save(folder / "train" / "r_0.png", pixels)
+    picture = load(folder).train[0].images["capture"]
+    alpha = 128 / 255
+    expected = [0.5029 * alpha + 1 - alpha, 1 - alpha, 1 - alpha]
+    np.testing.assert_allclose(over_white(picture)[0, 0], expected, atol=1e-3)
+
+
+def test_alpha_is_not_decoded_like_a_colour(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.full((12, 12, 4), 128, dtype=np.uint8)
+    save(folder / "train" / "r_0.png", pixels)
+    assert load(folder).train[0].images["capture"][0, 0, 3] == pytest.approx(128 / 255)
+
+
+def test_a_picture_without_alpha_is_opaque_everywhere(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12, 3), 255, dtype=np.uint8))
+    np.testing.assert_array_equal(load(folder).train[0].images["capture"], np.ones((12, 12, 4)))
+
+
+def test_a_grey_picture_gets_three_equal_channels(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12), 188, dtype=np.uint8))
+    picture = load(folder).train[0].images["capture"]
+    np.testing.assert_allclose(picture[0, 0], [0.5029, 0.5029, 0.5029, 1.0], atol=1e-3)
+
+
+def test_reducing_ignores_the_colour_of_transparent_pixels(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((12, 12, 4), dtype=np.uint8)
+    pixels[::2] = [255, 0, 0, 255]
+    pixels[1::2] = [0, 255, 0, 0]
+    save(folder / "train" / "r_0.png", pixels)
+    picture = load(folder, max_side=6).train[0].images["capture"]
+    np.testing.assert_allclose(picture[2, 3], [1.0, 0.0, 0.0, 0.5], atol=1e-6)
+
+
+def test_reducing_keeps_the_mean_of_premultiplied_radiance():
+    large = load(SCENE).test[0].images["venice_sunset_000"]
+    small = load(SCENE, max_side=50).test[0].images["venice_sunset_000"]
+    assert small.shape == (50, 50, 4)
+    for picture in (large, small):
+        picture[..., :3] *= picture[..., 3:]
+    np.testing.assert_allclose(small.mean(axis=(0, 1)), large.mean(axis=(0, 1)), rtol=1e-4)
+
+
+def test_reducing_keeps_the_direction_of_every_pixel_corner():
+    camera = load(SCENE, max_side=50).test[0].camera
+    full = load(SCENE).test[0].camera
+    assert camera.width / camera.focal_x == pytest.approx(full.width / full.focal_x)
+    assert camera.centre_x / camera.width == pytest.approx(0.5)
+
+
+def test_area_weights_average_and_cover_every_source_pixel_equally():
+    weights = area_weights(128, 50)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    np.testing.assert_allclose(weights.sum(axis=0), 50 / 128)
+
+
+@pytest.mark.parametrize(
+    ("size", "side", "expected"),
+    [((800, 400), 128, (128, 64)), ((64, 48), 128, (64, 48)), ((3, 900), 9, (1, 9))],
+)
+def test_pictures_are_reduced_but_never_enlarged(size, side, expected):
+    assert reduced_size(*size, side) == expected
+
+
+def test_normals_are_unit_vectors_on_the_object_and_zero_beside_it():
+    truth = load(SCENE).test[0].truth["normal"]
+    length = np.linalg.norm(truth[..., :3], axis=-1)
+    np.testing.assert_allclose(length[truth[..., 3] > 0], 1.0, atol=1e-5)
+    np.testing.assert_array_equal(length[truth[..., 3] == 0], 0.0)
+
+
+def test_truth_has_the_documented_channels_and_training_views_have_none():
+    scene = load(SCENE)
+    channels = {kind: values.shape[-1] for kind, values in scene.test[0].truth.items()}
+    assert channels == {"albedo": 4, "normal": 4, "roughness": 1, "metallic": 1, "distance": 1}
+    assert all(not view.truth for view in scene.train)
+    assert set(scene.test[0].images) == {"venice_sunset_000", "venice_sunset_120", "studio_small_05"}
+
+
+def test_reduced_metalness_of_a_dielectric_edge_stays_zero():
+    truth = load(SCENE, max_side=40).test[0].truth
+    assert truth["metallic"].max() == 0.0
+    assert 0.0 < truth["roughness"].max() <= 1.0
+
+
+def test_points_seen_by_one_camera_fall_into_the_silhouette_of_another():
+    # Turns red for any flip of an axis, of rows, or of the pose.
+    first, second = load(SCENE).test
+    camera = first.camera
+    rows, columns = np.nonzero(first.truth["distance"][..., 0])
+    inside = first.images["venice_sunset_000"][rows, columns, 3] == 1.0
+    rows, columns = rows[inside], columns[inside]
+    local = np.stack(
+        [
+            (columns + 0.5 - camera.centre_x) / camera.focal_x,
+            -(rows + 0.5 - camera.centre_y) / camera.focal_y,
+            -np.ones(len(rows)),
+        ],
+        axis=-1,
+    )
+    directions = local @ camera.camera_to_world[:3, :3].T
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    points = camera.position + first.truth["distance"][rows, columns] * directions
+    seen = (points - second.camera.position) @ second.camera.camera_to_world[:3, :3]
+    column = second.camera.centre_x + second.camera.focal_x * seen[:, 0] / -seen[:, 2]
+    row = second.camera.centre_y - second.camera.focal_y * seen[:, 1] / -seen[:, 2]
+    alpha = second.images["venice_sunset_000"][..., 3]
+    hit = alpha[np.floor(row).astype(int), np.floor(column).astype(int)] > 0.0
+    assert hit.mean() > 0.98
+
+
+def test_a_file_that_disappears_is_named(tmp_path):
+    folder = write_blender(tmp_path)
+    manifest = describe_scene(folder)
+    (folder / "train" / "r_1.png").unlink()
+    with pytest.raises(WorkerError, match=r"scene\.file_missing: train/r_1\.png"):
+        load_scene(folder, manifest, max_side=64)
+
+
+def test_lights_can_be_chosen_when_loading():
+    scene = load(SCENE, lights=("venice_sunset_120",))
+    assert scene.lights == ("venice_sunset_120",)
+    assert all(set(view.images) == {"venice_sunset_120"} for view in scene.train)
+
+
+def test_exr_pictures_are_taken_as_linear(tmp_path):
+    import OpenEXR
+
+    folder = write_blender(tmp_path)
+    (folder / "train" / "r_0.png").unlink()
+    pixels = np.full((12, 12, 3), 2.5, dtype=np.float32)
+    with OpenEXR.File(
+        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"RGB": pixels}
+    ) as f:
+        f.write(str(folder / "train" / "r_0.exr"))
+    manifest = describe_scene(folder)
+    assert manifest.frames[0].images[0].encoding == "linear"
+    assert manifest.frames[0].split == scene_pb2.SPLIT_TRAIN
+    np.testing.assert_array_equal(load(folder).train[0].images["capture"][0, 0], [2.5, 2.5, 2.5, 1.0])
