@@ -27,7 +27,7 @@ OMEGA_O = unit(0.6, 0.3, 0.8)
 def environment(directions: torch.Tensor, light_index: torch.Tensor | None = None) -> torch.Tensor:
     """Return smooth coloured light from above."""
     z = directions[:, 2:3]
-    colour = torch.tensor([1.0, 0.7, 0.4], dtype=directions.dtype)
+    colour = directions.new_tensor([1.0, 0.7, 0.4])
     return (0.2 + (1.0 + z) ** 2) * colour + 0.3 * directions.abs()
 
 

@@ -3,11 +3,14 @@
 import pytest
 import torch
 from flashcache.errors import ConfigError
+from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.incident import Incident, RayLimits, SecondaryRays, unoccluded, visibility_only
+from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.sampling import CosineLobe
 from support.shading import LIMITS, blurred, case, environment, nerf, peaked_mixture, reflected, unit
 from support.statements import estimates
+from support.statistics import assert_mean
 
 
 def _counts(cosine: int, sampler: int, specular: int) -> DirectionCounts:
@@ -226,6 +229,27 @@ def test_contributions_that_are_not_numbers_or_too_large_are_counted_and_kept_ou
     )
     assert torch.isfinite(result.rgb).all()
     assert [int(count) for count in result.guards] == [0, 1, 1]
+
+
+def test_estimates_are_made_on_the_device_of_the_points(device):
+    given = case(2000)
+    points = type(given.points)(*(values.to(device) for values in given.points))
+    materials = Materials(*(values.to(device) for values in vars(given.materials).values()))
+    mixture = peaked_mixture(given.rows, unit(0.5, -0.1, 0.8))
+    found = control_variate(
+        points,
+        materials,
+        nerf=nerf,
+        fast=blurred,
+        environment=environment,
+        mixture=VmfMixture(*(values.to(device) for values in vars(mixture).values())),
+        limits=LIMITS,
+        config=EstimatorConfig(fast=_counts(2, 2, 4), exact=_counts(1, 1, 2), stratified=True),
+        generator=torch.Generator(device).manual_seed(5),
+        with_variance=True,
+    )
+    assert found.rgb.device.type == device.type
+    assert_mean(found.rgb, reflected(given)["rgb"], expected_error=1e-5)
 
 
 def test_no_points_give_an_empty_estimate():
