@@ -7,7 +7,7 @@ def test_the_mean_gradient_is_that_of_the_squared_error_to_the_mean():
     rows = 5000
     generator = torch.Generator().manual_seed(0)
     expected = torch.tensor([0.4, 0.1, 0.8], dtype=torch.float64)
-    physical = expected + 0.5 * torch.randn(rows, 3, generator=generator, dtype=torch.float64)
+    physical = expected * (0.4 + 1.2 * torch.rand(rows, 3, generator=generator, dtype=torch.float64))
     start = torch.tensor([0.6, 0.3, 0.2], dtype=torch.float64)
     cache = start.expand(rows, 3).clone().requires_grad_()
     (rows * consistency(cache, physical, torch.ones(rows, dtype=torch.float64))).backward()
