@@ -15,6 +15,7 @@ from lambent_relight.bundle import load_bundle
 from lambent_relight.errors import BundleError
 from lambent_relight.graphs import OnnxCaches
 from lambent_relight.onnx_check import summarise_onnx
+from lambent_relight.onnx_wire import keep_outputs, metadata
 from support.analytic_bundle import write_analytic_bundle, write_manifest
 from support.analytic_scene import AnalyticScene, Sphere
 
@@ -285,12 +286,44 @@ def test_bytes_that_are_no_graph_are_refused(bundle):
 
 def test_a_graph_with_other_outputs_is_refused_when_it_is_opened(bundle):
     def rename(model):
-        model.graph.node[-1].output[0] = model.graph.output[-1].name = "density"
+        node = next(node for node in model.graph.node if node.output[0] == "albedo")
+        node.output[0] = model.graph.output[0].name = "base_colour"
 
     change_graph(bundle, rename)
     caches = OnnxCaches(load_bundle(bundle), num_threads=1)
     with pytest.raises(BundleError, match=r"bundle\.graph_signature"):
-        caches.material(caches.gbuffer(*[np.ones((1, 3), np.float32)] * 2).normal)
+        caches.material(np.ones((1, 3), np.float32))
+
+
+def test_a_graph_that_fails_while_it_runs_is_an_error_of_the_bundle(bundle):
+    def break_shape(model):
+        node = next(node for node in model.graph.node if node.output[0] == "albedo")
+        model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([7, 3]), "seven"))
+        node.op_type = "Reshape"
+        node.input.append("seven")
+
+    change_graph(bundle, break_shape)
+    caches = OnnxCaches(load_bundle(bundle), num_threads=1)
+    with pytest.raises(BundleError, match=r"bundle\.graph_failed"):
+        caches.material(np.ones((2, 3), np.float32))
+
+
+def test_trimming_a_graph_keeps_what_is_asked_for_and_its_values(bundle):
+    data = (bundle / "models" / "gbuffer.onnx").read_bytes()
+    model = onnx.load_from_string(keep_outputs(data, {"distance", "albedo"}))
+    assert [output.name for output in model.graph.output] == ["distance", "albedo"]
+    whole = onnx.load_from_string(data)
+    del whole.graph.output[:]
+    del model.graph.output[:]
+    assert model == whole
+
+
+def test_metadata_of_a_graph_is_read(bundle):
+    path = bundle / "models" / "material.onnx"
+    model = onnx.load(path, load_external_data=False)
+    onnx.helper.set_model_props(model, {"a.b": "1", "größe": "{}"})
+    assert metadata(model.SerializeToString()) == {"a.b": "1", "größe": "{}"}
+    assert metadata(path.read_bytes()) == {}
 
 
 def test_the_look_into_a_graph_agrees_with_the_onnx_package(bundle):

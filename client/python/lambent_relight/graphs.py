@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lambent_relight.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.errors import BundleError
 from lambent_relight.onnx_check import check_onnx
+from lambent_relight.onnx_wire import keep_outputs
 
 Rows = NDArray[np.float32]
 
@@ -53,7 +54,6 @@ class PointMaterials:
     perceptual_roughness: Rows
     metalness: Rows
     normal: Rows
-    opacity: Rows
 
 
 class SurfaceCaches(Protocol):
@@ -77,7 +77,10 @@ class OnnxGraph:
     def __init__(
         self, bundle: Bundle, path: str, inputs: tuple[str, ...], outputs: dict[str, int], threads: int
     ):
-        """Open a graph; raises BundleError when its inputs or outputs [row, n] are not the named ones."""
+        """Open a graph for the named outputs [row, n] alone; what only others need is not computed.
+
+        Raises BundleError when its inputs or outputs are not the named ones.
+        """
         data, weights = bundle.graph(path), bundle.weights
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
@@ -89,7 +92,8 @@ class OnnxGraph:
             name = WEIGHTS_PATH.rpartition("/")[2]
             options.add_external_initializers_from_files_in_memory([name], [weights], [len(weights)])
         try:
-            self._session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+            needed = keep_outputs(data, set(outputs))
+            self._session = onnxruntime.InferenceSession(needed, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime has no common base class for its errors
             raise BundleError(
                 "bundle.graph_damaged",
@@ -98,17 +102,15 @@ class OnnxGraph:
             ) from error
         found_inputs = {item.name: item.shape for item in self._session.get_inputs()}
         found_outputs = {item.name: item.shape for item in self._session.get_outputs()}
-        wrong_inputs = set(found_inputs) != set(inputs) or any(s[-1] != 3 for s in found_inputs.values())
-        wrong_outputs = any(
-            name not in found_outputs or found_outputs[name][-1] != size for name, size in outputs.items()
-        )
+        wrong_inputs = set(found_inputs) != set(inputs) or any(s[1:] != [3] for s in found_inputs.values())
+        wrong_outputs = any(found_outputs.get(name, [])[1:] != [size] for name, size in outputs.items())
         if wrong_inputs or wrong_outputs:
             raise BundleError(
                 "bundle.graph_signature",
                 f'"{path}" has inputs {found_inputs} and outputs {found_outputs}',
                 f"expected inputs {list(inputs)} and outputs {outputs}",
             )
-        self._inputs, self._outputs = inputs, list(outputs)
+        self._path, self._inputs, self._outputs = path, inputs, list(outputs)
 
     def __call__(self, *arrays: Rows) -> dict[str, Rows]:
         """Return the outputs by name for inputs [row, 3], computed `CHUNK_ROWS` rows at a time."""
@@ -118,8 +120,18 @@ class OnnxGraph:
                 name: np.ascontiguousarray(array[start : start + CHUNK_ROWS], np.float32)
                 for name, array in zip(self._inputs, arrays, strict=True)
             }
-            pieces.append(self._session.run(self._outputs, feed))
+            pieces.append(self._run(feed))
         return {name: np.concatenate([p[i] for p in pieces]) for i, name in enumerate(self._outputs)}
+
+    def _run(self, feed: dict[str, Rows]) -> list[Rows]:
+        try:
+            return self._session.run(self._outputs, feed)
+        except Exception as error:  # onnxruntime has no common base class for its errors
+            raise BundleError(
+                "bundle.graph_failed",
+                f'"{self._path}" fails when it runs ({str(error).splitlines()[0][:200]})',
+                "fetch or export the bundle again",
+            ) from error
 
 
 _WIDTHS = {"normal": 3, "albedo": 3}

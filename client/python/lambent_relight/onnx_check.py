@@ -1,14 +1,13 @@
 """A look into an ONNX file before a runtime opens it: which operators, and which outside data.
 
-Reads the protobuf wire format directly, so that neither the onnx package nor a runtime's own parser has
-to be trusted with a stranger's file. Only the fields named in `_CHILDREN` are followed.
-Source: the field numbers of onnx.proto (ONNX 1.19), which are frozen by its compatibility rules.
+Reads the wire format directly, so that neither the onnx package nor a runtime's own parser has to be
+trusted with a stranger's file. Only the fields named in `_CHILDREN` are followed.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from lambent_relight.errors import BundleError
+from lambent_relight.onnx_wire import Field, fields
 
 _MAX_DEPTH = 64
 # Message type -> {field number: message type of the child}.
@@ -46,78 +45,35 @@ class OnnxSummary:
     has_training: bool = False
 
 
-def _varint(data: memoryview, position: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[position]
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, position
-        shift += 7
-        if shift > 63:
-            raise ValueError("varint too long")
-
-
-def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    position = 0
-    while position < len(data):
-        key, position = _varint(data, position)
-        number, wire = key >> 3, key & 7
-        if wire == 0:
-            value, position = _varint(data, position)
-            yield number, value
-            continue
-        if wire == 2:
-            size, position = _varint(data, position)
-        elif wire in (1, 5):
-            size = 8 if wire == 1 else 4
-        else:
-            raise ValueError(f"wire type {wire}")
-        if position + size > len(data):
-            raise ValueError("field runs over the end")
-        yield number, data[position : position + size]
-        position += size
-
-
-def _text(value: int | memoryview) -> str:
-    if isinstance(value, int):
-        raise ValueError("a number where text belongs")
-    return bytes(value).decode("utf-8")
-
-
 def _walk(data: memoryview, kind: str, summary: OnnxSummary, depth: int) -> None:
     if depth > _MAX_DEPTH:
         raise ValueError("nested too deeply")
     children = _CHILDREN[kind]
     tensor = ExternalTensor(name="") if kind == "tensor" else None
     is_external = False
-    for number, value in _fields(data):
+    for part in fields(data):
+        number = part.number
         if kind == "training":
             summary.has_training = True
         if (kind, number) in (("node", 7), ("opset", 1)):
-            summary.domains.add(_text(value))
+            summary.domains.add(part.text())
         if tensor is not None:
             if number == 8:
-                tensor.name = _text(value)
+                tensor.name = part.text()
             elif number == 13:
                 is_external = True
-                _read_entry(value, tensor)
+                _read_entry(part, tensor)
             elif number == 14:
-                is_external = is_external or value == 1
+                is_external = is_external or part.value == 1
         child = children.get(number)
         if child is not None and child != "entry":
-            if isinstance(value, int):
-                raise ValueError("a number where a message belongs")
-            _walk(value, child, summary, depth + 1)
+            _walk(part.message(), child, summary, depth + 1)
     if tensor is not None and is_external:
         summary.external.append(tensor)
 
 
-def _read_entry(data: int | memoryview, tensor: ExternalTensor) -> None:
-    if isinstance(data, int):
-        raise ValueError("a number where a message belongs")
-    texts = {number: _text(value) for number, value in _fields(data) if number in (1, 2)}
+def _read_entry(entry: Field, tensor: ExternalTensor) -> None:
+    texts = {part.number: part.text() for part in fields(entry.message()) if part.number in (1, 2)}
     key, value = texts.get(1, ""), texts.get(2, "")
     if key == "location":
         tensor.location = value
