@@ -58,7 +58,7 @@ def test_scene_json_says_which_lights_are_trained_on_and_where_the_object_is():
     assert list(manifest.relight_lights) == ["studio_small_05"]
     assert list(manifest.bounds.minimum) == [-1.35] * 3
     assert (manifest.primary_rays.near, manifest.primary_rays.far) == (2.0, 6.0)
-    assert manifest.contraction_radius == pytest.approx(2.0)
+    assert manifest.contraction_radius == pytest.approx(1.35)
     assert (manifest.secondary_rays.near, manifest.secondary_rays.far) == pytest.approx((0.05, 2.0))
 
 

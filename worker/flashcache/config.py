@@ -196,7 +196,9 @@ def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
         node = values
         for depth, name in enumerate(parents):
             if not isinstance(node, dict) or not isinstance(node.get(name), dict):
-                raise ConfigError(f"unknown setting {path!r}: there is no group {'.'.join(parents[: depth + 1])!r}")
+                raise ConfigError(
+                    f"unknown setting {path!r}: there is no group {'.'.join(parents[: depth + 1])!r}"
+                )
             node = node[name]
         if last not in node:
             raise ConfigError(f"unknown setting {path!r}; known here: {', '.join(sorted(node))}")

@@ -44,9 +44,7 @@ class Environment(nn.Module):
             self.texture = nn.Parameter(torch.zeros(num_lights, 3, rows, 2 * rows))
         else:
             num_inputs = 3 + 6 * config.num_frequencies
-            self.network = Hidden(
-                num_inputs, config.width, config.num_layers, skip_after=config.num_layers
-            )
+            self.network = Hidden(num_inputs, config.width, config.num_layers, skip_after=config.num_layers)
             self.last = linear(self.network.num_outputs, config.last_width)
             self.head = linear(config.last_width, 3 * num_lights)
 

@@ -91,7 +91,9 @@ class AppearanceField(nn.Module):
         """
         features = torch.cat([hidden, self.grid(contract(positions, self.contraction_radius))], dim=-1)
         raw = self.heads(features)
-        colours = torch.nn.functional.softplus(self._of_light(raw[:, : 6 * self.num_lights], light_index) - 2.0)
+        colours = torch.nn.functional.softplus(
+            self._of_light(raw[:, : 6 * self.num_lights], light_index) - 2.0
+        )
         diffuse, irradiance = colours[:, :3].clamp_max(RADIANCE_MAXIMUM), colours[:, 3:]
         if not with_specular:
             return Appearance(diffuse, torch.zeros_like(diffuse), irradiance)

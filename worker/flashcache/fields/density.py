@@ -84,9 +84,7 @@ class DensityField(nn.Module):
         return DensitySample(self._density(raw), hidden), gradient
 
 
-def derived_normal(
-    gradient: Float[Tensor, "points 3"], floor: float
-) -> Float[Tensor, "points 3"]:
+def derived_normal(gradient: Float[Tensor, "points 3"], floor: float) -> Float[Tensor, "points 3"]:
     """Return the normal against the gradient of log density, shorter than one where that is small.
 
     `floor` [1/scene unit] keeps the direction of a vanishing gradient from jumping:

@@ -27,9 +27,7 @@ def interlevel(
     return (missing.square() / (proposal.weights + 1e-5)).sum(dim=-1).mean()
 
 
-def distortion(
-    samples: RaySamples, weights: Float[Tensor, "rays samples"]
-) -> Float[Tensor, ""]:
+def distortion(samples: RaySamples, weights: Float[Tensor, "rays samples"]) -> Float[Tensor, ""]:
     """Return the mean spread of the weights along the rays, in a compressed distance.
 
     `sum_ij w_i w_j |m_i - m_j| + sum_i w_i^2 length_i / 3` with m the interval midpoints.

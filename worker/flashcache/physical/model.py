@@ -13,6 +13,7 @@ from flashcache.geometry.rays import Rays
 from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.light_sampler import LightSampler, LightSamplerConfig
 
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModelConfig:
     """Sizes of every part of the model."""

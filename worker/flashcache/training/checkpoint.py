@@ -69,7 +69,9 @@ def load_checkpoint(
         state = CheckpointState(**json.loads((folder / "state.json").read_text()))
         tensors = load_file(folder / "model.safetensors")
     except (OSError, ValueError, TypeError) as error:
-        raise TrainingError(f"checkpoint {folder} cannot be read ({error}); delete it to start the stage again") from error
+        raise TrainingError(
+            f"checkpoint {folder} cannot be read ({error}); delete it to start the stage again"
+        ) from error
     if state.schema_version != SCHEMA_VERSION:
         raise TrainingError(
             f"checkpoint {folder} has version {state.schema_version}, this release reads {SCHEMA_VERSION}"

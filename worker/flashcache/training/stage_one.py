@@ -101,9 +101,7 @@ class StageOne:
             return {"carving": carving(picture, opacity, batch.colour, batch.coverage, weight)}, picture
         background = torch.ones_like(batch.colour)
         if config.random_background:
-            background = torch.rand(
-                batch.colour.shape, generator=generator, device=batch.colour.device
-            )
+            background = torch.rand(batch.colour.shape, generator=generator, device=batch.colour.device)
         terms = {
             "colour": cache_photometric(
                 picture + (1.0 - opacity)[:, None] * background, batch.over(background), weight

@@ -194,17 +194,13 @@ class StageTwo:
             terms["grid_decay"] = 0.5 * config.grid_decay * decay
         return terms
 
-    def _physical_terms(
-        self, batch: RayBatch, cache: Tensor, first: Pass, second: Pass
-    ) -> dict[str, Tensor]:
+    def _physical_terms(self, batch: RayBatch, cache: Tensor, first: Pass, second: Pass) -> dict[str, Tensor]:
         """Return the photometric loss of the physically based pictures over black."""
         covered = (batch.coverage > 0.0).to(cache.dtype)
         wanted = batch.colour * batch.coverage[:, None]
         loss = physical_photometric(wanted, first.picture, second.picture, cache, covered)
         if self.config.symmetric:
-            loss = 0.5 * (
-                loss + physical_photometric(wanted, second.picture, first.picture, cache, covered)
-            )
+            loss = 0.5 * (loss + physical_photometric(wanted, second.picture, first.picture, cache, covered))
         return {"physical": self.config.physical_weight * loss}
 
     def _consistency_terms(self, batch: RayBatch, geometry: Geometry, first: Pass) -> dict[str, Tensor]:

@@ -30,9 +30,7 @@ class PointDraw(NamedTuple):
     """Factor of the point's radiance: value acc/K, gradient unbiased for the full sum."""
 
 
-def draw_points(
-    weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays points"]
-) -> PointDraw:
+def draw_points(weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays points"]) -> PointDraw:
     """Return K points per ray such that `sum_k weight_k L(x_k)` is unbiased for the full quadrature.
 
     `u` holds uniform variates in [0, 1), K per ray. A ray with an opacity below 1e-8 gets

@@ -61,6 +61,9 @@ def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_ca
     # The contraction is centred on the origin, so an object beside it needs a larger uncontracted ball.
     manifest.contraction_radius = reach + float(np.linalg.norm(centre))
     low, high = capture.box or (tuple(centre - reach), tuple(centre + reach))
+    if capture.box:
+        # A stated box is where all detail is: the grids cover exactly the cube around it.
+        manifest.contraction_radius = float(np.abs([low, high]).max())
     manifest.bounds.minimum.extend(float(v) for v in low)
     manifest.bounds.maximum.extend(float(v) for v in high)
     near, far = capture.near_far or ((0.5 * rig, 1.5 * rig) if object_capture else (0.1 * rig, 4.0 * rig))

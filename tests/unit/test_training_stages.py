@@ -1,0 +1,188 @@
+"""Both stages on a scene with a known answer: they learn, resume exactly, and keep to their parameters."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from flashcache.config import Config
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.physical.model import Domain, InverseModel
+from flashcache.presets import PRESETS, preset, tiny
+from flashcache.training.checkpoint import CheckpointState, load_checkpoint, save_checkpoint
+from flashcache.training.stage_one import StageOne
+from flashcache.training.stage_two import StageTwo
+from support.lit_sphere import lit_sphere
+
+CPU = torch.device("cpu")
+SCENE = lit_sphere()
+DOMAIN = Domain(
+    bounds_min=SCENE.bounds_min,
+    bounds_max=SCENE.bounds_max,
+    primary=SCENE.primary,
+    secondary=SCENE.secondary,
+    contraction_radius=SCENE.contraction_radius,
+    lights=SCENE.lights,
+)
+
+
+def small(steps_one: int = 4, steps_two: int = 4) -> Config:
+    base = tiny()
+    return replace(
+        base,
+        stage_one=replace(base.stage_one, num_steps=steps_one, num_rays=64, normal_rays=0.5),
+        stage_two=replace(base.stage_two, num_steps=steps_two, num_rays=32, warmup_steps=1),
+    )
+
+
+def model_of(config: Config, seed: int = 0) -> InverseModel:
+    torch.manual_seed(seed)
+    return InverseModel(config.model, DOMAIN)
+
+
+def stage_of(kind: str, config: Config, seed: int = 0) -> StageOne | StageTwo:
+    pixels = TrainingPixels(SCENE, config.pixels, CPU)
+    model = model_of(config)
+    if kind == "cache":
+        return StageOne(model, pixels, config.stage_one, seed=seed)
+    return StageTwo(model, pixels, config.stage_two, seed=seed)
+
+
+def weights_of(stage: StageOne | StageTwo) -> dict[str, torch.Tensor]:
+    return {name: value.clone() for name, value in stage.model.state_dict().items()}
+
+
+@pytest.mark.parametrize("kind", ["cache", "joint"])
+def test_resuming_equals_not_stopping_bit_for_bit(kind, tmp_path):
+    config = small(6, 6)
+    whole = stage_of(kind, config)
+    while not whole.finished:
+        whole.step()
+
+    first = stage_of(kind, config)
+    for _ in range(3):
+        first.step()
+    state = CheckpointState(stage=kind, step=first.steps_done, seed=0, config_sha256="x")
+    save_checkpoint(tmp_path / "step_3", first.model, first.optimiser, state)
+    second = stage_of(kind, config)
+    second.steps_done = load_checkpoint(tmp_path / "step_3", second.model, second.optimiser).step
+    while not second.finished:
+        second.step()
+
+    expected, found = weights_of(whole), weights_of(second)
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+@pytest.mark.parametrize("kind", ["cache", "joint"])
+def test_another_seed_gives_another_model(kind):
+    one, two = stage_of(kind, small()), stage_of(kind, small(), seed=1)
+    one.step(), two.step()
+    a, b = weights_of(one), weights_of(two)
+    assert any(not torch.equal(a[name], b[name]) for name in a)
+
+
+def test_stage_one_changes_the_nerf_cache_only():
+    stage = stage_of("cache", small())
+    before = weights_of(stage)
+    stage.step(), stage.step()
+    after = weights_of(stage)
+    changed = {name.split(".")[0] for name in before if not torch.equal(before[name], after[name])}
+    assert changed == {"nerf"}
+
+
+def test_stage_two_changes_everything_but_the_proposals():
+    stage = stage_of("joint", small())
+    before = weights_of(stage)
+    for _ in range(3):
+        stage.step()
+    after = weights_of(stage)
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert {name.split(".")[0] for name in changed} == {
+        "nerf",
+        "environment",
+        "materials",
+        "fast",
+        "light_sampler",
+    }
+    assert not any(name.startswith("nerf.proposals") for name in changed)
+
+
+def test_a_frozen_cache_stays_as_it_was():
+    config = small()
+    config = replace(config, stage_two=replace(config.stage_two, cache_weight=0.0))
+    stage = stage_of("joint", config)
+    before = weights_of(stage)
+    for _ in range(3):
+        stage.step()
+    after = weights_of(stage)
+    assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("nerf."))
+
+
+def test_warming_up_leaves_materials_and_environment_alone():
+    config = small()
+    config = replace(config, stage_two=replace(config.stage_two, warmup_steps=4))
+    stage = stage_of("joint", config)
+    before = weights_of(stage)
+    for _ in range(3):
+        stage.step()
+    after = weights_of(stage)
+    changed = {name.split(".")[0] for name in before if not torch.equal(before[name], after[name])}
+    assert changed == {"nerf", "fast", "light_sampler"}
+
+
+@pytest.mark.parametrize("mode", ["off", "fast_only"])
+def test_stage_two_runs_without_the_control_variate(mode):
+    config = small()
+    estimator = replace(config.stage_two.estimator, control_variate=mode)
+    config = replace(config, stage_two=replace(config.stage_two, estimator=estimator, points="depth"))
+    record = None
+    stage = stage_of("joint", config)
+    while not stage.finished:
+        record = stage.step()
+    assert record is not None
+    assert not record.skipped
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing():
+    stage = stage_of("cache", small())
+    with torch.no_grad():
+        stage.model.nerf.appearance.heads.bias[0] = float("nan")
+    before = weights_of(stage)
+    record = stage.step()
+    after = weights_of(stage)
+    assert record.skipped
+    assert stage.num_skipped == 1
+    same = [torch.equal(before[n].nan_to_num(), after[n].nan_to_num()) for n in before]
+    assert all(same)
+
+
+@pytest.mark.slow
+def test_stage_one_learns_the_sphere():
+    base = tiny()
+    config = replace(base, stage_one=replace(base.stage_one, num_steps=120, num_rays=256, warmup_steps=10))
+    stage = stage_of("cache", config)
+    first = stage.step().psnr
+    while not stage.finished:
+        record = stage.step()
+    assert record.psnr > first + 8.0
+    assert record.psnr > 20.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in PRESETS if name not in ("tiny", "fast")])
+def test_every_large_preset_takes_a_step_of_both_stages(name):
+    config = preset(name)
+    share = 64 if name.startswith("paper") else 16
+    config = replace(
+        config,
+        stage_one=replace(config.stage_one, num_rays=config.stage_one.num_rays // share, warmup_steps=1),
+        stage_two=replace(config.stage_two, num_rays=config.stage_two.num_rays // share, warmup_steps=0),
+    )
+    pixels = TrainingPixels(SCENE, config.pixels, CPU)
+    model = model_of(config)
+    for stage in (
+        StageOne(model, pixels, config.stage_one, seed=0),
+        StageTwo(model, pixels, config.stage_two, seed=0),
+    ):
+        record = stage.step()
+        assert not record.skipped
+        assert all(torch.isfinite(value).all() for value in model.state_dict().values())
