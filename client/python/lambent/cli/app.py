@@ -108,7 +108,7 @@ def run(args: Sequence[str]) -> int:
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else 1
         if code == 130:
-            print("stopped", file=sys.stderr)
+            print("stopped; run the same command again to go on", file=sys.stderr)
         return code
     return 0
 

@@ -43,13 +43,15 @@ def demo(
     for name in ("LAMBENT_URL", "LAMBENT_API_KEY", "LAMBENT_DATA"):
         os.environ.pop(name, None)
     from lambent.demo import run_demo
+    from lambent.local_server import ending_like_ctrl_c
 
     stays = sys.stdin.isatty() and sys.stderr.isatty() if keep is None else keep
-    run_demo(
-        folder,
-        data=data or folder / "data",
-        preset=preset,
-        seed=seed,
-        keep=stays and not as_json,
-        output=Output(as_json),
-    )
+    with ending_like_ctrl_c():
+        run_demo(
+            folder,
+            data=data or folder / "data",
+            preset=preset,
+            seed=seed,
+            keep=stays and not as_json,
+            output=Output(as_json),
+        )
