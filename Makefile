@@ -36,16 +36,29 @@ demo: $(VENV)/.installed ## Train the sample scene on this machine and relight i
 test: setup ## Run all tests (at most 15 minutes on 2 cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile $(PYTEST_ARGS)
 
-check: setup ## Style, types, import contracts, schemas, links
+CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
+.PHONY: $(CHECKS)
+
+check: $(CHECKS) ## Style, import contracts, schemas, links, types of the web part (with -k: all findings)
+
+check-style: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+check-contracts: setup
 	$(BIN)/lint-imports --no-logo
+
+check-texts: setup
 	$(BIN)/python scripts/check_modules.py
 	$(BIN)/python scripts/check_docs.py
 	$(BIN)/python scripts/check_changelog.py
+
+check-schemas: setup
 	$(BIN)/python scripts/schema.py --check
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
-	$(if $(wildcard $(WEB)/package.json),cd $(WEB) && npm run check)
+
+check-web: setup
+	cd $(WEB) && npm run check
 
 fix: setup ## Format, and mend what can be mended by itself
 	$(BIN)/ruff check --fix-only .
