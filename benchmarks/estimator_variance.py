@@ -24,7 +24,7 @@ from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, cont
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.physical.shading import ShadingPoints
 from flashcache.presets import tiny
-from flashcache.training.schedule import generator_for
+from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
 from lambent_worker.console import ConsoleReporter
 from lambent_worker.steps.training import load_trained, read_scene

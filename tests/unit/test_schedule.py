@@ -1,6 +1,7 @@
 import pytest
 import torch
-from flashcache.training.schedule import generator_for, proposal_exponent, ramp, rate_factor
+from flashcache.randomness import generator_for
+from flashcache.training.schedule import proposal_exponent, ramp, rate_factor
 
 CPU = torch.device("cpu")
 

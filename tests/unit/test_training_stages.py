@@ -158,7 +158,7 @@ def test_a_gradient_that_is_not_finite_changes_nothing():
 @pytest.mark.slow
 def test_stage_one_learns_the_sphere():
     base = tiny()
-    config = replace(base, stage_one=replace(base.stage_one, num_steps=120, num_rays=256, warmup_steps=10))
+    config = replace(base, stage_one=replace(base.stage_one, num_steps=160, num_rays=256, warmup_steps=10))
     stage = stage_of("cache", config)
     first = stage.step().psnr
     while not stage.finished:

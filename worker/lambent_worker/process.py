@@ -18,7 +18,7 @@ def prepare() -> None:
 
 
 def _keep_memory() -> None:
-    """Let glibc keep freed blocks: page faults of 10-100 MB temporaries cost a third of the time of large batches."""
+    """Let glibc keep freed blocks: page faults of large temporaries cost a third of a large batch's time."""
     if not sys.platform.startswith("linux"):
         return
     library = ctypes.CDLL(ctypes.util.find_library("c"))

@@ -65,7 +65,8 @@ class TrainingPixels:
                 starts.append(starts[-1] + len(flat))
         if not pictures:
             raise TrainingError(
-                f"scene {scene.name!r} has no training photographs under {', '.join(scene.lights) or 'any light'}"
+                f"scene {scene.name!r} has no training photographs under "
+                f"{', '.join(scene.lights) or 'any light'}"
             )
         self.choice = choice
         self.device = device

@@ -35,7 +35,7 @@ class MapLight:
     def __call__(
         self, directions: Float[Tensor, "rays 3"], light_index: Int[Tensor, " rays"]
     ) -> Float[Tensor, "rays 3"]:
-        """Return the bilinearly interpolated radiance from `directions`; the light index has no meaning here."""
+        """Return the bilinearly interpolated radiance from `directions`; the light index is ignored."""
         rows, columns, _ = self.image.shape
         uv = uv_from_direction(directions)
         x, y = uv[:, 0] * columns - 0.5, uv[:, 1] * rows - 0.5
@@ -68,8 +68,9 @@ def relit_radiance(
 ) -> Float[Tensor, "points 3"]:
     """Return radiance towards the viewer under `light`, with the fast cache's shadows.
 
-    With `indirect`, a secondary ray that is blocked (decided at random with its opacity, which keeps the mean)
-    finds the radiance of the point it hits: direct light under the same environment, with that point's material.
+    With `indirect`, a secondary ray that is blocked (decided at random with its opacity, which keeps the
+    mean) finds the radiance of the point it hits: direct light under the same environment, with that
+    point's material.
     """
     config = EstimatorConfig(stratified=True)
     fast = model.fast_source()

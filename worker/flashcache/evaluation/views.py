@@ -19,10 +19,9 @@ from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
-from flashcache.training.schedule import generator_for
-from flashcache.training.stage_one import composite
+from flashcache.randomness import generator_for
 from flashcache.volume.proposal_sampling import midpoints
-from flashcache.volume.quadrature import draw_points
+from flashcache.volume.quadrature import composite, draw_points
 
 CHUNK_RAYS = 2048
 OPACITY_FLOOR = 1e-3
@@ -95,30 +94,23 @@ def render_gbuffer(model: InverseModel, camera: Camera, *, light: int = 0) -> GB
 
 
 def _surface(model: InverseModel, rays: Rays, light: int) -> Float[Tensor, "rays 13"]:
-    """Return opacity, distance, normal, albedo, perceptual roughness, metalness and cache colour side by side."""
+    """Return opacity, distance, normal, albedo, perceptual roughness, metalness and cache colour."""
     geometry = model.nerf.trace(rays, exponent=1.0, generator=None)
     index = torch.full((len(rays),), light, device=rays.origins.device)
-    colour = composite(geometry, model.nerf.outgoing(geometry, rays.directions, index).radiance)
+    colour = composite(geometry.weights, model.nerf.outgoing(geometry, rays.directions, index).radiance)
     materials = model.materials(geometry.samples.positions.reshape(-1, 3))
     opacity = geometry.opacity[:, None]
     share = 1.0 / opacity.clamp_min(1e-6)
     distance = (geometry.weights * midpoints(geometry.samples.distances)).sum(dim=-1, keepdim=True) * share
-    width = composite_scalar(geometry.weights, perceptual_roughness_from_alpha(materials.alpha)) * share
-    metalness = composite_scalar(geometry.weights, materials.metalness) * share
-    normal = torch.nn.functional.normalize(composite(geometry, geometry.normal), dim=-1, eps=1e-8)
+    width = composite(geometry.weights, perceptual_roughness_from_alpha(materials.alpha)) * share
+    metalness = composite(geometry.weights, materials.metalness) * share
+    normal = torch.nn.functional.normalize(composite(geometry.weights, geometry.normal), dim=-1, eps=1e-8)
     up = normal.new_tensor([0.0, 0.0, 1.0])
     empty = opacity < OPACITY_FLOOR
     normal = torch.where(empty, up, normal)
     distance = torch.where(empty, torch.zeros_like(distance), distance)
-    albedo = composite(geometry, materials.albedo) * share
+    albedo = composite(geometry.weights, materials.albedo) * share
     return torch.cat([opacity, distance, normal, albedo, width, metalness, colour], dim=-1)
-
-
-def composite_scalar(
-    weights: Float[Tensor, "rays samples"], values: Float[Tensor, "points 1"]
-) -> Float[Tensor, "rays 1"]:
-    """Return the weighted sum along each ray of one value per point."""
-    return (weights * values.reshape(weights.shape)).sum(dim=-1, keepdim=True)
 
 
 @torch.no_grad()
@@ -175,8 +167,9 @@ def render_relit(
 ) -> Picture:
     """Return the picture under a new environment (linear, convention of `geometry.directions`).
 
-    Direct light with learned shadows as in the paper's relighting, and with `indirect` one bounce: what secondary
-    rays hit is shaded under the new environment with its own materials. `albedo_ratio` multiplies the albedo.
+    Direct light with learned shadows as in the paper's relighting, and with `indirect` one bounce: what
+    secondary rays hit is shaded under the new environment with its own materials. `albedo_ratio` multiplies
+    the albedo.
     """
     light_map = MapLight.from_image(environment_map, _device(model))
     ratio = torch.tensor(albedo_ratio, dtype=torch.float32, device=_device(model))

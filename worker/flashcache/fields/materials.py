@@ -9,9 +9,22 @@ from torch import Tensor, nn
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.fields.mlp import linear
 from flashcache.geometry.contraction import contract
-from flashcache.physical.brdf import Materials
+from flashcache.gradients import scale_gradient
 
 ALPHA_MINIMUM = 1e-4
+
+
+@dataclass(frozen=True)
+class Materials:
+    """Reflectance of points: linear albedo, GGX width (above 0) and metalness, all in 0..1."""
+
+    albedo: Float[Tensor, "*batch 3"]
+    alpha: Float[Tensor, "*batch 1"]
+    metalness: Float[Tensor, "*batch 1"]
+
+    def per_direction(self) -> "Materials":
+        """Return the same with an axis of length one for the directions at a point."""
+        return Materials(self.albedo.unsqueeze(-2), self.alpha.unsqueeze(-2), self.metalness.unsqueeze(-2))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,10 +64,3 @@ class MaterialField(nn.Module):
             alpha=scale_gradient(alpha, config.alpha_gradient),
             metalness=torch.sigmoid(raw[..., 8:9] + config.metalness_bias),
         )
-
-
-def scale_gradient(values: Tensor, factor: float) -> Tensor:
-    """Return `values` unchanged, with gradients multiplied by `factor` on the way back."""
-    if factor == 1.0:
-        return values
-    return factor * values + (1.0 - factor) * values.detach()

@@ -1,6 +1,5 @@
 """Consistency of the cache's heads with the physically based estimates (supplement 2.9)."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 

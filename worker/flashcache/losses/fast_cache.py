@@ -1,6 +1,5 @@
 """Supervision of the fast cache by the NeRF cache on the correction term's rays."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 

@@ -1,10 +1,9 @@
 """Losses that tie predicted normals, derived normals and view directions together."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from flashcache.fields.materials import scale_gradient
+from flashcache.gradients import scale_gradient
 
 
 def normal_consistency(

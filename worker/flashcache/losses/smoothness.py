@@ -10,7 +10,7 @@ from flashcache.physical.brdf import Materials
 def pseudo_albedo(
     radiance: Float[Tensor, "points 3"], irradiance: Float[Tensor, "points 3"]
 ) -> Float[Tensor, "points 3"]:
-    """Return diffuse radiance over irradiance/pi from the cache, a guess at the albedo (supplement Eq. 10)."""
+    """Return diffuse radiance over irradiance/pi, the cache's guess at the albedo (supplement Eq. 10)."""
     return (radiance / irradiance.clamp_min(1e-3)).clamp(0.0, 1.0).detach()
 
 

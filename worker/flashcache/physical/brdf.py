@@ -5,28 +5,15 @@ factor.
 """
 
 import math
-from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor
 
+from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import dot
 
 DIELECTRIC_F0 = 0.04
 """Reflectance of a dielectric at normal incidence."""
-
-
-@dataclass(frozen=True)
-class Materials:
-    """Reflectance of points: linear albedo, GGX width (above 0) and metalness, all in 0..1."""
-
-    albedo: Float[Tensor, "*batch 3"]
-    alpha: Float[Tensor, "*batch 1"]
-    metalness: Float[Tensor, "*batch 1"]
-
-    def per_direction(self) -> "Materials":
-        """Return the same with an axis of length one for the directions at a point."""
-        return Materials(self.albedo.unsqueeze(-2), self.alpha.unsqueeze(-2), self.metalness.unsqueeze(-2))
 
 
 def diffuse_albedo(materials: Materials) -> Float[Tensor, "*batch 3"]:

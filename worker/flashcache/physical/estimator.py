@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from flashcache.errors import ConfigError
+from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials
 from flashcache.physical.incident import (
     EnvironmentSource,
@@ -23,7 +24,7 @@ from flashcache.physical.incident import (
     SecondaryRays,
 )
 from flashcache.physical.sampling import CosineLobe, GgxLobe, Strategy
-from flashcache.physical.shading import DrawnDirections, Estimate, ShadingPoints, scale_gradient
+from flashcache.physical.shading import DrawnDirections, Estimate, ShadingPoints
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.geometry.directions import dot
+from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials, diffuse_albedo, lambert_cos, specular_brdf_cos
 from flashcache.physical.incident import Incident, NearField, RayLimits, SecondaryRays
 from flashcache.physical.sampling import DirectionSamples, Strategy, draw_directions
@@ -80,15 +81,6 @@ class Estimate(NamedTuple):
         """Return the standard error of `rgb`."""
         assert self.variance is not None, "estimate with with_variance=True"
         return self.variance.sqrt()
-
-
-def scale_gradient(values: Tensor, factor: float) -> Tensor:
-    """Return `values`, with gradients multiplied by `factor` on the way back."""
-    if factor == 1.0 or not values.requires_grad:
-        return values
-    if factor == 0.0:
-        return values.detach()
-    return torch.lerp(values.detach(), values, factor)
 
 
 @dataclass(frozen=True)

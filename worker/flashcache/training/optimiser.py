@@ -26,7 +26,7 @@ class StepRecord:
 
 
 def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str, object]]:
-    """Return optimiser groups with a `peak` rate each, grids and networks apart; frozen parts are left out."""
+    """Return optimiser groups with a `peak` rate each, grids and networks apart, without frozen parts."""
     groups: list[dict[str, object]] = []
     for module, rates in parts:
         grids = {id(grid.table) for grid in module.modules() if isinstance(grid, HashGrid)}

@@ -1,9 +1,6 @@
 """Learning rates and loss weights as functions of the training fraction."""
 
 import math
-from hashlib import sha256
-
-import torch
 
 
 def ramp(fraction: float, start: float, end: float) -> float:
@@ -26,14 +23,3 @@ def rate_factor(step: int, num_steps: int, warmup_steps: int, final_rate: float,
 def proposal_exponent(fraction: float, largest: float) -> float:
     """Return the exponent that flattens proposal weights early in training (Mip-NeRF 360 annealing)."""
     return min(10.0 * fraction / (9.0 * fraction + 1.0), largest)
-
-
-def generator_for(seed: int, stage: str, step: int, purpose: str, device: torch.device) -> torch.Generator:
-    """Return a fresh random generator that depends on nothing but the arguments.
-
-    Streams of different purposes are independent, and a resumed run continues as if never stopped.
-    """
-    digest = sha256(f"{seed}/{stage}/{step}/{purpose}".encode()).digest()
-    generator = torch.Generator(device=device)
-    generator.manual_seed(int.from_bytes(digest[:8], "little") >> 1)
-    return generator

@@ -11,6 +11,7 @@ from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
 from flashcache.losses.proposal import distortion, interlevel
 from flashcache.physical.model import InverseModel
+from flashcache.randomness import generator_for
 from flashcache.training.optimiser import (
     StepRecord,
     apply_gradients,
@@ -18,7 +19,8 @@ from flashcache.training.optimiser import (
     parameter_groups,
     set_rates,
 )
-from flashcache.training.schedule import generator_for, proposal_exponent, ramp, rate_factor
+from flashcache.training.schedule import proposal_exponent, ramp, rate_factor
+from flashcache.volume.quadrature import composite
 
 STAGE = "cache"
 
@@ -94,7 +96,7 @@ class StageOne:
             batch.light_index,
             with_specular=fraction >= config.specular_from,
         )
-        picture = composite(geometry, appearance.radiance)
+        picture = composite(geometry.weights, appearance.radiance)
         opacity = geometry.opacity
         weight = torch.ones_like(opacity)
         if fraction < config.carving_share:
@@ -117,12 +119,6 @@ class StageOne:
             return 0.0
         rise = ramp(fraction, *config.normal_ramp)
         return config.normal_start + (config.normal_weight - config.normal_start) * rise
-
-
-def composite(geometry: Geometry, radiance: Tensor) -> Tensor:
-    """Return the premultiplied colour [rays, 3] of the points' radiance [points, 3] (paper Eq. 3)."""
-    num_rays, num_samples = geometry.weights.shape
-    return (geometry.weights[..., None] * radiance.reshape(num_rays, num_samples, 3)).sum(dim=1)
 
 
 def proposal_terms(geometry: Geometry, weight: float, blur: tuple[float, float]) -> dict[str, Tensor]:

@@ -23,6 +23,7 @@ from flashcache.physical.estimator import control_variate
 from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import Estimate, ShadingPoints
+from flashcache.randomness import generator_for
 from flashcache.training.optimiser import (
     Rates,
     StepRecord,
@@ -31,9 +32,9 @@ from flashcache.training.optimiser import (
     parameter_groups,
     set_rates,
 )
-from flashcache.training.schedule import generator_for, rate_factor
-from flashcache.training.stage_one import composite, masked_psnr, shape_terms
-from flashcache.volume.quadrature import PointDraw, draw_points, median_point
+from flashcache.training.schedule import rate_factor
+from flashcache.training.stage_one import masked_psnr, shape_terms
+from flashcache.volume.quadrature import PointDraw, composite, draw_points, median_point
 
 STAGE = "joint"
 
@@ -96,7 +97,7 @@ class StageTwo:
             num_derived=round(config.normal_rays * len(batch)) if with_normals else 0,
         )
         appearance = self.model.nerf.outgoing(geometry, batch.rays.directions, batch.light_index)
-        cache = composite(geometry, appearance.radiance)
+        cache = composite(geometry.weights, appearance.radiance)
         terms: dict[str, Tensor] = {}
         if config.cache_weight:
             terms |= self._cache_terms(batch, geometry, cache, generator, with_normals)

@@ -21,6 +21,14 @@ def render_weights(
     return -torch.expm1(-depth) * torch.exp(-before)
 
 
+def composite(
+    weights: Float[Tensor, "rays samples"], values: Float[Tensor, "points channels"]
+) -> Float[Tensor, "rays channels"]:
+    """Return the weighted sum along each ray of values given point by point, ray after ray (paper Eq. 3)."""
+    num_rays, num_samples = weights.shape
+    return (weights[..., None] * values.reshape(num_rays, num_samples, -1)).sum(dim=1)
+
+
 class PointDraw(NamedTuple):
     """K of the N quadrature points of each ray, drawn in proportion to their weights."""
 

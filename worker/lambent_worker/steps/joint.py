@@ -7,7 +7,7 @@ from lambent_worker.steps.training import drive, load_trained, read_scene, train
 
 
 def run(context: StepContext) -> None:
-    """Train stage two into `joint/step_*`, starting from the end of stage one; resumes from its last checkpoint."""
+    """Train stage two into `joint/step_*` from the end of stage one; resumes from its last checkpoint."""
     scene = read_scene(context)
     # Materials, fast cache and sampler were not touched by stage one: they start fresh.
     model = load_trained(context, scene, "cache")

@@ -1,6 +1,8 @@
 """What the two training steps share: the scene in memory, the model, and the loop around a stage."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
@@ -70,8 +72,8 @@ def training_pixels(context: StepContext, scene: Scene) -> TrainingPixels:
 def drive(context: StepContext, stage: StageOne | StageTwo) -> None:
     """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
 
-    Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too many
-    steps had gradients that were not finite.
+    Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too
+    many steps had gradients that were not finite.
     """
     config = context.config
     own_config = config.stage_one if context.stage == "cache" else config.stage_two
@@ -80,7 +82,8 @@ def drive(context: StepContext, stage: StageOne | StageTwo) -> None:
     saved_at = reported_at = time.monotonic()
     reported_step = stage.steps_done
     while not stage.finished:
-        record = stage.step()
+        with reduced_precision():
+            record = stage.step()
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
             rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
@@ -101,6 +104,17 @@ def drive(context: StepContext, stage: StageOne | StageTwo) -> None:
             saved_at = time.monotonic()
         if stopping and not stage.finished:
             raise Stopped
+
+
+@contextmanager
+def reduced_precision() -> Iterator[None]:
+    """Let matrix products use 16-bit factors with 32-bit sums where the processor has them: training only."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def _resume(context: StepContext, stage: StageOne | StageTwo, fingerprint: str) -> float:
