@@ -1,5 +1,6 @@
 """Keys: the installation's secret, the run process's token made from it, and hashes of the rest."""
 
+import contextlib
 import hashlib
 import hmac
 import os
@@ -14,14 +15,16 @@ def sha256_text(text: str) -> str:
 
 def read_or_create_secret(path: Path, prefix: str = "") -> str:
     """Return the secret in `path`, making one that only its owner can read where there is none."""
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    except FileExistsError:
-        return path.read_text(encoding="ascii").strip()
-    secret = prefix + secrets.token_urlsafe(32)
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(secret + "\n")
-    return secret
+    if not path.exists():
+        secret = prefix + secrets.token_urlsafe(32)
+        # Under its name it is never seen empty, and never readable by others.
+        partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+            file.write(secret + "\n")
+        with contextlib.suppress(FileExistsError):
+            os.link(partial, path)
+        partial.unlink()
+    return path.read_text(encoding="ascii").strip()
 
 
 def run_token(secret: str, job_id: str, run: int) -> str:

@@ -1,6 +1,6 @@
 """The loop that makes processes agree with the job rows.
 
-It looks, compares and acts; nothing it remembers between two rounds matters, so a server may end at any point.
+It looks, compares and acts; nothing it remembers between two rounds matters, so a server may end anywhere.
 """
 
 import shutil
@@ -17,6 +17,7 @@ from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.executors import Executor, Gone, Launch
+from lambent_server.housekeeping import sweep
 from lambent_server.job_rows import (
     CANCELLING,
     FINAL,
@@ -28,9 +29,9 @@ from lambent_server.job_rows import (
     move,
     set_fields,
 )
+from lambent_server.metrics import RUNS_STARTED
 from lambent_server.outcomes import Failure, fail, lose, settle_cancel
 from lambent_server.services import Services
-from lambent_server.sweeper import sweep
 
 log = structlog.get_logger()
 
@@ -58,7 +59,7 @@ class Controller:
         self._thread.start()
 
     def close(self, *, stop_runs: bool) -> None:
-        """End the loop; with `stop_runs`, end the run processes too, otherwise the next server adopts them."""
+        """End the loop; with `stop_runs` also the run processes, otherwise the next server adopts them."""
         self._paused = True
         if stop_runs:
             self._stop_runs()
@@ -138,11 +139,22 @@ class Controller:
         """Decide what a process that is gone means for its job."""
         with self._services.database.write() as connection:
             # What the run reported last may have come after the row was read.
-            job = connection.execute(across_tenants(jobs).where(jobs.c.id == job["id"])).mappings().one()
+            statement = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
+            job = connection.execute(statement).mappings().one()
             changed = self._judge(connection, job, gone)
         if changed and job["handle"] is not None:
-            shutil.rmtree(self._work_dir(job), ignore_errors=True)
+            self._tidy(job)
         return changed
+
+    def _tidy(self, job: Job) -> None:
+        """Remove what a run left on the disk; the log stays, the scene's copy too while it may be needed."""
+        folder = self._work_dir(job).parent
+        shutil.rmtree(self._work_dir(job), ignore_errors=True)
+        with self._services.database.read() as connection:
+            statement = across_tenants(jobs, jobs.c.state).where(jobs.c.id == job["id"])
+            state = connection.execute(statement).scalar_one()
+        if state in FINAL:
+            shutil.rmtree(folder / "scene", ignore_errors=True)
 
     def _judge(self, connection: Connection, job: Job, gone: Gone) -> bool:
         set_fields(connection, job, handle=None)
@@ -222,6 +234,7 @@ class Controller:
                 failure = Failure("internal", "run_not_started", f"the run process did not start: {error}")
                 fail(connection, job, failure, self._settings)
             return True
+        RUNS_STARTED.inc()
         log.info("run_started", job=job["id"], run=run, **handle)
         with self._services.database.write() as connection:
             set_fields(connection, job, handle=handle)

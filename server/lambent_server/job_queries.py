@@ -11,7 +11,7 @@ from sqlalchemy import Connection, func
 
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import idempotency_keys, job_labels, jobs, scenes
-from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.database.tenancy import Tenant, add, add_if_absent, find, rows
 from lambent_server.job_rows import FINAL, QUEUED, NewEvent, append_event
 from lambent_server.messages import Event, Job, NewJob, Preset
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
@@ -28,9 +28,9 @@ def presets() -> tuple[dict[str, Preset], str]:
     return {each["name"]: Preset(**each) for each in table["presets"]}, table["default"]
 
 
-def require_job(connection: Connection, tenant: Tenant, job_id: str) -> Row:
+def require_job(connection: Connection, tenant: Tenant, job_id: str, *, lock: bool = False) -> Row:
     """Return the job's row."""
-    row = find(connection, tenant, jobs, job_id)
+    row = find(connection, tenant, jobs, job_id, lock=lock)
     if row is None:
         raise not_found("job", job_id)
     return dict(row)
@@ -82,25 +82,28 @@ def order_of(row: Row) -> NewJob:
     return NewJob(**{name: row[name] for name in names})
 
 
-def find_repeated(connection: Connection, tenant: Tenant, key: str, digest: str) -> Row | None:
-    """Return the job that this key made before; another body under the same key is a mistake."""
+def submit_once(
+    connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str, digest: str
+) -> Row:
+    """Add a job to the queue, or return the one that this key made before.
+
+    Another body under the same key is a mistake.
+    """
+    job_id = new_id("job")
+    values = {"key": key, "body_sha256": digest, "job_id": job_id, "created_at": now()}
+    if add_if_absent(connection, tenant, idempotency_keys, **values):
+        return submit(connection, tenant, order, services, job_id)
     statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
-    row = connection.execute(statement).mappings().one_or_none()
-    if row is None:
-        return None
+    row = connection.execute(statement).mappings().one()
     if row["body_sha256"] != digest:
         message = "this key was used with another body; take a new key for a new job"
         raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
     return require_job(connection, tenant, row["job_id"])
 
 
-def remember_key(connection: Connection, tenant: Tenant, key: str, digest: str, job_id: str) -> None:
-    """Note which job a key made."""
-    values = {"key": key, "body_sha256": digest, "job_id": job_id, "created_at": now()}
-    connection.execute(add(tenant, idempotency_keys, **values))
-
-
-def submit(connection: Connection, tenant: Tenant, order: NewJob, services: Services) -> Row:
+def submit(
+    connection: Connection, tenant: Tenant, order: NewJob, services: Services, job_id: str | None = None
+) -> Row:
     """Add a job to the queue, or say why not."""
     gpus = _check_order(order, services)
     scene = find(connection, tenant, scenes, order.scene_id)
@@ -130,7 +133,7 @@ def submit(connection: Connection, tenant: Tenant, order: NewJob, services: Serv
             headers={"retry-after": "30"},
             members={"quota": {"name": "max_queued_jobs", "limit": limit, "used": in_use}},
         )
-    identifier = new_id("job")
+    identifier = job_id or new_id("job")
     connection.execute(
         add(
             tenant,

@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, RowMapping
 
+from lambent_server.checkpoint_rows import drop_checkpoints
 from lambent_server.clock import now
 from lambent_server.database.schema import events, jobs
 from lambent_server.database.tenancy import Tenant, add, change, rows
@@ -77,7 +78,7 @@ def set_fields(connection: Connection, job: Job, **values: Any) -> None:
 
 
 def move(connection: Connection, job: Job, state: str, message: str = "", **values: Any) -> bool:
-    """Move the job to `state` and record it; return False, changing nothing, if somebody else moved it first."""
+    """Move the job to `state` and record it; return False, with nothing done, if somebody else moved it."""
     if state in FINAL:
         values |= {"finished_at": now(), "retry_at": None}
     statement = (
@@ -87,7 +88,9 @@ def move(connection: Connection, job: Job, state: str, message: str = "", **valu
     )
     if connection.execute(statement).rowcount == 0:
         return False
-    event = NewEvent(type="state", state=state, message=message, run=values.get("run", job["run"]))
+    if state in FINAL:
+        drop_checkpoints(connection, owner(job), job["id"])
+    event = NewEvent(type="state", state=state, message=message, run=values.get("run") or job["run"])
     append_event(connection, job, event)
     return True
 

@@ -10,7 +10,7 @@ def configure_logs(as_json: bool | None) -> None:
     """Send structlog and the standard library's warnings to standard error."""
     if as_json is None:
         as_json = not sys.stderr.isatty()
-    shared = [
+    shared: list[structlog.types.Processor] = [
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),

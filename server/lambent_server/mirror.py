@@ -1,12 +1,11 @@
 """Messages as the REST interface writes them.
 
-That is ProtoJSON with proto field names and every field written, except that enumerations are lower-case words
-without their prefix ("queued") and a message that is not set is null.
+That is ProtoJSON with proto field names and every field written, except that enumerations are lower-case
+words without their prefix ("queued") and a message that is not set is null.
 """
 
 from typing import Any, TypeVar
 
-from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 from google.protobuf.message import Message
 
@@ -32,11 +31,11 @@ def enum_number(enum: Any, text: str) -> int:
     return int(descriptor.values_by_name[name].number)
 
 
-def _is_map(field: FieldDescriptor) -> bool:
-    return field.message_type is not None and field.message_type.GetOptions().map_entry
+def _is_map(field: Any) -> bool:
+    return field.message_type is not None and bool(field.message_type.GetOptions().map_entry)
 
 
-def _value_to_rest(field: FieldDescriptor, value: Any) -> Any:
+def _value_to_rest(field: Any, value: Any) -> Any:
     if field.message_type is not None:
         return to_rest(value)
     if field.enum_type is not None:
@@ -47,7 +46,8 @@ def _value_to_rest(field: FieldDescriptor, value: Any) -> Any:
 def to_rest(message: Message) -> dict[str, Any]:
     """Return the REST object of a message."""
     result: dict[str, Any] = {}
-    for field in message.DESCRIPTOR.fields:
+    fields: Any = message.DESCRIPTOR.fields
+    for field in fields:
         value = getattr(message, field.name)
         if _is_map(field):
             inner = field.message_type.fields_by_name["value"]
@@ -61,7 +61,7 @@ def to_rest(message: Message) -> dict[str, Any]:
     return result
 
 
-def _value_from_rest(field: FieldDescriptor, value: Any) -> Any:
+def _value_from_rest(field: Any, value: Any) -> Any:
     if field.message_type is not None:
         return from_rest(field.message_type._concrete_class, value)
     if field.enum_type is not None:
@@ -72,7 +72,8 @@ def _value_from_rest(field: FieldDescriptor, value: Any) -> Any:
 def from_rest(kind: type[Kind], value: dict[str, Any]) -> Kind:
     """Return the message of a REST object; the inverse of `to_rest`."""
     given: dict[str, Any] = {}
-    for field in kind.DESCRIPTOR.fields:
+    fields: Any = kind.DESCRIPTOR.fields
+    for field in fields:
         member = value.get(field.name)
         if member is None:
             continue

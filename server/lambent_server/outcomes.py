@@ -7,6 +7,7 @@ from sqlalchemy import Connection
 
 from lambent_server.clock import now
 from lambent_server.job_rows import CANCELLED, FAILED, QUEUED, RETRY_WAIT, SUCCEEDED, Job, move
+from lambent_server.metrics import RUNS_FAILED, RUNS_LOST
 from lambent_server.settings import Settings
 
 
@@ -51,6 +52,7 @@ def requeue(connection: Connection, job: Job, message: str, **values: Any) -> bo
 
 def fail(connection: Connection, job: Job, failure: Failure, settings: Settings) -> bool:
     """Try the job again after a failure of its own, or give it up; a cancelled job just ends."""
+    RUNS_FAILED.labels(failure.cause).inc()
     failures = job["failures"] + 1
     adjustments = dict(job["adjustments"])
     give_up = failure.cause in _HOPELESS or failures >= settings.max_failures
@@ -75,6 +77,7 @@ def fail(connection: Connection, job: Job, failure: Failure, settings: Settings)
 
 def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool:
     """Start a job again whose machine or process vanished, unless that happens too often."""
+    RUNS_LOST.inc()
     losses = job["losses"] + 1
     barren = job["losses_without_checkpoint"] + 1
     common: dict[str, Any] = {"losses": losses, "losses_without_checkpoint": barren}

@@ -6,6 +6,7 @@ from google.protobuf.json_format import MessageToJson, Parse, ParseError
 from lambent_proto.v1 import bundle_pb2, job_pb2, scene_pb2, worker_pb2
 from sqlalchemy import Connection
 
+from lambent_server.checkpoint_rows import drop_checkpoint
 from lambent_server.clock import new_id, now
 from lambent_server.database.schema import (
     artifacts,
@@ -16,7 +17,7 @@ from lambent_server.database.schema import (
     scene_files,
     scenes,
 )
-from lambent_server.database.tenancy import add, change, find, remove, rows
+from lambent_server.database.tenancy import add, change, find, rows
 from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fields
 from lambent_server.mirror import enum_text, to_rest
 from lambent_server.outcomes import Failure, fail, lose
@@ -24,7 +25,6 @@ from lambent_server.paths import check_path
 from lambent_server.problems import Problem, invalid
 from lambent_server.settings import Settings
 from lambent_server.store import BlobStore, find_blob
-from lambent_server.sweeper import discard
 
 KEPT_CHECKPOINTS = 2
 _WORKER_EVENTS = frozenset({"preview", "log", "finding", "artifact"})
@@ -105,13 +105,20 @@ def store_report(
         append_event(
             connection,
             job,
-            NewEvent(type=event.type, message=event.message, sha256=event.sha256, name=event.name),
+            NewEvent(
+                type=event.type, message=_plain(event.message), sha256=event.sha256, name=_plain(event.name)
+            ),
         )
+
+
+def _plain(text: str) -> str:
+    """Return the text without what PostgreSQL cannot hold."""
+    return text.replace("\0", "")
 
 
 def store_scene_report(connection: Connection, job: Job, report: scene_pb2.SceneReport) -> None:
     """Store what was found out about the scene and whether jobs may use it."""
-    scene = find(connection, owner(job), scenes, job["scene_id"])
+    scene = find(connection, owner(job), scenes, job["scene_id"], lock=True)
     if scene is None or scene["state"] not in ("uploaded", "ready"):
         return
     fresh = to_rest(report)
@@ -183,27 +190,8 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
     newest_of_stage: set[str] = set()
     for place, row in enumerate(kept):
         if place >= KEPT_CHECKPOINTS and row["stage"] in newest_of_stage:
-            drop_checkpoint(connection, job, row["id"])
+            drop_checkpoint(connection, owner(job), row["id"])
         newest_of_stage.add(row["stage"])
-
-
-def drop_checkpoint(connection: Connection, job: Job, identifier: str) -> None:
-    """Forget a checkpoint; its blobs are swept away."""
-    tenant = owner(job)
-    mine = checkpoint_files.c.checkpoint_id == identifier
-    for sha256 in connection.execute(
-        rows(tenant, checkpoint_files, checkpoint_files.c.sha256).where(mine)
-    ).scalars():
-        discard(connection, tenant, sha256)
-    connection.execute(remove(tenant, checkpoint_files).where(mine))
-    connection.execute(remove(tenant, checkpoints).where(checkpoints.c.id == identifier))
-
-
-def drop_checkpoints(connection: Connection, job: Job) -> None:
-    """Forget every checkpoint of a job that needs none any more."""
-    mine = rows(owner(job), checkpoints, checkpoints.c.id).where(checkpoints.c.job_id == job["id"])
-    for identifier in list(connection.execute(mine).scalars()):
-        drop_checkpoint(connection, job, identifier)
 
 
 def publish(
@@ -219,7 +207,6 @@ def publish(
         values = _file_values(file)
         connection.execute(add(tenant, artifacts, job_id=job["id"], name=values.pop("path"), **values))
         append_event(connection, job, NewEvent(type="artifact", name=file.path, sha256=file.sha256))
-    drop_checkpoints(connection, job)
     if not request.bundle_files:
         return None
     _check_manifest(request, store)

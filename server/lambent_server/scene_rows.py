@@ -10,13 +10,13 @@ from sqlalchemy import Connection, insert
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import blobs, jobs, scene_files, scenes
 from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
+from lambent_server.garbage import discard
 from lambent_server.job_rows import FINAL
 from lambent_server.messages import Scene
 from lambent_server.paths import check_path, folded, is_scene_file
 from lambent_server.problems import Detail, Problem, conflict, not_found
 from lambent_server.settings import Settings
 from lambent_server.store import touch
-from lambent_server.sweeper import discard
 
 Row = Mapping[str, Any]
 
@@ -30,9 +30,9 @@ class SceneFile:
     size_bytes: int
 
 
-def require_scene(connection: Connection, tenant: Tenant, scene_id: str) -> Row:
+def require_scene(connection: Connection, tenant: Tenant, scene_id: str, *, lock: bool = False) -> Row:
     """Return the scene's row."""
-    row = find(connection, tenant, scenes, scene_id)
+    row = find(connection, tenant, scenes, scene_id, lock=lock)
     if row is None:
         raise not_found("scene", scene_id)
     return row

@@ -53,7 +53,7 @@ def check_address(settings: Settings) -> None:
     """Refuse an address that others can reach without TLS, unless that is wanted."""
     if settings.host not in LOOPBACK and not settings.insecure:
         raise ServeError(
-            f"serve.insecure_address: {settings.host} can be reached from other machines and the connection is not "
+            f"serve.insecure_address: {settings.host} can be reached from other machines and nothing is "
             "encrypted; add --insecure if a proxy or the network protects it, or use --host 127.0.0.1"
         )
 
@@ -61,21 +61,21 @@ def check_address(settings: Settings) -> None:
 @contextlib.contextmanager
 def sole_user(folder: Path) -> Iterator[None]:
     """Hold the data folder for this process."""
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     with (folder / "server.lock").open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ServeError(
-                f"serve.data_in_use: another server uses {folder} (see server.json there); stop it, or choose "
-                "another folder with --data"
+                f"serve.data_in_use: another server uses {folder} (see server.json there); stop it, or "
+                "choose another folder with --data"
             ) from error
         yield
 
 
 @contextlib.contextmanager
 def leadership(database: Database) -> Iterator[bool]:
-    """Tell whether this process is the one that controls jobs; with SQLite the folder's lock says so already."""
+    """Tell whether this process controls the jobs; with SQLite the folder's lock has said so already."""
     if database.is_sqlite:
         yield True
         return
@@ -102,8 +102,8 @@ def require_free(host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise ServeError(
-                f"serve.port_in_use: {host}:{port} cannot be used ({error.strerror}); choose another with --port, "
-                "0 takes any free one"
+                f"serve.port_in_use: {host}:{port} cannot be used ({error.strerror}); choose another with "
+                "--port, 0 takes any free one"
             ) from error
 
 

@@ -5,7 +5,7 @@ Times are in seconds, sizes in bytes.
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from platformdirs import user_data_dir
 from pydantic import Field
@@ -37,7 +37,7 @@ class Settings(BaseSettings):
     """SQLAlchemy URL; a SQLite file in the data folder where none is given."""
     store: str | None = None
     """URL of the blob store; a folder in the data folder where none is given."""
-    executor: str = "local"
+    executor: Literal["local"] = "local"
     run_command: tuple[str, ...] = (sys.executable, "-m", "lambent_worker", "run")
     """How the local executor starts a run process."""
 
@@ -79,8 +79,8 @@ class Settings(BaseSettings):
     idempotency_s: Seconds = 7 * 24 * 3600.0
     garbage_after_s: Seconds = 60.0
     """How long a blob that nothing refers to any more is kept."""
-    open_scene_s: Seconds = 24 * 3600.0
-    """How long blobs of an upload that was never committed are kept."""
+    open_scene_s: Seconds = 7 * 24 * 3600.0
+    """How long an upload that was never committed is kept."""
 
     max_json_bytes: Size = MIB
     max_plan_bytes: Size = 8 * MIB

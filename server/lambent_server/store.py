@@ -1,5 +1,6 @@
 """Bytes named by their SHA-256, in a local folder or any store that obstore knows."""
 
+import contextlib
 import hashlib
 import threading
 from collections.abc import Callable, Iterator
@@ -8,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import obstore
-from obstore.exceptions import NotFoundError
+from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, from_url
 from sqlalchemy import Connection
 
 from lambent_server.clock import now
 from lambent_server.database import schema
-from lambent_server.database.tenancy import Tenant, add, change, rows
+from lambent_server.database.tenancy import Tenant, add_if_absent, change, rows
 
 CHUNK_BYTES = 1024 * 1024
 
@@ -35,7 +36,7 @@ def hash_file(path: Path) -> str:
 
 
 class BlobStore:
-    """Puts and reads blobs. Which tenant may see which is a row in the database, not a matter of the store."""
+    """Puts and reads blobs; which tenant may see which is a matter of rows, not of the store."""
 
     def __init__(self, folder: Path, url: str | None = None) -> None:
         if url is None:
@@ -60,36 +61,42 @@ class BlobStore:
                 if touch(connection, tenant, sha256):
                     return False
             if not self._exists(sha256):
-                obstore.put(self._store, self._key(sha256), path)
+                with _as_os_error():
+                    obstore.put(self._store, self._key(sha256), path)
             with write() as connection:
-                connection.execute(
-                    add(
-                        tenant,
-                        schema.blobs,
-                        sha256=sha256,
-                        size_bytes=float(path.stat().st_size),
-                        media_type=media_type,
-                        touched_at=now(),
-                    )
+                add_if_absent(
+                    connection,
+                    tenant,
+                    schema.blobs,
+                    sha256=sha256,
+                    size_bytes=float(path.stat().st_size),
+                    media_type=media_type,
+                    touched_at=now(),
                 )
             return True
 
     def _exists(self, sha256: str) -> bool:
         try:
-            obstore.head(self._store, self._key(sha256))
-        except (NotFoundError, FileNotFoundError):
+            with _as_os_error():
+                obstore.head(self._store, self._key(sha256))
+        except FileNotFoundError:
             return False
         return True
 
     def read(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
-        """Yield the bytes from `start` up to (not including) `end`."""
+        """Return the bytes from `start` up to (not including) `end`, in pieces.
+
+        Raises OSError at once where the store does not have them, before anything is promised to a client.
+        """
         if end is not None and end <= start:
-            return
-        options: Any = {"range": (start, end)} if end is not None else {"range": {"offset": start}}
-        if start == 0 and end is None:
-            options = None
-        for chunk in obstore.get(self._store, self._key(sha256), options=options).stream(CHUNK_BYTES):
-            yield bytes(chunk)
+            return iter(())
+        whole = start == 0 and end is None
+        options: Any = (
+            None if whole else {"range": (start, end)} if end is not None else {"range": {"offset": start}}
+        )
+        with _as_os_error():
+            result = obstore.get(self._store, self._key(sha256), options=options)
+        return _pieces(result)
 
     def read_all(self, sha256: str) -> bytes:
         """Return the whole blob."""
@@ -97,10 +104,25 @@ class BlobStore:
 
     def delete(self, sha256: str) -> None:
         """Remove the bytes; the caller holds `lock` and has removed every row."""
-        try:
+        with contextlib.suppress(FileNotFoundError), _as_os_error():
             obstore.delete(self._store, self._key(sha256))
-        except (NotFoundError, FileNotFoundError):
-            return
+
+
+@contextlib.contextmanager
+def _as_os_error() -> Iterator[None]:
+    """Turn whatever a store raises into what the rest of the server handles."""
+    try:
+        yield
+    except NotFoundError as error:
+        raise FileNotFoundError(str(error)) from error
+    except BaseError as error:
+        raise OSError(str(error)) from error
+
+
+def _pieces(result: Any) -> Iterator[bytes]:
+    with _as_os_error():
+        for chunk in result.stream(CHUNK_BYTES):
+            yield bytes(chunk)
 
 
 def touch(connection: Connection, tenant: Tenant, sha256: str) -> bool:

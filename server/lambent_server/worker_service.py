@@ -31,7 +31,7 @@ MAX_MESSAGE_BYTES = 8 * 1024 * 1024
 Reply = TypeVar("Reply")
 
 
-class Refused(Exception):
+class Refused(Exception):  # noqa: N818 (an answer, not a mistake)
     """A request that is answered with a status other than OK."""
 
     def __init__(self, code: grpc.StatusCode, message: str) -> None:
@@ -65,9 +65,9 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
     @staticmethod
     def _current_job(connection: Connection, fence: worker_pb2.Fence) -> Job:
-        job = (
-            connection.execute(across_tenants(jobs).where(jobs.c.id == fence.job_id)).mappings().one_or_none()
-        )
+        # Locked: nobody starts another run between this look and the end of the transaction.
+        statement = across_tenants(jobs).where(jobs.c.id == fence.job_id).with_for_update()
+        job = connection.execute(statement).mappings().one_or_none()
         if job is None:
             raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no job {fence.job_id!r}")
         if job["run"] != fence.run:

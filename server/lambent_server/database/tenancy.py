@@ -16,6 +16,7 @@ from sqlalchemy import (
     select,
     update,
 )
+from sqlalchemy.dialects import postgresql, sqlite
 
 DEFAULT_TENANT_ID = "default"
 
@@ -47,9 +48,27 @@ def add(tenant: Tenant, table: Table, **values: Any) -> Insert:
     return insert(table).values(tenant_id=tenant.id, **values)
 
 
-def find(connection: Connection, tenant: Tenant, table: Table, identifier: str) -> RowMapping | None:
-    """Return the row of `tenant` with this id, or None; another tenant's row is none."""
-    return connection.execute(rows(tenant, table).where(table.c.id == identifier)).mappings().one_or_none()
+def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values: Any) -> bool:
+    """Insert a row of `tenant` unless its key is there already; return whether it was inserted.
+
+    Where another transaction is about to insert the same key, its end is waited for.
+    """
+    kind = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+    statement = kind(table).values(tenant_id=tenant.id, **values).on_conflict_do_nothing()
+    return connection.execute(statement).rowcount > 0
+
+
+def find(
+    connection: Connection, tenant: Tenant, table: Table, identifier: str, *, lock: bool = False
+) -> RowMapping | None:
+    """Return the row of `tenant` with this id, or None; another tenant's row is none.
+
+    With `lock` nobody else changes it before this transaction ends.
+    """
+    statement = rows(tenant, table).where(table.c.id == identifier)
+    if lock:
+        statement = statement.with_for_update()
+    return connection.execute(statement).mappings().one_or_none()
 
 
 def across_tenants(table: Table, *columns: Any) -> Select[Any]:

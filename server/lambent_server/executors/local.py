@@ -1,4 +1,4 @@
-"""Run processes on this machine, each in a session of its own so that a signal reaches all of its children."""
+"""Run processes on this machine, each in a session of its own so that a signal reaches all its children."""
 
 import contextlib
 import json

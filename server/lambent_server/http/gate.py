@@ -1,4 +1,4 @@
-"""The outermost layer: host, identity, size and pace of every request are settled before any route sees it."""
+"""The outermost layer: host, identity, size and pace of a request are settled before any route sees it."""
 
 import asyncio
 import json
@@ -31,6 +31,7 @@ log = structlog.get_logger()
 CSRF_HEADER = "x-lambent-csrf"
 _PUBLIC = re.compile(r"/|/assets/.*|/healthz|/readyz|/openapi\.json|/v1/version|/v1/login")
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+_METHODS = _SAFE | {"POST", "PUT", "PATCH", "DELETE"}
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -79,7 +80,7 @@ class Gate:
             raise Problem(
                 421,
                 "host_not_allowed",
-                f"this server does not answer for {host[:100]!r}; start it with that name in LAMBENT_ALLOWED_HOSTS",
+                f"this server does not answer for {host[:100]!r}; name it in LAMBENT_ALLOWED_HOSTS",
             )
 
     async def _identify(self, scope: Scope, headers: Headers) -> None:
@@ -98,8 +99,8 @@ class Gate:
             raise Problem(
                 401,
                 "not_authenticated",
-                "send 'Authorization: Bearer <key>' (the key is in api.key in the server's data folder), or open "
-                "the one-time link that `lambent serve` printed",
+                "send 'Authorization: Bearer <key>' (the key is in api.key in the server's data folder), or "
+                "open the one-time link that `lambent serve` printed",
                 headers={"www-authenticate": 'Bearer realm="lambent"'},
             )
         scope.setdefault("state", {})["tenant"] = tenant
@@ -226,11 +227,22 @@ class _Request:
         await self.send({"type": "http.response.body", "body": body})
 
     def observe(self) -> None:
-        """Count the request."""
+        """Count the request, and log it if it changed something or went wrong."""
         route = getattr(self._scope.get("route"), "path", "none")
-        REQUEST_SECONDS.labels(self._scope["method"], route, str(self._status)).observe(
-            time.perf_counter() - self._began
-        )
+        method, seconds = self._scope["method"], time.perf_counter() - self._began
+        known = method if method in _METHODS else "other"
+        REQUEST_SECONDS.labels(known, route, str(self._status)).observe(seconds)
+        if method not in _SAFE or self._status >= 500:
+            tenant = self._scope["state"].get("tenant")
+            log.info(
+                "request",
+                request=self.id,
+                tenant=tenant.id if tenant is not None else None,
+                method=method,
+                path=self._scope["path"][:200],
+                status=self._status,
+                seconds=round(seconds, 4),
+            )
 
 
 def body_limit(services: Services, method: str, path: str) -> int:

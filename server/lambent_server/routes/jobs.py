@@ -60,11 +60,10 @@ def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: Idempo
     services.require_disk()
     digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
     with services.database.write() as connection:
-        job = job_queries.find_repeated(connection, tenant, key, digest) if key is not None else None
-        if job is None:
+        if key is None:
             job = job_queries.submit(connection, tenant, body, services)
-            if key is not None:
-                job_queries.remember_key(connection, tenant, key, digest, job["id"])
+        else:
+            job = job_queries.submit_once(connection, tenant, body, services, key, digest)
     services.wakeups.signal()
     return job_queries.show(job)
 
@@ -106,7 +105,7 @@ async def get_job(
 def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
     """Ask for the end of a job; it is `cancelled` when its process is gone."""
     with services.database.write() as connection:
-        job = job_queries.require_job(connection, tenant, job_id)
+        job = job_queries.require_job(connection, tenant, job_id, lock=True)
         if job["state"] in (QUEUED, RETRY_WAIT):
             move(connection, job, CANCELLED, "cancelled before it started")
         elif job["state"] == RUNNING:

@@ -24,7 +24,7 @@ def log_in(services: ServicesOf, request: Request, body: LoginCode) -> Response:
         raise Problem(
             401,
             "login_code_invalid",
-            "this link was used before or is too old; `POST /v1/login-links` or a restart of the server makes one",
+            "this link was used before or is too old; `POST /v1/login-links` makes another one",
             headers={"www-authenticate": 'Bearer realm="lambent"'},
         )
     with services.database.write() as connection:

@@ -42,7 +42,7 @@ def plan_files(
     """
     files = [SceneFile(file.path, file.sha256, file.size) for file in body]
     with services.database.write() as connection:
-        scene = scene_rows.require_scene(connection, tenant, scene_id)
+        scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         scene_rows.require_open(scene)
         scene_rows.check_files(files, services.settings)
         missing, unsupported = scene_rows.plan(connection, tenant, scene, files)
@@ -109,7 +109,7 @@ def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upl
             members, left_out = unpack(upload.path, Path(name), services.settings)
         except Problem as problem:
             with services.database.write() as connection:
-                scene = scene_rows.require_scene(connection, tenant, scene_id)
+                scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
                 scene_rows.require_open(scene)
                 subject = problem.errors[0].pointer.removeprefix("#").removeprefix("/")
                 scene_rows.reject(connection, tenant, scene, problem.code, problem.detail, subject)
@@ -117,7 +117,7 @@ def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upl
         for member in members:
             _store(services, tenant, member.file, member.sha256)
         with services.database.write() as connection:
-            scene = scene_rows.require_scene(connection, tenant, scene_id)
+            scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
             files = [SceneFile(member.path, member.sha256, member.size_bytes) for member in members]
             extra = [SceneFile(path, "", 0) for path in left_out]
             scene_rows.plan(connection, tenant, scene, files + extra)
@@ -128,7 +128,7 @@ def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upl
 def commit_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
     """End the upload; every planned file must have been sent. Doing it again changes nothing."""
     with services.database.write() as connection:
-        scene = scene_rows.require_scene(connection, tenant, scene_id)
+        scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         return scene_rows.show(scene_rows.commit(connection, tenant, scene))
 
 
@@ -145,7 +145,9 @@ def get_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
 def delete_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Response:
     """Remove a scene and its files; bundles made from it stay."""
     with services.database.write() as connection:
-        scene_rows.delete(connection, tenant, scene_rows.require_scene(connection, tenant, scene_id))
+        scene_rows.delete(
+            connection, tenant, scene_rows.require_scene(connection, tenant, scene_id, lock=True)
+        )
     return Response(status_code=204)
 
 

@@ -1,0 +1,12 @@
+"""Notes blobs that may have lost their last reference; `housekeeping` removes them."""
+
+from sqlalchemy import Connection
+
+from lambent_server.clock import now
+from lambent_server.database.schema import garbage
+from lambent_server.database.tenancy import Tenant, add_if_absent
+
+
+def discard(connection: Connection, tenant: Tenant, sha256: str) -> None:
+    """Note that a reference to a blob has gone; the blob is removed later if it was the last one."""
+    add_if_absent(connection, tenant, garbage, sha256=sha256, at=now())

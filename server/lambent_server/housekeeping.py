@@ -1,0 +1,79 @@
+"""Removes what nobody needs any more: blobs without references, abandoned uploads, old sessions and keys."""
+
+from sqlalchemy import Connection, Table, delete, exists, select
+
+from lambent_server import scene_rows
+from lambent_server.clock import now
+from lambent_server.database.schema import (
+    artifacts,
+    blobs,
+    bundle_files,
+    checkpoint_files,
+    environments,
+    events,
+    garbage,
+    idempotency_keys,
+    scene_files,
+    scenes,
+    sessions,
+)
+from lambent_server.database.tenancy import Tenant, across_tenants, remove, rows
+from lambent_server.services import Services
+
+_REFERENCES: tuple[Table, ...] = (
+    scene_files,
+    checkpoint_files,
+    artifacts,
+    bundle_files,
+    environments,
+    events,
+)
+
+
+def sweep(services: Services) -> int:
+    """Remove what is due and return how many blobs went."""
+    _expire(services)
+    before = now() - services.settings.garbage_after_s
+    with services.database.read() as connection:
+        due = connection.execute(across_tenants(garbage).where(garbage.c.at < before)).mappings().all()
+    return sum(_remove_blob(services, Tenant(row["tenant_id"]), row["sha256"], before) for row in due)
+
+
+def _expire(services: Services) -> None:
+    settings = services.settings
+    with services.database.write() as connection:
+        connection.execute(delete(sessions).where(sessions.c.expires_at < now()))
+        old = now() - settings.idempotency_s
+        connection.execute(delete(idempotency_keys).where(idempotency_keys.c.created_at < old))
+        abandoned = across_tenants(scenes).where(
+            scenes.c.state == "open", scenes.c.created_at < now() - settings.open_scene_s
+        )
+        for scene in connection.execute(abandoned).mappings().all():
+            scene_rows.delete(connection, Tenant(scene["tenant_id"]), scene)
+
+
+def _referenced(connection: Connection, tenant: Tenant, sha256: str) -> bool:
+    return any(
+        connection.execute(
+            select(exists(rows(tenant, table, table.c.sha256).where(table.c.sha256 == sha256)))
+        ).scalar_one()
+        for table in _REFERENCES
+    )
+
+
+def _remove_blob(services: Services, tenant: Tenant, sha256: str, before: float) -> bool:
+    """Remove a blob that nothing refers to, unless it was just sent again; return whether its bytes went."""
+    mine = garbage.c.sha256 == sha256
+    with services.store.lock:
+        with services.database.write() as connection:
+            if not _referenced(connection, tenant, sha256):
+                young = rows(tenant, blobs).where(blobs.c.sha256 == sha256, blobs.c.touched_at >= before)
+                if connection.execute(young).first() is not None:
+                    return False
+                connection.execute(remove(tenant, blobs).where(blobs.c.sha256 == sha256))
+            connection.execute(remove(tenant, garbage).where(mine))
+            anybody = across_tenants(blobs, blobs.c.sha256).where(blobs.c.sha256 == sha256)
+            if connection.execute(anybody).first() is not None:
+                return False
+        services.store.delete(sha256)
+    return True
