@@ -1,0 +1,1 @@
+"""The trained model as ONNX graphs that any runtime can evaluate, and the torch functions they must equal."""

@@ -1,0 +1,247 @@
+"""The graphs of a bundle: camera ray to surface, point to materials, secondary ray to the fast cache's view.
+
+Each is the function of the same name in `flashcache.export.reference`, which documents it. Inputs and outputs
+are float32 with a free first axis.
+"""
+
+import json
+from collections.abc import Mapping
+
+import numpy as np
+import onnx
+import torch
+
+from flashcache.caches.nerf_cache import SECONDARY_CURVE
+from flashcache.encoding.hash_grid import HashGrid
+from flashcache.export import layers
+from flashcache.export.onnx import GraphBuilder, Value, WeightFile
+from flashcache.export.reference import OPACITY_FLOOR, SURFACE_THICKNESS, UPRIGHT_OPACITY, GbufferRule
+from flashcache.fields.materials import ALPHA_MINIMUM
+from flashcache.physical.model import InverseModel
+
+Metadata = Mapping[str, str]
+
+
+def exported_grids(model: InverseModel) -> dict[str, HashGrid]:
+    """Return the feature grids that the graphs read, by the name of their parameter without ".table"."""
+    grids = {
+        "nerf.density.grid": model.nerf.density.grid,
+        "materials.grid": model.materials.grid,
+        "fast.distance_grid": model.fast.distance_grid,
+        "fast.feature_grid": model.fast.feature_grid,
+    }
+    if model.nerf.normals.grid is not None:
+        grids["nerf.normals.grid"] = model.nerf.normals.grid
+    return grids
+
+
+def grid_metadata(model: InverseModel) -> str:
+    """Return the levels of all grids as JSON: resolution, first row, rows, multipliers of y and z."""
+    described = {
+        name: {
+            "features": grid.layout.num_features,
+            "half_extent": grid.layout.half_extent,
+            "levels": [
+                [le.resolution, le.first_row, le.num_rows, le.multiplier_y, le.multiplier_z]
+                for le in grid.layout.levels
+            ],
+        }
+        for name, grid in exported_grids(model).items()
+    }
+    return json.dumps(described, separators=(",", ":"))
+
+
+def gbuffer_graph(
+    model: InverseModel, rule: GbufferRule, weights: WeightFile, metadata: Metadata
+) -> onnx.ModelProto:
+    """Return origin, direction -> what a camera ray sees."""
+    graph = GraphBuilder("gbuffer", "ray", weights)
+    origin, direction = graph.input("origin", 3), graph.input("direction", 3)
+    start, end = _stretch(graph, rule, origin, direction)
+    count, group = rule.num_samples, rule.group
+    fractions = ((np.arange(count) + 0.5) / count).astype(np.float32)[None]
+    entry = origin + direction * start
+    inside = (end - start) * fractions
+    _, density = _density(graph, model, _points_at(graph, entry, direction, inside))
+    depth = graph.reshape(density, -1, count) * ((end - start) / float(count))
+    # The sum over all earlier places, as a product: a running sum is missing in some runtimes.
+    before = graph.node("MatMul", depth, np.triu(np.ones((count, count), np.float32), 1))
+    weight = _hidden_share(graph, depth) * graph.node("Exp", -before)
+    opacity = graph.reduce("ReduceSum", weight)
+    share = 1.0 / graph.at_least(opacity, OPACITY_FLOOR)
+
+    groups = count // group
+    mass = graph.reduce("ReduceSum", graph.reshape(weight, -1, groups, group), keep=False)
+    moment = graph.reduce("ReduceSum", graph.reshape(weight * inside, -1, groups, group), keep=False)
+    middles = _points_at(graph, entry, direction, moment / graph.at_least(mass, 1e-6))
+    found = _surface(graph, model, middles)
+    mass_column = graph.unsqueeze(mass, 2)
+
+    def mean(name: str, size: int) -> Value:
+        values = graph.reshape(found[name], -1, groups, size)
+        return graph.reduce("ReduceSum", mass_column * values, axis=1, keep=False)
+
+    upright = graph.node("Relu", UPRIGHT_OPACITY - opacity) * np.array([[0.0, 0.0, 1.0]], np.float32)
+    outputs = {
+        "opacity": (opacity, 1),
+        "distance": (graph.reduce("ReduceSum", weight * (inside + start)) * share, 1),
+        "normal": (layers.normalise(graph, mean("normal", 3) + upright), 3),
+        "albedo": (mean("albedo", 3) * share, 3),
+        "perceptual_roughness": (mean("perceptual_roughness", 1) * share, 1),
+        "metalness": (mean("metalness", 1) * share, 1),
+    }
+    return graph.finish(outputs, metadata)
+
+
+def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata) -> onnx.ModelProto:
+    """Return position -> surface properties."""
+    graph = GraphBuilder("material", "point", weights)
+    found = _surface(graph, model, graph.input("position", 3))
+    opacity = _hidden_share(graph, found.pop("density") * SURFACE_THICKNESS)
+    sizes = {"albedo": 3, "normal": 3, "perceptual_roughness": 1, "metalness": 1}
+    outputs = {name: (value, sizes[name]) for name, value in found.items()}
+    return graph.finish({**outputs, "opacity": (opacity, 1)}, metadata)
+
+
+def fast_cache_graph(
+    model: InverseModel, light: int, weights: WeightFile, metadata: Metadata
+) -> onnx.ModelProto:
+    """Return origin, direction -> near radiance under one training light, opacity, distance."""
+    graph = GraphBuilder(f"fast_cache_{model.domain.lights[light]}", "ray", weights)
+    origin, direction = graph.input("origin", 3), graph.input("direction", 3)
+    fast, radius = model.fast, model.domain.contraction_radius
+    count, frequencies = fast.config.num_samples, fast.config.num_frequencies
+
+    contracted = layers.contract(graph, origin, radius)
+    code = layers.hash_grid(graph, "fast.distance_grid", fast.distance_grid, contracted)
+    encoded = [
+        layers.hidden(graph, "fast.code", fast.code, code),
+        layers.positional_encoding(graph, contracted, frequencies),
+        layers.positional_encoding(graph, direction, frequencies),
+    ]
+    last = layers.hidden(graph, "fast.distance_network", fast.distance_network, graph.concat(encoded))
+
+    def head(name: str, rows: slice) -> Value:
+        layer = fast.distance_head
+        return layers.affine(graph, f"fast.{name}_head", layer.weight[rows], layer.bias[rows], last)
+
+    distances = _sample_distances(
+        graph, model, head("offset", slice(0, count)), head("gate", slice(count, 2 * count))
+    )
+    share = graph.node("Softmax", head("logit", slice(2 * count, 3 * count)), axis=-1)
+    weight = share * graph.node("Sigmoid", head("opacity", slice(3 * count, None)) + 2.0)
+    opacity = graph.reduce("ReduceSum", weight)
+
+    points = layers.contract(graph, _points_at(graph, origin, direction, distances), radius)
+    features = layers.hash_grid(graph, "fast.feature_grid", fast.feature_grid, points)
+    features = graph.reshape(features, -1, count, fast.feature_grid.out_features)
+    values = graph.reduce("ReduceSum", graph.unsqueeze(weight, 2) * features, axis=1, keep=False)
+    for index, layer in enumerate(fast.decoder):
+        values = graph.node("Relu", layers.linear(graph, f"fast.decoder.{index}", layer, values))
+    rows = slice(3 * light, 3 * light + 3)
+    name = f"fast.decoder_head.{model.domain.lights[light]}"
+    colour = layers.affine(graph, name, fast.decoder_head.weight[rows], fast.decoder_head.bias[rows], values)
+
+    mean = graph.reduce("ReduceSum", weight * distances) / graph.at_least(opacity, 1e-3)
+    distance = graph.node(
+        "Where", graph.node("Less", opacity, graph.value(1e-3)), graph.value(fast.far), mean
+    )
+    outputs = {
+        "radiance": (opacity * layers.softplus(graph, colour - 2.0), 3),
+        "opacity": (opacity, 1),
+        "distance": (distance, 1),
+    }
+    return graph.finish(outputs, metadata)
+
+
+def _sample_distances(graph: GraphBuilder, model: InverseModel, offset: Value, gate: Value) -> Value:
+    """Return the distances [row, samples] of the fast cache's samples (`FastCache._sample_distances`)."""
+    count = model.fast.config.num_samples
+    ladder = torch.linspace(0.0, 1.0, count).numpy()[None]
+    shifted = offset / float(count) * graph.node("Sigmoid", gate - 2.0) + ladder
+    whole = graph.node("Floor", shifted)
+    rest = shifted - whole
+    odd = whole - graph.node("Floor", whole / 2.0) * 2.0
+    folded = rest + odd * (1.0 - rest * 2.0)
+    power, premultiplier = SECONDARY_CURVE.power, SECONDARY_CURVE.premultiplier
+    a = abs(power - 1.0)
+    first, last = (SECONDARY_CURVE.ladder(torch.tensor(t)) for t in (model.fast.near, model.fast.far))
+    y = folded * (last - first).item() + first.item()
+    stretched = graph.node("Pow", y * power / a + 1.0, graph.value(1.0 / power))
+    return (stretched - 1.0) * (a / premultiplier)
+
+
+def _stretch(graph: GraphBuilder, rule: GbufferRule, origin: Value, direction: Value) -> tuple[Value, Value]:
+    """Return where rays enter and leave the box (`reference.stretch`)."""
+    tiny = graph.value(1e-9)
+    safe = graph.node("Where", graph.node("Less", graph.node("Abs", direction), tiny), tiny, direction)
+    first = (np.array([rule.box_min], np.float32) - origin) / safe
+    second = (np.array([rule.box_max], np.float32) - origin) / safe
+    start = graph.at_least(graph.reduce("ReduceMax", graph.minimum(first, second)), 0.0)
+    return start, graph.maximum(graph.reduce("ReduceMin", graph.maximum(first, second)), start)
+
+
+def _points_at(graph: GraphBuilder, origin: Value, direction: Value, distances: Value) -> Value:
+    """Return the points [row * samples, 3] at distances [row, samples] along rays."""
+    steps = graph.unsqueeze(distances, 2) * graph.unsqueeze(direction, 1)
+    return graph.reshape(graph.unsqueeze(origin, 1) + steps, -1, 3)
+
+
+def _hidden_share(graph: GraphBuilder, depth: Value) -> Value:
+    """Return 1 - exp(-depth) as 2 T / (1 + T), T = tanh(depth / 2), which keeps small depths exact."""
+    half = graph.node("Tanh", depth * 0.5)
+    return half * 2.0 / (half + 1.0)
+
+
+def _density(graph: GraphBuilder, model: InverseModel, positions: Value) -> tuple[Value, Value]:
+    """Return hidden feature [point, width] and density [point, 1] (`DensityField.forward`)."""
+    field = model.nerf.density
+    z = layers.contract(graph, positions, field.contraction_radius)
+    features = layers.hash_grid(graph, "nerf.density.grid", field.grid, z)
+    hidden = layers.hidden(graph, "nerf.density.network", field.network, features)
+    raw = layers.linear(graph, "nerf.density.head", field.head, hidden) + field.config.bias
+    return hidden, graph.node("Exp", graph.minimum(raw, 70.0))
+
+
+def _surface(graph: GraphBuilder, model: InverseModel, positions: Value) -> dict[str, Value]:
+    """Return normal, materials and density at points [point, 3] (`reference.surface`)."""
+    hidden, density = _density(graph, model, positions)
+    normals = model.nerf.normals
+    if normals.grid is None or normals.network is None:
+        raw_normal = layers.linear(graph, "nerf.normals.head", normals.head, hidden)
+    else:
+        z = layers.contract(graph, positions, normals.contraction_radius)
+        features = layers.hash_grid(graph, "nerf.normals.grid", normals.grid, z)
+        inner = layers.hidden(
+            graph, "nerf.normals.network", normals.network, graph.concat([features, hidden])
+        )
+        raw_normal = layers.linear(graph, "nerf.normals.head", normals.head, inner)
+    return {
+        "normal": -layers.normalise(graph, raw_normal),
+        "density": density,
+        **_materials(graph, model, positions),
+    }
+
+
+def _materials(graph: GraphBuilder, model: InverseModel, positions: Value) -> dict[str, Value]:
+    """Return albedo, perceptual roughness and metalness (`MaterialField.forward`).
+
+    The field's two layers have nothing between them: they are multiplied here, and only the used rows kept.
+    """
+    field = model.materials
+    z = layers.contract(graph, positions, field.contraction_radius)
+    features = layers.hash_grid(graph, "materials.grid", field.grid, z)
+    weight = field.head.weight.double() @ field.bottleneck.weight.double()
+    bias = field.head.weight.double() @ field.bottleneck.bias.double() + field.head.bias.double()
+
+    def head(name: str, rows: slice, start: float) -> Value:
+        part = layers.affine(graph, f"materials.{name}", weight[rows], bias[rows], features)
+        return graph.node("Sigmoid", part + start)
+
+    config = field.config
+    alpha = head("alpha", slice(6, 7), config.alpha_bias) * (1.0 - ALPHA_MINIMUM) + ALPHA_MINIMUM
+    return {
+        "albedo": head("albedo", slice(0, 3), config.albedo_bias),
+        "perceptual_roughness": graph.node("Sqrt", alpha),
+        "metalness": head("metalness", slice(8, 9), config.metalness_bias),
+    }

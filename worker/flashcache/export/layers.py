@@ -1,0 +1,129 @@
+"""Parts of the model as ONNX nodes; each mirrors the torch code that its docstring names, step by step."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from flashcache.encoding.hash_grid import HashGrid
+from flashcache.export.onnx import GraphBuilder, Value
+from flashcache.fields.mlp import Hidden
+
+
+def array_of(tensor: Tensor) -> NDArray[np.float32]:
+    """Return a tensor's values for a graph."""
+    return tensor.detach().cpu().float().numpy()
+
+
+def norm(graph: GraphBuilder, vectors: Value) -> Value:
+    """Return the length [row, 1] of vectors [row, n]."""
+    return graph.node("Sqrt", graph.reduce("ReduceSum", vectors * vectors))
+
+
+def normalise(graph: GraphBuilder, vectors: Value) -> Value:
+    """Return unit vectors, as `torch.nn.functional.normalize(eps=1e-8)` does."""
+    return vectors / graph.at_least(norm(graph, vectors), 1e-8)
+
+
+def contract(graph: GraphBuilder, positions: Value, radius: float) -> Value:
+    """Return contracted coordinates of [row, 3] (`geometry.contraction.contract`)."""
+    scaled = positions / radius
+    length = graph.at_least(norm(graph, scaled), 1.0)
+    return scaled * ((2.0 - 1.0 / length) / length)
+
+
+def softplus(graph: GraphBuilder, value: Value, beta: float = 1.0) -> Value:
+    """Return log(1 + exp(beta x)) / beta without overflow; "Softplus" is missing in some runtimes."""
+    scaled = value * beta if beta != 1.0 else value
+    decay = graph.node("Exp", -graph.node("Abs", scaled))
+    smooth = graph.node("Relu", scaled) + graph.node("Log", decay + 1.0)
+    return smooth / beta if beta != 1.0 else smooth
+
+
+def affine(graph: GraphBuilder, name: str, weight: Tensor, bias: Tensor, inputs: Value) -> Value:
+    """Return inputs [row, n] times weight [m, n] transposed, plus bias [m]."""
+    return graph.node(
+        "Gemm",
+        inputs,
+        graph.weight(f"{name}.weight", array_of(weight)),
+        graph.weight(f"{name}.bias", array_of(bias)),
+        transB=1,
+    )
+
+
+def linear(graph: GraphBuilder, name: str, layer: nn.Linear, inputs: Value) -> Value:
+    """Return a layer's output (`torch.nn.Linear`)."""
+    return affine(graph, name, layer.weight, layer.bias, inputs)
+
+
+def hidden(graph: GraphBuilder, name: str, network: Hidden, inputs: Value) -> Value:
+    """Return the last activations of a network (`fields.mlp.Hidden`)."""
+    values = inputs
+    for index, layer in enumerate(network.layers):
+        if index == network.skip_after:
+            values = graph.concat([values, inputs])
+        values = linear(graph, f"{name}.layers.{index}", layer, values)
+        if network.softplus_beta is None:
+            values = graph.node("Relu", values)
+        else:
+            values = softplus(graph, values, network.softplus_beta)
+    if network.skip_after == len(network.layers):
+        values = graph.concat([values, inputs])
+    return values
+
+
+def positional_encoding(graph: GraphBuilder, values: Value, num_frequencies: int) -> Value:
+    """Return [v, sin(2^j v), cos(2^j v)] (`encoding.directional.positional_encoding`)."""
+    if num_frequencies == 0:
+        return values
+    scaled = graph.concat([values * 2.0**octave for octave in range(num_frequencies)])
+    return graph.concat([values, graph.node("Sin", scaled), graph.node("Cos", scaled)])
+
+
+def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid, z: Value) -> Value:
+    """Return the features [row, levels * features] of [row, 3] (`kernels.layout` has the formula).
+
+    Works on all levels at once and on the 8 corners one by one. Each corner is one "Gather" of
+    [row, levels, features], seen as [row, levels * features]; the positions between voxels [row, levels] are
+    repeated to that width by a product with a 0/1 matrix, which is exact and faster than broadcasting along
+    the short last axis. Rows are 32-bit integers and cannot overflow (`kernels.lattice`).
+    """
+    levels, num_features = grid.layout.levels, grid.layout.num_features
+
+    def per_level(values: Sequence[float], kind: Any = np.float32) -> NDArray[Any]:
+        return np.array([values], kind)
+
+    resolution = np.array([level.resolution for level in levels], np.float32)
+    scale = per_level(resolution / (2.0 * grid.layout.half_extent))
+    centre, largest = per_level(0.5 * (resolution - 1.0)), per_level(resolution - 1.0)
+    num_rows = per_level([level.num_rows for level in levels], np.int32)
+    first_row = per_level([level.first_row for level in levels], np.int32)
+    multipliers = (
+        None,
+        per_level([level.multiplier_y for level in levels], np.int32),
+        per_level([level.multiplier_z for level in levels], np.int32),
+    )
+    repeat = np.kron(np.eye(len(levels)), np.ones((1, num_features))).astype(np.float32)
+    fractions, base = [], None
+    for axis, multiplier in enumerate(multipliers):
+        u = graph.at_least(graph.column(z, axis) * scale + centre, 0.0)
+        u = graph.minimum(u, largest)
+        cell = graph.minimum(graph.node("Floor", u), largest - 1.0)
+        fractions.append(graph.node("MatMul", u - cell, repeat))
+        whole = graph.node("Cast", cell, to=6)
+        term = whole if multiplier is None else whole * multiplier
+        base = term if base is None else base + term
+    assert base is not None
+    table = graph.weight(f"{name}.table", array_of(grid.table))
+    corners = []
+    for corner in range(8):
+        x, y, w = corner & 1, corner >> 1 & 1, corner >> 2
+        offset = [x + y * level.multiplier_y + w * level.multiplier_z for level in levels]
+        row = base + per_level(offset, np.int32) if corner else base
+        row = row - (row / num_rows) * num_rows + first_row
+        corners.append(graph.reshape(graph.node("Gather", table, row), -1, len(levels) * num_features))
+    for fraction in fractions:
+        corners = [a + fraction * (b - a) for a, b in zip(corners[::2], corners[1::2], strict=True)]
+    return corners[0]
