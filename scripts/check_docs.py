@@ -1,4 +1,4 @@
-"""Fail when a link in one of our Markdown files leads nowhere inside the repository."""
+"""Fail when a link in one of our Markdown files leads nowhere, or no link leads to a page of docs/."""
 
 import re
 import sys
@@ -19,14 +19,20 @@ def anchors(text: str) -> set[str]:
     return {re.sub(r"\s", "-", title.strip()) for title in titles}
 
 
-def broken_links(page: Path) -> list[str]:
-    """Return one sentence for every relative link of `page` whose file or heading does not exist."""
-    problems = []
+def links(page: Path) -> list[tuple[str, Path, str]]:
+    """Return (as written, file, fragment) of every link of `page` that stays in the repository."""
+    found = []
     for target in _LINK.findall(_CODE.sub("", page.read_text(encoding="utf-8"))):
-        if _OUTSIDE.match(target):
-            continue
-        name, _, fragment = target.partition("#")
-        file = (page.parent / name).resolve() if name else page
+        if not _OUTSIDE.match(target):
+            name, _, fragment = target.partition("#")
+            found.append((target, (page.parent / name).resolve() if name else page, fragment))
+    return found
+
+
+def broken_links(page: Path) -> list[str]:
+    """Return one sentence for every link of `page` whose file or heading does not exist."""
+    problems = []
+    for target, file, fragment in links(page):
         if not file.exists():
             problems.append(f"{page}: ({target}) leads to no file; mend the path or remove the link")
         elif fragment and file.suffix == ".md" and fragment not in anchors(file.read_text(encoding="utf-8")):
@@ -34,8 +40,22 @@ def broken_links(page: Path) -> list[str]:
     return problems
 
 
+def unreachable(pages: list[Path], start: Path) -> list[Path]:
+    """Return those of `pages` that no chain of links from `start` leads to."""
+    seen, waiting = set(), [start]
+    while waiting:
+        page = waiting.pop()
+        if page not in seen and page.suffix == ".md" and page.exists():
+            seen.add(page)
+            waiting += [file for _, file, _ in links(page)]
+    return [page for page in pages if page not in seen]
+
+
 if __name__ == "__main__":
     pages = tracked("*.md")
     problems = [problem for page in pages for problem in broken_links(page)]
-    print("\n".join(problems) or f"{len(pages)} pages below {ROOT.name}/, every link leads somewhere")
+    documents = [page for page in pages if page.is_relative_to(ROOT / "docs")]
+    lost = unreachable(documents, ROOT / "docs" / "index.md")
+    problems += [f"{page}: no page leads here; link it from docs/index.md" for page in lost]
+    print("\n".join(problems) or f"{len(pages)} Markdown files, every link leads somewhere")
     sys.exit(bool(problems))

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from check_docs import broken_links
+from check_docs import broken_links, unreachable
 
 
 def page(folder: Path, text: str) -> Path:
@@ -25,3 +25,12 @@ def test_links_to_files_headings_and_the_outside_are_accepted(tmp_path: Path):
 
 def test_text_in_code_is_not_a_link(tmp_path: Path):
     assert broken_links(page(tmp_path, "`[a](b)`\n```\n[c](d)\n```\n")) == []
+
+
+def test_a_page_that_no_link_leads_to_is_found(tmp_path: Path):
+    start = page(tmp_path, "[one](one.md)")
+    one, two, lost = (tmp_path / f"{name}.md" for name in ("one", "two", "lost"))
+    one.write_text("[two](two.md) [back](page.md)", encoding="utf-8")
+    two.write_text("# Two", encoding="utf-8")
+    lost.write_text("[two](two.md)", encoding="utf-8")
+    assert unreachable([one, two, lost], start) == [lost]
