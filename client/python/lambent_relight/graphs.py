@@ -59,6 +59,9 @@ class PointMaterials:
 class SurfaceCaches(Protocol):
     """What refined relighting asks for; answered by ONNX graphs or by the fused reader."""
 
+    name: str
+    """"onnxruntime" or "fused"."""
+
     def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
         """Return what rays [ray, 3] from offset surface points see."""
 

@@ -3,6 +3,7 @@
 picture = render(load_bundle("cow.relight"), camera, load_environment("sky.exr"), rotate_deg=90)
 """
 
+import logging
 from collections.abc import Callable
 from typing import Literal
 
@@ -14,7 +15,7 @@ from lambent_relight.bundle import Bundle
 from lambent_relight.cameras import Camera
 from lambent_relight.environments import Environment
 from lambent_relight.errors import SettingError, UnsupportedQuality
-from lambent_relight.graphs import OnnxCaches, PrimaryHits
+from lambent_relight.graphs import OnnxCaches, PrimaryHits, SurfaceCaches
 from lambent_relight.light_sampling import LightSampler
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined import Light, Scene, outgoing_radiance
@@ -22,6 +23,9 @@ from lambent_relight.scattering import SurfacePoints
 
 Background = Literal["transparent", "environment"] | tuple[float, float, float]
 
+Reader = Literal["auto", "fused", "onnx"]
+
+_LOG = logging.getLogger("lambent_relight")
 _MIN_OPACITY = 1e-3
 """Pixels that are covered less than this are background."""
 _KEPT_VIEWS = 4
@@ -30,13 +34,34 @@ _KEPT_VIEWS = 4
 class Renderer:
     """Renders views of one bundle; keeps its graphs open and what the last cameras saw."""
 
-    def __init__(self, bundle: Bundle, *, num_threads: int | None = None) -> None:
-        """Prepare `bundle` for `num_threads` CPU threads (default: all this process may use)."""
+    def __init__(self, bundle: Bundle, *, num_threads: int | None = None, reader: Reader = "auto") -> None:
+        """Prepare `bundle` for `num_threads` CPU threads (default: all this process may use).
+
+        `reader` says what answers secondary rays: "fused" (compiled code, fast), "onnx" (the bundle's
+        graphs), or "auto": fused where the bundle's networks are known, else the graphs, which is logged
+        as a warning with the reason. Raises SettingError when "fused" is asked for and impossible.
+        """
         self.bundle = bundle
         self._graphs = OnnxCaches(bundle, num_threads=num_threads)
-        self.caches = self._graphs
+        self.caches: SurfaceCaches = self._graphs
+        if reader != "onnx":
+            self.caches = self._fused(num_threads, must=reader == "fused")
         self._seen: dict[bytes, PrimaryHits] = {}
         self._light: tuple[Environment, Light] | None = None
+
+    def _fused(self, num_threads: int | None, *, must: bool) -> SurfaceCaches:
+        # Compiled code takes a second to import, which programs that only look at bundles do not pay.
+        from lambent_relight.fused import FusedCaches, NotFused
+
+        try:
+            return FusedCaches(self.bundle, num_threads=num_threads)
+        except NotFused as reason:
+            if must:
+                raise SettingError(
+                    "relight.reader", f"the fused reader cannot read this bundle ({reason})", 'use "onnx"'
+                ) from reason
+            _LOG.warning("relighting through onnxruntime, several times slower: %s", reason)
+            return self._graphs
 
     def gbuffer(self, camera: Camera) -> PrimaryHits:
         """Return what `camera` sees, [height * width, n] each; asked for once per camera."""

@@ -1,0 +1,157 @@
+"""Compiled evaluation of the bundle's networks, a block of rows at a time.
+
+Inside a block, activations lie as [feature, row], so that the innermost loop runs over rows and is
+vectorised. All kernels release the interpreter lock and write nothing but their outputs, so blocks run
+in threads. Numbers are float32 as in the ONNX graphs; sums are reordered (1e-6 relative).
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+BLOCK = 256
+"""Rows that are evaluated together."""
+
+
+def _can_keep_compiled_code() -> bool:
+    """Return whether numba finds a folder for compiled code; a read-only installation may have none."""
+    try:
+        njit(cache=True)(_can_keep_compiled_code)
+    except RuntimeError:
+        return False
+    return True
+
+
+_OPTIONS = {
+    "nogil": True,
+    "cache": _can_keep_compiled_code(),
+    "fastmath": {"contract", "reassoc", "nsz"},
+    "boundscheck": False,
+}
+
+
+@njit(**_OPTIONS)
+def contract_block(points, count, radius):
+    """Replace `points` [3, BLOCK] by contracted coordinates (Mip-NeRF 360 Eq. 10, in units of the radius)."""
+    one, two = np.float32(1.0), np.float32(2.0)
+    for r in range(count):
+        x, y, z = points[0, r] / radius, points[1, r] / radius, points[2, r] / radius
+        norm = max(math.sqrt(x * x + y * y + z * z), one)
+        scale = (two - one / norm) / norm
+        points[0, r], points[1, r], points[2, r] = x * scale, y * scale, z * scale
+
+
+@njit(**_OPTIONS)
+def encode_grid(points, count, table, levels, half_extent, output_scale, out):
+    """Write trilinear features of `points` [3, BLOCK] to `out` [levels * features, BLOCK].
+
+    `levels` [level, 5]: resolution, first row, number of rows, multipliers of y and z (int64).
+    Source: docs/reference/bundle-format.md (feature grids).
+    """
+    num_features = table.shape[1]
+    for level in range(levels.shape[0]):
+        n, first, rows = levels[level, 0], levels[level, 1], levels[level, 2]
+        by, bz = levels[level, 3], levels[level, 4]
+        # The factor is rounded once, as in the ONNX graph, or points on a voxel border would part ways.
+        scale = np.float32(n / (2.0 * half_extent))
+        shift = np.float32(0.5 * (n - 1))
+        last = np.float32(n - 1)
+        for r in range(count):
+            u = min(max(points[0, r] * scale + shift, np.float32(0.0)), last)
+            v = min(max(points[1, r] * scale + shift, np.float32(0.0)), last)
+            w = min(max(points[2, r] * scale + shift, np.float32(0.0)), last)
+            i, j, k = min(int(u), n - 2), min(int(v), n - 2), min(int(w), n - 2)
+            fu, fv, fw = u - np.float32(i), v - np.float32(j), w - np.float32(k)
+            for f in range(num_features):
+                out[level * num_features + f, r] = np.float32(0.0)
+            for corner in range(8):
+                a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+                weight = (fu if a else np.float32(1.0) - fu) * (fv if b else np.float32(1.0) - fv)
+                weight *= fw if c else np.float32(1.0) - fw
+                row = first + (i + a + by * (j + b) + bz * (k + c)) % rows
+                for f in range(num_features):
+                    out[level * num_features + f, r] += weight * table[row, f]
+        if output_scale != np.float32(1.0):
+            for f in range(num_features):
+                for r in range(count):
+                    out[level * num_features + f, r] *= output_scale
+
+
+@njit(**_OPTIONS)
+def affine(weights, bias, source, out, relu):
+    """Write weights [out, in] times `source` [in, BLOCK] plus bias to `out` [out, BLOCK]."""
+    num_out, num_in = weights.shape
+    for o in range(num_out):
+        target = out[o]
+        for r in range(BLOCK):
+            target[r] = bias[o]
+        for i in range(0, num_in - 3, 4):
+            w0, w1, w2, w3 = weights[o, i], weights[o, i + 1], weights[o, i + 2], weights[o, i + 3]
+            s0, s1, s2, s3 = source[i], source[i + 1], source[i + 2], source[i + 3]
+            for r in range(BLOCK):
+                target[r] += w0 * s0[r] + w1 * s1[r] + w2 * s2[r] + w3 * s3[r]
+        for i in range(num_in - num_in % 4, num_in):
+            w0, s0 = weights[o, i], source[i]
+            for r in range(BLOCK):
+                target[r] += w0 * s0[r]
+        if relu:
+            for r in range(BLOCK):
+                target[r] = max(target[r], np.float32(0.0))
+
+
+@njit(**_OPTIONS)
+def softplus(values, count, sharpness):
+    """Replace `values` [n, BLOCK] by softplus(sharpness v) / sharpness; linear above 20, as in torch."""
+    for i in range(values.shape[0]):
+        for r in range(count):
+            x = values[i, r] * sharpness
+            if x < np.float32(20.0):
+                values[i, r] = math.log1p(math.exp(x)) / sharpness
+
+
+@njit(**_OPTIONS)
+def encode_frequencies(vectors, count, num_frequencies, out, first):
+    """Write [v, sin(2^j v).., cos(2^j v)..] of `vectors` [3, BLOCK] to rows `first`.. of `out`."""
+    for axis in range(3):
+        for r in range(count):
+            out[first + axis, r] = vectors[axis, r]
+    for octave in range(num_frequencies):
+        factor = np.float32(1 << octave)
+        for axis in range(3):
+            sines, cosines = first + 3 + 3 * octave + axis, first + 3 + 3 * (num_frequencies + octave) + axis
+            for r in range(count):
+                out[sines, r] = math.sin(vectors[axis, r] * factor)
+                out[cosines, r] = math.cos(vectors[axis, r] * factor)
+
+
+@njit(**_OPTIONS)
+def place_samples(raw, count, num_samples, near, far, power, premultiplier, opacity, distance, first):
+    """Write opacity and expected distance of a block to rows `first`.. of the outputs.
+
+    `raw` [3 num_samples + 1, BLOCK] holds offsets, gates, weight logits, and the logit of the sum.
+    Source: docs/reference/bundle-format.md (fast cache).
+    """
+    a = abs(power - 1.0)
+    start = (a / power) * ((premultiplier * near / a + 1.0) ** power - 1.0)
+    end = (a / power) * ((premultiplier * far / a + 1.0) ** power - 1.0)
+    for r in range(count):
+        largest = raw[2 * num_samples, r]
+        for k in range(1, num_samples):
+            largest = max(largest, raw[2 * num_samples + k, r])
+        total, moment = 0.0, 0.0
+        for k in range(num_samples):
+            gate = 1.0 / (1.0 + math.exp(-(raw[num_samples + k, r] - 2.0)))
+            s = k / (num_samples - 1.0) + raw[k, r] / num_samples * gate
+            whole = math.floor(s)
+            rest = s - whole
+            if whole % 2.0 != 0.0:
+                rest = 1.0 - rest
+            y = start + rest * (end - start)
+            t = (a / premultiplier) * ((power * y / a + 1.0) ** (1.0 / power) - 1.0)
+            weight = math.exp(raw[2 * num_samples + k, r] - largest)
+            total += weight
+            moment += weight * t
+        seen = 1.0 / (1.0 + math.exp(-(raw[3 * num_samples, r] + 2.0)))
+        opacity[first + r, 0] = seen
+        distance[first + r, 0] = far if seen < 1e-3 else moment / total
