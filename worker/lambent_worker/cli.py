@@ -170,7 +170,9 @@ def evaluate(
         report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
     if not as_json:
         for metric in report.metrics:
-            typer.echo(f"{metric.name:40s} {metric.value:9.3f} +- {metric.standard_error:.3f} {metric.unit}")
+            if metric.name.count("/") == 1:  # figures of single lights are in the report
+                unit = "" if metric.unit == "1" else f" {metric.unit}"
+                typer.echo(f"{metric.name:32s} {metric.value:9.3f} +- {metric.standard_error:.3f}{unit}")
         typer.echo(f"report: {out / 'report.html'}")
 
 

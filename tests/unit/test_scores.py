@@ -1,0 +1,97 @@
+"""Figures in our reports are the ones the reference script prints for the same predictions."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from lambent_worker.report.request import evenly_spaced
+from lambent_worker.report.scores import albedo_ratios, score
+from lambent_worker.run_folder import write_json
+from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.lights import select_lights
+from lambent_worker.scenes.load import load_scene
+from support.captures import REFERENCES
+from support.predictions import reference_evaluation, write_predictions
+
+FOLDER = REFERENCES / "scenes" / "tensoir_synthetic"
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory):
+    """Return our figures and the reference's for the same noisy predictions."""
+    out = tmp_path_factory.mktemp("scores")
+    manifest = select_lights(describe_scene(FOLDER), ("venice_sunset_000", "venice_sunset_120"))
+    scene = load_scene(FOLDER, manifest, max_side=1000)
+    write_predictions(out, scene, scene.test)
+    write_json(_noise(out) / "test_000.json", {"physical/venice_sunset_000": 0.25})
+    ours = {row.name: row for row in score(out, scene, scene.test, held_out=True).as_metrics()}
+    return ours, reference_evaluation().evaluate(FOLDER, out / "pred"), out, scene
+
+
+def _noise(out):
+    (out / "noise").mkdir()
+    return out / "noise"
+
+
+def test_every_shared_figure_agrees(scored):
+    ours, reference, _, _ = scored
+    shared = {name for name in ours if name in reference}
+    assert len(shared) >= 20
+    for name in shared:
+        tolerance = 0.005 if ours[name].unit in ("dB", "deg") else 1e-4
+        assert ours[name].value == pytest.approx(reference[name], abs=tolerance), name
+
+
+def test_no_figure_of_the_reference_is_missing(scored):
+    ours, reference, _, _ = scored
+    figures = {name for name in reference if "/" in name}
+    assert figures <= set(ours)
+
+
+def test_the_albedo_ratio_agrees(scored):
+    _, reference, out, scene = scored
+    ratios = albedo_ratios(out, scene.test)
+    assert ratios is not None
+    np.testing.assert_allclose(ratios[0], reference["albedo_ratio"], rtol=1e-3)
+
+
+def test_cache_and_direct_pictures_are_scored_apart(scored):
+    ours, _, _, _ = scored
+    assert ours["nvs_cache/psnr"].value > ours["nvs/psnr"].value + 3.0
+    assert ours["relight_direct/psnr"].value > ours["relight/psnr"].value + 3.0
+    assert ours["relight_unscaled/psnr"].value == pytest.approx(ours["relight/psnr"].value)
+
+
+def test_figures_have_units_and_a_standard_error_over_views(scored):
+    ours, _, _, _ = scored
+    assert ours["nvs/psnr"].unit == "dB"
+    assert ours["normal/mae_all"].unit == "deg"
+    assert ours["nvs/ssim"].unit == "1"
+    assert 0.0 < ours["albedo_rgb_ratio/psnr_gamma"].standard_error < 1.0
+
+
+def test_distance_is_measured_on_the_object_only(scored):
+    ours, _, _, _ = scored
+    assert ours["distance/mean_abs"].value == pytest.approx(0.25, abs=1e-6)
+
+
+def test_the_noise_of_monte_carlo_pictures_is_reported(scored):
+    ours, _, _, _ = scored
+    assert ours["nvs/venice_sunset_000/monte_carlo_standard_error"].value == 0.25
+
+
+def test_a_scene_without_truth_still_has_its_pictures_scored(tmp_path):
+    folder = REFERENCES / "scenes" / "nerf_blender"
+    scene = load_scene(folder, describe_scene(folder), max_side=32)
+    write_predictions(tmp_path, scene, scene.train[:2])
+    rows = {row.name for row in score(tmp_path, scene, scene.train[:2], held_out=False).as_metrics()}
+    assert "training_views/psnr" in rows
+    assert not any(name.startswith(("albedo", "normal")) for name in rows)
+
+
+@pytest.mark.parametrize(("count", "expected"), [(0, 20), (1, 1), (3, 3), (20, 20), (50, 20)])
+def test_views_are_chosen_at_equal_strides(count, expected):
+    views = tuple(range(20))
+    chosen = evenly_spaced(views, count)
+    assert len(chosen) == expected
+    assert len({b - a for a, b in pairwise(chosen)}) <= 1
