@@ -61,11 +61,11 @@ def photograph(cam: Camera) -> np.ndarray:
     return picture
 
 
-def lit_sphere(num_views: int = 10) -> Scene:
-    """Return the scene with `num_views` training views and two test views."""
+def lit_sphere(num_views: int = 10, side: int = SIDE) -> Scene:
+    """Return the scene with `num_views` training views and two test views of `side` pixels squared."""
 
     def view(name: str, azimuth: float, elevation: float) -> View:
-        cam = camera(azimuth, elevation)
+        cam = camera(azimuth, elevation, side)
         return View(name=name, camera=cam, images={"sky": photograph(cam)})
 
     golden = np.pi * (3.0 - np.sqrt(5.0))

@@ -78,11 +78,11 @@ def fast() -> Config:
         max_side=128,
         model=model,
         stage_one=StageOneConfig(
-            num_steps=2200,
+            num_steps=1600,
             num_rays=1024,
             rates=Rates(grid=1e-2, network=2e-3),
             final_rate=0.03,
-            warmup_steps=100,
+            warmup_steps=80,
             carving_share=0.35,
             specular_from=0.45,
             random_background=True,
@@ -98,7 +98,7 @@ def fast() -> Config:
             proposal_exponent=1.0,
         ),
         stage_two=StageTwoConfig(
-            num_steps=1200,
+            num_steps=900,
             num_rays=256,
             warmup_steps=150,
             estimator=EstimatorConfig(

@@ -29,7 +29,10 @@ def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str,
     """Return optimiser groups with a `peak` rate each, grids and networks apart, without frozen parts."""
     groups: list[dict[str, object]] = []
     for module, rates in parts:
-        grids = {id(grid.table) for grid in module.modules() if isinstance(grid, HashGrid)}
+        found = [grid for grid in module.modules() if isinstance(grid, HashGrid)]
+        for grid in found:
+            grid.in_place_gradient = True  # `apply_gradients` calls nothing but `backward`.
+        grids = {id(grid.table) for grid in found}
         of_grid = [p for p in module.parameters() if id(p) in grids]
         of_network = [p for p in module.parameters() if id(p) not in grids]
         for parameters, peak in ((of_grid, rates.grid), (of_network, rates.network)):
