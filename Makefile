@@ -33,7 +33,7 @@ $(WEB)/node_modules/.installed: $(WEB)/package.json $(WEB)/package-lock.json
 demo: $(VENV)/.installed ## Train the sample scene on this machine and relight it (about 6 minutes)
 	$(BIN)/lambent demo
 
-test: setup ## Run all tests (at most 15 minutes on 2 cores)
+test: $(VENV)/.installed ## Run all tests (at most 15 minutes on 2 cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile $(PYTEST_ARGS)
 
 CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
@@ -41,14 +41,14 @@ CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard 
 
 check: $(CHECKS) ## Style, import contracts, schemas, links, types of the web part (with -k: all findings)
 
-check-style: setup
+check-style: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-check-contracts: setup
+check-contracts: $(VENV)/.installed
 	$(BIN)/lint-imports --no-logo
 
-check-texts: setup
+check-texts: $(VENV)/.installed
 	$(BIN)/python scripts/check_modules.py
 	$(BIN)/python scripts/check_docs.py
 	$(BIN)/python scripts/check_changelog.py
@@ -60,11 +60,11 @@ check-schemas: setup
 check-web: setup
 	cd $(WEB) && npm run check
 
-fix: setup ## Format, and mend what can be mended by itself
+fix: $(VENV)/.installed ## Format, and mend what can be mended by itself
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
-bench: setup ## Run the quick variant of every benchmark
+bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 	$(BIN)/python benchmarks/kernels.py --rays 256 --repeats 4
 	$(BIN)/python benchmarks/estimator_variance.py --quick
 
