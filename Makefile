@@ -70,6 +70,7 @@ bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 
 schema: setup ## Generate the code of proto/ again
 	$(BIN)/python scripts/schema.py
+	$(if $(wildcard $(WEB)/package.json),cd $(WEB) && npm run schema)
 
 clean: ## Remove caches and build products (.venv and results stay)
 	rm -rf build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis .schemathesis .import_linter_cache
