@@ -1,6 +1,6 @@
 """Render the scene that ships with Lambent: a still life of our own, path traced with its ground truth.
 
-    python examples/make_sample_scene.py -o FOLDER [--spp 1024]
+    python examples/make_sample_scene.py -o FOLDER [--spp 2048]
 
 Needs Mitsuba 3 (in the `dev` extra) and an LLVM library (Debian: `apt-get install libllvm19`). Writes a
 folder in TensoIR-synthetic's layout; its conventions are written to scene.json. Before anything is rendered,
@@ -303,7 +303,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Render the scene, or one view of it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--spp", type=int, default=1024)
+    parser.add_argument("--spp", type=int, default=2048)
     parser.add_argument("--only", help="render this view alone, e.g. test_000")
     options = parser.parse_args(arguments)
     load_renderer()
