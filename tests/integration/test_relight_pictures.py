@@ -1,0 +1,143 @@
+"""From a bundle on disk to pictures on disk."""
+
+import numpy as np
+import OpenEXR
+import pytest
+from lambent_relight import (
+    Renderer,
+    SettingError,
+    UnsupportedQuality,
+    environment_from_array,
+    load_bundle,
+    load_environment,
+    render,
+    turntable,
+    write_environment,
+    write_picture_exr,
+    write_png,
+)
+from PIL import Image
+from support.analytic_bundle import write_analytic_bundle
+from support.analytic_scene import AnalyticScene, Sphere, Surface
+
+CLAY = Surface(albedo=(0.6, 0.4, 0.2), perceptual_roughness=0.8)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0, CLAY),))
+    return write_analytic_bundle(tmp_path_factory.mktemp("bundle") / "ball.relight", scene)
+
+
+@pytest.fixture(scope="module")
+def renderer(folder):
+    return Renderer(load_bundle(folder), num_threads=1, reader="onnx")
+
+
+CAMERA = turntable(1, radius=4.0, width=24, height=24)[0]
+SKY = environment_from_array(np.random.default_rng(0).uniform(0.5, 1.5, (8, 16, 3)))
+
+
+def test_files_of_light_and_cameras_become_pictures(folder, tmp_path):
+    write_environment(tmp_path / "sky.exr", SKY.radiance)
+    bundle = load_bundle(folder)
+    fractions = []
+    picture = render(
+        bundle,
+        bundle.cameras()[0],
+        load_environment(tmp_path / "sky.exr"),
+        num_samples=8,
+        progress=fractions.append,
+    )
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1.0)
+    write_png(tmp_path / "ball.png", picture)
+    write_picture_exr(tmp_path / "ball.exr", picture)
+    with Image.open(tmp_path / "ball.png") as png:
+        assert png.size == (16, 16)
+    channels = OpenEXR.File(str(tmp_path / "ball.exr"), separate_channels=True).parts[0].channels
+    np.testing.assert_allclose(channels["R"].pixels, (picture.rgb * picture.opacity)[..., 0], rtol=1e-3)
+
+
+def test_the_background_shows_through_where_the_object_is_not(renderer):
+    transparent = renderer.render(CAMERA, SKY, num_samples=4)
+    outside = transparent.opacity[..., 0] == 0.0
+    assert outside.any()
+    assert not outside.all()
+    assert (transparent.rgb[outside] == 0.0).all()
+    assert (transparent.standard_error[outside] == 0.0).all()
+
+    white = renderer.render(CAMERA, SKY, num_samples=4, background=(1.0, 0.5, 0.25))
+    np.testing.assert_array_equal(white.rgb[outside], np.float32([[1.0, 0.5, 0.25]] * outside.sum()))
+    np.testing.assert_array_equal(white.rgb[~outside], transparent.rgb[~outside])
+    assert (white.opacity == 1.0).all()
+
+    sky = renderer.render(CAMERA, SKY, num_samples=4, rotate_deg=70.0, background="environment")
+    directions = CAMERA.rays()[1].reshape(24, 24, 3)
+    np.testing.assert_allclose(sky.rgb[outside], SKY.rotated(70.0).lookup(directions)[outside], rtol=1e-5)
+
+
+def test_passes_describe_the_surface_and_add_up(renderer):
+    picture = renderer.render(CAMERA, SKY, num_samples=8)
+    inside = picture.opacity[..., 0] > 0.0
+    np.testing.assert_allclose(picture.rgb, picture.direct + picture.indirect, rtol=1e-6)
+    np.testing.assert_allclose(picture.albedo[inside], [[0.6, 0.4, 0.2]] * inside.sum(), rtol=1e-6)
+    np.testing.assert_allclose(picture.perceptual_roughness[inside], 0.8, rtol=1e-6)
+    origin, direction = (a.reshape(24, 24, 3) for a in CAMERA.rays())
+    hit = (origin + picture.distance * direction)[inside]
+    np.testing.assert_allclose(np.linalg.norm(hit, axis=-1), 1.0, atol=1e-5)
+    np.testing.assert_allclose(picture.normal[inside], hit, atol=1e-5)
+
+
+def test_the_albedo_ratio_scales_what_is_reflected_and_stops_at_one(renderer):
+    plain = renderer.render(CAMERA, SKY, num_samples=32)
+    double = renderer.render(CAMERA, SKY, num_samples=32, albedo_ratio=(1.5, 1.5, 1.5))
+    huge = renderer.render(CAMERA, SKY, num_samples=32, albedo_ratio=100.0)
+    inside = plain.opacity[..., 0] > 0.0
+    np.testing.assert_allclose(double.albedo[inside], 1.5 * plain.albedo[inside], rtol=1e-6)
+    assert plain.rgb[inside].mean() < double.rgb[inside].mean() < 1.6 * plain.rgb[inside].mean()
+    assert (huge.albedo[inside] == 1.0).all()
+
+
+def test_a_view_is_asked_for_once_however_many_lights_follow(folder):
+    renderer = Renderer(load_bundle(folder), num_threads=1, reader="onnx")
+    first = renderer.gbuffer(CAMERA)
+    renderer.render(CAMERA, SKY, num_samples=2)
+    assert renderer.gbuffer(CAMERA) is first
+    for camera in turntable(6, radius=4.0, width=4, height=4):
+        renderer.gbuffer(camera)
+    assert renderer.gbuffer(CAMERA) is not first
+
+
+def test_a_camera_that_sees_nothing_gives_an_empty_picture(renderer):
+    away = turntable(1, radius=4.0, target=(0.0, 0.0, 50.0), width=4, height=4)[0]
+    picture = renderer.render(away, SKY, num_samples=2)
+    assert (picture.opacity == 0.0).all()
+    assert (picture.rgb == 0.0).all()
+
+
+def test_odd_numbers_of_samples_are_rounded_up_to_whole_passes(renderer):
+    assert renderer.render(CAMERA, SKY, num_samples=2).num_samples == 2
+    assert renderer.render(CAMERA, SKY, num_samples=13).num_samples == 16
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ({"num_samples": 1}, "relight.num_samples"),
+        ({"albedo_ratio": (1.0, -1.0, 1.0)}, "relight.albedo_ratio"),
+        ({"albedo_ratio": (1.0, 1.0)}, "relight.albedo_ratio"),
+        ({"background": "pink"}, "relight.background"),
+        ({"background": (1.0, float("nan"), 0.0)}, "relight.background"),
+    ],
+)
+def test_settings_out_of_range_are_refused(renderer, arguments, code):
+    with pytest.raises(SettingError) as caught:
+        renderer.render(CAMERA, SKY, **({"num_samples": 2} | arguments))
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize("quality", ["preview", "baked", "best"])
+def test_qualities_that_do_not_exist_yet_are_refused(renderer, quality):
+    with pytest.raises(UnsupportedQuality, match=quality):
+        renderer.render(CAMERA, SKY, quality=quality)
