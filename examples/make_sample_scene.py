@@ -80,11 +80,18 @@ def focal_length(resolution: int) -> float:
     return 0.5 * resolution / np.tan(0.5 * CAMERA_ANGLE_X)
 
 
-def load_renderer() -> None:
-    """Select Mitsuba's vectorised variant, after telling Dr.Jit where LLVM is when nobody else has."""
+def llvm_library() -> str | None:
+    """Return the LLVM library that Dr.Jit is to use: the one it was told, or Debian's newest."""
     found = sorted(glob.glob("/usr/lib/*/libLLVM-1[5-9].so") + glob.glob("/usr/lib/*/libLLVM-2?.so"))
-    if found:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[-1])
+    return os.environ.get("DRJIT_LIBLLVM_PATH") or (found[-1] if found else None)
+
+
+def load_renderer() -> None:
+    """Select Mitsuba's vectorised variant; ends the program where there is no LLVM."""
+    library = llvm_library()
+    if library is None:
+        raise SystemExit("no LLVM library found; apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to one")
+    os.environ["DRJIT_LIBLLVM_PATH"] = library
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
