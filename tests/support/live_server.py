@@ -168,7 +168,7 @@ class LiveServer:
 
 
 def stream(url: str, key: str, jobs: list[str], last: str | None = None) -> Iterator[tuple[str, str, Any]]:
-    """Yield (kind, id, data) of an event stream until it ends."""
+    """Yield (kind, id, data) of an event stream until it ends; a ping is a kind too."""
     headers = {"Authorization": f"Bearer {key}"}
     if last is not None:
         headers["Last-Event-ID"] = last
@@ -184,3 +184,5 @@ def stream(url: str, key: str, jobs: list[str], last: str | None = None) -> Iter
                 identifier = line.removeprefix("id: ")
             elif line.startswith("data: "):
                 yield kind, identifier, json.loads(line.removeprefix("data: "))
+            elif line.startswith(":"):
+                yield "ping", "", None

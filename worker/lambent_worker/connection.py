@@ -18,7 +18,7 @@ CHUNK_BYTES = 1024 * 1024
 CALL_TIMEOUT_S = 30.0
 TRANSFER_TIMEOUT_S = 900.0
 FIRST_WAIT_S = 0.1
-LONGEST_WAIT_S = 5.0
+LONGEST_WAIT_S = 2.0
 # After it was asked to end, a run waits this long for a server that does not answer.
 FAREWELL_S = 30.0
 MAX_BROKEN_TRANSFERS = 5

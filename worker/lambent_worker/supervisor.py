@@ -73,6 +73,8 @@ def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
             reply = connection.once(
                 connection.stub.Heartbeat, worker_pb2.HeartbeatRequest(fence=identity.fence)
             )
+            # A server that was away may be another one, which does not know yet where this process is.
+            registered = reply is not None
             if reply is not None and reply.stop and not stopped:
                 stopped = True
                 connection.ending.set()

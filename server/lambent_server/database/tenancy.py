@@ -1,6 +1,7 @@
 """The only statements that routes may build: each needs to be told whose rows it is about."""
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 from sqlalchemy import (
@@ -16,7 +17,6 @@ from sqlalchemy import (
     select,
     update,
 )
-from sqlalchemy.dialects import postgresql, sqlite
 
 DEFAULT_TENANT_ID = "default"
 
@@ -53,7 +53,8 @@ def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values
 
     Where another transaction is about to insert the same key, its end is waited for.
     """
-    kind = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+    # One of them is imported already by the engine; the other would cost start-up time for nothing.
+    kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
     statement = kind(table).values(tenant_id=tenant.id, **values).on_conflict_do_nothing()
     return connection.execute(statement).rowcount > 0
 
