@@ -61,7 +61,7 @@ def shading_agreement(light: str, suffix: str, turned_deg: float, mirrored: bool
     """Return how well matte pixels correlate with their irradiance under a turned or mirrored light."""
     environment = load_environment(SAMPLE / "envmaps" / f"{light}.hdr").rotated(turned_deg)
     generator = np.random.default_rng(0)
-    omega_i = generator.normal(size=(4000, 3))
+    omega_i = generator.normal(size=(1500, 3))
     omega_i /= np.linalg.norm(omega_i, axis=-1, keepdims=True)
     radiance = environment.lookup(omega_i * [1.0, -1.0 if mirrored else 1.0, 1.0]).mean(axis=-1)
     seen, expected = [], []
