@@ -1,0 +1,96 @@
+"""The graphs of a bundle, each compared with the model before it counts."""
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+
+import torch
+from flashcache.export import graphs, reference
+from flashcache.export.onnx import WEIGHTS_NAME, WeightFile
+from flashcache.export.reference import GbufferRule
+from flashcache.physical.model import InverseModel
+from lambent_proto.v1 import bundle_pb2
+
+from lambent_worker.bundle import manifest as manifests
+from lambent_worker.bundle.parity import Inputs, ParityResult, Twin, compare
+
+PARITY_ROWS = 4096
+"""Random inputs on which every graph is compared with the model."""
+
+
+def write_graphs(
+    model: InverseModel,
+    rule: GbufferRule,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    *,
+    seed: int,
+    advance: Callable[[str, ParityResult], None],
+) -> None:
+    """Write all graphs and their weights into `folder`/models and note them in `manifest`.
+
+    `advance` is called with the path and result of each comparison. Raises WorkerError when a graph differs
+    from the model.
+    """
+    weights = WeightFile()
+    metadata = {
+        "flashcache.schema": manifests.SCHEMA_VERSION,
+        "flashcache.scene_id": manifest.scene_id,
+        "flashcache.hash": "lattice-v1",
+        "flashcache.grids": graphs.grid_metadata(model),
+        "flashcache.frame": "right-handed, z up",
+        "flashcache.radiance": "linear-scene",
+        "flashcache.train_step": str(manifest.generator.train_step),
+        "producer": f"lambent {manifest.generator.version} {manifest.generator.git_revision}".rstrip(),
+    }
+    rays = camera_rays(model, rule, PARITY_ROWS, seed)
+    points, directions = points_and_directions(rule, PARITY_ROWS, seed)
+
+    def gbuffer(trained: InverseModel, inputs: Inputs) -> reference.Outputs:
+        return reference.gbuffer(trained, rule, **inputs)
+
+    def material(trained: InverseModel, inputs: Inputs) -> reference.Outputs:
+        return reference.material(trained, **inputs)
+
+    def fast_cache(light: int) -> Twin:
+        return lambda trained, inputs: reference.fast_cache(trained, light, **inputs)
+
+    made = [
+        ("gbuffer", "", graphs.gbuffer_graph(model, rule, weights, metadata), gbuffer, rays),
+        ("material", "", graphs.material_graph(model, weights, metadata), material, {"position": points}),
+    ]
+    for index, light in enumerate(manifest.train_lights):
+        lit = {**metadata, "flashcache.train_light": light}
+        graph = graphs.fast_cache_graph(model, index, weights, lit)
+        made.append(
+            ("fast_cache", light, graph, fast_cache(index), {"origin": points, "direction": directions})
+        )
+    data = weights.to_bytes()
+    (folder / "models" / WEIGHTS_NAME).write_bytes(data)
+    for name, light, graph, twin, inputs in made:
+        path = f"models/{name}_{light}.onnx" if light else f"models/{name}.onnx"
+        graph.metadata_props.add(key="flashcache.weights_sha256", value=sha256(data).hexdigest())
+        (folder / path).write_bytes(graph.SerializeToString(deterministic=True))
+        result = compare(path, folder / path, twin, model, inputs)
+        manifests.add_graph(manifest, name, path, light, result)
+        advance(path, result)
+    manifests.add_weights(manifest, weights, graphs.exported_grids(model))
+
+
+def camera_rays(model: InverseModel, rule: GbufferRule, count: int, seed: int) -> dict[str, torch.Tensor]:
+    """Return rays from all around the object, from as far as its cameras are, to random points of its box."""
+    generator = torch.Generator().manual_seed(seed)
+    low, high = torch.tensor(rule.box_min), torch.tensor(rule.box_max)
+    targets = low + torch.rand(count, 3, generator=generator) * (high - low)
+    around = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+    origins = 0.5 * (low + high) + around * (0.5 * sum(model.domain.primary))
+    return {"origin": origins, "direction": torch.nn.functional.normalize(targets - origins, dim=-1)}
+
+
+def points_and_directions(rule: GbufferRule, count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return random points of the object's box and random unit directions."""
+    generator = torch.Generator().manual_seed(seed + 1)
+    low, high = torch.tensor(rule.box_min), torch.tensor(rule.box_max)
+    points = low + torch.rand(count, 3, generator=generator) * (high - low)
+    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+    return points, directions

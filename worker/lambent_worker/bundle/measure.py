@@ -1,0 +1,96 @@
+"""How well a bundle shows what was trained: figures for its manifest, and small pictures of a few views."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import torch
+from flashcache.data.scene import Camera, View
+from flashcache.evaluation.views import render_gbuffer
+from flashcache.export import reference
+from flashcache.export.reference import GbufferRule
+from flashcache.physical.model import InverseModel
+from jaxtyping import Float
+from lambent_relight import cameras as relight_cameras
+from numpy import ndarray
+
+from lambent_worker.report import figures
+from lambent_worker.report.predictions import encoded
+
+SHOWN_VIEWS = 2
+SHOWN_SIDE = 128
+"""Pixels along the longer side."""
+CHUNK_RAYS = 512
+SOLID = 0.9
+"""Pixels of at least this opacity take part in the comparison of distances."""
+
+
+def relight_camera(name: str, camera: Camera) -> relight_cameras.Camera:
+    """Return a camera as clients read it."""
+    values = {field.name: getattr(camera, field.name) for field in dataclasses.fields(camera)}
+    return relight_cameras.Camera(name=name, **values)
+
+
+def measure(
+    model: InverseModel, rule: GbufferRule, views: tuple[View, ...], light: str, folder: Path
+) -> dict[str, float]:
+    """Return figures over a few views, and write what the NeRF cache shows of them below `folder`.
+
+    `psnr_views` compares the cache's picture with the photograph, sRGB over white. `gbuffer_opacity_error`
+    and `gbuffer_distance_error` (scene units, median) say how far the exported surface is from the traced
+    one, whose samples proposal networks place.
+    """
+    shown = views[:: max(1, len(views) // SHOWN_VIEWS)][:SHOWN_VIEWS]
+    found = [_measure_view(model, rule, view, light, folder) for view in shown]
+    return {name: float(np.mean([values[name] for values in found])) for name in found[0]}
+
+
+def _measure_view(
+    model: InverseModel, rule: GbufferRule, view: View, light: str, folder: Path
+) -> dict[str, float]:
+    camera, photograph = _reduced(view.camera, view.images[light])
+    traced = render_gbuffer(model, camera)
+    opacity = traced.opacity
+    straight = traced.cache_rgb / np.maximum(opacity, 1e-3)
+    seen = figures.picture(encoded(straight, opacity).astype(np.float64))
+    wanted = figures.picture(encoded(photograph[..., :3], photograph[..., 3:]).astype(np.float64))
+    (folder / f"{view.name}.png").write_bytes(figures.png(seen, max_side=SHOWN_SIDE))
+    exported = _exported(model, rule, relight_camera(view.name, camera))
+    solid = (opacity > SOLID) & (exported["opacity"] > SOLID)
+    apart = np.abs(exported["distance"] - traced.distance)[solid]
+    return {
+        "psnr_views": float(-10.0 * np.log10(np.mean((seen - wanted) ** 2) + 1e-12)),
+        "gbuffer_opacity_error": float(np.abs(exported["opacity"] - opacity).mean()),
+        "gbuffer_distance_error": float(np.median(apart)) if apart.size else 0.0,
+    }
+
+
+def _reduced(
+    camera: Camera, image: Float[ndarray, "height width 4"]
+) -> tuple[Camera, Float[ndarray, "rows columns 4"]]:
+    """Return a photograph of at most `SHOWN_SIDE` pixels, by means over blocks of pixels, and its camera."""
+    block = -(-max(camera.width, camera.height) // SHOWN_SIDE)
+    columns, rows = camera.width // block, camera.height // block
+    camera = dataclasses.replace(camera, width=columns * block, height=rows * block).resized(columns, rows)
+    image = image[: rows * block, : columns * block]
+    weighted = np.concatenate([image[..., :3] * image[..., 3:], image[..., 3:]], axis=-1)
+    means = weighted.reshape(rows, block, columns, block, 4).mean(axis=(1, 3))
+    straight = means[..., :3] / np.maximum(means[..., 3:], 1e-6)
+    return camera, np.concatenate([straight, means[..., 3:]], axis=-1)
+
+
+@torch.no_grad()
+def _exported(
+    model: InverseModel, rule: GbufferRule, camera: relight_cameras.Camera
+) -> dict[str, Float[ndarray, "height width _"]]:
+    """Return opacity and distance as the gbuffer graph gives them."""
+    device = next(model.parameters()).device
+    origins, directions = (torch.from_numpy(values).to(device) for values in camera.rays())
+    parts = [
+        reference.gbuffer(model, rule, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS])
+        for i in range(0, len(origins), CHUNK_RAYS)
+    ]
+    return {
+        name: torch.cat([part[name] for part in parts]).cpu().numpy().reshape(camera.height, camera.width, 1)
+        for name in ("opacity", "distance")
+    }

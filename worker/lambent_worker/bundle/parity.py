@@ -1,0 +1,140 @@
+"""Whether an exported graph gives the numbers of the model it was made from."""
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import torch
+from flashcache.physical.model import InverseModel
+from numpy.typing import NDArray
+
+from lambent_worker.errors import WorkerError
+
+Inputs = Mapping[str, torch.Tensor]
+Twin = Callable[[InverseModel, Inputs], Mapping[str, torch.Tensor]]
+
+TOLERANCE = 1e-5
+"""Largest error allowed, absolute below 1 and relative above."""
+NUDGE = 5e-7
+"""A step of about the spacing of float32 numbers at a camera's distance, in scene units."""
+MAX_LEFT_OUT = 0.01
+"""Largest share of inputs that may be left out for being too steep for float32."""
+CHUNK_ROWS = 512
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParityResult:
+    """How far a graph is from its torch twin."""
+
+    max_abs_error: float
+    """Over all outputs of the inputs that count; relative where the value is above 1."""
+    num_samples: int
+    """Inputs that count."""
+    num_left_out: int
+    """Inputs where rounding alone changes the answer by more than the tolerance."""
+
+
+def compare(name: str, graph: Path, twin: Twin, model: InverseModel, inputs: Inputs) -> ParityResult:
+    """Return how far the graph in the file `graph` is from `twin`, over all rows of `inputs`.
+
+    A row whose error is above 1e-5 does not count if the function is too steep there for float32 to decide:
+    if the twin's own float32 result is as far from its float64 result, or if that moves as far when the input
+    is nudged by 5e-7. Raises WorkerError when another row is above 1e-5, or more than 1 % of all rows are.
+    """
+    expected = _twin(twin, model, inputs)
+    found = _run(graph, inputs)
+    error = _largest_error(found, expected)
+    suspects = np.flatnonzero(~(error <= TOLERANCE))
+    if len(suspects) > MAX_LEFT_OUT * len(error):
+        raise _refused(name, float(np.nanmax(error)), len(suspects), len(error))
+    left_out = suspects
+    if len(suspects):
+        rows = torch.from_numpy(suspects)
+        few = {key: value[rows] for key, value in inputs.items()}
+        steep = _steepness(twin, model, few, {key: value[suspects] for key, value in expected.items()})
+        wrong = suspects[~(steep > TOLERANCE)]
+        if len(wrong):
+            raise _refused(name, float(error[wrong].max()), len(wrong), len(error))
+    counted = np.delete(error, left_out)
+    return ParityResult(
+        max_abs_error=float(counted.max(initial=0.0)),
+        num_samples=len(counted),
+        num_left_out=len(left_out),
+    )
+
+
+def _refused(name: str, error: float, count: int, total: int) -> WorkerError:
+    return WorkerError(
+        "export.parity",
+        f'the graph "{name}" differs from the model by up to {error:.2e} at {count} of {total} inputs '
+        f"(allowed: {TOLERANCE:.0e}); the bundle was not written. Report this with the versions of "
+        f"onnxruntime ({onnxruntime.__version__}) and torch ({torch.__version__})",
+    )
+
+
+def _run(graph: Path, inputs: Inputs) -> dict[str, NDArray[np.float32]]:
+    """Return the outputs of a graph, computed by onnxruntime in chunks."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = torch.get_num_threads()
+    options.log_severity_level = 3
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    session = onnxruntime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+    names = [output.name for output in session.get_outputs()]
+    arrays = {key: value.numpy() for key, value in inputs.items()}
+    parts = []
+    for start in range(0, len(next(iter(arrays.values()))), CHUNK_ROWS):
+        feed = {key: value[start : start + CHUNK_ROWS] for key, value in arrays.items()}
+        parts.append(session.run(names, feed))
+    return {name: np.concatenate([part[index] for part in parts]) for index, name in enumerate(names)}
+
+
+@torch.no_grad()
+def _twin(twin: Twin, model: InverseModel, inputs: Inputs) -> dict[str, NDArray[np.floating]]:
+    """Return the outputs of the torch function, with full-precision matrix products."""
+    precision = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    device, dtype = next((p.device, p.dtype) for p in model.parameters())
+    rows = len(next(iter(inputs.values())))
+    try:
+        parts = [
+            twin(
+                model,
+                {key: value[i : i + CHUNK_ROWS].to(device, dtype) for key, value in inputs.items()},
+            )
+            for i in range(0, rows, CHUNK_ROWS)
+        ]
+    finally:
+        torch.set_float32_matmul_precision(precision)
+    return {name: torch.cat([part[name] for part in parts]).cpu().numpy() for name in parts[0]}
+
+
+def _largest_error(
+    found: Mapping[str, NDArray[np.floating]], expected: Mapping[str, NDArray[np.floating]]
+) -> NDArray[np.float64]:
+    """Return the largest error of each row over all outputs; NaN where a value is not a number."""
+    assert set(found) == set(expected), f"outputs {sorted(found)} and {sorted(expected)} differ"
+    errors = [
+        np.abs(found[name].astype(np.float64) - expected[name]) / np.maximum(1.0, np.abs(expected[name]))
+        for name in expected
+    ]
+    return np.concatenate(errors, axis=1).max(axis=1)
+
+
+def _steepness(
+    twin: Twin, model: InverseModel, inputs: Inputs, single: Mapping[str, NDArray[np.floating]]
+) -> NDArray[np.float64]:
+    """Return how far rounding may move each row's answer, as an error like that of `_largest_error`."""
+    exact_model = copy.deepcopy(model).double().cpu()
+    exact_inputs = {key: value.double() for key, value in inputs.items()}
+    exact = _twin(twin, exact_model, exact_inputs)
+    moved = [_largest_error(single, exact)]
+    for key, value in exact_inputs.items():
+        for axis in range(value.shape[1]):
+            for step in (-NUDGE, NUDGE):
+                nudged = value.clone()
+                nudged[:, axis] += step
+                moved.append(_largest_error(_twin(twin, exact_model, {**exact_inputs, key: nudged}), exact))
+    return np.max(moved, axis=0)

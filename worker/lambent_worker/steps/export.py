@@ -1,0 +1,116 @@
+"""Fifth step: the bundle, complete and compared with the model, or not there at all."""
+
+import re
+import shutil
+from pathlib import Path
+
+from flashcache.data.scene import Scene, View
+from flashcache.export.reference import GbufferRule
+from flashcache.physical.model import InverseModel
+from flashcache.training.checkpoint import latest_checkpoint
+from lambent_relight.cameras import cameras_json
+from lambent_relight.environments import write_environment
+
+from lambent_worker.bundle.glb import write_glb
+from lambent_worker.bundle.graphs import write_graphs
+from lambent_worker.bundle.manifest import new_manifest, write_manifest
+from lambent_worker.bundle.measure import measure, relight_camera
+from lambent_worker.bundle.mesh import extract_mesh, occupied_box
+from lambent_worker.bundle.parity import ParityResult
+from lambent_worker.pipeline import StepContext, scene_hash
+from lambent_worker.run_folder import read_record, step_folder
+from lambent_worker.steps.training import load_trained, read_scene
+
+NUM_PARTS = 6
+FOLDERS = ("models", "mesh", "env", "preview")
+
+
+def run(context: StepContext) -> None:
+    """Write `bundle/`: built beside its place and moved there when everything in it has been checked.
+
+    Raises WorkerError with an `export.*` code when a graph differs from the model, or there is no surface.
+    """
+    scene = read_scene(context)
+    model = load_trained(context, scene, "joint").eval()
+    partial = context.folder.with_name(context.folder.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    for name in FOLDERS:
+        (partial / name).mkdir(parents=True)
+    try:
+        write_bundle(context, scene, model, partial)
+        shutil.rmtree(context.folder, ignore_errors=True)
+        partial.rename(context.folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    context.reporter.artifact("asset.glb", context.folder / "mesh" / "asset.glb")
+
+
+def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder: Path) -> None:
+    """Fill `folder`, whose sub-folders exist, with everything a bundle has."""
+    settings = context.config.export
+    box = occupied_box(model)
+    mesh = extract_mesh(model, *box, settings.mesh_resolution)
+    (folder / "mesh" / "asset.glb").write_bytes(write_glb(mesh))
+    _advance(context, 1)
+
+    rule = GbufferRule(box_min=box[0], box_max=box[1], num_samples=settings.gbuffer_samples)
+    manifest = new_manifest(
+        model,
+        box,
+        name=scene.name,
+        preset=context.config.preset,
+        scene_id=scene_hash(context.scene_dir),
+        train_step=_train_step(context),
+    )
+    manifest.train_lights.extend(light_names(model.domain.lights))
+
+    def compared(path: str, result: ParityResult) -> None:
+        context.reporter.log(
+            "graph.compared",
+            path=path,
+            max_abs_error=result.max_abs_error,
+            num_samples=result.num_samples,
+            num_left_out=result.num_left_out,
+        )
+        _advance(context, 3 if "gbuffer" in path else 4)
+
+    write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
+
+    views = scene.test or scene.train
+    (folder / "cameras.json").write_text(_cameras(views), encoding="utf-8")
+    for index, light in enumerate(manifest.train_lights):
+        image = model.environment.image(settings.environment_height, index).cpu().numpy()
+        write_environment(folder / "env" / f"trained_{light}.exr", image)
+    _advance(context, 5)
+    manifest.metrics.update(measure(model, rule, views, scene.lights[0], folder / "preview"))
+    manifest.metrics["mesh_faces"] = len(mesh.faces)
+    manifest.metrics["mesh_vertices"] = len(mesh.vertices)
+    for picture in sorted((context.run_dir / "previews").glob("*.png")):
+        shutil.copyfile(picture, folder / "preview" / picture.name)
+    files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    write_manifest(folder, manifest, sorted(files))
+    _advance(context, NUM_PARTS)
+    context.reporter.log("exported", **{name: round(value, 6) for name, value in manifest.metrics.items()})
+
+
+def light_names(lights: tuple[str, ...]) -> list[str]:
+    """Return the lights' names as a bundle and its files use them: letters, digits, `_`, `-` and `.`."""
+    names = [re.sub(r"[^A-Za-z0-9_.\-]", "_", light) for light in lights]
+    if len(set(names)) == len(names):
+        return names
+    return [f"{name}_{index}" for index, name in enumerate(names)]
+
+
+def _advance(context: StepContext, done: int) -> None:
+    context.progress(done, NUM_PARTS)
+    context.stop_if_asked()
+
+
+def _cameras(views: tuple[View, ...]) -> str:
+    return cameras_json([relight_camera(view.name, view.camera) for view in views])
+
+
+def _train_step(context: StepContext) -> int:
+    """Return the number of stage two's steps behind the exported model."""
+    folder = latest_checkpoint(step_folder(context.run_dir, "joint"))
+    return int(read_record(folder / "state.json").get("step", 0)) if folder is not None else 0
