@@ -52,6 +52,7 @@ check-texts: $(VENV)/.installed
 	$(BIN)/python scripts/check_modules.py
 	$(BIN)/python scripts/check_docs.py
 	$(BIN)/python scripts/check_changelog.py
+	$(BIN)/towncrier build --draft --version next >/dev/null
 
 check-schemas: setup
 	$(BIN)/python scripts/schema.py --check
