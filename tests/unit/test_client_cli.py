@@ -152,6 +152,12 @@ def test_watching_exits_with_one_unless_every_job_succeeded(server, capsys, stat
     assert app.run(["watch", "a"]) == code
 
 
+def test_one_failed_job_among_several_exits_with_one(server):
+    server.jobs["a"] = {"id": "a", "state": "succeeded"}
+    server.jobs["b"] = {"id": "b", "state": "failed"}
+    assert app.run(["watch", "a", "b"]) == 1
+
+
 def test_watching_as_json_prints_one_object_per_line(server, capsys):
     server.jobs["a"] = {"id": "a", "state": "running"}
 

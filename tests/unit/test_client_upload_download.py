@@ -159,6 +159,19 @@ def test_a_broken_download_resumes_with_a_range(server, client, tmp_path):
     assert (tmp_path / "out/models/weights.bin").read_bytes() == FILES["models/weights.bin"]
 
 
+def test_a_server_that_ignores_ranges_is_asked_once_more_at_most(server, client, tmp_path):
+    server.add_bundle("bundle_1", FILES)
+    whole = FILES["models/weights.bin"]
+    server.faults.append(
+        lambda request: httpx2.Response(200, content=whole) if "Range" in request.headers else None
+    )
+    half = tmp_path / "out.partial" / "models" / "weights.bin"
+    half.parent.mkdir(parents=True)
+    half.write_bytes(whole[:1000])
+    client.fetch("bundle_1", tmp_path / "out")
+    assert sum("weights.bin" in line for line in server.requests) == 1
+
+
 def test_a_wrong_half_file_is_noticed_and_loaded_anew(server, client, tmp_path):
     server.add_bundle("bundle_1", FILES)
     half = tmp_path / "out.partial" / "models" / "weights.bin"
