@@ -68,7 +68,7 @@ REFUSED = scene_pb2.SceneReport(
     [
         (WorkerError("run.busy", "wait"), 1, "run.busy: wait"),
         (UsageError("run.x", "no"), 2, "run.x: no"),
-        (Stopped(), 1, "the same command goes on"),
+        (Stopped(), 130, "the same command goes on"),
         (SceneRefusedError(REFUSED), 4, "1 problem(s) to mend first:\n  scene.x: mend it"),
         (ConfigError("too small"), 2, "config.invalid: too small"),
         (TrainingError("diverged"), 1, "training.failed: diverged"),
@@ -81,6 +81,17 @@ def test_each_kind_of_error_has_its_exit_code(error, code, text):
     result = call(cli._reporting_errors(command))
     assert result.exit_code == code
     assert text in result.stderr
+
+
+def test_errors_are_json_objects_where_json_was_asked_for():
+    def command(as_json: cli.Json = False) -> None:
+        raise SceneRefusedError(REFUSED)
+
+    result = call(cli._reporting_errors(command), "--json")
+    fault = json.loads(result.stdout)["error"]
+    assert result.exit_code == 4
+    assert fault["code"] == "scene.refused"
+    assert [problem["message"] for problem in fault["errors"]] == ["scene.x: mend it", "scene.y: a note"]
 
 
 def test_a_mistake_of_ours_keeps_its_traceback():

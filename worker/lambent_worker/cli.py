@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lambent_worker.errors import UsageError, WorkerError
+from lambent_worker.errors import SceneRefusedError, UsageError, WorkerError
 
 Json = Annotated[bool, typer.Option("--json", help="Write machine-readable lines to standard output.")]
 Layout = Annotated[str, typer.Option(help="Read the folder as this layout instead of detecting it.")]
@@ -24,26 +24,36 @@ def _reporting_errors(command: Callable[..., None]) -> Callable[..., None]:
     def wrapped(*args: Any, **kwargs: Any) -> None:
         try:
             command(*args, **kwargs)
-        except WorkerError as error:
-            typer.echo(str(error), err=True)
-            raise typer.Exit(error.exit_code) from None
         except Exception as error:
-            code = _exit_code_of_method_error(error)
-            if code is None:
+            known = _as_worker_error(error)
+            if known is None:
                 raise
-            typer.echo(f"{'config.invalid' if code == 2 else 'training.failed'}: {error}", err=True)
-            raise typer.Exit(code) from None
+            _tell(known, as_json=bool(kwargs.get("as_json")))
+            raise typer.Exit(known.exit_code) from None
 
     return wrapped
 
 
-def _exit_code_of_method_error(error: Exception) -> int | None:
-    """Return the exit code for an error of the method itself (2 for settings), or None for a bug."""
+def _as_worker_error(error: Exception) -> WorkerError | None:
+    """Return the error as one of ours, also where the method raised it, or None for a mistake of ours."""
     from flashcache.errors import ConfigError, FlashCacheError
 
+    if isinstance(error, WorkerError):
+        return error
     if isinstance(error, ConfigError):
-        return 2
-    return 1 if isinstance(error, FlashCacheError) else None
+        return UsageError("config.invalid", str(error))
+    return WorkerError("training.failed", str(error)) if isinstance(error, FlashCacheError) else None
+
+
+def _tell(error: WorkerError, *, as_json: bool) -> None:
+    """Print an error as every command of ours does: a line, or one JSON object on standard output."""
+    if not as_json:
+        typer.echo(f"error: {error}", err=True)
+        return
+    findings = error.report.findings if isinstance(error, SceneRefusedError) else []
+    problems = [{"pointer": f.subject, "message": f"{f.code}: {f.message}"} for f in findings]
+    fault = {"code": error.code, "message": error.message, "advice": "", "errors": problems}
+    typer.echo(json.dumps({"error": fault}))
 
 
 @contextmanager
@@ -77,7 +87,7 @@ def check(
 
     report = check_scene(scene_dir, layout or None)
     if as_json:
-        typer.echo(json.dumps(message_to_dict(report), indent=1))
+        typer.echo(json.dumps(message_to_dict(report)))
     else:
         for finding in report.findings:
             kind = "error" if finding.severity == scene_pb2.SEVERITY_ERROR else "note"

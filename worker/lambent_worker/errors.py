@@ -37,6 +37,8 @@ class SceneRefusedError(WorkerError):
 class Stopped(WorkerError):  # noqa: N818 - not a mistake of anyone
     """The run was asked to end; a checkpoint holds everything that was reached."""
 
+    exit_code = 130
+
     def __init__(self) -> None:
         super().__init__(
             "run.stopped",

@@ -31,7 +31,7 @@ CONFIG_PARTS = {
     "export": ("export",),
 }
 
-# Shares of a job's time, from the time budget of preset `fast` (docs/reference/presets.md).
+# Shares of a job's time, from the time budget of preset `fast` (docs/decisions/0001-cpu-presets.md).
 SHARES = {"ingest": 10.0, "cache": 110.0, "joint": 120.0, "evaluate": 30.0, "export": 80.0}
 
 

@@ -1,0 +1,28 @@
+"""Every code a user can meet is documented, and every documented code exists."""
+
+import re
+from pathlib import Path
+
+import lambent_worker
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
+AREAS = "scene|run|config|device|evaluate|export|pipeline|training"
+FILES = {"run.json", "scene.json"}
+
+
+def codes_in_sources():
+    folder = Path(lambent_worker.__path__[0])
+    text = "\n".join(path.read_text(encoding="utf-8") for path in folder.rglob("*.py"))
+    return set(re.findall(rf'"((?:{AREAS})\.[a-z_]+)"', text)) - FILES
+
+
+def codes_in_page():
+    return set(re.findall(rf"`((?:{AREAS})\.[a-z_]+)`", PAGE.read_text(encoding="utf-8"))) - FILES
+
+
+def test_every_code_is_documented():
+    assert not codes_in_sources() - codes_in_page()
+
+
+def test_no_code_is_documented_that_does_not_exist():
+    assert not codes_in_page() - codes_in_sources()
