@@ -47,9 +47,10 @@ class _Bounded(io.RawIOBase):
         self._budget = budget
 
     def read(self, size: int | None = -1) -> bytes:
-        if size is None or size < 0 or size > MAX_SINGLE_READ:
+        unlimited = size is None or size < 0
+        data = self._file.read(MAX_SINGLE_READ + 1 if unlimited else min(size or 0, MAX_SINGLE_READ + 1))
+        if len(data) > MAX_SINGLE_READ:
             raise _unsafe("the archive asks for too much memory")
-        data = self._file.read(size)
         self._spend(len(data))
         return data
 

@@ -1,0 +1,184 @@
+"""Bundles, blobs and environments over REST."""
+
+import struct
+from collections.abc import Iterator
+
+import pytest
+from lambent_server.clock import now
+from lambent_server.database.schema import bundle_files, bundles
+from lambent_server.database.tenancy import add
+from lambent_server.problems import Problem
+from lambent_server.routes.files import parse_range
+from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
+
+WEIGHTS = bytes(range(256)) * 10
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    with opened(tmp_path_factory.mktemp("api") / "data") as api:
+        yield api
+
+
+@pytest.fixture(scope="module")
+def bundle(api: Api, tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("files")
+    files = {
+        "manifest.json": b'{"name": "x"}',
+        "models/weights.bin": WEIGHTS,
+        "preview/page.html": b"<script>",
+    }
+    for place, data in enumerate(files.values()):
+        path = folder / str(place)
+        path.write_bytes(data)
+        api.services.store.put_file(api.services.database.write, TENANT, path, sha256(data), "text/html")
+    with api.services.database.write() as connection:
+        connection.execute(
+            add(TENANT, bundles, id="bundle_x", job_id="job_x", scene_id="scene_x", created_at=now())
+        )
+        for path, data in files.items():
+            values = {
+                "path": path,
+                "sha256": sha256(data),
+                "size_bytes": len(data),
+                "media_type": "text/html",
+            }
+            connection.execute(add(TENANT, bundle_files, bundle_id="bundle_x", **values))
+    return "bundle_x"
+
+
+def test_a_bundle_is_read_by_manifest_and_files(api: Api, bundle: str):
+    answer = api.get(f"/v1/bundles/{bundle}/manifest")
+    assert expect(answer, 200) == {"name": "x"}
+    assert answer.headers["content-type"] == "application/json"
+    answer = api.get(f"/v1/bundles/{bundle}/files/models/weights.bin")
+    assert answer.content == WEIGHTS
+    assert answer.headers["etag"] == f'"{sha256(WEIGHTS)}"'
+    assert answer.headers["content-length"] == str(len(WEIGHTS))
+
+
+@pytest.mark.parametrize(
+    ("given", "first", "last"),
+    [
+        ("bytes=0-9", 0, 9),
+        ("bytes=100-", 100, 2559),
+        ("bytes=-5", 2555, 2559),
+        ("bytes=2550-9999", 2550, 2559),
+    ],
+)
+def test_a_part_of_a_file_is_sent_with_its_place(api: Api, bundle: str, given: str, first: int, last: int):
+    answer = api.get(f"/v1/bundles/{bundle}/files/models/weights.bin", headers={"range": given})
+    assert answer.status_code == 206
+    assert answer.content == WEIGHTS[first : last + 1]
+    assert answer.headers["content-range"] == f"bytes {first}-{last}/2560"
+    assert answer.headers["content-length"] == str(last - first + 1)
+
+
+def test_a_part_outside_of_the_file_is_a_416(api: Api, bundle: str):
+    url = f"/v1/bundles/{bundle}/files/models/weights.bin"
+    for given in ("bytes=2560-", "bytes=9999-10000", "bytes=-0"):
+        answer = api.get(url, headers={"range": given})
+        expect_problem(answer, 416, "range_not_satisfiable")
+        assert answer.headers["content-range"] == "bytes */2560"
+
+
+def test_ranges_that_are_not_understood_give_the_whole_file(api: Api, bundle: str):
+    url = f"/v1/bundles/{bundle}/files/models/weights.bin"
+    for given in ("bytes=5-4", "bytes=0-1,3-4", "lines=1-2", "bytes=-", "bytes=a-b"):
+        assert api.get(url, headers={"range": given}).content == WEIGHTS
+
+
+def test_a_client_that_has_the_file_is_told_so(api: Api, bundle: str):
+    url = f"/v1/bundles/{bundle}/files/models/weights.bin"
+    etag = f'"{sha256(WEIGHTS)}"'
+    for given in (etag, f'"x", W/{etag}', "*"):
+        answer = api.get(url, headers={"if-none-match": given})
+        assert (answer.status_code, answer.content) == (304, b"")
+    assert api.get(url, headers={"if-none-match": '"x"'}).status_code == 200
+    # A part is only worth something if the rest is of the same file.
+    assert api.get(url, headers={"range": "bytes=0-1", "if-range": etag}).status_code == 206
+    assert api.get(url, headers={"range": "bytes=0-1", "if-range": '"x"'}).status_code == 200
+
+
+def test_what_a_run_made_is_never_a_page_of_this_site(api: Api, bundle: str):
+    answer = api.get(f"/v1/bundles/{bundle}/files/page.html")
+    assert "sandbox" in answer.headers["content-security-policy"]
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_missing_bundles_and_files_are_404(api: Api, bundle: str):
+    expect_problem(api.get("/v1/bundles/bundle_y/manifest"), 404, "bundle_not_found")
+    expect_problem(api.get(f"/v1/bundles/{bundle}/files/models/none.bin"), 404, "file_not_found")
+    expect_problem(api.get(f"/v1/bundles/{bundle}/files/../../../etc/passwd"), 404, "route_not_found")
+    expect_problem(api.get(f"/v1/bundles/{bundle}/files/..%2f..%2fetc/passwd"), 404, "file_not_found")
+    expect_problem(api.get(f"/v1/blobs/{'0' * 64}"), 404, "blob_not_found")
+    stranger = api.other(STRANGER_KEY)
+    expect_problem(stranger.get(f"/v1/bundles/{bundle}/manifest"), 404, "bundle_not_found")
+    expect_problem(stranger.get(f"/v1/blobs/{sha256(WEIGHTS)}"), 404, "blob_not_found")
+
+
+def test_bytes_that_vanished_from_the_store_are_an_error_and_not_half_an_answer(api: Api, bundle: str):
+    data = b"will vanish"
+    path = api.services.settings.scratch / "x"
+    path.write_bytes(data)
+    api.services.store.put_file(api.services.database.write, TENANT, path, sha256(data), "text/plain")
+    path.unlink()
+    api.services.store.delete(sha256(data))
+    expect_problem(api.get(f"/v1/blobs/{sha256(data)}"), 500, "internal")
+
+
+def test_an_empty_file_has_no_part():
+    assert parse_range("bytes=0-", 1) == (0, 1)
+    with pytest.raises(Problem):
+        parse_range("bytes=0-", 0)
+
+
+def exr(width: int, height: int, channels: tuple[str, ...] = ("B", "G", "R"), flags: int = 0) -> bytes:
+    """Return the head of an OpenEXR file."""
+
+    def attribute(name: str, kind: str, data: bytes) -> bytes:
+        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(data)) + data
+
+    listed = b"".join(name.encode() + b"\0" + struct.pack("<iiii", 1, 0, 1, 1) for name in channels) + b"\0"
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    head = b"\x76\x2f\x31\x01" + struct.pack("<i", 2 | flags)
+    head += attribute("channels", "chlist", listed) + attribute("dataWindow", "box2i", window)
+    return head + b"\0" + b"\0" * 100
+
+
+HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 32\n" + b"\0" * 100
+
+
+def test_environments_are_kept_and_listed(api: Api):
+    sent = {"sky.exr": exr(64, 32), "sun.hdr": HDR}
+    made = [
+        expect(api.post("/v1/environments", params={"name": name}, content=data), 201)
+        for name, data in sent.items()
+    ]
+    heads = [(each["format"], each["width"], each["height"]) for each in made]
+    assert heads == [("exr", 64, 32), ("hdr", 32, 16)]
+    assert expect(api.get("/v1/environments"), 200)["items"] == made[::-1]
+    assert api.get(made[1]["url"]).content == HDR
+    assert api.get(made[1]["url"]).headers["content-type"] == "image/vnd.radiance"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x89PNG\r\n",
+        exr(0, 0),
+        exr(2**30, 2**30),
+        exr(-5, 10),
+        exr(64, 32, channels=("Y",)),
+        exr(64, 32, flags=0x800),
+        exr(64, 32)[:40],
+        b"\x76\x2f\x31\x01" + b"\xff" * 1000,
+        b"#?RADIANCE\n\n-Y 99999999 +X 99999999\n",
+        b"#?RADIANCE\n\n+X 32 -Y 16\n",
+        b"#?RADIANCE\nno size",
+    ],
+)
+def test_what_is_no_environment_is_refused_by_its_head(api: Api, data: bytes):
+    answer = api.post("/v1/environments", params={"name": "x"}, content=data)
+    expect_problem(answer, 422, "environment_invalid")

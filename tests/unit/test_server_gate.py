@@ -1,0 +1,214 @@
+"""Who gets in, from where, with how much: the layer around every request."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from lambent_server.app import describe
+from lambent_server.http.identity import COOKIE, LoginCodes
+from sqlalchemy.exc import OperationalError
+from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+
+CSRF = {"x-lambent-csrf": "1"}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    with opened(tmp_path_factory.mktemp("api") / "data", max_json_bytes=2000) as api:
+        yield api
+
+
+def log_in(api: Api):
+    """Return a browser's client: no key, a cookie."""
+    code, _ = api.app.state.login_codes.issue(TENANT)
+    browser = api.other(None)
+    expect(browser.post("/v1/login", json={"code": code}), 204)
+    return browser
+
+
+def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
+    nobody = api.other(None)
+    for path, operations in describe()["paths"].items():
+        for method in operations:
+            url = path.replace("{scene_id}", "x").replace("{job_id}", "x").replace("{bundle_id}", "x")
+            url = url.replace("{path}", "x").replace("{sha256}", "0" * 64)
+            answer = nobody.request(method, url, json={} if path == "/v1/login" else None)
+            if path in ("/healthz", "/readyz", "/v1/version"):
+                assert answer.status_code == 200
+            elif path != "/v1/login":
+                expect_problem(answer, 401, "not_authenticated")
+                assert answer.headers["www-authenticate"].startswith("Bearer")
+
+
+def test_a_wrong_key_does_not_get_in(api: Api):
+    for key in ("", "x", KEY[:-1], KEY + "x"):
+        expect_problem(api.other(key).get("/v1/jobs"), 401, "not_authenticated")
+
+
+def test_only_a_hash_of_the_key_is_stored(api: Api):
+    for path in api.services.settings.data.glob("lambent.sqlite*"):
+        assert KEY.encode() not in path.read_bytes()
+
+
+def test_a_foreign_host_name_is_refused(api: Api):
+    for host in ("evil.example", "localhost.evil.example", "127.0.0.1.nip.io:80", ""):
+        expect_problem(api.get("/v1/jobs", headers={"host": host}), 421, "host_not_allowed")
+    for host in ("localhost:1234", "127.0.0.1", "[::1]:80"):
+        expect(api.get("/v1/jobs", headers={"host": host}), 200)
+
+
+def test_a_login_code_works_once_and_gives_a_cookie_scripts_cannot_read(api: Api):
+    code, _ = api.app.state.login_codes.issue(TENANT)
+    browser = api.other(None)
+    answer = browser.post("/v1/login", json={"code": code})
+    assert answer.status_code == 204
+    cookie = answer.headers["set-cookie"].lower()
+    assert "httponly" in cookie
+    assert "samesite=strict" in cookie
+    expect(browser.get("/v1/jobs"), 200)
+    expect_problem(api.other(None).post("/v1/login", json={"code": code}), 401, "login_code_invalid")
+    expect_problem(api.other(None).post("/v1/login", json={"code": "x"}), 401, "login_code_invalid")
+
+
+def test_a_login_code_ends(monkeypatch: pytest.MonkeyPatch):
+    codes = LoginCodes(60.0)
+    code, until = codes.issue(TENANT)
+    monkeypatch.setattr("lambent_server.http.identity.now", lambda: until + 1)
+    assert codes.redeem(code) is None
+
+
+def test_a_browser_writes_only_with_the_header_and_from_this_site(api: Api):
+    browser = log_in(api)
+    body = {"name": "x"}
+    expect_problem(browser.post("/v1/scenes", json=body), 403, "csrf")
+    expect(browser.post("/v1/scenes", json=body, headers=CSRF), 201)
+    expect(browser.post("/v1/scenes", json=body, headers={**CSRF, "origin": "http://localhost"}), 201)
+    foreign = {**CSRF, "origin": "http://evil.example"}
+    expect_problem(browser.post("/v1/scenes", json=body, headers=foreign), 403, "csrf")
+    expect_problem(browser.post("/v1/scenes", json=body, headers={**CSRF, "origin": "null"}), 403, "csrf")
+    # A key is not sent by browsers on their own.
+    expect(api.post("/v1/scenes", json=body), 201)
+
+
+def test_a_session_ends(api: Api, monkeypatch: pytest.MonkeyPatch):
+    browser = log_in(api)
+    expect(browser.get("/v1/jobs"), 200)
+    later = api.services.settings.session_s + 10
+    import time
+
+    monkeypatch.setattr("lambent_server.http.identity.now", lambda: time.time() + later)
+    expect_problem(browser.get("/v1/jobs"), 401, "not_authenticated")
+
+
+def test_a_made_up_cookie_does_not_get_in(api: Api):
+    for value in ("x", "", '"', "\u00e4"):
+        cookie = f"{COOKIE}={value}".encode()
+        answer = api.other(None).get("/v1/jobs", headers={b"cookie": cookie})
+        expect_problem(answer, 401, "not_authenticated")
+
+
+def test_every_answer_carries_the_strict_headers(api: Api):
+    for path in ("/", "/v1/jobs", "/nothing", "/assets/app.js"):
+        headers = api.get(path).headers
+        assert "default-src 'none'" in headers["content-security-policy"], path
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["x-request-id"].startswith("req_")
+        assert "access-control-allow-origin" not in headers
+
+
+def test_a_body_over_the_limit_is_refused_before_it_is_read(api: Api):
+    read: list[bytes] = []
+
+    def body():
+        for _ in range(10):
+            read.append(b"x" * 1000)
+            yield read[-1]
+
+    answer = api.post("/v1/scenes", content=json.dumps({"name": "x" * 3000}))
+    expect_problem(answer, 413, "body_too_large")
+    assert answer.headers["connection"] == "close"
+    # One that does not say how long it is, is cut off when it is too long.
+    answer = api.post("/v1/scenes", content=body(), headers={"content-type": "application/json"})
+    expect_problem(answer, 413, "body_too_large")
+
+
+def test_unknown_paths_and_methods_are_problems(api: Api):
+    expect_problem(api.get("/v1/nothing"), 404, "route_not_found")
+    answer = api.delete("/v1/jobs")
+    expect_problem(answer, 405, "method_not_allowed")
+    assert answer.headers["allow"]
+    expect_problem(api.get("/v1/jobs/x:cancel"), 405, "method_not_allowed")
+
+
+def test_another_tenants_things_do_not_exist(api: Api):
+    job = api.job()
+    scene_id = job["scene_id"]
+    stranger = api.other(STRANGER_KEY)
+    digest = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"
+    for method, path, body in (
+        ("get", f"/v1/scenes/{scene_id}", None),
+        ("get", f"/v1/scenes/{scene_id}/report", None),
+        ("delete", f"/v1/scenes/{scene_id}", None),
+        ("post", f"/v1/scenes/{scene_id}:commit", None),
+        ("post", f"/v1/scenes/{scene_id}/files:plan", []),
+        ("put", f"/v1/scenes/{scene_id}/files/{digest}", {}),
+        ("put", f"/v1/scenes/{scene_id}/archive", {}),
+        ("post", "/v1/jobs", {"scene_id": scene_id, "preset": "tiny"}),
+        ("get", f"/v1/jobs/{job['id']}", None),
+        ("get", f"/v1/jobs/{job['id']}/events", None),
+        ("get", f"/v1/jobs/{job['id']}/log", None),
+        ("get", f"/v1/jobs/{job['id']}/artifacts", None),
+        ("post", f"/v1/jobs/{job['id']}:cancel", None),
+        ("post", f"/v1/jobs/{job['id']}:retry", None),
+        ("get", f"/v1/events?job={job['id']}", None),
+        ("get", f"/v1/blobs/{digest}", None),
+    ):
+        answer = stranger.request(method, path, json=body)
+        assert answer.status_code == 404, (method, path, answer.text)
+    assert expect(stranger.get("/v1/jobs"), 200)["items"] == []
+    # The same bytes have to be sent again: that they are known says something about others.
+    mine = expect(stranger.post("/v1/scenes", json={"name": "x"}), 201)["id"]
+    plan = [{"path": "a.png", "size": 2, "sha256": digest}]
+    assert expect(stranger.post(f"/v1/scenes/{mine}/files:plan", json=plan), 200)["missing"] == [digest]
+
+
+def test_a_database_that_is_away_is_a_503_and_a_mistake_is_a_500_without_details(
+    api: Api, monkeypatch: pytest.MonkeyPatch
+):
+    def away(*_: object, **__: object) -> None:
+        raise OperationalError("SELECT secret", {}, Exception("gone"))
+
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("secret path /root")
+
+    job = api.job()
+    for failing, status, code in ((away, 503, "database_unavailable"), (broken, 500, "internal")):
+        monkeypatch.setattr("lambent_server.job_queries.require_job", failing)
+        problem = expect_problem(api.get(f"/v1/jobs/{job['id']}"), status, code)
+        assert problem["retryable"]
+        assert "secret" not in json.dumps(problem)
+
+
+def test_the_server_says_what_it_is_and_accepts(api: Api):
+    assert expect(api.get("/v1/version"), 200)["api"] == "v1"
+    limits = expect(api.get("/v1/limits"), 200)
+    assert limits["max_json_bytes"] == 2000
+    assert ".png" in limits["scene_suffixes"]
+    presets = expect(api.get("/v1/presets"), 200)
+    assert presets["default"] in [each["name"] for each in presets["items"]]
+    assert expect(api.get("/readyz"), 200)["status"] == "ok"
+    assert expect(api.get("/openapi.json"), 200) == describe()
+    assert "lambent_jobs" in api.get("/metrics").text
+
+
+def test_keys_and_secrets_are_readable_by_their_owner_only(tmp_path: Path):
+    from lambent_server.capability import read_or_create_secret
+
+    first = read_or_create_secret(tmp_path / "api.key", "lk_")
+    assert first.startswith("lk_")
+    assert len(first) > 40
+    assert (tmp_path / "api.key").stat().st_mode & 0o777 == 0o600
+    assert read_or_create_secret(tmp_path / "api.key", "lk_") == first
+    assert [path.name for path in tmp_path.iterdir()] == ["api.key"]
