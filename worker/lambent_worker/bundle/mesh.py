@@ -1,5 +1,6 @@
 """The surface of a trained model as triangles, and the box it lies in."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,12 @@ SURVEY_CELLS = 64
 """Cells along the longest side of the scene's box in the first look."""
 SURVEY_MARGIN = 2
 """Cells of the first look that are kept around what was found."""
-SURFACE_OPACITY = 0.5
-"""Matter begins where one cell of the grid hides this share of what is behind it."""
+SURFACE_DEPTH = math.log(2.0)
+"""Matter begins where one cell's width of it hides half of what is behind it (optical depth)."""
+DEPTH_RANGE = 50.0
+"""Optical depths are limited to this factor around `SURFACE_DEPTH` before a surface is laid through them."""
+FAINTEST = 0.05
+"""Where nothing reaches that, a surface is laid at half the largest depth, if it is above this."""
 FLOATER_SHARE = 0.01
 """Pieces with less than this share of the largest piece's size are removed."""
 CHUNK_POINTS = 65536
@@ -46,14 +51,9 @@ def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
     Raises WorkerError when there is no matter.
     """
     low, high = np.array(model.domain.bounds_min), np.array(model.domain.bounds_max)
-    hidden, cell = _opacity_grid(model, low, high, SURVEY_CELLS)
-    labels, count = ndimage.label(hidden > 0.5 * SURFACE_OPACITY)
-    if count == 0:
-        raise WorkerError(
-            "export.no_surface",
-            "the trained density holds no surface; look at the previews, check the scene with lambent check, "
-            "or train with more steps",
-        )
+    depth, cell = _depth_grid(model, low, high, SURVEY_CELLS)
+    # Matter thinner than a cell of this coarse look must not be missed.
+    labels, _ = ndimage.label(depth > 0.5 * _level(depth))
     sizes = np.bincount(labels.ravel())[1:]
     kept = np.flatnonzero(sizes >= FLOATER_SHARE * sizes.max()) + 1
     places = np.argwhere(np.isin(labels, kept))
@@ -68,13 +68,13 @@ def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resoluti
     Raises WorkerError when there is none.
     """
     low, high = np.array(box_min), np.array(box_max)
-    hidden, cell = _opacity_grid(model, low, high, resolution)
+    depth, cell = _depth_grid(model, low, high, resolution)
+    level = _level(depth)
+    # The logarithm of density is what the network gives, and nearly linear across a surface; opacity jumps.
+    field = np.log((depth / level).clip(1.0 / DEPTH_RANGE, DEPTH_RANGE))
     # Empty space around the grid closes the surface where matter touches the box.
-    padded = np.pad(hidden, 1)
-    level = min(SURFACE_OPACITY, 0.5 * float(padded.max()))
-    if level < 0.01:
-        raise WorkerError("export.no_surface", "the trained density holds no surface; train with more steps")
-    vertices, faces, _, _ = marching_cubes(padded, level, gradient_direction="ascent")
+    field = np.pad(field, 1, constant_values=-math.log(DEPTH_RANGE))
+    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent")
     vertices, faces = _without_floaters(vertices, faces)
     vertices = (low + (vertices - 0.5) * cell).astype(np.float32)
     found = _surface(model, vertices)
@@ -88,18 +88,30 @@ def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resoluti
     )
 
 
+def _level(depth: NDArray[np.float32]) -> float:
+    """Return the optical depth at which matter begins; raises WorkerError when there is none."""
+    level = min(SURFACE_DEPTH, 0.5 * float(depth.max()))
+    if not level > 0.5 * FAINTEST:
+        raise WorkerError(
+            "export.no_surface",
+            "the trained density holds no surface; look at the previews, check the scene with lambent check, "
+            "or train with more steps",
+        )
+    return level
+
+
 @torch.no_grad()
-def _opacity_grid(
+def _depth_grid(
     model: InverseModel, low: NDArray[np.float64], high: NDArray[np.float64], resolution: int
 ) -> tuple[NDArray[np.float32], float]:
-    """Return the opacity of one cell's width of matter at the centres of cubic cells, and that width."""
+    """Return the optical depth of one cell's width at the centres of cubic cells, and that width."""
     cell = float((high - low).max()) / resolution
     counts = np.maximum(1, np.ceil((high - low) / cell - 1e-6).astype(int))
     axes = [low[k] + (np.arange(counts[k]) + 0.5) * cell for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
     device = next(model.parameters()).device
     parts = [
-        -torch.expm1(-cell * model.nerf.density.density(torch.from_numpy(chunk).to(device))).cpu()
+        cell * model.nerf.density.density(torch.from_numpy(chunk).to(device)).cpu()
         for chunk in _chunks(points)
     ]
     return torch.cat(parts).numpy().reshape(counts), cell
