@@ -53,7 +53,7 @@ def write_surface(folder: Path, view: View, generator: np.random.Generator) -> N
     grey = np.full((height, width, 1), 0.5)
     albedo = view.truth.get("albedo", np.repeat(grey, 4, axis=-1))
     darker = noisy(albedo[..., :3], generator, 0.03) * [0.8, 0.5, 0.6]
-    save_array(folder / "albedo.npy", np.concatenate([darker, albedo[..., 3:]], axis=-1))
+    save_array(folder / "albedo.npy", np.concatenate([darker, noisy(albedo[..., 3:], generator)], axis=-1))
     normal = view.truth.get("normal", np.zeros((height, width, 4)))
     turned = normal[..., :3] + generator.normal(0.0, 0.2, normal[..., :3].shape) * normal[..., 3:]
     turned[normal[..., 3] == 0.0] = [0.0, 0.0, 1.0]

@@ -43,7 +43,7 @@ class ConsoleReporter:
         if not self._as_json and self._console.is_terminal:
             self._bars = Progress(
                 TextColumn("{task.fields[title]}"),
-                BarColumn(),
+                BarColumn(bar_width=20),
                 TaskProgressColumn(),
                 TextColumn("{task.fields[detail]}"),
                 console=self._console,
