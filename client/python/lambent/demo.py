@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lambent.cli.output import Output, format_duration
 from lambent.cli.progress import TransferView, open_view
+from lambent.cli.rendering import relight_errors
 from lambent.client import Client
 from lambent.demo_pictures import Figure, Sample, format_table, make_pictures, read_figures
 from lambent.errors import JobNotSucceededError, UsageProblemError
@@ -47,7 +48,8 @@ def run_demo(
             _fetch(client, job, bundle_folder, view.show)
         figures = read_figures(bundle_folder, folder / "out")
         if figures is None:
-            figures = make_pictures(bundle_folder, Sample.open(sample), folder / "out", output.note)
+            with relight_errors():
+                figures = make_pictures(bundle_folder, Sample.open(sample), folder / "out", output.note)
         _report(folder, bundle_folder, job, figures, time.monotonic() - began, output)
         if keep and server.is_ours:
             _stay(client.login_link(), output)
