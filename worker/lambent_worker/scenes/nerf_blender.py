@@ -15,6 +15,7 @@ from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, PictureError, pictu
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import (
     finite_number,
+    finite_numbers,
     focal_from_angle,
     inside_folder,
     pose_from_numbers,
@@ -185,19 +186,19 @@ def _read_lens(
     if "fl_x" not in settings:
         focal = focal_from_angle(settings["camera_angle_x"], width, subject, problems)
         return None if focal is None else (focal, focal, 0.5 * width, 0.5 * height)
-    stated_width = finite_number(settings.get("w", width))
-    stated_height = finite_number(settings.get("h", height))
-    focal_x = finite_number(settings["fl_x"])
-    focal_y = finite_number(settings.get("fl_y", settings["fl_x"]))
-    centre_x = finite_number(settings.get("cx", None if stated_width is None else 0.5 * stated_width))
-    centre_y = finite_number(settings.get("cy", None if stated_height is None else 0.5 * stated_height))
-    numbers = (stated_width, stated_height, focal_x, focal_y, centre_x, centre_y)
-    if None in numbers or min(numbers[:4]) <= 0.0:
+    w, h = settings.get("w", width), settings.get("h", height)
+    fl_x = settings["fl_x"]
+    sizes = finite_numbers([w, h, fl_x, settings.get("fl_y", fl_x)], 4)
+    if sizes is None or min(sizes) <= 0.0:
+        centre = None
+    else:
+        centre = finite_numbers([settings.get("cx", 0.5 * sizes[0]), settings.get("cy", 0.5 * sizes[1])], 2)
+    if sizes is None or centre is None:
         problems.error(
             "scene.lens_invalid",
             f"{subject}: w, h, fl_x, fl_y must be positive numbers and cx, cy finite ones, in pixels",
             subject,
         )
         return None
-    across, down = width / stated_width, height / stated_height
-    return focal_x * across, focal_y * down, centre_x * across, centre_y * down
+    across, down = width / sizes[0], height / sizes[1]
+    return sizes[2] * across, sizes[3] * down, centre[0] * across, centre[1] * down

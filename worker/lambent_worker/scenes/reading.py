@@ -55,6 +55,15 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def finite_numbers(value: object, count: int) -> list[float] | None:
+    """Return a list of `count` finite numbers, or None where `value` is anything else."""
+    if not isinstance(value, list) or len(value) != count:
+        return None
+    numbers = [finite_number(item) for item in value]
+    found = [number for number in numbers if number is not None]
+    return found if len(found) == count else None
+
+
 def inside_folder(path: str, subject: str, problems: Problems) -> PurePosixPath | None:
     """Return `path` in normal form, or None after noting that it leads out of the scene folder."""
     if "\\" in path or "\0" in path or not path:

@@ -17,6 +17,7 @@ from lambent_worker.scenes.pictures import PictureError, picture_size
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import (
     finite_number,
+    finite_numbers,
     focal_from_angle,
     pose_from_numbers,
     read_json_object,
@@ -101,8 +102,8 @@ def _read_scene_json(folder: Path, capture: Capture, trained: set[str], problems
 def _near_far(value: object, problems: Problems) -> tuple[float, float] | None:
     if value is None:
         return None
-    numbers = [finite_number(v) for v in value] if isinstance(value, list) else []
-    if len(numbers) == 2 and None not in numbers and 0.0 <= numbers[0] < numbers[1]:
+    numbers = finite_numbers(value, 2)
+    if numbers is not None and 0.0 <= numbers[0] < numbers[1]:
         return numbers[0], numbers[1]
     problems.error(
         "scene.extent_invalid",
@@ -117,14 +118,10 @@ def _box(
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
     if value is None:
         return None
-    corners = [
-        tuple(finite_number(v) for v in corner) if isinstance(corner, list) else ()
-        for corner in (value if isinstance(value, list) else [])
-    ]
-    if len(corners) == 2 and all(len(c) == 3 and None not in c for c in corners):
-        low, high = corners
-        if all(a < b for a, b in zip(low, high, strict=True)):
-            return low, high
+    corners = value if isinstance(value, list) and len(value) == 2 else [None, None]
+    low, high = (finite_numbers(corner, 3) for corner in corners)
+    if low is not None and high is not None and all(a < b for a, b in zip(low, high, strict=True)):
+        return (low[0], low[1], low[2]), (high[0], high[1], high[2])
     problems.error(
         "scene.extent_invalid",
         "scene.json: bbox must be two corners of three numbers, the lower one first, in scene units",
