@@ -92,12 +92,11 @@ def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid, z: Value) -> Value
     """
     levels, num_features = grid.layout.levels, grid.layout.num_features
 
-    def per_level(values: Sequence[float], kind: Any = np.float32) -> NDArray[Any]:
+    def per_level(values: Sequence[float | int], kind: Any = np.float32) -> NDArray[Any]:
         return np.array([values], kind)
 
-    resolution = np.array([level.resolution for level in levels], np.float32)
-    scale = per_level(resolution / (2.0 * grid.layout.half_extent))
-    centre, largest = per_level(0.5 * (resolution - 1.0)), per_level(resolution - 1.0)
+    scale = per_level([level.resolution / (2.0 * grid.layout.half_extent) for level in levels])
+    largest = per_level([level.resolution - 1.0 for level in levels])
     num_rows = per_level([level.num_rows for level in levels], np.int32)
     first_row = per_level([level.first_row for level in levels], np.int32)
     multipliers = (
@@ -108,7 +107,7 @@ def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid, z: Value) -> Value
     repeat = np.kron(np.eye(len(levels)), np.ones((1, num_features))).astype(np.float32)
     fractions, base = [], None
     for axis, multiplier in enumerate(multipliers):
-        u = graph.at_least(graph.column(z, axis) * scale + centre, 0.0)
+        u = graph.at_least(graph.column(z, axis) * scale + 0.5 * largest, 0.0)
         u = graph.minimum(u, largest)
         cell = graph.minimum(graph.node("Floor", u), largest - 1.0)
         fractions.append(graph.node("MatMul", u - cell, repeat))

@@ -1,0 +1,112 @@
+"""A small untrained model whose density is a ball, so that exports have a surface to show."""
+
+import torch
+from flashcache.caches.environment import EnvironmentConfig
+from flashcache.caches.fast_cache import FastCacheConfig
+from flashcache.caches.nerf_cache import NerfCacheConfig
+from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.fields.appearance import AppearanceConfig
+from flashcache.fields.density import DensityConfig, NormalConfig
+from flashcache.fields.materials import MaterialConfig
+from flashcache.physical.light_sampler import LightSamplerConfig
+from flashcache.physical.model import Domain, InverseModel, ModelConfig
+from flashcache.volume.proposal_sampling import SampleCounts
+
+RADIUS = 0.5
+BOUND = 1.2
+DENSITY_RESOLUTION = 16
+
+
+def small_grid(*, half_extent: float = 1.0, num_features: int = 2) -> HashGridConfig:
+    """Return a grid with a dense and a hashed level."""
+    return HashGridConfig(
+        base_resolution=8,
+        finest_resolution=40,
+        num_levels=2,
+        num_features=num_features,
+        log2_table_size=12,
+        half_extent=half_extent,
+    )
+
+
+def small_config(*, own_normal_grid: bool, softplus_beta: float | None, distance_layers: int) -> ModelConfig:
+    """Return sizes that build in milliseconds; the arguments choose between forms the graphs must mirror."""
+    density_grid = HashGridConfig(
+        base_resolution=DENSITY_RESOLUTION, finest_resolution=DENSITY_RESOLUTION, num_features=1
+    )
+    density = DensityConfig(grid=density_grid, width=8, num_layers=1, softplus_beta=softplus_beta)
+    counts = SampleCounts(first=8, second=8, final=8)
+    return ModelConfig(
+        nerf=NerfCacheConfig(
+            proposals=(density, density),
+            density=density,
+            normals=NormalConfig(own_grid=small_grid() if own_normal_grid else None, width=8),
+            appearance=AppearanceConfig(
+                grid=small_grid(),
+                bottleneck=8,
+                factor_width=8,
+                num_degrees=2,
+                reflection_width=8,
+                reflection_layers=1,
+            ),
+            primary_counts=counts,
+            secondary_counts=counts,
+        ),
+        fast=FastCacheConfig(
+            distance_grid=small_grid(),
+            feature_grid=small_grid(half_extent=2.0, num_features=4),
+            code_width=8,
+            distance_width=16,
+            distance_layers=distance_layers,
+            decoder_widths=(8, 12),
+        ),
+        environment=EnvironmentConfig(width=8, num_layers=1, last_width=8),
+        materials=MaterialConfig(grid=small_grid(), width=8),
+        light_sampler=LightSamplerConfig(grid=small_grid(), width=8, num_lobes=2),
+    )
+
+
+def sphere_model(
+    *,
+    own_normal_grid: bool = True,
+    softplus_beta: float | None = 10.0,
+    distance_layers: int = 4,
+    lights: tuple[str, ...] = ("day", "night"),
+) -> InverseModel:
+    """Return a model of a ball of radius 0.5 at the origin; all other parameters are random, none is tiny."""
+    torch.manual_seed(7)
+    config = small_config(
+        own_normal_grid=own_normal_grid, softplus_beta=softplus_beta, distance_layers=distance_layers
+    )
+    domain = Domain(
+        bounds_min=(-BOUND,) * 3,
+        bounds_max=(BOUND,) * 3,
+        primary=(2.0, 5.0),
+        secondary=(0.05, 2.0),
+        contraction_radius=1.0,
+        lights=lights,
+    )
+    model = InverseModel(config, domain)
+    with torch.no_grad():
+        for name, parameter in model.named_parameters():
+            if name.endswith("table"):
+                parameter.normal_(std=0.5)
+            elif not parameter.any():
+                parameter.normal_(std=0.3)
+        for field in (model.nerf.density, *model.nerf.proposals):
+            _make_ball(field)
+    return model.eval()
+
+
+def _make_ball(field: torch.nn.Module) -> None:
+    """Set the density to about exp(40 (0.5 - |x|)): the first hidden unit is a distance."""
+    n = DENSITY_RESOLUTION
+    centres = (torch.arange(n) + 0.5) * 2.0 / n - 1.0
+    z, y, x = torch.meshgrid(centres, centres, centres, indexing="ij")
+    # Shifted upwards, so that the activation is in its linear part.
+    field.grid.table.copy_((2.0 - torch.stack([x, y, z], dim=-1).norm(dim=-1)).reshape(-1, 1))
+    field.network.layers[0].weight[0] = 1.0
+    field.network.layers[0].bias[0] = 0.0
+    field.head.weight.zero_()
+    field.head.weight[0, 0] = 40.0
+    field.head.bias.fill_(-40.0 * (2.0 - RADIUS) + 3.0)
