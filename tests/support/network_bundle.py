@@ -1,86 +1,110 @@
-"""Bundles that carry the networks of a torch model beside an analytic scene's graphs."""
+"""Bundles of untrained torch models: the exporter's graphs, the manifest's tables, network constants."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
-import numpy as np
 import onnx
-from flashcache.encoding.hash_grid import HashGrid
+from flashcache.caches.nerf_cache import SECONDARY_CURVE
+from flashcache.export import graphs
+from flashcache.export.onnx import WeightFile
+from flashcache.export.reference import GbufferRule
+from flashcache.fields.materials import ALPHA_MINIMUM
 from flashcache.physical.model import InverseModel
-from google.protobuf import json_format
-from lambent_proto.v1.bundle_pb2 import BundleManifest
-from support.analytic_bundle import write_manifest
+from lambent_relight.cameras import cameras_json, turntable
+from support.analytic_bundle import manifest_of, write_manifest
+from support.analytic_scene import AnalyticScene
 
 
-def add_networks(folder: Path, model: InverseModel) -> None:
-    """Write `model`'s tensors, grids and constants into the bundle in `folder`."""
-    manifest = json_format.Parse((folder / "manifest.json").read_text(encoding="utf-8"), BundleManifest())
-    path = folder / "models" / "weights.bin"
-    weights = bytearray(path.read_bytes())
-    for name, tensor in model.state_dict().items():
-        data = tensor.detach().numpy().astype(np.float32)
-        weights.extend(bytes(-len(weights) % 256))
-        manifest.tensors.add(
-            name=name,
-            dtype="float32",
-            shape=data.shape,
-            offset_bytes=len(weights),
-            size_bytes=data.nbytes,
-        )
-        weights.extend(data.tobytes())
-    path.write_bytes(bytes(weights))
-    for name, module in model.named_modules():
-        if isinstance(module, HashGrid):
-            layout = module.layout
-            grid = manifest.grids.add(
-                name=name,
-                tensor=f"{name}.table",
-                num_features=layout.num_features,
-                half_extent=layout.half_extent,
-                output_scale=1.0,
-            )
-            for level in layout.levels:
-                grid.levels.add(
-                    resolution=level.resolution,
-                    first_row=level.first_row,
-                    num_rows=level.num_rows,
-                    multiplier_y=level.multiplier_y,
-                    multiplier_z=level.multiplier_z,
-                )
-    config, domain = model.config, model.domain
-    layers = config.fast.distance_layers
-    constants = {
-        "fast_cache_sky": {
-            "kind": "fast_cache.v1",
-            "contraction_radius": domain.contraction_radius,
-            "near": domain.secondary[0],
-            "far": domain.secondary[1],
-            "num_samples": config.fast.num_samples,
-            "num_frequencies": config.fast.num_frequencies,
-            "skip_after": 3 if layers > 3 else None,
-            "curve_power": -1.5,
-            "curve_premultiplier": 2.0,
+def network_constants(model: InverseModel, rule: GbufferRule) -> dict[str, dict]:
+    """Return the constants of each graph's network, by graph name."""
+    config, radius = model.config, model.domain.contraction_radius
+    fields = {
+        "contraction_radius": radius,
+        "softplus_beta": config.nerf.density.softplus_beta,
+        "density_bias": config.nerf.density.bias,
+        "albedo_bias": config.materials.albedo_bias,
+        "alpha_bias": config.materials.alpha_bias,
+        "metalness_bias": config.materials.metalness_bias,
+        "alpha_minimum": ALPHA_MINIMUM,
+    }
+    return {
+        "gbuffer": {
+            "kind": "gbuffer.v1",
+            "box_min": list(rule.box_min),
+            "box_max": list(rule.box_max),
+            "num_samples": rule.num_samples,
+            "group": rule.group,
+            **fields,
         },
-        "material": {
-            "kind": "material.v1",
-            "contraction_radius": domain.contraction_radius,
-            "albedo_bias": config.materials.albedo_bias,
-            "alpha_bias": config.materials.alpha_bias,
-            "metalness_bias": config.materials.metalness_bias,
-            "alpha_minimum": 1e-4,
-            "softplus_beta": config.nerf.density.softplus_beta,
+        "material": {"kind": "material.v1", **fields},
+        "fast_cache": {
+            "kind": "fast_cache.v1",
+            "contraction_radius": radius,
+            "near": model.fast.near,
+            "far": model.fast.far,
+            "num_frequencies": config.fast.num_frequencies,
+            "curve_power": SECONDARY_CURVE.power,
+            "curve_premultiplier": SECONDARY_CURVE.premultiplier,
         },
     }
-    for name, values in constants.items():
-        set_network_metadata(folder, name, values)
+
+
+def write_network_bundle(folder: Path, model: InverseModel, rule: GbufferRule) -> Path:
+    """Write a bundle of `model`, whose one light is "sky", and return its folder."""
+    (folder / "models").mkdir(parents=True)
+    weights = WeightFile()
+    constants = {name: json.dumps(values) for name, values in network_constants(model, rule).items()}
+
+    def metadata(name: str) -> dict[str, str]:
+        return {"lambent.network": constants[name]}
+
+    made = {
+        "gbuffer": graphs.gbuffer_graph(model, rule, weights, metadata("gbuffer")),
+        "material": graphs.material_graph(model, weights, metadata("material")),
+        "fast_cache_sky": graphs.fast_cache_graph(model, 0, weights, metadata("fast_cache")),
+    }
+    for name, graph in made.items():
+        (folder / "models" / f"{name}.onnx").write_bytes(graph.SerializeToString())
+    (folder / "models" / "weights.bin").write_bytes(weights.to_bytes())
+    (folder / "cameras.json").write_text(
+        cameras_json(turntable(2, radius=4.0, width=16, height=16)), encoding="utf-8"
+    )
+    manifest = manifest_of(AnalyticScene((), origin_offset=0.01))
+    manifest.secondary_rays.near, manifest.secondary_rays.far = model.domain.secondary
+    for tensor in weights.tensors.values():
+        manifest.tensors.add(
+            name=tensor.name,
+            dtype="float32",
+            shape=tensor.values.shape,
+            offset_bytes=tensor.offset_bytes,
+            size_bytes=tensor.values.nbytes,
+        )
+    for name, grid in graphs.exported_grids(model).items():
+        entry = manifest.grids.add(
+            name=name,
+            tensor=f"{name}.table",
+            num_features=grid.layout.num_features,
+            half_extent=grid.layout.half_extent,
+            output_scale=1.0,
+        )
+        for level in grid.layout.levels:
+            entry.levels.add(
+                resolution=level.resolution,
+                first_row=level.first_row,
+                num_rows=level.num_rows,
+                multiplier_y=level.multiplier_y,
+                multiplier_z=level.multiplier_z,
+            )
     write_manifest(folder, manifest)
+    return folder
 
 
 def set_network_metadata(folder: Path, graph: str, values: dict) -> None:
-    """Write `values` as the constants of a graph's network."""
+    """Write `values` as the constants of a graph's network; the manifest must be written again."""
     path = folder / "models" / f"{graph}.onnx"
     model = onnx.load(path, load_external_data=False)
+    del model.metadata_props[:]
     onnx.helper.set_model_props(model, {"lambent.network": json.dumps(values)})
     path.write_bytes(model.SerializeToString())

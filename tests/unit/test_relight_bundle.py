@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
@@ -308,14 +309,30 @@ def test_a_graph_that_fails_while_it_runs_is_an_error_of_the_bundle(bundle):
         caches.material(np.ones((2, 3), np.float32))
 
 
-def test_trimming_a_graph_keeps_what_is_asked_for_and_its_values(bundle):
+def test_trimming_a_graph_keeps_what_is_asked_for_and_nothing_else(bundle):
+    weights = (bundle / "models" / "weights.bin").read_bytes()
     data = (bundle / "models" / "gbuffer.onnx").read_bytes()
-    model = onnx.load_from_string(keep_outputs(data, {"distance", "albedo"}))
-    assert [output.name for output in model.graph.output] == ["distance", "albedo"]
-    whole = onnx.load_from_string(data)
-    del whole.graph.output[:]
-    del model.graph.output[:]
-    assert model == whole
+    trimmed = keep_outputs(data, {"distance"})
+    nodes = [onnx.load_from_string(d).graph.node for d in (data, trimmed)]
+    assert 0 < len(nodes[1]) < len(nodes[0])
+    values = np.random.default_rng(0).normal(size=(2, 50, 3)).astype(np.float32)
+    results = []
+    for model in (data, trimmed):
+        options = onnxruntime.SessionOptions()
+        options.add_external_initializers_from_files_in_memory(["weights.bin"], [weights], [len(weights)])
+        session = onnxruntime.InferenceSession(model, options)
+        results.append(session.run(["distance"], {"origin": values[0], "direction": values[1]})[0])
+    assert [output.name for output in session.get_outputs()] == ["distance"]
+    np.testing.assert_array_equal(*results)
+
+
+def test_a_graph_with_inner_graphs_is_trimmed_of_outputs_only(bundle):
+    model = onnx.load(bundle / "models" / "gbuffer.onnx", load_external_data=False)
+    inner = onnx.helper.make_graph([], "inner", [], [], [])
+    model.graph.node[0].attribute.append(onnx.helper.make_attribute("body", inner))
+    trimmed = onnx.load_from_string(keep_outputs(model.SerializeToString(), {"distance"}))
+    assert len(trimmed.graph.node) == len(model.graph.node)
+    assert [output.name for output in trimmed.graph.output] == ["distance"]
 
 
 def test_metadata_of_a_graph_is_read(bundle):

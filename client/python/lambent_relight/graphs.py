@@ -20,8 +20,8 @@ from lambent_relight.onnx_wire import keep_outputs
 
 Rows = NDArray[np.float32]
 
-CHUNK_ROWS = 16384
-"""Rows per call of a graph; bounds the memory of its intermediate values (about 10 kB a row)."""
+_ROWS_PER_CALL = {"gbuffer": 128, "fast_cache": 8192, "material": 8192}
+"""Bounds the memory of a graph's intermediate values: a camera ray asks for density at about 100 points."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,9 @@ class SurfaceCaches(Protocol):
     name: str
     """"onnxruntime" or "fused"."""
 
+    def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
+        """Return what camera rays [ray, 3] see."""
+
     def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
         """Return what rays [ray, 3] from offset surface points see."""
 
@@ -78,8 +81,15 @@ class OnnxGraph:
     """One graph with named inputs and outputs."""
 
     def __init__(
-        self, bundle: Bundle, path: str, inputs: tuple[str, ...], outputs: dict[str, int], threads: int
-    ):
+        self,
+        bundle: Bundle,
+        path: str,
+        inputs: tuple[str, ...],
+        outputs: dict[str, int],
+        *,
+        threads: int,
+        rows_per_call: int,
+    ) -> None:
         """Open a graph for the named outputs [row, n] alone; what only others need is not computed.
 
         Raises BundleError when its inputs or outputs are not the named ones.
@@ -114,13 +124,14 @@ class OnnxGraph:
                 f"expected inputs {list(inputs)} and outputs {outputs}",
             )
         self._path, self._inputs, self._outputs = path, inputs, list(outputs)
+        self._rows_per_call = rows_per_call
 
     def __call__(self, *arrays: Rows) -> dict[str, Rows]:
-        """Return the outputs by name for inputs [row, 3], computed `CHUNK_ROWS` rows at a time."""
+        """Return the outputs by name for inputs [row, 3], computed `rows_per_call` at a time."""
         pieces = []
-        for start in range(0, max(len(arrays[0]), 1), CHUNK_ROWS):
+        for start in range(0, max(len(arrays[0]), 1), self._rows_per_call):
             feed = {
-                name: np.ascontiguousarray(array[start : start + CHUNK_ROWS], np.float32)
+                name: np.ascontiguousarray(array[start : start + self._rows_per_call], np.float32)
                 for name, array in zip(self._inputs, arrays, strict=True)
             }
             pieces.append(self._run(feed))
@@ -140,7 +151,8 @@ class OnnxGraph:
 _WIDTHS = {"normal": 3, "albedo": 3}
 
 
-def _outputs(kind: type) -> dict[str, int]:
+def output_widths(kind: type) -> dict[str, int]:
+    """Return the outputs that a result class holds, and their widths."""
     return {field.name: _WIDTHS.get(field.name, 1) for field in fields(kind)}
 
 
@@ -158,7 +170,14 @@ class OnnxCaches:
     def _graph(self, name: str, inputs: tuple[str, ...], kind: type) -> OnnxGraph:
         if name not in self._opened:
             path = self._bundle.graph_path(name)
-            self._opened[name] = OnnxGraph(self._bundle, path, inputs, _outputs(kind), self._threads)
+            self._opened[name] = OnnxGraph(
+                self._bundle,
+                path,
+                inputs,
+                output_widths(kind),
+                threads=self._threads,
+                rows_per_call=_ROWS_PER_CALL[name],
+            )
         return self._opened[name]
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:

@@ -8,7 +8,9 @@ onnx.proto (ONNX 1.19), which are frozen by its compatibility rules.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-MODEL_GRAPH, GRAPH_OUTPUT, VALUE_NAME, MODEL_METADATA = 7, 12, 1, 14
+MODEL_GRAPH, MODEL_METADATA = 7, 14
+GRAPH_NODE, GRAPH_OUTPUT, VALUE_NAME = 1, 12, 1
+NODE_INPUT, NODE_OUTPUT, NODE_ATTRIBUTE, ATTRIBUTE_GRAPHS = 1, 2, 5, (6, 11)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +80,40 @@ def _encode_varint(value: int) -> bytes:
 
 
 def keep_outputs(data: bytes, names: set[str]) -> bytes:
-    """Return the ONNX model with only the graph outputs `names`.
+    """Return the ONNX model with only the graph outputs `names` and the nodes that serve them.
 
-    A runtime then leaves out everything that served the others alone.
+    onnxruntime computes every node, asked for or not. Graphs with inner graphs keep all their nodes.
     """
     model = bytearray()
     for field in fields(memoryview(data)):
         if field.number != MODEL_GRAPH:
             model += field.raw
             continue
-        graph = bytearray()
-        for part in fields(field.message()):
-            if part.number != GRAPH_OUTPUT or _value_name(part) in names:
-                graph += part.raw
+        graph = b"".join(_serving(list(fields(field.message())), names))
         model += _encode_varint(MODEL_GRAPH << 3 | 2) + _encode_varint(len(graph)) + graph
     return bytes(model)
+
+
+def _serving(parts: list[Field], names: set[str]) -> list[memoryview]:
+    """Return the fields of a graph without other outputs than `names` and without nodes only those need."""
+    kept = [p for p in parts if p.number != GRAPH_OUTPUT or _value_name(p) in names]
+    if any(_has_inner_graph(p) for p in parts if p.number == GRAPH_NODE):
+        return [p.raw for p in kept]
+    needed, serving = set(names), []
+    # Nodes stand in an order in which none comes before what it needs.
+    for part in reversed(kept):
+        if part.number == GRAPH_NODE:
+            node = list(fields(part.message()))
+            if needed.isdisjoint(f.text() for f in node if f.number == NODE_OUTPUT):
+                continue
+            needed.update(f.text() for f in node if f.number == NODE_INPUT)
+        serving.append(part.raw)
+    return serving[::-1]
+
+
+def _has_inner_graph(node: Field) -> bool:
+    attributes = [field for field in fields(node.message()) if field.number == NODE_ATTRIBUTE]
+    return any(part.number in ATTRIBUTE_GRAPHS for field in attributes for part in fields(field.message()))
 
 
 def _value_name(output: Field) -> str:

@@ -42,26 +42,9 @@ class Renderer:
         as a warning with the reason. Raises SettingError when "fused" is asked for and impossible.
         """
         self.bundle = bundle
-        self._graphs = OnnxCaches(bundle, num_threads=num_threads)
-        self.caches: SurfaceCaches = self._graphs
-        if reader != "onnx":
-            self.caches = self._fused(num_threads, must=reader == "fused")
+        self.caches: SurfaceCaches = _open_caches(bundle, num_threads, reader)
         self._seen: dict[bytes, PrimaryHits] = {}
         self._light: tuple[Environment, Light] | None = None
-
-    def _fused(self, num_threads: int | None, *, must: bool) -> SurfaceCaches:
-        # Compiled code takes a second to import, which programs that only look at bundles do not pay.
-        from lambent_relight.fused import FusedCaches, NotFused
-
-        try:
-            return FusedCaches(self.bundle, num_threads=num_threads)
-        except NotFused as reason:
-            if must:
-                raise SettingError(
-                    "relight.reader", f"the fused reader cannot read this bundle ({reason})", 'use "onnx"'
-                ) from reason
-            _LOG.warning("relighting through onnxruntime, several times slower: %s", reason)
-            return self._graphs
 
     def gbuffer(self, camera: Camera) -> PrimaryHits:
         """Return what `camera` sees, [height * width, n] each; asked for once per camera."""
@@ -69,7 +52,7 @@ class Renderer:
         if key not in self._seen:
             while len(self._seen) >= _KEPT_VIEWS:
                 self._seen.pop(next(iter(self._seen)))
-            self._seen[key] = self._graphs.gbuffer(*camera.rays())
+            self._seen[key] = self.caches.gbuffer(*camera.rays())
         return self._seen[key]
 
     def _prepared(self, environment: Environment) -> Light:
@@ -150,6 +133,23 @@ class Renderer:
             coverage=coverage,
             num_samples=radiance.num_samples,
         )
+
+
+def _open_caches(bundle: Bundle, num_threads: int | None, reader: Reader) -> SurfaceCaches:
+    if reader == "onnx":
+        return OnnxCaches(bundle, num_threads=num_threads)
+    # Compiled code takes a second to import, which programs that only look at bundles do not pay.
+    from lambent_relight.fused import FusedCaches, NotFused
+
+    try:
+        return FusedCaches(bundle, num_threads=num_threads)
+    except NotFused as reason:
+        if reader == "fused":
+            raise SettingError(
+                "relight.reader", f"the fused reader cannot read this bundle ({reason})", 'use "onnx"'
+            ) from reason
+        _LOG.warning("relighting through onnxruntime, several times slower: %s", reason)
+        return OnnxCaches(bundle, num_threads=num_threads)
 
 
 def _checked_ratio(bundle: Bundle, ratio: NDArray[np.floating] | None) -> NDArray[np.float32]:
