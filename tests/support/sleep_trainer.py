@@ -1,8 +1,8 @@
 """A run process whose pipeline only sleeps: the faults of the service are tried on it, without a model.
 
-`python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer it:
-`num_steps`, `step_s`, `checkpoint_every`, `fail_at` (with `fail_how`, and `fail_once`: a file that is made by the
-first failure), `hang_at`, and `touch`: a file that gets one line each time the pipeline comes to its end.
+`python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer
+it: `num_steps`, `step_s`, `checkpoint_every`, `hang_at`, `fail_at` (with `fail_how`, and `fail_once`: a file
+that the first failure makes), and `touch`: a file that gets a line each time the pipeline comes to its end.
 """
 
 import hashlib

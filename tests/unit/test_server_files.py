@@ -26,7 +26,7 @@ def bundle(api: Api, tmp_path_factory: pytest.TempPathFactory) -> str:
     files = {
         "manifest.json": b'{"name": "x"}',
         "models/weights.bin": WEIGHTS,
-        "preview/page.html": b"<script>",
+        "page.html": b"<script>",
     }
     for place, data in enumerate(files.values()):
         path = folder / str(place)

@@ -1,0 +1,119 @@
+"""Slow and oversized requests against the real HTTP server, by plain sockets."""
+
+import contextlib
+import json
+import socket
+import time
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import httpx2
+import pytest
+from support.live_server import LiveServer
+
+pytestmark = pytest.mark.slow
+SLOW = {"header_timeout_s": 1.0, "body_window_s": 1.0, "max_json_bytes": 2000}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveServer]:
+    with LiveServer(tmp_path_factory.mktemp("limits") / "data", **SLOW) as server:
+        yield server
+
+
+@contextlib.contextmanager
+def connected(server: LiveServer) -> Iterator[socket.socket]:
+    parts = urlsplit(server.url)
+    with socket.create_connection((parts.hostname, parts.port), timeout=10) as connection:
+        yield connection
+
+
+def head(server: LiveServer, length: str) -> bytes:
+    lines = [
+        "POST /v1/scenes HTTP/1.1",
+        f"Host: {urlsplit(server.url).netloc}",
+        f"Authorization: Bearer {server.key}",
+        "Content-Type: application/json",
+        length,
+    ]
+    return "\r\n".join([*lines, "", ""]).encode()
+
+
+def read_all(connection: socket.socket) -> bytes:
+    """Return what comes until the server closes the connection."""
+    data = b""
+    with contextlib.suppress(ConnectionResetError):
+        while chunk := connection.recv(65536):
+            data += chunk
+    return data
+
+
+def test_half_open_requests_are_closed_and_the_server_answers_meanwhile(server: LiveServer):
+    with contextlib.ExitStack() as stack:
+        connections = [stack.enter_context(connected(server)) for _ in range(50)]
+        for connection in connections:
+            connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: local")
+        began = time.monotonic()
+        assert httpx2.get(f"{server.url}/healthz").status_code == 200
+        assert time.monotonic() - began < 1.0
+        for connection in connections:
+            read_all(connection)
+        assert time.monotonic() - began < 6
+
+
+def test_bodies_that_drip_are_ended_with_a_408(server: LiveServer):
+    with contextlib.ExitStack() as stack:
+        connections = [stack.enter_context(connected(server)) for _ in range(20)]
+        for connection in connections:
+            connection.sendall(head(server, "Content-Length: 1000") + b'{"na')
+        began = time.monotonic()
+        for connection in connections:
+            answer = read_all(connection)
+            assert answer.startswith(b"HTTP/1.1 408")
+            assert json.loads(answer.partition(b"\r\n\r\n")[2])["code"] == "body_too_slow"
+        assert time.monotonic() - began < 8
+
+
+def test_a_body_that_is_announced_as_too_large_is_refused_unread_and_the_connection_closed(
+    server: LiveServer,
+):
+    with connected(server) as connection:
+        connection.sendall(head(server, "Content-Length: 1000000000"))
+        began = time.monotonic()
+        answer = read_all(connection)
+    assert answer.startswith(b"HTTP/1.1 413")
+    assert b"connection: close" in answer.lower()
+    assert time.monotonic() - began < 1.0
+
+
+def test_a_body_without_length_is_cut_off_at_the_limit(server: LiveServer):
+    with connected(server) as connection:
+        connection.sendall(head(server, "Transfer-Encoding: chunked"))
+        with contextlib.suppress(ConnectionError):
+            for _ in range(5):
+                connection.sendall(b"3e8\r\n" + b"x" * 1000 + b"\r\n")
+        answer = read_all(connection)
+    assert answer.startswith(b"HTTP/1.1 413")
+
+
+def test_noise_is_no_request_and_harms_nobody(server: LiveServer):
+    for noise in (b"\x16\x03\x01\x02\x00\x01", b"GET\r\n\r\n", b"\0" * 1000, b"A" * 500_000 + b"\r\n\r\n"):
+        with connected(server) as connection:
+            with contextlib.suppress(ConnectionError):
+                connection.sendall(noise)
+                connection.shutdown(socket.SHUT_WR)
+            read_all(connection)
+    assert httpx2.get(f"{server.url}/healthz").status_code == 200
+
+
+def test_an_upload_that_breaks_off_leaves_nothing(server: LiveServer):
+    scene_id = server.client.post("/v1/scenes", json={"name": "x"}).json()["id"]
+    with connected(server) as connection:
+        text = head(server, "Content-Length: 5000").replace(
+            b"POST /v1/scenes ", f"PUT /v1/scenes/{scene_id}/archive ".encode()
+        )
+        connection.sendall(text + b"PK\x03\x04")
+        time.sleep(0.3)
+    time.sleep(0.5)
+    assert list((server.data / "scratch").iterdir()) == []
+    assert server.client.get(f"/v1/scenes/{scene_id}").json()["state"] == "open"

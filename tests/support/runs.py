@@ -1,0 +1,114 @@
+"""The controller without processes: an executor that does what a test says, and a run that speaks gRPC."""
+
+import contextlib
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
+from lambent_server.capability import run_token
+from lambent_server.controller import Controller
+from lambent_server.executors import Gone, Handle, Launch
+from lambent_server.worker_service import serve_workers
+from support.api import Api, opened
+
+SECRET = "secret of the test"
+
+
+@dataclass
+class FakeExecutor:
+    """Keeps what was asked of it; a process ends when the test says so."""
+
+    launches: list[Launch] = field(default_factory=list)
+    stops: list[tuple[int, bool]] = field(default_factory=list)
+    gone: dict[int, int | None] = field(default_factory=dict)
+    broken: bool = False
+
+    def start(self, launch: Launch) -> Handle:
+        if self.broken:
+            raise OSError("no such program")
+        self.launches.append(launch)
+        return {"pid": len(self.launches), "identity": "x", "gpus": list(launch.gpus)}
+
+    def poll(self, handle: Handle) -> Gone | None:
+        return Gone(self.gone[handle["pid"]]) if handle["pid"] in self.gone else None
+
+    def stop(self, handle: Handle, *, force: bool) -> None:
+        self.stops.append((handle["pid"], force))
+
+    def adopt(self, handle: Handle) -> bool:
+        return handle["pid"] not in self.gone
+
+
+@dataclass
+class Stage:
+    """A server without HTTP sockets and processes, and the line a run would use."""
+
+    api: Api
+    executor: FakeExecutor
+    controller: Controller
+    stub: worker_pb2_grpc.WorkerServiceStub
+
+    def start(self, **order: Any) -> str:
+        """Return a job that the controller has started."""
+        job = self.api.job(**order)
+        self.controller.turn()
+        assert self.job(job["id"])["state"] == "running"
+        return str(job["id"])
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """Return the job."""
+        return dict(self.api.get(f"/v1/jobs/{job_id}").json())
+
+    def end(self, exit_code: int | None = None) -> None:
+        """End the process that was started last, and let the controller see it."""
+        self.executor.gone[len(self.executor.launches)] = exit_code
+        self.controller.turn()
+
+    def call(self, method: str, job_id: str, run: int = 1, *, token: str | None = None, **fields: Any) -> Any:
+        """Call the worker service as run `run` of a job."""
+        fence = worker_pb2.Fence(job_id=job_id, run=run)
+        request = getattr(worker_pb2, f"{method}Request")(fence=fence, **fields)
+        return getattr(self.stub, method)(request, metadata=metadata(job_id, run, token), timeout=5)
+
+    def put(self, job_id: str, data: bytes, run: int = 1, sha256: str | None = None) -> str:
+        """Send a blob as a run and return its hash."""
+        digest = sha256 or hashlib.sha256(data).hexdigest()
+        fence = worker_pb2.Fence(job_id=job_id, run=run)
+        header = worker_pb2.BlobHeader(fence=fence, sha256=digest, size_bytes=len(data))
+        messages = [worker_pb2.PutBlobRequest(header=header), worker_pb2.PutBlobRequest(data=data)]
+        self.stub.PutBlob(iter(messages), metadata=metadata(job_id, run, None), timeout=5)
+        return digest
+
+
+def metadata(job_id: str, run: int, token: str | None) -> tuple[tuple[str, str], ...]:
+    """Return what proves that a call comes from a run."""
+    return (("authorization", f"Bearer {token or run_token(SECRET, job_id, run)}"),)
+
+
+@contextlib.contextmanager
+def staged(folder: Path, **settings: Any) -> Iterator[Stage]:
+    """Yield a stage on an empty folder."""
+    with opened(folder / "data", **settings) as api:
+        address = f"unix:{folder}/w.sock"
+        executor = FakeExecutor()
+        controller = Controller(api.services, executor, secret=SECRET, address=address)
+        server = serve_workers(api.services, SECRET, address)
+        channel = grpc.insecure_channel(address)
+        try:
+            yield Stage(api, executor, controller, worker_pb2_grpc.WorkerServiceStub(channel))
+        finally:
+            channel.close()
+            server.stop(0).wait()
+
+
+@contextlib.contextmanager
+def refused(code: grpc.StatusCode) -> Iterator[None]:
+    """Expect a call to be answered with this status."""
+    with pytest.raises(grpc.RpcError) as caught:
+        yield
+    assert caught.value.code() == code, caught.value

@@ -1,0 +1,195 @@
+"""The controller's decisions, with an executor that does what the test says."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from lambent_proto.v1 import worker_pb2
+from support.runs import Stage, staged
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    with staged(tmp_path, retry_delay_s=0.0, local_slots=1, max_losses=4) as stage:
+        yield stage
+
+
+def travel(monkeypatch: pytest.MonkeyPatch, stage: Stage, seconds: float) -> None:
+    """Let time pass for the controller."""
+    import time
+
+    for module in ("controller", "outcomes", "job_rows"):
+        monkeypatch.setattr(f"lambent_server.{module}.now", lambda: time.time() + seconds)
+
+
+def test_larger_priority_goes_first_and_then_who_came_first(stage: Stage):
+    scene = stage.api.scene()
+    jobs = [stage.api.job(scene, priority=priority)["id"] for priority in (0, 5, 0, 5)]
+    for _ in jobs:
+        stage.controller.turn()
+        stage.call("Finish", stage.executor.launches[-1].job_id, outcome=worker_pb2.OUTCOME_SUCCEEDED)
+        stage.end(0)
+    assert [launch.job_id for launch in stage.executor.launches] == [jobs[1], jobs[3], jobs[0], jobs[2]]
+
+
+def test_slots_are_shared_between_tenants(tmp_path: Path):
+    from support.api import STRANGER_KEY, expect, sha256
+
+    with staged(tmp_path, local_slots=2) as stage:
+        mine = [stage.api.job()["id"] for _ in range(3)]
+        other = stage.api.other(STRANGER_KEY)
+        scene = expect(other.post("/v1/scenes", json={"name": "x"}), 201)["id"]
+        digest = sha256(b"{}")
+        plan = [{"path": "a.json", "size": 2, "sha256": digest}]
+        expect(other.post(f"/v1/scenes/{scene}/files:plan", json=plan), 200)
+        expect(other.put(f"/v1/scenes/{scene}/files/{digest}", content=b"{}"), 204)
+        expect(other.post(f"/v1/scenes/{scene}:commit"), 200)
+        theirs = expect(other.post("/v1/jobs", json={"scene_id": scene, "preset": "tiny"}), 202)["id"]
+        stage.controller.turn()
+        assert [launch.job_id for launch in stage.executor.launches] == [mine[0], theirs]
+
+
+def test_gpus_are_handed_out_once_and_small_jobs_pass_by(tmp_path: Path):
+    with staged(tmp_path, local_slots=3, local_gpus=1) as stage:
+        scene = stage.api.scene()
+        jobs = [stage.api.job(scene, gpus=gpus)["id"] for gpus in (1, 1, 0)]
+        stage.controller.turn()
+        assert [(launch.job_id, launch.gpus) for launch in stage.executor.launches] == [
+            (jobs[0], (0,)),
+            (jobs[2], ()),
+        ]
+
+
+def test_a_lost_run_starts_again_at_once_and_is_no_failure(stage: Stage):
+    job = stage.start()
+    stage.end()
+    found = stage.job(job)
+    assert (found["state"], found["run"], found["error"]) == ("running", 2, None)
+
+
+def test_three_losses_without_a_checkpoint_are_poison(stage: Stage):
+    job = stage.start()
+    for _ in range(3):
+        stage.end(-9)
+    found = stage.job(job)
+    assert (found["state"], found["error"]["code"]) == ("failed", "run_poisoned")
+
+
+def test_losses_have_a_limit_even_with_checkpoints(stage: Stage):
+    job = stage.start()
+    for run in range(1, 6):
+        digest = stage.put(job, b"state", run)
+        manifest = {"stage": "joint", "step": run, "files": [{"path": "joint/a", "sha256": digest}]}
+        stage.call("CommitCheckpoint", job, run, manifest=manifest)
+        stage.end(-9)
+    found = stage.job(job)
+    assert (found["state"], found["error"]["code"]) == ("failed", "run_lost")
+
+
+def test_a_crash_is_a_failure_and_three_are_the_end(stage: Stage):
+    job = stage.start()
+    for _ in range(2):
+        stage.end(1)
+        assert stage.job(job)["state"] in ("retry_wait", "running")
+        stage.controller.turn()
+        stage.controller.turn()
+    stage.end(1)
+    found = stage.job(job)
+    assert (found["state"], found["run"], found["error"]["code"]) == ("failed", 3, "run_crashed")
+
+
+@pytest.mark.parametrize("cause", ["BAD_SCENE", "BAD_CONFIG"])
+def test_what_cannot_get_better_is_not_tried_again(stage: Stage, cause: str):
+    job = stage.start()
+    stage.call("Fail", job, cause=f"FAIL_CAUSE_{cause}", code="scene.bad", message="mend it")
+    found = stage.job(job)
+    assert (found["state"], found["run"]) == ("failed", 1)
+    assert found["error"] == {"code": "scene.bad", "message": "mend it", "cause": cause.lower(), "run": 1}
+
+
+@pytest.mark.parametrize(
+    ("cause", "field"), [("GPU_OUT_OF_MEMORY", "ray_chunk"), ("DIVERGED", "learning_rate")]
+)
+def test_some_failures_are_tried_once_more_with_something_changed(stage: Stage, cause: str, field: str):
+    job = stage.start()
+    assert stage.call("Start", job).adjustments == worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=1.0)
+    stage.call("Report", job, sequence=1, progress={"stage": "joint", "step": 1, "num_steps": 9})
+    stage.call("Fail", job, cause=f"FAIL_CAUSE_{cause}", code="x", message="y")
+    stage.end(0)
+    stage.controller.turn()
+    stage.controller.turn()
+    assert stage.job(job)["run"] == 2
+    adjustments = stage.call("Start", job, 2).adjustments
+    assert getattr(adjustments, field) < 1.0
+    assert adjustments.stage == "joint"
+    stage.call("Fail", job, 2, cause=f"FAIL_CAUSE_{cause}", code="x", message="y")
+    assert stage.job(job)["state"] == "failed"
+
+
+def test_a_program_that_does_not_start_is_a_failure(stage: Stage):
+    stage.executor.broken = True
+    job = stage.api.job()["id"]
+    for _ in range(6):
+        stage.controller.turn()
+    found = stage.job(job)
+    assert (found["state"], found["error"]["code"]) == ("failed", "run_not_started")
+
+
+def test_a_cancel_asks_once_and_then_kills(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+    job = stage.start()
+    stage.api.post(f"/v1/jobs/{job}:cancel")
+    stage.controller.turn()
+    stage.controller.turn()
+    assert stage.executor.stops == [(1, False)]
+    assert stage.job(job)["state"] == "cancelling"
+    travel(monkeypatch, stage, stage.api.services.settings.stop_grace_s + 1)
+    stage.controller.turn()
+    assert stage.executor.stops == [(1, False), (1, True)]
+    # Only when the process is gone.
+    assert stage.job(job)["state"] == "cancelling"
+    stage.end(-9)
+    assert stage.job(job)["state"] == "cancelled"
+
+
+def test_a_run_without_a_step_for_too_long_is_stopped(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+    job = stage.start()
+    stage.call("Start", job)
+    travel(monkeypatch, stage, stage.api.services.settings.stall_after_s + 1)
+    stage.controller.turn()
+    assert stage.executor.stops == [(1, False)]
+    assert stage.call("Heartbeat", job).stop
+    stage.end(-15)
+    assert stage.job(job)["error"]["code"] == "run_stalled"
+
+
+def test_a_process_that_outlives_its_job_is_ended(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+    job = stage.start()
+    stage.call("Finish", job, outcome=worker_pb2.OUTCOME_SUCCEEDED)
+    stage.controller.turn()
+    assert stage.executor.stops == []
+    travel(monkeypatch, stage, stage.api.services.settings.stop_grace_s + 1)
+    stage.controller.turn()
+    assert stage.executor.stops == [(1, True)]
+
+
+def test_a_silent_run_nobody_can_find_is_lost_only_after_the_interval(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+):
+    job = stage.start()
+    with stage.api.services.database.write() as connection:
+        from lambent_server.database.schema import jobs
+        from sqlalchemy import update
+
+        connection.execute(update(jobs).values(handle=None))
+    stage.controller.turn()
+    assert stage.job(job)["run"] == 1
+    travel(monkeypatch, stage, stage.api.services.settings.lost_after_s + 1)
+    stage.controller.turn()
+    assert stage.job(job)["run"] == 2
+
+
+def test_a_paused_controller_starts_nothing(stage: Stage):
+    stage.controller.close(stop_runs=True)
+    job = stage.api.job()["id"]
+    stage.controller.turn()
+    assert stage.job(job)["state"] == "queued"
