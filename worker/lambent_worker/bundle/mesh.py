@@ -25,8 +25,10 @@ DEPTH_RANGE = 50.0
 """Optical depths are limited to this factor around `SURFACE_DEPTH` before a surface is laid through them."""
 FAINTEST = 0.05
 """Where nothing reaches that, a surface is laid at half the largest depth, if it is above this."""
-FLOATER_SHARE = 0.01
-"""Pieces with less than this share of the largest piece's size are removed."""
+FLOATER_AREA = 0.01
+"""Pieces with less than this share of the largest piece's surface are removed."""
+FLOATER_VOLUME = FLOATER_AREA**1.5
+"""The same, as a share of the largest piece's volume."""
 CHUNK_POINTS = 65536
 
 
@@ -55,7 +57,7 @@ def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
     # Matter thinner than a cell of this coarse look must not be missed.
     labels, _ = ndimage.label(depth > 0.5 * _level(depth))
     sizes = np.bincount(labels.ravel())[1:]
-    kept = np.flatnonzero(sizes >= FLOATER_SHARE * sizes.max()) + 1
+    kept = np.flatnonzero(sizes >= FLOATER_VOLUME * sizes.max()) + 1
     places = np.argwhere(np.isin(labels, kept))
     first = low + cell * (places.min(axis=0) - SURVEY_MARGIN)
     last = low + cell * (places.max(axis=0) + 1 + SURVEY_MARGIN)
@@ -128,7 +130,7 @@ def _without_floaters(
     _, piece = sparse.csgraph.connected_components(joined, directed=False)
     piece_of_face = piece[faces[:, 0]]
     sizes = np.bincount(piece_of_face)
-    faces = faces[sizes[piece_of_face] >= FLOATER_SHARE * sizes.max()]
+    faces = faces[sizes[piece_of_face] >= FLOATER_AREA * sizes.max()]
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used], faces.reshape(-1, 3)
 

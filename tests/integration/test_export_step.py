@@ -1,0 +1,221 @@
+"""The export step, from a model to a bundle that clients open."""
+
+import json
+from dataclasses import replace
+from hashlib import sha256
+
+import numpy as np
+import pytest
+import torch
+from flashcache.config import ExportConfig
+from flashcache.data.scene import Camera, Scene, View
+from flashcache.export import reference
+from flashcache.presets import tiny
+from lambent_relight.bundle import load_bundle
+from lambent_relight.cameras import look_at
+from lambent_relight.graphs import OnnxCaches
+from lambent_worker.bundle import graphs as bundle_graphs
+from lambent_worker.errors import Stopped, WorkerError
+from lambent_worker.pipeline import StepContext
+from lambent_worker.steps import export
+from support.sphere_model import BOUND, sphere_model
+
+SIDE = 16
+LIGHTS = ("day", "a night")
+
+
+class Listener:
+    """A reporter that remembers, and can ask to stop."""
+
+    def __init__(self) -> None:
+        self.events: dict[str, dict] = {}
+        self.artifacts: dict[str, object] = {}
+        self.fractions: list[float] = []
+        self.stop = False
+
+    def progress(self, *, fraction: float, **_: object) -> None:
+        self.fractions.append(fraction)
+
+    def log(self, event: str, **fields: object) -> None:
+        self.events[event] = fields
+
+    def artifact(self, name: str, path: object) -> None:
+        self.artifacts[name] = path
+
+    def should_stop(self) -> bool:
+        return self.stop
+
+
+def scene() -> Scene:
+    """Return a capture of nothing: what the export needs of it are cameras and lights."""
+    views = []
+    for name, position in (("test_000", (3.0, 0.0, 1.0)), ("test_001", (0.0, -3.0, 0.5))):
+        camera = Camera(
+            width=SIDE,
+            height=SIDE,
+            focal_x=20.0,
+            focal_y=20.0,
+            centre_x=SIDE / 2,
+            centre_y=SIDE / 2,
+            camera_to_world=look_at(position, (0.0, 0.0, 0.0)),
+        )
+        images = {light: np.zeros((SIDE, SIDE, 4), np.float32) for light in LIGHTS}
+        views.append(View(name=name, camera=camera, images=images))
+    return Scene(
+        name="ball",
+        lights=LIGHTS,
+        train=(),
+        test=tuple(views),
+        bounds_min=(-BOUND,) * 3,
+        bounds_max=(BOUND,) * 3,
+        primary=(2.0, 5.0),
+        secondary=(0.05, 2.0),
+        contraction_radius=1.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def model():
+    return sphere_model(lights=LIGHTS)
+
+
+@pytest.fixture
+def context(tmp_path, model, monkeypatch):
+    """Return a context whose run has `model` as its trained model."""
+    monkeypatch.setattr(export, "read_scene", lambda context: scene())
+    monkeypatch.setattr(export, "load_trained", lambda context, scene, stage: model)
+    monkeypatch.setattr(bundle_graphs, "PARITY_ROWS", 256)
+    (tmp_path / "scene").mkdir()
+    config = replace(
+        tiny(), export=ExportConfig(gbuffer_samples=32, mesh_resolution=24, environment_height=8)
+    )
+    made = StepContext(
+        run_dir=tmp_path / "run",
+        scene_dir=tmp_path / "scene",
+        config=config,
+        seed=0,
+        device="cpu",
+        reporter=Listener(),
+        stage="export",
+    )
+    made.folder.mkdir(parents=True)
+    (made.run_dir / "previews").mkdir()
+    (made.run_dir / "previews" / "cache.png").write_bytes(b"\x89PNG")
+    return made
+
+
+def test_a_client_opens_the_bundle_and_sees_what_the_model_sees(context, model):
+    export.run(context)
+    bundle = load_bundle(context.folder)
+    caches = OnnxCaches(bundle, num_threads=1)
+    camera = bundle.cameras()[0]
+    origin, direction = camera.rays()
+    found = caches.gbuffer(origin, direction)
+    assert (found.opacity > 0.9).any()
+    assert (found.opacity < 0.1).any()
+    rule = reference.GbufferRule(
+        box_min=tuple(bundle.manifest.bounds.minimum),
+        box_max=tuple(bundle.manifest.bounds.maximum),
+        num_samples=32,
+    )
+    with torch.no_grad():
+        expected = reference.gbuffer(model, rule, torch.from_numpy(origin), torch.from_numpy(direction))
+        answer = reference.fast_cache(model, 1, torch.from_numpy(direction), torch.from_numpy(-direction))
+    assert np.allclose(found.albedo, expected["albedo"], atol=1e-5)
+    assert np.allclose(caches.secondary(direction, -direction).opacity, answer["opacity"], atol=1e-5)
+
+
+def test_the_manifest_describes_the_bundle(context, model):
+    export.run(context)
+    manifest = load_bundle(context.folder).manifest
+    assert list(manifest.train_lights) == ["day", "a_night"]
+    assert [(graph.name, graph.light) for graph in manifest.graphs] == [
+        ("gbuffer", ""),
+        ("material", ""),
+        ("fast_cache", "day"),
+        ("fast_cache", "a_night"),
+    ]
+    for graph in manifest.graphs:
+        assert graph.parity.max_abs_error <= graph.parity.tolerance == 1e-5
+        assert graph.parity.num_samples >= 250
+    assert {file.role for file in manifest.files} == {
+        *("graph", "weights", "mesh", "environment", "cameras", "preview"),
+    }
+    assert "preview/cache.png" in {file.path for file in manifest.files}
+    assert manifest.secondary_rays.origin_offset == model.limits.origin_offset
+    data = (context.folder / "models" / "weights.bin").read_bytes()
+    assert len(data) == max(item.offset_bytes + item.size_bytes for item in manifest.tensors)
+    grid = next(item for item in manifest.grids if item.name == "fast.feature_grid")
+    table = next(item for item in manifest.tensors if item.name == grid.tensor)
+    stored = np.frombuffer(data, "<f4", int(table.size_bytes) // 4, int(table.offset_bytes))
+    assert np.array_equal(stored.reshape(table.shape), model.fast.feature_grid.table.detach())
+    assert (grid.half_extent, grid.num_features, grid.levels[-1].num_rows) == (2.0, 4, 4096)
+    assert sha256(data).hexdigest() in {file.sha256 for file in manifest.files}
+    assert set(manifest.metrics) == {
+        *("psnr_views", "gbuffer_opacity_error", "gbuffer_distance_error", "mesh_faces", "mesh_vertices"),
+    }
+
+
+def test_every_field_of_the_manifest_is_written_with_its_proto_name(context):
+    export.run(context)
+    record = json.loads((context.folder / "manifest.json").read_text())
+    assert record["world"]["environment_convention"] == "tensoir"
+    assert record["graphs"][0]["light"] == ""
+    assert record["created_at"].endswith("Z")
+
+
+def test_the_recovered_environments_are_those_of_the_model(context, model):
+    export.run(context)
+    bundle = load_bundle(context.folder)
+    for index, light in enumerate(bundle.manifest.train_lights):
+        found = bundle.trained_environment(light).radiance
+        assert np.allclose(found, model.environment.image(8, index), rtol=1e-3)
+
+
+def test_progress_reaches_the_end_and_never_falls(context):
+    export.run(context)
+    fractions = context.reporter.fractions
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert context.reporter.artifacts["asset.glb"].is_file()
+
+
+def test_a_graph_that_differs_leaves_nothing_behind(context, monkeypatch):
+    original = reference.material
+
+    def shifted(model, position):
+        return {name: value + 1e-4 for name, value in original(model, position).items()}
+
+    monkeypatch.setattr(reference, "material", shifted)
+    (context.folder / "old").write_text("the bundle of another time")
+    with pytest.raises(WorkerError, match="material"):
+        export.run(context)
+    assert [path.name for path in context.folder.iterdir()] == ["old"]
+    assert not context.folder.with_name("bundle.partial").exists()
+
+
+def test_a_request_to_stop_leaves_nothing_behind(context):
+    context.reporter.stop = True
+    with pytest.raises(Stopped):
+        export.run(context)
+    assert not any(context.folder.iterdir())
+
+
+def test_the_bundle_replaces_an_older_one(context):
+    (context.folder / "old").write_text("the bundle of another time")
+    export.run(context)
+    assert not (context.folder / "old").exists()
+    load_bundle(context.folder)
+
+
+def test_two_exports_of_one_model_differ_only_in_their_time(context):
+    export.run(context)
+    first = {path.name: path.read_bytes() for path in context.folder.rglob("*") if path.is_file()}
+    export.run(context)
+    second = {path.name: path.read_bytes() for path in context.folder.rglob("*") if path.is_file()}
+    assert {name for name in first if first[name] != second[name]} <= {"manifest.json"}
+
+
+def test_light_names_become_file_names_without_meeting():
+    assert export.light_names(("sun set", "day")) == ["sun_set", "day"]
+    assert export.light_names(("a b", "a/b")) == ["a_b_0", "a_b_1"]

@@ -1,0 +1,83 @@
+"""The mesh of a trained density, on a ball."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from lambent_worker.bundle.mesh import extract_mesh, occupied_box
+from lambent_worker.errors import WorkerError
+from support.sphere_model import BOUND, RADIUS, sphere_model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return sphere_model()
+
+
+@pytest.fixture(scope="module")
+def mesh(model):
+    return extract_mesh(model, (-0.8,) * 3, (0.8,) * 3, 40)
+
+
+def signed_volume(mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
+
+
+def test_vertices_lie_on_the_ball(mesh):
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    assert abs(radii.mean() - RADIUS) < 0.06
+    assert radii.std() < 0.02
+
+
+def test_triangles_face_outwards_and_enclose_the_balls_volume(mesh):
+    radius = float(np.linalg.norm(mesh.vertices, axis=1).mean())
+    assert signed_volume(mesh) == pytest.approx(4.0 / 3.0 * math.pi * radius**3, rel=0.05)
+
+
+def test_vertices_carry_the_materials_at_their_places(model, mesh):
+    with torch.no_grad():
+        expected = model.materials(torch.from_numpy(mesh.vertices[::50]))
+    assert np.allclose(mesh.albedo[::50], expected.albedo, atol=1e-6)
+    assert np.allclose(mesh.perceptual_roughness[::50] ** 2, expected.alpha, atol=1e-6)
+    assert np.allclose(mesh.metalness[::50], expected.metalness, atol=1e-6)
+
+
+def test_the_occupied_box_encloses_the_ball_with_a_margin(model):
+    low, high = occupied_box(model)
+    cell = 2.0 * BOUND / 64
+    for a, b in zip(low, high, strict=True):
+        assert -RADIUS - 5 * cell < a < -RADIUS
+        assert RADIUS < b < RADIUS + 5 * cell
+
+
+def test_floaters_are_removed(model, monkeypatch):
+    ball = model.nerf.density.density
+
+    def with_floater(positions: torch.Tensor) -> torch.Tensor:
+        apart = (positions - torch.tensor([0.75, 0.75, 0.75])).norm(dim=-1)
+        return ball(positions) + 500.0 * (apart < 0.035)
+
+    monkeypatch.setattr(model.nerf.density, "density", with_floater)
+    assert occupied_box(model)[1][0] < 0.7
+    mesh = extract_mesh(model, (-0.9,) * 3, (0.9,) * 3, 40)
+    assert np.linalg.norm(mesh.vertices, axis=1).max() < 0.7
+    assert mesh.faces.max() == len(mesh.vertices) - 1
+
+
+def test_matter_that_touches_the_box_is_closed_there(model):
+    mesh = extract_mesh(model, (-0.8,) * 3, (0.8, 0.8, 0.0), 40)
+    edges = np.sort(
+        np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1
+    )
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert signed_volume(mesh) > 0.0
+
+
+def test_empty_space_is_refused_with_what_to_do(model, monkeypatch):
+    monkeypatch.setattr(model.nerf.density, "density", lambda positions: torch.zeros(len(positions)))
+    with pytest.raises(WorkerError, match="train with more steps") as raised:
+        occupied_box(model)
+    assert raised.value.code == "export.no_surface"

@@ -1,0 +1,88 @@
+"""The comparison of a graph with the function it was made from."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from lambent_worker.bundle.parity import compare
+from lambent_worker.errors import WorkerError
+from onnx import TensorProto, helper, numpy_helper
+
+MODEL = torch.nn.Linear(1, 1)
+
+
+def step_graph(folder: Path, threshold: float) -> Path:
+    """Write the graph x -> 1 where x < threshold, else 0."""
+    constants = [
+        numpy_helper.from_array(np.float32(value), name)
+        for name, value in (("threshold", threshold), ("one", 1.0), ("zero", 0.0))
+    ]
+    nodes = [
+        helper.make_node("Less", ["x", "threshold"], ["below"]),
+        helper.make_node("Where", ["below", "one", "zero"], ["y"]),
+    ]
+    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["row", 1]) for name in "xy"]
+    graph = helper.make_graph(nodes, "step", ends[:1], ends[1:], constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    path = folder / "step.onnx"
+    onnx.save(model, path)
+    return path
+
+
+def step_at_half(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
+    return {"y": (inputs["x"] < 0.5).to(inputs["x"].dtype)}
+
+
+def inputs(*values: float, count: int = 1000) -> dict[str, torch.Tensor]:
+    """Return `values` followed by numbers away from one half."""
+    rest = torch.linspace(-0.4, 0.4, count - len(values))
+    return {"x": torch.cat([torch.tensor(values), rest])[:, None]}
+
+
+def test_an_equal_graph_has_no_error(tmp_path):
+    result = compare("step", step_graph(tmp_path, 0.5), step_at_half, MODEL, inputs())
+    assert (result.max_abs_error, result.num_samples, result.num_left_out) == (0.0, 1000, 0)
+
+
+def test_a_different_graph_is_refused_with_its_error_and_what_to_do(tmp_path):
+    with pytest.raises(WorkerError, match=r"1\.00e\+00.*Report this") as raised:
+        compare("step", step_graph(tmp_path, 0.6), step_at_half, MODEL, inputs(0.55))
+    assert raised.value.code == "export.parity"
+
+
+def test_an_input_on_the_edge_of_a_step_does_not_count(tmp_path):
+    graph = step_graph(tmp_path, 0.5 + 3e-7)
+    result = compare("step", graph, step_at_half, MODEL, inputs(0.5 + 1.2e-7))
+    assert (result.max_abs_error, result.num_samples, result.num_left_out) == (0.0, 999, 1)
+
+
+def test_only_few_inputs_may_be_left_out(tmp_path):
+    graph = step_graph(tmp_path, 0.5 + 3e-7)
+    with pytest.raises(WorkerError, match="11 of 1000"):
+        compare("step", graph, step_at_half, MODEL, inputs(*[0.5 + 1.2e-7] * 11))
+
+
+def test_a_value_that_is_not_a_number_is_refused(tmp_path):
+    def broken(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
+        return {"y": torch.where(inputs["x"] == inputs["x"][0], torch.nan, step_at_half(model, inputs)["y"])}
+
+    with pytest.raises(WorkerError):
+        compare("step", step_graph(tmp_path, 0.5), broken, MODEL, inputs())
+
+
+def test_the_model_is_asked_with_full_precision_products(tmp_path):
+    seen = []
+
+    def watching(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
+        seen.append(torch.get_float32_matmul_precision())
+        return step_at_half(model, inputs)
+
+    torch.set_float32_matmul_precision("medium")
+    try:
+        compare("step", step_graph(tmp_path, 0.5), watching, MODEL, inputs())
+        assert torch.get_float32_matmul_precision() == "medium"
+    finally:
+        torch.set_float32_matmul_precision("highest")
+    assert set(seen) == {"highest"}
