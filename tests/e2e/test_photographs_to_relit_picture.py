@@ -20,7 +20,7 @@ from PIL import Image
 from support.live_server import LiveServer
 
 SAMPLE = Path(__file__).parents[2] / "client" / "python" / "lambent" / "sample"
-TRAIN_LIGHT, UNSEEN_LIGHT = "morning_000", "studio"
+TRAIN_LIGHT, UNSEEN_LIGHT = "morning_000", "sunset"
 MIN_KILL_STEP = 120
 """Stage 1 of `tiny` has 350 steps and a checkpoint every 50."""
 
@@ -89,11 +89,10 @@ def test_photographs_become_a_relit_picture_although_the_run_is_killed_once(serv
     words = ["relight", str(bundle), "--env", str(sky), "--cameras", str(tmp_path / "views.json")]
     assert app.run([*words, "-o", str(tmp_path / "out"), "--spp", "32"]) == 0
 
-    relit, copied, blank = [], [], []
+    relit, copied = [], []
     for view in views:
         true = view.pictures_srgb[UNSEEN_LIGHT]
         relit.append(truth.psnr(over_white(tmp_path / "out" / UNSEEN_LIGHT / f"{view.name}.png"), true))
         copied.append(truth.psnr(view.pictures_srgb[TRAIN_LIGHT], true))
-        blank.append(truth.psnr(np.ones_like(true), true))
-    print(json.dumps({"relit": relit, "photograph as it is": copied, "white": blank}))
-    assert np.mean(relit) > np.mean(blank) + 3.0
+    print(json.dumps({"relit": relit, "photograph as it is": copied}))
+    assert np.mean(relit) > np.mean(copied) + 1.0, "relighting beats the photograph as it is"
