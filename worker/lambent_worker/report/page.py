@@ -20,14 +20,15 @@ from lambent_worker.report.scores import load
 MAX_VIEWS = 6
 """Views shown as pictures; the tables cover all."""
 
-# Rows of the page's table, by the start of a metric's name; the first match decides.
+SINGLE_LIGHTS = "Single lights"
+# Rows of the page's tables, by the start of a metric's name; the first match decides.
 GROUPS = (
     ("Novel views", ("nvs", "training_views")),
     ("Relighting", ("relight",)),
     ("Albedo", ("albedo",)),
     ("Shape", ("normal", "distance")),
     ("Materials", ("roughness", "metallic")),
-    ("By light", ("rgb",)),
+    (SINGLE_LIGHTS, ("rgb",)),
 )
 
 Picture = Float[ndarray, "height width 3"]
@@ -56,7 +57,11 @@ def write_page(
     shown = evenly_spaced(tuple(views), MAX_VIEWS)
     rows = [(view.name, view_figures(out, scene, view, ratio)) for view in shown]
     page = environment.get_template("page.html.j2").render(
-        report=report, groups=grouped(report.metrics), rows=rows, error_scale=figures.ERROR_SCALE
+        report=report,
+        groups=grouped(report.metrics),
+        single_lights=SINGLE_LIGHTS,
+        rows=rows,
+        error_scale=figures.ERROR_SCALE,
     )
     path.write_text(page, encoding="utf-8")
 
@@ -64,12 +69,15 @@ def write_page(
 def grouped(
     rows: Sequence[evaluation_pb2.Metric],
 ) -> list[tuple[str, list[evaluation_pb2.Metric]]]:
-    """Return the metrics under the headings of the page, empty headings left out."""
-    groups = [
-        (title, [row for row in rows if row.name.split("/")[0].startswith(starts)])
-        for title, starts in GROUPS
-    ]
-    return [(title, members) for title, members in groups if members]
+    """Return the metrics under the headings of the page, empty headings left out; single lights come last."""
+    members: dict[str, list[evaluation_pb2.Metric]] = {title: [] for title, _ in GROUPS}
+    for row in rows:
+        single = row.name.count("/") > 1
+        title = next(
+            title for title, starts in GROUPS if row.name.startswith(starts) or title == SINGLE_LIGHTS
+        )
+        members[SINGLE_LIGHTS if single else title].append(row)
+    return [(title, found) for title, found in members.items() if found]
 
 
 def view_figures(
@@ -126,8 +134,8 @@ def _surface_line(out: Path, view: View, ratio: Float[ndarray, "3"] | None) -> l
         return []
     alpha = albedo[..., 3:]
     factor = np.ones(3) if ratio is None else ratio
-    scaled = metrics.scaled_albedo(albedo, factor, alpha[..., 0] > 0.0)
-    line = [("albedo" if ratio is None else "albedo, scaled", figures.albedo_map(scaled))]
+    scaled = figures.albedo_map(albedo[..., :3] * factor) * alpha + (1.0 - alpha)
+    line = [("albedo" if ratio is None else "albedo, scaled", scaled)]
     if "albedo" in view.truth:
         truth = metrics.over_white(view.truth["albedo"].astype(np.float64))
         line.append(("true albedo", figures.albedo_map(truth)))
