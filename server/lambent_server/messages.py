@@ -2,8 +2,17 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+
+def _whole(value: Any) -> Any:
+    """Return 2 for 2.0, which JSON Schema calls an integer too."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+_WHOLE = BeforeValidator(_whole)
+# Without this the schema would allow names that match none of the patterns.
+_ONLY_THESE = {"additionalProperties": False}
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 LabelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}$")]
@@ -36,7 +45,7 @@ class PlannedFile(Given):
     """A file that the scene shall have."""
 
     path: Annotated[str, Field(min_length=1, max_length=240)]
-    size: Annotated[int, Field(ge=0, le=2**53)]
+    size: Annotated[int, Field(ge=0, le=2**53), _WHOLE]
     sha256: Sha256
 
 
@@ -93,12 +102,14 @@ class NewJob(Given):
 
     scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"
-    params: Annotated[dict[SettingName, SettingValue], Field(max_length=64)] = {}
-    gpus: Annotated[int, Field(ge=0, le=1024)] | None = None
-    priority: Annotated[int, Field(ge=-1000, le=1000)] = 0
-    labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32)] = {}
+    params: Annotated[
+        dict[SettingName, SettingValue], Field(max_length=64, json_schema_extra=_ONLY_THESE)
+    ] = {}
+    gpus: Annotated[int, Field(ge=0, le=1024), _WHOLE] | None = None
+    priority: Annotated[int, Field(ge=-1000, le=1000), _WHOLE] = 0
+    labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32, json_schema_extra=_ONLY_THESE)] = {}
     kind: JobKind = "train"
-    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1), _WHOLE] = 0
 
 
 class Progress(Shown):

@@ -100,6 +100,12 @@ def test_paths_that_clash_on_other_systems_are_refused(api: Api):
         assert problem["errors"][0]["pointer"] == "#/1/path"
 
 
+def test_a_path_with_two_contents_is_refused(api: Api):
+    files = [{"path": "a.png", "size": 1, "sha256": digest * 64} for digest in ("0", "1")]
+    answer = api.post(f"/v1/scenes/{new_scene(api)}/files:plan", json=files)
+    assert expect_problem(answer, 422, "path_unsafe")["errors"][0]["pointer"] == "#/1/path"
+
+
 def test_files_without_a_place_in_a_scene_are_left_out_and_named(api: Api):
     files = {"a.png": b"a", "model.onnx": b"b", "data.pkl": b"c", "run.exe": b"d", ".git/config.json": b"e"}
     scene_id = new_scene(api)

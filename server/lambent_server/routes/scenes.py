@@ -18,6 +18,7 @@ from lambent_server.scene_rows import SceneFile
 from lambent_server.services import Services
 from lambent_server.uploads import Upload, received
 
+ARCHIVE_TYPES = ("application/zip", "application/x-tar", "application/gzip", "application/octet-stream")
 router = APIRouter(tags=["scenes"])
 
 
@@ -88,7 +89,9 @@ def _store(services: Services, tenant: Tenant, path: Path, sha256: str) -> None:
 
 @router.put(
     "/v1/scenes/{scene_id:id}/archive",
-    openapi_extra=binary_body("application/zip", "application/x-tar", "application/gzip"),
+    openapi_extra=binary_body(
+        "application/zip", "application/x-tar", "application/gzip", "application/octet-stream"
+    ),
     responses=problems(400, 404, 408, 409, 413, 422, 507),
 )
 async def put_archive(services: ServicesOf, tenant: TenantOf, scene_id: Id, request: Request) -> Scene:

@@ -1,0 +1,69 @@
+"""Every operation against what its description allows and forbids (schemathesis)."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
+from lambent_server.app import describe
+from schemathesis.generation import GenerationMode
+from schemathesis.specs.openapi.checks import positive_data_acceptance
+from support.api import KEY, opened, sha256
+
+EXAMPLES = int(os.environ.get("LAMBENT_FUZZ_EXAMPLES", "6"))
+# A stream does not end; tests/chaos follows it.
+OPERATIONS = [
+    (path, method)
+    for path, operations in describe()["paths"].items()
+    for method in operations
+    if path != "/v1/events"
+]
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    """Return the description bound to an application in memory, and ids of things that exist."""
+    folder = tmp_path_factory.mktemp("fuzz") / "data"
+    # Waiting is part of an operation; here nobody has the time.
+    with opened(folder, max_wait_s=0.01, allowed_hosts=("testserver",)) as api:
+        scene = api.scene(commit=False)
+        yield {
+            "schema": schemathesis.openapi.from_asgi("/openapi.json", api.client.app),
+            "scene_id": scene,
+            "job_id": api.job()["id"],
+            "bundle_id": "bundle_x",
+            "sha256": sha256(b"{}"),
+            "path": "manifest.json",
+        }
+
+
+@pytest.mark.parametrize(("path", "method"), OPERATIONS)
+@pytest.mark.parametrize("kind", ["allowed", "forbidden", "existing"])
+def test_every_answer_is_one_that_is_described(known: dict[str, Any], kind: str, path: str, method: str):
+    operation = known["schema"][path][method.upper()]
+    mode = GenerationMode.NEGATIVE if kind == "forbidden" else GenerationMode.POSITIVE
+    if kind == "forbidden" and not operation.body and not any(operation.iter_parameters()):
+        return
+    names = [each.name for each in operation.path_parameters]
+    fixed = {"path_parameters": {name: known[name] for name in names}} if kind == "existing" and names else {}
+
+    @settings(
+        max_examples=EXAMPLES,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+        phases=[Phase.explicit, Phase.generate],
+    )
+    @given(operation.as_strategy(generation_mode=mode, **fixed))
+    def check(case: schemathesis.Case) -> None:
+        response = case.call(headers={"Authorization": f"Bearer {KEY}"})
+        # Whether an allowed value can be used is said by codes of its own, such as "preset_unknown".
+        case.validate_response(response, excluded_checks=[positive_data_acceptance])
+        assert response.status_code < 500
+        if response.status_code >= 400:
+            assert response.headers["content-type"] == ["application/problem+json"]
+            assert kind == "forbidden" or response.json()["code"] != "invalid_request", response.text
+
+    check()
