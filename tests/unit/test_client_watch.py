@@ -31,8 +31,9 @@ def server():
 
 def watch(server, jobs=("a",), **options):
     time = Time()
-    with Client("http://127.0.0.1:1", transport=server.transport, sleep=time.sleep) as client:
-        yield from client.watch(list(jobs), clock=time.clock, **options)
+    timing = {"sleep": time.sleep, "clock": time.clock}
+    with Client("http://127.0.0.1:1", transport=server.transport, **timing) as client:
+        yield from client.watch(list(jobs), **options)
 
 
 def finish(server, job_id="a", state="succeeded"):

@@ -15,7 +15,7 @@ from lambent.connection import Connection
 from lambent.errors import JobNotSucceededError
 from lambent.models import Artifact, Event, Job, Scene, SceneReport
 from lambent.settings import find_server
-from lambent.watch import Watcher
+from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 
 
 class Client:
@@ -34,9 +34,11 @@ class Client:
         data: Path | None = None,
         transport: httpx2.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.address = find_server(url, api_key, data=data)
         self._sleep = sleep
+        self._clock = clock
         self._connection = Connection(self.address, transport=transport, sleep=sleep)
 
     def __enter__(self) -> Self:
@@ -55,11 +57,13 @@ class Client:
 
     def version(self) -> Mapping[str, Any]:
         """Return the server's name, version and schema version."""
-        return self._connection.json("GET", "/v1/version")
+        answer: Mapping[str, Any] = self._connection.json("GET", "/v1/version")
+        return answer
 
     def presets(self) -> Mapping[str, Any]:
         """Return the presets that jobs may name."""
-        return self._connection.json("GET", "/v1/presets")
+        answer: Mapping[str, Any] = self._connection.json("GET", "/v1/presets")
+        return answer
 
     def push(
         self,
@@ -153,13 +157,31 @@ class Client:
         return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:retry"))
 
     def watch(
-        self, job_ids: Sequence[str], *, after: Mapping[str, int] | None = None, **timing: float
+        self,
+        job_ids: Sequence[str],
+        *,
+        after: Mapping[str, int] | None = None,
+        silence_s: float = SILENCE_S,
+        patience_s: float = PATIENCE_S,
+        poll_s: float = POLL_S,
     ) -> Iterator[Event | Job]:
         """Yield jobs and events until every job is final (see `lambent.watch.Watcher` for the promises).
 
-        `after` gives the last event number already seen per job. `timing`: silence_s, patience_s, poll_s.
+        `after` gives the last event number already seen per job; without it events are told from now on. A
+        stream that is silent for `silence_s` is opened anew, a server that is away for `patience_s` is given
+        up, and where no stream comes through events are asked for every `poll_s`.
         """
-        return iter(Watcher(self._connection, job_ids, after=after, sleep=self._sleep, **timing))
+        watcher = Watcher(
+            self._connection,
+            job_ids,
+            after=after,
+            silence_s=silence_s,
+            patience_s=patience_s,
+            poll_s=poll_s,
+            sleep=self._sleep,
+            clock=self._clock,
+        )
+        return iter(watcher)
 
     def events(self, job_id: str, *, after: int = 0) -> list[Event]:
         """Return the events of a job after number `after`."""

@@ -147,8 +147,8 @@ class BarView:
         if isinstance(update, Job):
             task = self._task(update.id)
             if update.is_final:
-                done = {"completed": 1.0} if update.state == "succeeded" else {}
-                self._bars.update(task, detail="", description=f"{update.id} {update.state}", **done)
+                done = 1.0 if update.state == "succeeded" else None
+                self._bars.update(task, completed=done, detail="", description=f"{update.id} {update.state}")
                 self._bars.print(describe_end(update), markup=False)
             else:
                 self._bars.update(task, description=f"{update.id} {update.state}")

@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from PIL import Image
@@ -76,7 +76,9 @@ def turntable(
 def _write_animation(pictures: list[Path], target: Path, fps: int) -> None:
     """Write an endless animation; transparency is kept by both formats."""
     first, *rest = [Image.open(path).convert("RGBA") for path in pictures]
-    options = {"lossless": False, "quality": 90, "method": 4} if target.suffix == ".webp" else {"disposal": 2}
+    options: dict[str, Any] = (
+        {"lossless": False, "quality": 90, "method": 4} if target.suffix == ".webp" else {"disposal": 2}
+    )
     first.save(target, save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, **options)
 
 
