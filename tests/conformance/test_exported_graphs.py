@@ -1,6 +1,7 @@
 """The exported graphs, run by onnxruntime, against the torch functions they were made from."""
 
 import itertools
+import json
 
 import numpy as np
 import onnx
@@ -123,7 +124,24 @@ def test_graphs_state_their_version_and_names(exported):
             first, second = item.type.tensor_type.shape.dim
             assert first.dim_param == row_axis
             assert second.dim_value in (1, 3)
-    assert {item.key: item.value for item in made["gbuffer"].metadata_props} == {"made for": "tests"}
+
+
+def test_graphs_carry_the_constants_of_their_networks(model, exported):
+    metadata = {
+        name: {item.key: item.value for item in graph.metadata_props} for name, graph in exported[1].items()
+    }
+    assert metadata["gbuffer"]["made for"] == "tests"
+    constants = {name: json.loads(values["lambent.network"]) for name, values in metadata.items()}
+    kinds = {name: values["kind"] for name, values in constants.items()}
+    assert kinds == {
+        "gbuffer": "gbuffer.v1",
+        "material": "material.v1",
+        "fast_cache_0": "fast_cache.v1",
+        "fast_cache_1": "fast_cache.v1",
+    }
+    assert constants["gbuffer"]["box_max"] == [0.9, 0.8, 0.75]
+    assert constants["material"]["softplus_beta"] == model.config.nerf.density.softplus_beta
+    assert constants["fast_cache_1"]["far"] == model.fast.far
 
 
 def test_graphs_use_only_operators_that_every_runtime_has(exported):

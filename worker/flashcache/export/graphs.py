@@ -14,6 +14,7 @@ import torch
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.export import layers
+from flashcache.export.constants import fast_cache_constants, gbuffer_constants, material_constants
 from flashcache.export.onnx import GraphBuilder, Value, WeightFile
 from flashcache.export.reference import OPACITY_FLOOR, SURFACE_THICKNESS, UPRIGHT_OPACITY, GbufferRule
 from flashcache.fields.materials import ALPHA_MINIMUM
@@ -90,7 +91,7 @@ def gbuffer_graph(
         "perceptual_roughness": (mean("perceptual_roughness", 1) * share, 1),
         "metalness": (mean("metalness", 1) * share, 1),
     }
-    return graph.finish(outputs, metadata)
+    return graph.finish(outputs, {**gbuffer_constants(model, rule), **metadata})
 
 
 def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata) -> onnx.ModelProto:
@@ -100,7 +101,7 @@ def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata)
     opacity = _hidden_share(graph, found.pop("density") * SURFACE_THICKNESS)
     sizes = {"albedo": 3, "normal": 3, "perceptual_roughness": 1, "metalness": 1}
     outputs = {name: (value, sizes[name]) for name, value in found.items()}
-    return graph.finish({**outputs, "opacity": (opacity, 1)}, metadata)
+    return graph.finish({**outputs, "opacity": (opacity, 1)}, {**material_constants(model), **metadata})
 
 
 def fast_cache_graph(
@@ -151,7 +152,7 @@ def fast_cache_graph(
         "opacity": (opacity, 1),
         "distance": (distance, 1),
     }
-    return graph.finish(outputs, metadata)
+    return graph.finish(outputs, {**fast_cache_constants(model), **metadata})
 
 
 def _sample_distances(graph: GraphBuilder, model: InverseModel, offset: Value, gate: Value) -> Value:

@@ -1,0 +1,60 @@
+"""The numbers that a reader needs, besides the tensors, to evaluate a network without running its graph.
+
+They travel with each graph as metadata. Source: docs/reference/bundle-format.md (networks).
+"""
+
+import json
+from typing import Any
+
+from flashcache.caches.nerf_cache import SECONDARY_CURVE
+from flashcache.export.reference import GbufferRule
+from flashcache.fields.materials import ALPHA_MINIMUM
+from flashcache.physical.model import InverseModel
+
+METADATA_KEY = "lambent.network"
+
+
+def gbuffer_constants(model: InverseModel, rule: GbufferRule) -> dict[str, str]:
+    """Return the metadata of a gbuffer graph."""
+    own = {
+        "box_min": list(rule.box_min),
+        "box_max": list(rule.box_max),
+        "num_samples": rule.num_samples,
+        "group": rule.group,
+    }
+    return _metadata("gbuffer.v1", {**_surface(model), **own})
+
+
+def material_constants(model: InverseModel) -> dict[str, str]:
+    """Return the metadata of a material graph."""
+    return _metadata("material.v1", _surface(model))
+
+
+def fast_cache_constants(model: InverseModel) -> dict[str, str]:
+    """Return the metadata of a fast cache's graph."""
+    values = {
+        "contraction_radius": model.domain.contraction_radius,
+        "near": model.fast.near,
+        "far": model.fast.far,
+        "num_frequencies": model.fast.config.num_frequencies,
+        "curve_power": SECONDARY_CURVE.power,
+        "curve_premultiplier": SECONDARY_CURVE.premultiplier,
+    }
+    return _metadata("fast_cache.v1", values)
+
+
+def _surface(model: InverseModel) -> dict[str, Any]:
+    density, materials = model.nerf.density.config, model.materials.config
+    return {
+        "contraction_radius": model.domain.contraction_radius,
+        "softplus_beta": density.softplus_beta,
+        "density_bias": density.bias,
+        "albedo_bias": materials.albedo_bias,
+        "alpha_bias": materials.alpha_bias,
+        "metalness_bias": materials.metalness_bias,
+        "alpha_minimum": ALPHA_MINIMUM,
+    }
+
+
+def _metadata(kind: str, values: dict[str, Any]) -> dict[str, str]:
+    return {METADATA_KEY: json.dumps({"kind": kind, **values}, separators=(",", ":"))}
