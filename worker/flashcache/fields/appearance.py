@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from flashcache.encoding.directional import IntegratedDirectionalEncoding
+from flashcache.encoding.directional import IntegratedDirectionalEncoding, positional_encoding
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
@@ -30,6 +30,11 @@ class AppearanceConfig:
     factor_layers: int = 2
     num_degrees: int = 5
     """Bands 1, 2, 4, ... of the directional encoding."""
+    width_bias: float = -1.0
+    """Added to the raw width (1/kappa) of the reflected lobe; smaller begins with sharper reflections."""
+    view_frequencies: int = -1
+    """Frequencies of the view direction as a further input of the reflection network; -1 leaves it out, as the
+    paper does (docs/decisions/0012-view-direction.md)."""
     reflection_width: int = 128
     reflection_layers: int = 4
 
@@ -67,8 +72,9 @@ class AppearanceField(nn.Module):
         self.factor_head = linear(self.factor.num_outputs, 1)
         self.directional = IntegratedDirectionalEncoding(config.num_degrees)
         skip = 3 if config.reflection_layers > 3 else None
+        num_view = 3 + 6 * config.view_frequencies if config.view_frequencies >= 0 else 0
         self.reflection = Hidden(
-            config.bottleneck + self.directional.out_features,
+            config.bottleneck + self.directional.out_features + num_view,
             config.reflection_width,
             config.reflection_layers,
             skip_after=skip,
@@ -98,14 +104,17 @@ class AppearanceField(nn.Module):
         if not with_specular:
             return Appearance(diffuse, torch.zeros_like(diffuse), irradiance)
         tint = torch.sigmoid(raw[:, -4:-1])
-        width = torch.nn.functional.softplus(raw[:, -1:] - 1.0)
+        width = torch.nn.functional.softplus(raw[:, -1:] + self.config.width_bias)
         bottleneck = self.bottleneck(features)
         cosine = (normal * omega_o).sum(dim=-1, keepdim=True)
         factor = torch.sigmoid(
             self.factor_head(self.factor(torch.cat([bottleneck, cosine], dim=-1))) + math.log(3.0)
         )
         direction_code = self.directional(reflect(omega_o, normal), width)
-        reflected = self.reflection_head(self.reflection(torch.cat([bottleneck, direction_code], dim=-1)))
+        inputs = [bottleneck, direction_code]
+        if self.config.view_frequencies >= 0:
+            inputs.append(positional_encoding(omega_o, self.config.view_frequencies))
+        reflected = self.reflection_head(self.reflection(torch.cat(inputs, dim=-1)))
         reflected = torch.nn.functional.softplus(self._of_light(reflected, light_index) - 1.0)
         specular = (tint * factor * reflected).clamp_max(RADIANCE_MAXIMUM)
         return Appearance(diffuse, specular, irradiance)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import nn
@@ -25,9 +26,9 @@ class StepRecord:
     """True when the step was left out because its gradient was not finite."""
 
 
-def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str, object]]:
+def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str, Any]]:
     """Return optimiser groups with a `peak` rate each, grids and networks apart, without frozen parts."""
-    groups: list[dict[str, object]] = []
+    groups: list[dict[str, Any]] = []
     for module, rates in parts:
         found = [grid for grid in module.modules() if isinstance(grid, HashGrid)]
         for grid in found:
@@ -41,8 +42,14 @@ def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str,
     return groups
 
 
-def build_optimiser(groups: list[dict[str, object]]) -> torch.optim.Adam:
-    """Return Adam with the paper's constants (supplement 2.4); a zero rate makes it a no-op."""
+def build_optimiser(groups: list[dict[str, Any]]) -> torch.optim.Adam:
+    """Return Adam with the paper's constants (supplement 2.4), with gradients of zero in place.
+
+    They are there from the first step on, so that sums round the same in a fresh and in a resumed run.
+    """
+    for group in groups:
+        for parameter in group["params"]:
+            parameter.grad = torch.zeros_like(parameter)
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 

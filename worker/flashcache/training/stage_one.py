@@ -115,8 +115,6 @@ class StageOne:
 
     def _normal_weight(self, fraction: float) -> float:
         config = self.config
-        if fraction < config.carving_share:
-            return 0.0
         rise = ramp(fraction, *config.normal_ramp)
         return config.normal_start + (config.normal_weight - config.normal_start) * rise
 
