@@ -129,6 +129,18 @@ def test_warming_up_leaves_materials_and_environment_alone():
     assert changed == {"nerf", "fast", "light_sampler"}
 
 
+def test_the_scale_of_light_and_albedo_is_the_models():
+    stage = stage_of("joint", small())
+    with torch.no_grad():
+        stage.model.environment.head.weight.zero_()
+        stage.model.environment.head.bias.fill_(stage.model.environment.config.bias * -1.0)
+        stage.model.materials.head.weight.zero_()
+    scale = stage.scale()
+    softplus_of_zero, sigmoid_of_bias = 0.6931, 1.0 / (1.0 + 2.7183)
+    assert scale["environment_mean_sky"] == pytest.approx(softplus_of_zero, abs=1e-3)
+    assert scale["albedo_mean"] == pytest.approx(sigmoid_of_bias, abs=1e-3)
+
+
 @pytest.mark.parametrize("mode", ["off", "fast_only"])
 def test_stage_two_runs_without_the_control_variate(mode):
     config = small()

@@ -126,6 +126,25 @@ class StageTwo:
             skipped=not applied,
         )
 
+    def scale(self) -> dict[str, float]:
+        """Return the mean radiance of each light and the mean albedo on the surface.
+
+        Their product is fixed by the photographs and their ratio is not: a steady drift of the ratio late in
+        training says that the priors lost hold of it.
+        """
+        generator = generator_for(self.seed, STAGE, self.steps_done, "scale", self.pixels.device)
+        with torch.no_grad():
+            batch = self.pixels.draw(256, generator)
+            geometry = self.model.nerf.trace(batch.rays, exponent=1.0, generator=None)
+            albedo = self.model.materials(geometry.samples.positions.reshape(-1, 3)).albedo
+            seen = composite(geometry.weights, albedo).sum(dim=0) / geometry.weights.sum().clamp_min(1e-6)
+            found = {"albedo_mean": float(seen.mean())}
+            for index, light in enumerate(self.model.domain.lights):
+                image = self.model.environment.image(16, index)
+                up = torch.linspace(0.0, torch.pi, 33, device=image.device)[1::2].sin()[:, None, None]
+                found[f"environment_mean_{light}"] = float((image * up).mean() / up.mean())
+        return found
+
     def shade(self, batch: RayBatch, geometry: Geometry, generator: torch.Generator) -> Pass:
         """Return one estimate of the batch from K points per ray (paper Eqs. 9 and 11)."""
         config, model = self.config, self.model

@@ -150,6 +150,8 @@ def _save(context: StepContext, stage: StageOne | StageTwo, fingerprint: str, se
     save_checkpoint(folder, stage.model, stage.optimiser, state)
     prune_checkpoints(context.folder, keep=2)
     context.reporter.checkpoint(context.stage, stage.steps_done, folder)
+    if isinstance(stage, StageTwo):
+        context.reporter.log("training.scale", step=stage.steps_done, **stage.scale())
 
 
 def _discard(folder: Path) -> None:
