@@ -14,6 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.capability import run_token
 from lambent_server.clock import now
+from lambent_server.database.leadership import Leadership
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.executors import Executor, Gone, Launch
@@ -49,6 +50,7 @@ class Controller:
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._paused = False
+        self._leadership = Leadership(services.database)
         self._swept_at = 0.0
         self._thread = threading.Thread(target=self._loop, name="controller", daemon=True)
         self.turned_at = now()
@@ -61,17 +63,20 @@ class Controller:
     def close(self, *, stop_runs: bool) -> None:
         """End the loop; with `stop_runs` also the run processes, otherwise the next server adopts them."""
         self._paused = True
-        if stop_runs:
+        if stop_runs and self._leadership.held():
             self._stop_runs()
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5)
+        self._leadership.close()
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
             try:
-                self.turn()
+                if self._leadership.held():
+                    self.turn()
+                self.turned_at = now()
             except (SQLAlchemyError, OSError):
                 # The database or the disk is away; the rows will tell what to do once it is back.
                 log.exception("controller_turn_failed")
@@ -93,7 +98,6 @@ class Controller:
         if now() - self._swept_at > self._settings.garbage_after_s / 2:
             self._swept_at = now()
             sweep(self._services)
-        self.turned_at = now()
         if changed:
             self._services.wakeups.signal()
 

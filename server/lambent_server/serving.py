@@ -16,12 +16,10 @@ import structlog
 from granian.constants import HTTPModes, Interfaces
 from granian.http import HTTP1Settings
 from granian.server.embed import Server as Granian
-from sqlalchemy import text
 
 from lambent_server.app import LOOPBACK, make_app
 from lambent_server.capability import read_or_create_secret
 from lambent_server.controller import Controller
-from lambent_server.database.engine import Database
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.local import LocalExecutor
 from lambent_server.http.identity import register_key
@@ -33,7 +31,6 @@ log = structlog.get_logger()
 
 # Longest path of a Unix socket that every system takes.
 MAX_SOCKET_PATH = 100
-_LEADER_LOCK = 0x1A4BE47
 
 
 class ServeError(Exception):
@@ -71,18 +68,6 @@ def sole_user(folder: Path) -> Iterator[None]:
                 "choose another folder with --data"
             ) from error
         yield
-
-
-@contextlib.contextmanager
-def leadership(database: Database) -> Iterator[bool]:
-    """Tell whether this process controls the jobs; with SQLite the folder's lock has said so already."""
-    if database.is_sqlite:
-        yield True
-        return
-    with database.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-        yield bool(
-            connection.execute(text("SELECT pg_try_advisory_lock(:key)"), {"key": _LEADER_LOCK}).scalar()
-        )
 
 
 def free_port(host: str) -> int:
@@ -137,13 +122,12 @@ async def run(settings: Settings, on_ready: Any) -> None:
         require_free(settings.host, port)
         services = open_services(settings)
         try:
-            with leadership(services.database) as leader:
-                await _serve(services, port, on_ready, leader)
+            await _serve(services, port, on_ready)
         finally:
             services.database.close()
 
 
-async def _serve(services: Services, port: int, on_ready: Any, leader: bool) -> None:
+async def _serve(services: Services, port: int, on_ready: Any) -> None:
     settings = services.settings
     loop = asyncio.get_running_loop()
     ended: asyncio.Future[int] = loop.create_future()
@@ -163,9 +147,8 @@ async def _serve(services: Services, port: int, on_ready: Any, leader: bool) -> 
     address = worker_address(settings)
     workers = serve_workers(services, secret, address)
     controller = Controller(services, LocalExecutor(settings.run_command), secret=secret, address=address)
-    if leader:
-        controller.start()
-        app.state.controller = controller
+    controller.start()
+    app.state.controller = controller
     server = Granian(
         gate,
         address=settings.host,
@@ -183,7 +166,7 @@ async def _serve(services: Services, port: int, on_ready: Any, leader: bool) -> 
     _write_whole(settings.data / "server.json", {"url": url, "pid": os.getpid()})
     code, _ = app.state.login_codes.issue(tenant)
     on_ready(Ready(url, f"{url}/#code={code}", key_file))
-    log.info("serving", url=url, data=str(settings.data), leader=leader)
+    log.info("serving", url=url, data=str(settings.data))
 
     await asyncio.wait({ended, serving}, return_when=asyncio.FIRST_COMPLETED)
     interrupted = ended.done() and ended.result() == signal.SIGINT
@@ -191,7 +174,7 @@ async def _serve(services: Services, port: int, on_ready: Any, leader: bool) -> 
     (settings.data / "server.json").unlink(missing_ok=True)
     services.wakeups.close()
     # Run processes that are asked to end still commit their checkpoint, so their service ends after them.
-    await asyncio.to_thread(controller.close, stop_runs=interrupted and leader)
+    await asyncio.to_thread(controller.close, stop_runs=interrupted)
     server.stop()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)

@@ -25,6 +25,7 @@ FAST = {
     "preview_interval_s": 0.2,
     "stream_poll_s": 0.2,
     "stream_ping_s": 0.5,
+    "port": 0,
     "local_slots": 4,
     "garbage_after_s": 1.0,
     "disk_floor_bytes": 0,
@@ -32,7 +33,7 @@ FAST = {
 FINAL = {"succeeded", "failed", "cancelled"}
 
 
-def wait_until(condition: Any, timeout_s: float = 15.0) -> Any:
+def wait_until(condition: Any, timeout_s: float = 30.0) -> Any:
     """Return the first truthy value of `condition()`; AssertionError when time is up."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
@@ -75,7 +76,7 @@ class LiveServer:
         self.starts += 1
         self.data.parent.mkdir(parents=True, exist_ok=True)
         log = self.data.parent / f"{self.data.name}-server-{self.starts}.log"
-        command = [sys.executable, "-m", "lambent", "serve", "--data", str(self.data), "--port", "0"]
+        command = [sys.executable, "-m", "lambent", "serve", "--data", str(self.data)]
         with log.open("wb") as file:
             self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=file, env=environment)
         assert self.process.stdout is not None
@@ -131,12 +132,12 @@ class LiveServer:
         assert answer.status_code == 200, answer.text
         return answer.json()
 
-    def wait(self, job_id: str, *states: str, timeout_s: float = 30.0) -> dict[str, Any]:
+    def wait(self, job_id: str, *states: str, timeout_s: float = 60.0) -> dict[str, Any]:
         """Return the job once it is in one of `states` (any final one by default)."""
         wanted = set(states) or FINAL
         return wait_until(lambda: (job := self.job(job_id))["state"] in wanted and job, timeout_s)
 
-    def wait_step(self, job_id: str, step: int, timeout_s: float = 15.0) -> dict[str, Any]:
+    def wait_step(self, job_id: str, step: int, timeout_s: float = 60.0) -> dict[str, Any]:
         """Return the job once it has done `step` steps."""
         return wait_until(
             lambda: (job := self.job(job_id))["progress"] and job["progress"]["step"] >= step and job,

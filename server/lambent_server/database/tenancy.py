@@ -56,7 +56,7 @@ def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values
     # One of them is imported already by the engine; the other would cost start-up time for nothing.
     kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
     statement = kind(table).values(tenant_id=tenant.id, **values).on_conflict_do_nothing()
-    return connection.execute(statement).rowcount > 0
+    return connection.execute(statement.returning(table.c.tenant_id)).first() is not None
 
 
 def find(

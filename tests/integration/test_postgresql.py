@@ -1,0 +1,134 @@
+"""The same server on PostgreSQL."""
+
+import contextlib
+import os
+import secrets
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from lambent_server.database.engine import Database
+from lambent_server.database.leadership import Leadership
+from sqlalchemy import create_engine, inspect, text
+from sqlalchemy.exc import OperationalError
+from support.live_server import LiveServer
+
+pytestmark = [pytest.mark.services, pytest.mark.slow]
+ADMIN = os.environ.get("LAMBENT_TEST_POSTGRES", "postgresql://postgres@127.0.0.1:5432/test")
+
+
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    """Return the URL of an empty database of our own."""
+    admin = create_engine(ADMIN.replace("postgresql:", "postgresql+psycopg:"), isolation_level="AUTOCOMMIT")
+    name = f"lambent_{secrets.token_hex(6)}"
+    try:
+        with admin.connect() as connection:
+            connection.execute(text(f"CREATE DATABASE {name}"))
+    except OperationalError as error:
+        pytest.skip(f"no PostgreSQL at {ADMIN}: {error}")
+    yield f"{ADMIN.rpartition('/')[0]}/{name}"
+    with admin.connect() as connection:
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    admin.dispose()
+
+
+@pytest.fixture(scope="module")
+def server(url: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveServer]:
+    with LiveServer(tmp_path_factory.mktemp("pg") / "data", database=url) as server:
+        yield server
+
+
+def test_a_job_runs_is_killed_and_succeeds(server: LiveServer):
+    job = server.submit(server.scene(), num_steps=40, step_s=0.04)
+    server.wait_step(job, 10)
+    os.killpg(server.supervisor(job).pid, signal.SIGKILL)
+    found = server.wait(job)
+    assert (found["state"], found["run"]) == ("succeeded", 2)
+    seqs = [event["seq"] for event in server.events(job)]
+    assert seqs == list(range(1, len(seqs) + 1))
+    bundle = server.client.get(f"/v1/bundles/{found['bundle_id']}/manifest")
+    assert bundle.json()["name"] == "sleep"
+
+
+def test_duplicate_submits_make_one_job(server: LiveServer):
+    scene = server.scene()
+
+    def submit(_: int) -> str:
+        body = {"scene_id": scene, "preset": "tiny", "params": {"num_steps": "1"}}
+        answer = server.client.post("/v1/jobs", json=body, headers={"Idempotency-Key": "pg"})
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["id"])
+
+    with ThreadPoolExecutor(16) as pool:
+        assert len(set(pool.map(submit, range(40)))) == 1
+
+
+def test_runs_outlive_connections_that_the_database_cuts(server: LiveServer, url: str):
+    job = server.submit(server.scene(), num_steps=40, step_s=0.04)
+    server.wait_step(job, 5)
+    admin = create_engine(ADMIN.replace("postgresql:", "postgresql+psycopg:"), isolation_level="AUTOCOMMIT")
+    for _ in range(3):
+        with admin.connect() as connection:
+            statement = text("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = :name")
+            connection.execute(statement, {"name": url.rpartition("/")[2]})
+        time.sleep(0.2)
+    admin.dispose()
+    found = server.wait(job)
+    assert (found["state"], found["run"]) == ("succeeded", 1)
+
+
+def test_only_one_server_controls_the_jobs(server: LiveServer, url: str):
+    database = Database(url.replace("postgresql:", "postgresql+psycopg:"))
+    with contextlib.closing(database), contextlib.closing(Leadership(database)) as other:
+        assert not other.held()
+        assert not other.held()
+
+
+def test_another_server_takes_over_when_the_leader_loses_its_connection(url: str):
+    admin = create_engine(ADMIN.replace("postgresql:", "postgresql+psycopg:"), isolation_level="AUTOCOMMIT")
+    name = f"{url.rpartition('/')[2]}_two"
+    with admin.connect() as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+    databases = [Database(f"{admin.url.set(database=name).render_as_string()}") for _ in range(2)]
+    first, second = (Leadership(database) for database in databases)
+    assert first.held()
+    assert not second.held()
+    with admin.connect() as connection:
+        statement = text("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = :name")
+        connection.execute(statement, {"name": name})
+    with contextlib.suppress(OperationalError):
+        second.held()
+    assert second.held()
+    assert not first.held()
+    first.close()
+    second.close()
+    for database in databases:
+        database.close()
+    with admin.connect() as connection:
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    admin.dispose()
+
+
+def test_the_tables_are_those_of_the_schema(server: LiveServer, url: str):
+    from lambent_server.database.schema import metadata
+
+    engine = create_engine(url.replace("postgresql:", "postgresql+psycopg:"))
+    found = set(inspect(engine).get_table_names())
+    engine.dispose()
+    assert found == set(metadata.tables) | {"alembic_version"}
+
+
+def test_the_migrations_make_exactly_the_schema(tmp_path: Path):
+    from alembic.autogenerate import compare_metadata
+    from alembic.migration import MigrationContext
+    from lambent_server.database.schema import metadata
+
+    with contextlib.closing(Database(f"sqlite:///{tmp_path / 'x.sqlite'}")) as database:
+        database.migrate()
+        database.migrate()
+        with database.read() as connection:
+            assert compare_metadata(MigrationContext.configure(connection), metadata) == []
