@@ -33,8 +33,8 @@ class AppearanceConfig:
     width_bias: float = -1.0
     """Added to the raw width (1/kappa) of the reflected lobe; smaller begins with sharper reflections."""
     view_frequencies: int = -1
-    """Frequencies of the view direction as a further input of the reflection network; -1 leaves it out, as the
-    paper does (docs/decisions/0012-view-direction.md)."""
+    """Frequencies of the view direction as a further input of the reflection network; -1 leaves it out, as
+    the paper does (docs/decisions/0012-view-direction.md)."""
     reflection_width: int = 128
     reflection_layers: int = 4
 
