@@ -9,7 +9,7 @@ from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle import load_bundle
 from lambent_relight.cameras import Camera, look_at
 from lambent_relight.environments import Environment, environment_from_array
-from lambent_relight.graphs import OnnxCaches
+from lambent_relight.graphs import OnnxCaches, PointMaterials, PrimaryHits, SecondaryHits
 from lambent_relight.light_sampling import LightSampler
 from lambent_relight.refined import Light, Scene, outgoing_radiance
 from lambent_relight.renderer import Renderer
@@ -174,19 +174,83 @@ def test_relighting_is_linear_in_the_light(caches):
 
 def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches):
     scene, environment = SHADED, sky()
-    points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), 1500)
+    count = 5000
+    points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), count)
     radiance = outgoing_radiance(
         points,
         Scene(caches(scene), scene.origin_offset, np.ones(3, np.float32)),
         Light(environment, LightSampler(environment)),
-        num_samples=64,
+        num_samples=16,
         seed=1,
         indirect=True,
     )
-    assert radiance.num_samples == 64
+    assert radiance.num_samples == 16
     total = (radiance.direct + radiance.indirect).astype(np.float64)
     deviations = (total - total.mean(axis=0)) ** 2
-    assert_mean(deviations * 1500 / 1499 - radiance.standard_error.astype(np.float64) ** 2, np.zeros(3))
+    assert_mean(
+        deviations * count / (count - 1) - radiance.standard_error.astype(np.float64) ** 2, np.zeros(3)
+    )
+
+
+class Veil:
+    """Answers every secondary ray alike: a half-transparent white wall at distance 2."""
+
+    name = "veil"
+
+    def __init__(self, opacity: float) -> None:
+        self.opacity = opacity
+        self.asked: list[np.ndarray] = []
+
+    def gbuffer(self, origin, direction):
+        ones = np.ones((len(origin), 1), np.float32)
+        return PrimaryHits(self.opacity * ones, 2 * ones, -direction, 0.5 * ones * np.ones(3), ones, 0 * ones)
+
+    def secondary(self, origin, direction):
+        self.asked.append(origin + 2.0 * direction)
+        ones = np.ones((len(origin), 1), np.float32)
+        return SecondaryHits(np.float32(self.opacity) * ones, 2.0 * ones)
+
+    def material(self, position):
+        self.hits = position
+        ones = np.ones((len(position), 1), np.float32)
+        return PointMaterials(ones * np.ones(3, np.float32), ones, ones, -position)
+
+
+def veiled(opacity: float, *, seed: int, count: int = 3000):
+    veil = Veil(opacity)
+    points = surface_points(SHADED, (0.0, 0.0, 0.0), (1.0, -2.0, 1.5), count)
+    light = Light(even_sky(), LightSampler(even_sky()))
+    scene = Scene(veil, 0.0, np.ones(3, np.float32))
+    return veil, outgoing_radiance(points, scene, light, num_samples=4, seed=seed, indirect=True)
+
+
+def test_a_half_transparent_hit_shades_and_blocks_by_its_opacity():
+    clear = veiled(0.0, seed=2)[1]
+    assert (clear.indirect == 0.0).all()
+    for opacity in (0.25, 0.5):
+        radiance = veiled(opacity, seed=2)[1]
+        np.testing.assert_allclose(radiance.direct, (1 - opacity) * clear.direct, rtol=1e-5)
+    quarter, half = (veiled(o, seed=s)[1].indirect.astype(np.float64) for o, s in ((0.25, 3), (0.5, 4)))
+    # What a hit adds is proportional to opacity times the visibility of the hit, which is 1 - opacity.
+    assert_mean(quarter / (0.25 * 0.75) - half / (0.5 * 0.5), np.zeros(3))
+
+
+def test_hits_are_shaded_where_the_distance_says():
+    veil, _ = veiled(1.0, seed=5, count=50)
+    # Blocked everywhere, every active ray is followed, so the last pass asked about exactly these points.
+    np.testing.assert_allclose(veil.hits, veil.asked[-2], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(veil.hits, axis=-1), 2.0, rtol=1e-5)
+
+
+def test_half_covered_pixels_are_mixed_with_what_is_behind_them(cube):
+    renderer = Renderer(cube.bundle, num_threads=1, reader="onnx")
+    renderer.caches = Veil(0.25)
+    camera = camera_at((3.0, 0.0, 0.0))
+    plain = renderer.render(camera, sky(), num_samples=4)
+    mixed = renderer.render(camera, sky(), num_samples=4, background=(1.0, 2.0, 3.0))
+    assert (plain.opacity == 0.25).all()
+    np.testing.assert_allclose(mixed.rgb, 0.25 * plain.rgb + 0.75 * np.array([1.0, 2.0, 3.0]), rtol=1e-5)
+    np.testing.assert_allclose(mixed.standard_error, 0.25 * plain.standard_error, rtol=1e-5)
 
 
 def camera_at(position, *, side: int = 6, name: str = "view") -> Camera:

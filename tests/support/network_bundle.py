@@ -6,11 +6,9 @@ import json
 from pathlib import Path
 
 import onnx
-from flashcache.caches.nerf_cache import SECONDARY_CURVE
-from flashcache.export import graphs
+from flashcache.export import constants, graphs
 from flashcache.export.onnx import WeightFile
 from flashcache.export.reference import GbufferRule
-from flashcache.fields.materials import ALPHA_MINIMUM
 from flashcache.physical.model import InverseModel
 from lambent_relight.cameras import cameras_json, turntable
 from support.analytic_bundle import manifest_of, write_manifest
@@ -19,51 +17,22 @@ from support.analytic_scene import AnalyticScene
 
 def network_constants(model: InverseModel, rule: GbufferRule) -> dict[str, dict]:
     """Return the constants of each graph's network, by graph name."""
-    config, radius = model.config, model.domain.contraction_radius
-    fields = {
-        "contraction_radius": radius,
-        "softplus_beta": config.nerf.density.softplus_beta,
-        "density_bias": config.nerf.density.bias,
-        "albedo_bias": config.materials.albedo_bias,
-        "alpha_bias": config.materials.alpha_bias,
-        "metalness_bias": config.materials.metalness_bias,
-        "alpha_minimum": ALPHA_MINIMUM,
+    metadata = {
+        "gbuffer": constants.gbuffer_constants(model, rule),
+        "material": constants.material_constants(model),
+        "fast_cache": constants.fast_cache_constants(model),
     }
-    return {
-        "gbuffer": {
-            "kind": "gbuffer.v1",
-            "box_min": list(rule.box_min),
-            "box_max": list(rule.box_max),
-            "num_samples": rule.num_samples,
-            "group": rule.group,
-            **fields,
-        },
-        "material": {"kind": "material.v1", **fields},
-        "fast_cache": {
-            "kind": "fast_cache.v1",
-            "contraction_radius": radius,
-            "near": model.fast.near,
-            "far": model.fast.far,
-            "num_frequencies": config.fast.num_frequencies,
-            "curve_power": SECONDARY_CURVE.power,
-            "curve_premultiplier": SECONDARY_CURVE.premultiplier,
-        },
-    }
+    return {name: json.loads(values[constants.METADATA_KEY]) for name, values in metadata.items()}
 
 
 def write_network_bundle(folder: Path, model: InverseModel, rule: GbufferRule) -> Path:
     """Write a bundle of `model`, whose one light is "sky", and return its folder."""
     (folder / "models").mkdir(parents=True)
     weights = WeightFile()
-    constants = {name: json.dumps(values) for name, values in network_constants(model, rule).items()}
-
-    def metadata(name: str) -> dict[str, str]:
-        return {"lambent.network": constants[name]}
-
     made = {
-        "gbuffer": graphs.gbuffer_graph(model, rule, weights, metadata("gbuffer")),
-        "material": graphs.material_graph(model, weights, metadata("material")),
-        "fast_cache_sky": graphs.fast_cache_graph(model, 0, weights, metadata("fast_cache")),
+        "gbuffer": graphs.gbuffer_graph(model, rule, weights, {}),
+        "material": graphs.material_graph(model, weights, {}),
+        "fast_cache_sky": graphs.fast_cache_graph(model, 0, weights, {}),
     }
     for name, graph in made.items():
         (folder / "models" / f"{name}.onnx").write_bytes(graph.SerializeToString())

@@ -148,7 +148,7 @@ def _open_caches(bundle: Bundle, num_threads: int | None, reader: Reader) -> Sur
             raise SettingError(
                 "relight.reader", f"the fused reader cannot read this bundle ({reason})", 'use "onnx"'
             ) from reason
-        _LOG.warning("relighting through onnxruntime, several times slower: %s", reason)
+        _LOG.warning("relighting through onnxruntime, which is slower: %s", reason)
         return OnnxCaches(bundle, num_threads=num_threads)
 
 

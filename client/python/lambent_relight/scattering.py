@@ -94,7 +94,6 @@ def whole_shares(shares: NDArray[np.float32], count: int) -> NDArray[np.float32]
     if count < 3:
         return shares
     ends = np.round(np.cumsum(shares, axis=-1) * count)
-    ends[:, -1] = count
     return (np.diff(ends, axis=-1, prepend=0.0) / count).astype(np.float32)
 
 
