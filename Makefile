@@ -3,6 +3,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 WEB := client/web
+SAMPLE := client/python/lambent/sample
 # Where pip finds torch when the registry's CUDA build is not wanted; see README.md.
 TORCH_INDEX ?=
 PYTEST_ARGS ?=
@@ -67,7 +68,9 @@ fix: $(VENV)/.installed ## Format, and mend what can be mended by itself
 
 bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 	$(BIN)/python benchmarks/kernels.py --rays 256 --repeats 4
+	$(BIN)/python benchmarks/stage_one_step.py --quick
 	$(BIN)/python benchmarks/estimator_variance.py --quick
+	$(BIN)/python benchmarks/quality.py $(SAMPLE) --environments $(SAMPLE)/envmaps --preset tiny --views 2 -o build/bench
 
 schema: setup ## Generate the code of proto/ again
 	$(BIN)/python scripts/schema.py
