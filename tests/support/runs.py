@@ -52,6 +52,8 @@ class Stage:
     executor: FakeExecutor
     controller: Controller
     stub: worker_pb2_grpc.WorkerServiceStub
+    server: grpc.Server
+    address: str
 
     def start(self, **order: Any) -> str:
         """Return a job that the controller has started."""
@@ -85,14 +87,20 @@ class Stage:
         return digest
 
 
-def metadata(job_id: str, run: int, token: str | None) -> tuple[tuple[str, str], ...]:
+def token(job_id: str, run: int) -> str:
+    """Return what a run proves itself with."""
+    return run_token(SECRET, job_id, run)
+
+
+def metadata(job_id: str, run: int, given: str | None) -> tuple[tuple[str, str], ...]:
     """Return what proves that a call comes from a run."""
-    return (("authorization", f"Bearer {token or run_token(SECRET, job_id, run)}"),)
+    return (("authorization", f"Bearer {given or token(job_id, run)}"),)
 
 
 @contextlib.contextmanager
 def staged(folder: Path, **settings: Any) -> Iterator[Stage]:
     """Yield a stage on an empty folder."""
+    folder.mkdir(parents=True, exist_ok=True)
     with opened(folder / "data", **settings) as api:
         address = f"unix:{folder}/w.sock"
         executor = FakeExecutor()
@@ -100,7 +108,9 @@ def staged(folder: Path, **settings: Any) -> Iterator[Stage]:
         server = serve_workers(api.services, SECRET, address)
         channel = grpc.insecure_channel(address)
         try:
-            yield Stage(api, executor, controller, worker_pb2_grpc.WorkerServiceStub(channel))
+            yield Stage(
+                api, executor, controller, worker_pb2_grpc.WorkerServiceStub(channel), server, address
+            )
         finally:
             channel.close()
             server.stop(0).wait()

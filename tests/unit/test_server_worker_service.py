@@ -8,7 +8,7 @@ import grpc
 import pytest
 from google.protobuf.json_format import MessageToJson
 from lambent_proto.v1 import bundle_pb2, worker_pb2
-from support.runs import Stage, refused, staged
+from support.runs import Stage, refused, staged, token
 
 STALE = grpc.StatusCode.FAILED_PRECONDITION
 
@@ -54,13 +54,6 @@ def test_only_the_current_run_is_heard(stage: Stage):
             )
         )
     stage.call("Heartbeat", job, 2)
-
-
-def token(job: str, run: int) -> str:
-    from lambent_server.capability import run_token
-    from support.runs import SECRET
-
-    return run_token(SECRET, job, run)
 
 
 def test_a_token_is_good_for_one_run_of_one_job(stage: Stage):
