@@ -77,3 +77,19 @@ def test_compiled_normals_train_the_table_like_the_reference():
         torch.nn.functional.normalize(jacobian.sum(dim=1), dim=-1)[:, 0].sum().backward()
         gradients.append(made.table.grad.double())
     assert torch.allclose(*gradients, rtol=1e-3, atol=1e-4 * gradients[1].abs().max().item())
+
+
+def test_checkpoints_hold_the_hash_and_a_table_of_another_is_refused():
+    state = grid().state_dict()
+    copy = HashGrid(CONFIG)
+    copy.load_state_dict(state)
+    assert torch.equal(copy.table, state["table"])
+    state["levels"] = state["levels"].clone()
+    state["levels"][2, 3] += 1
+    with pytest.raises(RuntimeError, match="another hash"):
+        HashGrid(CONFIG).load_state_dict(state)
+
+
+def test_a_table_of_another_size_is_refused():
+    with pytest.raises(RuntimeError, match="other levels"):
+        HashGrid(HashGridConfig(log2_table_size=12)).load_state_dict(grid().state_dict())

@@ -1,14 +1,15 @@
 """Multi-resolution grid with the additive lattice hash (supplement 2.1; formula: `kernels.layout`)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from flashcache.errors import ConfigError
 from flashcache.kernels import dispatch
-from flashcache.kernels.layout import build_layout, level_resolutions
+from flashcache.kernels.layout import GridLayout, build_layout, level_resolutions
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,6 +44,8 @@ class HashGrid(nn.Module):
     The parameter `table` [rows, features] starts uniform in +-1e-4; `layout` says which row is which voxel.
     A training loop that only calls `Tensor.backward` may set `in_place_gradient`: gradients are then added to
     an existing `table.grad` (keep it with `zero_grad(set_to_none=False)`), which saves a copy per call.
+    The buffer `levels` puts the rows and the hash's multipliers into checkpoints; a table that was trained
+    with others is refused by `load_state_dict`.
     """
 
     def __init__(self, config: HashGridConfig) -> None:
@@ -56,6 +59,7 @@ class HashGrid(nn.Module):
         )
         self.out_features = self.layout.num_outputs
         self.in_place_gradient = False
+        self.register_buffer("levels", _level_numbers(self.layout))
         self.table = nn.Parameter(torch.empty(self.layout.num_rows, config.num_features))
         nn.init.uniform_(self.table, -1e-4, 1e-4)
 
@@ -83,6 +87,27 @@ class HashGrid(nn.Module):
         batch = z.shape[:-1]
         return features.reshape(*batch, self.out_features), jacobian.reshape(*batch, self.out_features, 3)
 
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, metadata: Any, strict: bool, *lists: list[str]
+    ) -> None:
+        """Take values from a checkpoint; a table whose rows mean other voxels is an error."""
+        stored = state_dict.setdefault(prefix + "levels", self.levels)
+        if stored.shape != self.levels.shape or not torch.equal(stored.cpu(), self.levels.cpu()):
+            _missing, _unexpected, errors = lists
+            errors.append(f"{prefix}levels: the grid was trained with other levels or another hash")
+            return
+        super()._load_from_state_dict(state_dict, prefix, metadata, strict, *lists)
+
     def level_tables(self) -> list[Float[Tensor, "rows features"]]:
         """Return the part of `table` that belongs to each level (views), for losses per level."""
         return [self.table[le.first_row : le.first_row + le.num_rows] for le in self.layout.levels]
+
+
+def _level_numbers(layout: GridLayout) -> Int[Tensor, "levels 5"]:
+    """Return resolution, first row, rows and multipliers of y and z per level."""
+    return torch.tensor(
+        [
+            [level.resolution, level.first_row, level.num_rows, level.multiplier_y, level.multiplier_z]
+            for level in layout.levels
+        ]
+    )
