@@ -45,6 +45,7 @@ def test_rays_that_miss_the_scenes_box_are_empty_and_face_up(model: InverseModel
     away = replace(CAMERA, camera_to_world=CAMERA.camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
     found = render_gbuffer(model, away)
     assert not found.opacity.any()
+    assert not render_physical(model, away, num_directions=8).rgb.any()
     assert (found.normal == [0.0, 0.0, 1.0]).all()
 
 

@@ -17,7 +17,7 @@ from flashcache.fields.mlp import Hidden, linear
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EnvironmentConfig:
-    """How the environment is represented (supplement 2.5)."""
+    """How the environment is represented (supplement 2.1)."""
 
     texture_height: int = 0
     """Rows of a latitude-longitude texture (twice as many columns); 0 selects the network."""

@@ -200,7 +200,7 @@ def _monte_carlo(
     error = torch.zeros(len(rays), 3, device=device)
     opacity = torch.zeros(len(rays), 1, device=device)
     hits = (rays.far > rays.near).nonzero()[:, 0]
-    for number, some in enumerate(hits.split(CHUNK_RAYS)):
+    for number, some in enumerate(hits.split(CHUNK_RAYS) if len(hits) else ()):
         generator = generator_for(seed, purpose, number, camera_key(camera), device)
         geometry = model.nerf.trace(rays.select(some), exponent=1.0, generator=None)
         opacity[some, 0] = geometry.opacity

@@ -88,7 +88,7 @@ def derived_normal(gradient: Float[Tensor, "points 3"], floor: float) -> Float[T
     """Return the normal against the gradient of log density, shorter than one where that is small.
 
     `floor` [1/scene unit] keeps the direction of a vanishing gradient from jumping:
-    `-g / sqrt(|g|^2 + floor^2)`. Source: supplement 2.8, with the floor as our guard.
+    `-g / sqrt(|g|^2 + floor^2)`. Source: supplement Eq. 7, with the floor as our guard.
     """
     return -gradient * torch.rsqrt(gradient.square().sum(dim=-1, keepdim=True) + floor * floor)
 

@@ -29,7 +29,7 @@ class Materials:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MaterialConfig:
-    """Sizes and starting values of the material network (supplement 2.3)."""
+    """Sizes and starting values of the material network (supplement 2.6)."""
 
     grid: HashGridConfig = field(default_factory=HashGridConfig)
     width: int = 128

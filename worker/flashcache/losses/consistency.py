@@ -14,7 +14,7 @@ def consistency(
     Both are linear radiance at the same points. `physical` is detached, and the denominator holds
     the cache alone: the noisy estimate there would pull the target down. Since the cache side has no
     noise, one estimate already has the unbiased gradient of `(cache - E[physical])^2 / scale`.
-    Source: supplement Eq. 9.
+    Source: supplement 2.9.
     """
     frozen = cache.detach()
     residual = 2.0 * (frozen - physical.detach()) / (frozen + 0.01)

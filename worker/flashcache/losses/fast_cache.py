@@ -20,7 +20,7 @@ def fast_cache_loss(
     """Return the distance of the fast cache's answer from the NeRF cache's, which is detached.
 
     Radiance is compared in sRGB, opacity linearly, distance in normalised distance where the ray is
-    mostly blocked. `inside` is one for rays that count. Source: supplement 2.6; the distance
+    mostly blocked. `inside` is one for rays that count. Source: supplement 2.1; the distance
     term is ours (docs/decisions/0004-distance-output.md).
     """
     rgb = (loss_curve(answer.near_radiance) - loss_curve(target.near_radiance.detach())).square().mean(dim=-1)

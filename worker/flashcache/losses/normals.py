@@ -16,7 +16,7 @@ def normal_consistency(
 
     One term moves the density towards the frozen prediction (its weights pass `weight_gradient` of
     their gradient), the other the prediction towards the frozen derivative.
-    Source: supplement Eq. 8; the split is the authors' practice.
+    Source: supplement Eq. 6; the split is the authors' practice.
     """
     flat = weights.reshape(-1)
     to_density = (derived - predicted.detach()).square().sum(dim=-1)

@@ -23,7 +23,7 @@ def smoothness(
 ) -> Float[Tensor, ""]:
     """Return the relative change of the materials over a small step, weighed down where pictures change.
 
-    Differs from the paper: Eq. 10 as printed smooths only where the picture changes; we use the
+    Differs from the paper: Eq. 9 as printed smooths only where the picture changes; we use the
     decreasing form `2 sigmoid(-4 change) + 0.1` (docs/decisions/0003-smoothness-weight.md).
     """
 
