@@ -7,8 +7,7 @@ SAMPLE := client/python/lambent/sample
 # Where pip finds torch when the registry's CUDA build is not wanted; see README.md.
 TORCH_INDEX ?=
 PYTEST_ARGS ?=
-# Two workers on two cores: one thread each; a waiting thread sleeps.
-export OMP_NUM_THREADS ?= 1
+# A waiting thread sleeps: spinning ones slow every other process.
 export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(if $(wildcard $(WEB)/package-lock.json),$(WEB)/node_modules/.installed)
@@ -34,6 +33,8 @@ $(WEB)/node_modules/.installed: $(WEB)/package.json $(WEB)/package-lock.json
 demo: $(VENV)/.installed ## Train the sample scene on this machine and relight it (about 6 minutes)
 	$(BIN)/lambent demo
 
+# Two workers on two cores: one thread each.
+test: export OMP_NUM_THREADS ?= 1
 test: $(VENV)/.installed ## Run all tests (at most 15 minutes on 2 cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile $(PYTEST_ARGS)
 
