@@ -3,7 +3,7 @@
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -25,12 +25,13 @@ def serve(
     import asyncio
 
     from pydantic import ValidationError
+    from pydantic_settings import SettingsError
 
     from lambent_server.logs import configure_logs
     from lambent_server.serving import Ready, ServeError, run
     from lambent_server.settings import Settings
 
-    given = {
+    given: dict[str, Any] = {
         "data": data,
         "port": port,
         "host": host,
@@ -45,6 +46,9 @@ def serve(
         for each in error.errors():
             name = ".".join(map(str, each["loc"]))
             typer.echo(f"serve.setting_invalid: {name}: {each['msg']}", err=True)
+        raise typer.Exit(2) from error
+    except SettingsError as error:
+        typer.echo(f"serve.setting_invalid: {error}; it must be JSON", err=True)
         raise typer.Exit(2) from error
     configure_logs(settings.log_json)
 

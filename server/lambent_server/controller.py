@@ -144,7 +144,7 @@ class Controller:
         with self._services.database.write() as connection:
             # What the run reported last may have come after the row was read.
             statement = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
-            job = connection.execute(statement).mappings().one()
+            job = dict(connection.execute(statement).mappings().one())
             changed = self._judge(connection, job, gone)
         if changed and job["handle"] is not None:
             self._tidy(job)

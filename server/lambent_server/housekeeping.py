@@ -49,7 +49,7 @@ def _expire(services: Services) -> None:
             scenes.c.state == "open", scenes.c.created_at < now() - settings.open_scene_s
         )
         for scene in connection.execute(abandoned).mappings().all():
-            scene_rows.delete(connection, Tenant(scene["tenant_id"]), scene)
+            scene_rows.delete(connection, Tenant(scene["tenant_id"]), dict(scene))
 
 
 def _referenced(connection: Connection, tenant: Tenant, sha256: str) -> bool:

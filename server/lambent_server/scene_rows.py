@@ -35,7 +35,7 @@ def require_scene(connection: Connection, tenant: Tenant, scene_id: str, *, lock
     row = find(connection, tenant, scenes, scene_id, lock=lock)
     if row is None:
         raise not_found("scene", scene_id)
-    return row
+    return dict(row)
 
 
 def require_open(row: Row) -> None:

@@ -5,6 +5,7 @@ import contextlib
 import fcntl
 import json
 import os
+import re
 import signal
 import socket
 from collections.abc import Iterator
@@ -13,9 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import structlog
+from alembic.util import CommandError
 from granian.constants import HTTPModes, Interfaces
 from granian.http import HTTP1Settings
 from granian.server.embed import Server as Granian
+from obstore.exceptions import BaseError
+from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.app import LOOPBACK, make_app
 from lambent_server.capability import read_or_create_secret
@@ -58,7 +62,12 @@ def check_address(settings: Settings) -> None:
 @contextlib.contextmanager
 def sole_user(folder: Path) -> Iterator[None]:
     """Hold the data folder for this process."""
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise ServeError(
+            f"serve.data_unusable: {folder}: {error.strerror}; choose another with --data"
+        ) from error
     with (folder / "server.lock").open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -120,11 +129,28 @@ async def run(settings: Settings, on_ready: Any) -> None:
     with sole_user(settings.data):
         port = settings.port or free_port(settings.host)
         require_free(settings.host, port)
-        services = open_services(settings)
+        services = _open(settings)
         try:
             await _serve(services, port, on_ready)
         finally:
             services.database.close()
+
+
+def _open(settings: Settings) -> Services:
+    try:
+        return open_services(settings)
+    except (SQLAlchemyError, CommandError) as error:
+        # The password has no place in a message.
+        url = re.sub(r"//[^/@]*@", "//...@", settings.database_url)
+        raise ServeError(
+            f"serve.database_unusable: {url} cannot be used ({str(error).splitlines()[0]}); look whether it "
+            "runs and exists, and whether a newer version of Lambent has used it"
+        ) from error
+    except (ValueError, BaseError) as error:
+        raise ServeError(
+            f"serve.store_unusable: {settings.store} cannot be used ({str(error).splitlines()[0]}); give a "
+            "URL that obstore knows, such as file:///folder or s3://bucket"
+        ) from error
 
 
 async def _serve(services: Services, port: int, on_ready: Any) -> None:

@@ -5,11 +5,11 @@ Times are in seconds, sizes in bytes.
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from platformdirs import user_data_dir
-from pydantic import Field
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import BeforeValidator, Field
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 Seconds = Annotated[float, Field(gt=0)]
 Size = Annotated[int, Field(ge=0)]
@@ -17,6 +17,11 @@ Size = Annotated[int, Field(ge=0)]
 KIB = 1024
 MIB = 1024 * KIB
 GIB = 1024 * MIB
+
+
+def _split(value: Any) -> Any:
+    """Return the parts of "a, b"."""
+    return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
 
 
 class Settings(BaseSettings):
@@ -31,8 +36,8 @@ class Settings(BaseSettings):
     """0 takes any free port."""
     insecure: bool = False
     """Allow an address that other machines can reach, without TLS."""
-    allowed_hosts: tuple[str, ...] = ()
-    """Names besides the loopback ones under which a browser may address the server."""
+    allowed_hosts: Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split)] = ()
+    """Names besides the loopback ones under which the server may be addressed, with commas between them."""
     database: str | None = None
     """SQLAlchemy URL; a SQLite file in the data folder where none is given."""
     store: str | None = None

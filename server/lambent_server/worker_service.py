@@ -75,7 +75,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
                 grpc.StatusCode.FAILED_PRECONDITION,
                 f"run {fence.run} of {fence.job_id} is stale, the current one is {job['run']}",
             )
-        return job
+        return dict(job)
 
     @staticmethod
     def _require_active(job: Job, fence: worker_pb2.Fence) -> None:
