@@ -3,20 +3,22 @@
 import io
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
-from lambent_worker.bundle.glb import write_glb
+from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.mesh import Mesh
+from lambent_worker.errors import WorkerError
 
 VERTICES = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 5.0]], np.float32)
 ALBEDO = np.array([[0.5, 0.25, 0.02], [1.0, 0.0, 0.0], [0.0, 1.2, 0.0], [0.0, 0.0, 1.0]], np.float32)
 
 
 @pytest.fixture(scope="module")
-def data():
-    mesh = Mesh(
+def mesh():
+    return Mesh(
         vertices=VERTICES,
         faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.uint32),
         normals=VERTICES * 2.0 + 0.1,
@@ -24,6 +26,10 @@ def data():
         perceptual_roughness=np.array([[0.2], [0.4], [0.6], [0.8]], np.float32),
         metalness=np.array([[0.0], [0.0], [0.0], [1.0]], np.float32),
     )
+
+
+@pytest.fixture(scope="module")
+def data(mesh):
     return write_glb(mesh)
 
 
@@ -61,3 +67,11 @@ def test_chunks_are_aligned_and_lengths_add_up(data):
     rest = struct.unpack_from("<I", data, 20 + length)[0]
     assert 20 + length + 8 + rest == len(data)
     assert all(view["byteOffset"] % 4 == 0 for view in document(data)["bufferViews"])
+
+
+def test_the_check_accepts_the_file_and_refuses_that_of_another_mesh(data, mesh):
+    check_glb(data, mesh)
+    with pytest.raises(WorkerError, match=r"export\.mesh"):
+        check_glb(data, replace(mesh, vertices=mesh.vertices + np.float32(0.1)))
+    with pytest.raises(WorkerError, match=r"export\.mesh"):
+        check_glb(data, replace(mesh, faces=mesh.faces[:2]))

@@ -5,13 +5,16 @@ bits show steps in dark colours), vertex normals and a material of their own.
 Source: glTF 2.0 specification, sections 3.9 (materials), 3.7.2 (meshes) and 4 (GLB).
 """
 
+import io
 import json
 import struct
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from lambent_worker.bundle.mesh import Mesh
+from lambent_worker.errors import WorkerError
 
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 _VERTICES, _INDICES = 34962, 34963
@@ -69,6 +72,20 @@ def write_glb(mesh: Mesh) -> bytes:
         "accessors": accessors,
     }
     return _container(json.dumps(document, separators=(",", ":")).encode(), bytes(data))
+
+
+def check_glb(data: bytes, mesh: Mesh) -> None:
+    """Raise `WorkerError` unless another library reads the file back as the same surface, turned to y up."""
+    found = trimesh.load_scene(io.BytesIO(data), file_type="glb").to_mesh()
+    turned = mesh.vertices[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0], np.float32)
+    same = found.vertices.shape == turned.shape and found.faces.shape == mesh.faces.shape
+    if not (same and np.allclose(found.vertices, turned, atol=1e-5)):
+        raise WorkerError(
+            "export.mesh",
+            f"the mesh file was read back as {len(found.vertices)} vertices and {len(found.faces)} faces "
+            f"instead of {len(mesh.vertices)} and {len(mesh.faces)}, or moved; please report this with the "
+            f"run's log",
+        )
 
 
 def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from flashcache.training.checkpoint import latest_checkpoint
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environments import write_environment
 
-from lambent_worker.bundle.glb import write_glb
+from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.graphs import write_graphs
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import measure, relight_camera
@@ -50,7 +50,9 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
     settings = context.config.export
     box = occupied_box(model)
     mesh = extract_mesh(model, *box, settings.mesh_resolution)
-    (folder / "mesh" / "asset.glb").write_bytes(write_glb(mesh))
+    asset = write_glb(mesh)
+    check_glb(asset, mesh)
+    (folder / "mesh" / "asset.glb").write_bytes(asset)
     _advance(context, 1)
 
     rule = GbufferRule(box_min=box[0], box_max=box[1], num_samples=settings.gbuffer_samples)
