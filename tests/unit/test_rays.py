@@ -9,7 +9,11 @@ BOX = torch.tensor([-1.0, -1.0, -1.0]), torch.tensor([1.0, 1.0, 1.0])
 def test_the_middle_of_the_picture_looks_along_minus_z_of_the_camera():
     pose = torch.eye(4)
     direction = pixel_directions(
-        torch.tensor([32.0]), torch.tensor([32.0]), torch.tensor([50.0, 50.0]), torch.tensor([32.0, 32.0]), pose
+        torch.tensor([32.0]),
+        torch.tensor([32.0]),
+        torch.tensor([50.0, 50.0]),
+        torch.tensor([32.0, 32.0]),
+        pose,
     )
     assert torch.allclose(direction, torch.tensor([[0.0, 0.0, -1.0]]))
 

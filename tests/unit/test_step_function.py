@@ -64,5 +64,8 @@ def test_a_blur_equals_a_numerical_convolution(half_width):
         shifts = torch.linspace(-half_width, half_width, 401, dtype=torch.float64)
         return sum(integral(x + float(shift)) for shift in shifts) / 401
 
-    expected = [blurred_cdf(float(b)) - blurred_cdf(float(a)) for a, b in zip(queries[0, :-1], queries[0, 1:], strict=True)]
+    expected = [
+        blurred_cdf(float(b)) - blurred_cdf(float(a))
+        for a, b in zip(queries[0, :-1], queries[0, 1:], strict=True)
+    ]
     assert torch.allclose(masses[0], torch.tensor(expected, dtype=torch.float64), atol=2e-3)

@@ -107,7 +107,8 @@ class LightSampler(nn.Module):
         self.network = Hidden(self.grid.out_features, config.width, config.num_layers)
         self.head = linear(self.network.num_outputs, 5 * config.num_lobes * num_lights)
         fixed = torch.Generator().manual_seed(1)
-        # Differs from the paper: its code draws these anew for every batch row (docs/decisions/0007-light-sampler.md).
+        # Differs from the paper: its code draws these anew for every batch row
+        # (docs/decisions/0007-light-sampler.md).
         self.register_buffer("offsets", torch.randn((config.num_lobes, 3), generator=fixed))
 
     def forward(
