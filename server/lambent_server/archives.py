@@ -103,6 +103,8 @@ def unpack(archive: Path, folder: Path, settings: Settings) -> tuple[list[Member
         ValueError,
         OverflowError,
         gzip.BadGzipFile,
+        # tarfile follows headers that announce headers by recursion.
+        RecursionError,
     ) as error:
         raise invalid("archive_broken", "#", f"the archive cannot be read: {error}") from error
 

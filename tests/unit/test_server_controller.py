@@ -193,3 +193,18 @@ def test_a_paused_controller_starts_nothing(stage: Stage):
     job = stage.api.job()["id"]
     stage.controller.turn()
     assert stage.job(job)["state"] == "queued"
+
+
+def test_nobody_moves_a_job_that_somebody_else_has_moved(stage: Stage):
+    from lambent_server.job_queries import require_job
+    from lambent_server.job_rows import move
+    from support.api import TENANT
+
+    job = stage.api.job()["id"]
+    with stage.api.services.database.write() as connection:
+        seen = require_job(connection, TENANT, job)
+    stage.api.post(f"/v1/jobs/{job}:cancel")
+    with stage.api.services.database.write() as connection:
+        assert not move(connection, seen, "running", run=1)
+    assert stage.job(job)["state"] == "cancelled"
+    assert stage.job(job)["last_event"] == 2

@@ -195,6 +195,14 @@ def _huge_name_tar() -> bytes:
     return gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + b"a" * (17 * 2**20))
 
 
+def _long_names_tar(count: int, size: int) -> bytes:
+    # Headers that announce headers: none is large, together they are.
+    info = tarfile.TarInfo("././@LongLink")
+    info.type, info.size = tarfile.GNUTYPE_LONGNAME, size
+    padded = b"a" * (size + -size % 512)
+    return gzip.compress((info.tobuf(tarfile.GNU_FORMAT) + padded) * count)
+
+
 LINK = stat.S_IFLNK | 0o777
 HOSTILE = {
     "zip traversal": make_zip({"../../evil.png": b"x"}),
@@ -216,6 +224,7 @@ HOSTILE = {
     "tar many": make_tar(*(tar_member(f"{n}.png", b"") for n in range(51))),
     "tar bomb": gzip.compress(make_tar(*(tar_member(f"{n}.png", b"\0" * 90_000) for n in range(40)))),
     "tar long name": _huge_name_tar(),
+    "tar long names": _long_names_tar(25, 2**20),
 }
 BROKEN = {
     "nothing": b"",
@@ -224,6 +233,7 @@ BROKEN = {
     "zip that lies": _bad_size_zip(),
     "cut tar": make_tar(*(tar_member(*each) for each in SAFE.items()))[:700],
     "cut gzip": gzip.compress(make_tar(*(tar_member(*each) for each in SAFE.items())))[:-20],
+    "tar without end": _long_names_tar(3000, 10),
     "noise in gzip": gzip.compress(bytes(range(256)) * 8),
 }
 
