@@ -60,6 +60,8 @@ class _Bounded(io.RawIOBase):
             raise _unsafe("the archive holds more than it may")
 
     def seek(self, offset: int, whence: int = 0) -> int:
+        if whence == io.SEEK_SET and offset < 0:
+            raise ValueError("an entry lies before the beginning of the file")
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
@@ -128,7 +130,7 @@ def _zip_entries(file: IO[bytes], budget: int, settings: Settings) -> Iterator[E
                 raise _unsafe("encrypted entries are not allowed", info.orig_filename)
             if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise _unsafe("only stored and deflated entries are allowed", info.orig_filename)
-            if info.is_dir():
+            if info.orig_filename.endswith("/"):
                 _check_name(info.orig_filename.rstrip("/"))
                 continue
             with archive.open(info) as member:

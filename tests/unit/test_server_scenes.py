@@ -1,15 +1,14 @@
 """Uploads over REST: planned files, archives, and everything that can be wrong with them."""
 
 import gzip
-import io
 import stat
 import tarfile
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from support.api import Api, expect, expect_problem, opened, sha256
+from support.archives import make_tar, make_zip, tar_member
 
 
 @pytest.fixture(scope="module")
@@ -137,32 +136,6 @@ def test_a_deleted_scene_is_gone_unless_a_job_works_on_it(api: Api):
     expect(api.post(f"/v1/jobs/{job['id']}:cancel"), 202)
     expect(api.delete(f"/v1/scenes/{scene_id}"), 204)
     expect_problem(api.get(f"/v1/scenes/{scene_id}"), 404, "scene_not_found")
-
-
-def make_zip(entries: dict[str, bytes], **modes: int) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in entries.items():
-            info = zipfile.ZipInfo(name)
-            info.compress_type = zipfile.ZIP_DEFLATED
-            info.external_attr = modes.get(name, 0) << 16
-            archive.writestr(info, data)
-    return buffer.getvalue()
-
-
-def make_tar(*members: tuple[tarfile.TarInfo, bytes]) -> bytes:
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as archive:
-        for info, data in members:
-            info.size = len(data)
-            archive.addfile(info, io.BytesIO(data))
-    return buffer.getvalue()
-
-
-def tar_member(name: str, data: bytes = b"x", kind: bytes = tarfile.REGTYPE, target: str = "") -> tuple:
-    info = tarfile.TarInfo(name)
-    info.type, info.linkname = kind, target
-    return info, data
 
 
 SAFE = {"scene/transforms_train.json": b"{}", "scene/train/r_0.png": b"png", "scene/notes.pdf": b"?"}
