@@ -21,7 +21,7 @@ from lambent import truth
 from lambent.contact_sheet import write_contact_sheet
 from lambent.truth import Picture, TrueView
 
-NUM_SAMPLES = 64
+NUM_SAMPLES = 256
 NUM_SHOWN = 2
 
 Note = Callable[[str], None]
