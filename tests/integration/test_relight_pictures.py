@@ -69,7 +69,10 @@ def test_the_background_shows_through_where_the_object_is_not(renderer):
 
     white = renderer.render(CAMERA, SKY, num_samples=4, background=(1.0, 0.5, 0.25))
     np.testing.assert_array_equal(white.rgb[outside], np.float32([[1.0, 0.5, 0.25]] * outside.sum()))
-    np.testing.assert_array_equal(white.rgb[~outside], transparent.rgb[~outside])
+    alpha = transparent.opacity
+    np.testing.assert_allclose(
+        white.rgb, alpha * transparent.rgb + (1 - alpha) * np.array([1.0, 0.5, 0.25]), rtol=1e-5
+    )
     assert (white.opacity == 1.0).all()
 
     sky = renderer.render(CAMERA, SKY, num_samples=4, rotate_deg=70.0, background="environment")
@@ -78,7 +81,7 @@ def test_the_background_shows_through_where_the_object_is_not(renderer):
 
 
 def test_passes_describe_the_surface_and_add_up(renderer):
-    picture = renderer.render(CAMERA, SKY, num_samples=8)
+    picture = renderer.render(CAMERA, SKY, num_samples=8, antialias=1)
     inside = picture.opacity[..., 0] > 0.0
     np.testing.assert_allclose(picture.rgb, picture.direct + picture.indirect, rtol=1e-6)
     np.testing.assert_allclose(picture.albedo[inside], [[0.6, 0.4, 0.2]] * inside.sum(), rtol=1e-6)
@@ -101,12 +104,37 @@ def test_the_albedo_ratio_scales_what_is_reflected_and_stops_at_one(renderer):
 
 def test_a_view_is_asked_for_once_however_many_lights_follow(folder):
     renderer = Renderer(load_bundle(folder), num_threads=1, reader="onnx")
-    first = renderer.gbuffer(CAMERA)
+    first = renderer.view(CAMERA, 2)
     renderer.render(CAMERA, SKY, num_samples=2)
-    assert renderer.gbuffer(CAMERA) is first
+    assert renderer.view(CAMERA, 2) is first
+    assert renderer.view(CAMERA, 1) is not first
     for camera in turntable(6, radius=4.0, width=4, height=4):
-        renderer.gbuffer(camera)
-    assert renderer.gbuffer(CAMERA) is not first
+        renderer.view(camera, 2)
+    assert renderer.view(CAMERA, 2) is not first
+
+
+def test_more_rays_per_pixel_approach_the_true_coverage_of_the_edge(renderer):
+    # The ball's outline is a circle in the picture; its pixels' true coverage comes from many fine rays.
+    side = CAMERA.width
+    fine = renderer.gbuffer(CAMERA.resized(16 * side, 16 * side)).opacity
+    truth = fine.reshape(side, 16, side, 16).mean(axis=(1, 3))
+    errors = [
+        np.abs(renderer.render(CAMERA, SKY, num_samples=2, antialias=n).opacity[..., 0] - truth).mean()
+        for n in (1, 2, 4)
+    ]
+    assert errors[2] < 0.5 * errors[1] < 0.35 * errors[0]
+
+
+def test_pixels_average_their_rays_by_coverage(renderer):
+    view = renderer.view(CAMERA, 2)
+    ones = np.ones((len(view.pixel), 1), np.float32)
+    coverage = view.coverage()
+    np.testing.assert_allclose(view.mean(3 * ones)[coverage > 0], 3.0, rtol=1e-6)
+    whole = coverage[..., 0] == 1.0
+    assert whole.any()
+    # Four rays with independent errors of 1 have a mean with error 1/2.
+    np.testing.assert_allclose(view.error_of_mean(ones)[whole], 0.5, rtol=1e-6)
+    assert len(view.pixel) < 4 * coverage.size
 
 
 def test_a_camera_that_sees_nothing_gives_an_empty_picture(renderer):
@@ -117,14 +145,18 @@ def test_a_camera_that_sees_nothing_gives_an_empty_picture(renderer):
 
 
 def test_odd_numbers_of_samples_are_rounded_up_to_whole_passes(renderer):
-    assert renderer.render(CAMERA, SKY, num_samples=2).num_samples == 2
-    assert renderer.render(CAMERA, SKY, num_samples=13).num_samples == 16
+    counts = {(2, 1): 2, (13, 1): 15, (64, 1): 64, (2, 2): 8, (64, 2): 64, (70, 2): 80}
+    for (asked, antialias), spent in counts.items():
+        picture = renderer.render(CAMERA, SKY, num_samples=asked, antialias=antialias)
+        assert picture.num_samples == spent
 
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
         ({"num_samples": 1}, "relight.num_samples"),
+        ({"antialias": 0}, "relight.antialias"),
+        ({"antialias": 9}, "relight.antialias"),
         ({"albedo_ratio": (1.0, -1.0, 1.0)}, "relight.albedo_ratio"),
         ({"albedo_ratio": (1.0, 1.0)}, "relight.albedo_ratio"),
         ({"background": "pink"}, "relight.background"),

@@ -73,13 +73,15 @@ def surface_points(scene: AnalyticScene, position, viewer, count: int) -> Surfac
     )
 
 
-def relit(open_caches, scene, environment, position, viewer, *, count=1500, seed=0, indirect=True):
+def relit(
+    open_caches, scene, environment, position, viewer, *, count=1500, seed=0, indirect=True, num_samples=8
+):
     """Return independent estimates [count, 3] of the light that leaves `position` towards `viewer`."""
     radiance = outgoing_radiance(
         surface_points(scene, position, viewer, count),
         Scene(open_caches(scene), scene.origin_offset, np.ones(3, np.float32)),
         Light(environment, LightSampler(environment)),
-        num_samples=4,
+        num_samples=num_samples,
         seed=seed,
         indirect=indirect,
     )
@@ -100,7 +102,7 @@ def by_definition(scene, environment, position, viewer, *, count=1500, per_sampl
     return samples.reshape(count, per_sample, 3).mean(axis=1)
 
 
-@pytest.mark.parametrize("bounces", [0, 1])
+@pytest.mark.parametrize(("bounces", "num_samples"), [(0, 3), (1, 3), (0, 8), (1, 8)])
 @pytest.mark.parametrize(
     ("scene", "position", "viewer"),
     [
@@ -111,9 +113,11 @@ def by_definition(scene, environment, position, viewer, *, count=1500, per_sampl
     ],
     ids=["two coloured walls", "golden wall", "below a golden ball", "on the golden ball"],
 )
-def test_light_of_a_traced_scene_is_what_its_definition_says(caches, scene, position, viewer, bounces):
+def test_light_of_a_traced_scene_is_what_its_definition_says(
+    caches, scene, position, viewer, bounces, num_samples
+):
     environment = sky()
-    ours = relit(caches, scene, environment, position, viewer, indirect=bounces > 0)
+    ours = relit(caches, scene, environment, position, viewer, indirect=bounces > 0, num_samples=num_samples)
     expected = by_definition(scene, environment, position, viewer, bounces=bounces)
     assert_mean(ours - expected, np.zeros(3))
 

@@ -33,7 +33,7 @@ class RelitPicture:
     coverage: Image
     """Coverage by the object in [0, 1], [height, width, 1], whatever the background."""
     num_samples: int
-    """Light directions behind every pixel."""
+    """Light directions behind every fully covered pixel."""
 
     def exposed(self, exposure_ev: float) -> "RelitPicture":
         """Return the picture with its radiance multiplied by 2^`exposure_ev`."""

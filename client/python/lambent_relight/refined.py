@@ -60,8 +60,12 @@ class Radiance:
 
 
 def split_samples(num_samples: int) -> tuple[int, int]:
-    """Return (number of passes, directions per pass): at most 8 passes, at least `num_samples` in total."""
-    num_passes = min(8, num_samples)
+    """Return (number of passes, directions per pass), `num_samples` or a little more in total.
+
+    2 to 8 passes, of four directions where there are enough: more passes measure the noise better, longer
+    ones make less of it.
+    """
+    num_passes = min(max(num_samples // 4, 2), 8)
     return num_passes, -(-num_samples // num_passes)
 
 

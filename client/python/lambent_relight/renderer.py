@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle import Bundle
 from lambent_relight.cameras import Camera
+from lambent_relight.directions import normalise
 from lambent_relight.environments import Environment
 from lambent_relight.errors import SettingError, UnsupportedQuality
 from lambent_relight.graphs import OnnxCaches, PrimaryHits, SurfaceCaches
@@ -20,15 +21,15 @@ from lambent_relight.light_sampling import LightSampler
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined import Light, Scene, outgoing_radiance
 from lambent_relight.scattering import SurfacePoints
+from lambent_relight.views import View, look
 
 Background = Literal["transparent", "environment"] | tuple[float, float, float]
 
 Reader = Literal["auto", "fused", "onnx"]
 
 _LOG = logging.getLogger("lambent_relight")
-_MIN_OPACITY = 1e-3
-"""Pixels that are covered less than this are background."""
 _KEPT_VIEWS = 4
+_MAX_ANTIALIAS = 8
 
 
 class Renderer:
@@ -43,17 +44,21 @@ class Renderer:
         """
         self.bundle = bundle
         self.caches: SurfaceCaches = _open_caches(bundle, num_threads, reader)
-        self._seen: dict[bytes, PrimaryHits] = {}
+        self._views: dict[tuple[bytes, int], View] = {}
         self._light: tuple[Environment, Light] | None = None
 
     def gbuffer(self, camera: Camera) -> PrimaryHits:
-        """Return what `camera` sees, [height * width, n] each; asked for once per camera."""
-        key = camera.key()
-        if key not in self._seen:
-            while len(self._seen) >= _KEPT_VIEWS:
-                self._seen.pop(next(iter(self._seen)))
-            self._seen[key] = self.caches.gbuffer(*camera.rays())
-        return self._seen[key]
+        """Return what the rays through the middles of `camera`'s pixels see, [height * width, n] each."""
+        return self.caches.gbuffer(*camera.rays())
+
+    def view(self, camera: Camera, antialias: int) -> View:
+        """Return what `camera` sees; the last few cameras are remembered."""
+        key = (camera.key(), antialias)
+        if key not in self._views:
+            while len(self._views) >= _KEPT_VIEWS:
+                self._views.pop(next(iter(self._views)))
+            self._views[key] = look(self.caches, camera, antialias)
+        return self._views[key]
 
     def _prepared(self, environment: Environment) -> Light:
         if self._light is None or self._light[0] is not environment:
@@ -70,6 +75,7 @@ class Renderer:
         num_samples: int = 64,
         seed: int = 0,
         indirect: bool = True,
+        antialias: int = 2,
         albedo_ratio: NDArray[np.floating] | None = None,
         background: Background = "transparent",
         progress: Callable[[float], None] | None = None,
@@ -81,42 +87,34 @@ class Renderer:
             )
         if num_samples < 2:
             raise SettingError("relight.num_samples", f"{num_samples} samples", "use at least 2")
+        if not 1 <= antialias <= _MAX_ANTIALIAS:
+            raise SettingError("relight.antialias", f"antialias {antialias}", f"use 1 to {_MAX_ANTIALIAS}")
         ratio = _checked_ratio(self.bundle, albedo_ratio)
         light = self._prepared(environment.rotated(rotate_deg) if rotate_deg else environment)
-        seen = self.gbuffer(camera)
-        covered = np.flatnonzero(seen.opacity[:, 0] > _MIN_OPACITY)
-        origin, direction = camera.rays()
+        view = self.view(camera, antialias)
+        seen = view.hits
         albedo = np.clip(seen.albedo * ratio, 0.0, 1.0)
         points = SurfacePoints(
-            origin[covered] + seen.distance[covered] * direction[covered],
-            seen.normal[covered],
-            -direction[covered],
-            materials_from_roughness(
-                albedo[covered], seen.perceptual_roughness[covered], seen.metalness[covered]
-            ),
+            view.origin + seen.distance * view.direction,
+            seen.normal,
+            -view.direction,
+            materials_from_roughness(albedo, seen.perceptual_roughness, seen.metalness),
         )
-        offset = self.bundle.manifest.secondary_rays.origin_offset
         radiance = outgoing_radiance(
             points,
-            Scene(self.caches, offset, ratio),
+            Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, ratio),
             light,
-            num_samples=num_samples,
+            num_samples=max(2, -(-num_samples // antialias**2)),
             seed=seed,
             indirect=indirect,
             progress=progress,
         )
-
-        def image(rows: NDArray[np.float32], *, compact: bool = False) -> NDArray[np.float32]:
-            full = np.zeros((camera.height * camera.width, rows.shape[-1]), np.float32)
-            full[covered] = rows if compact else rows[covered]
-            return full.reshape(camera.height, camera.width, -1)
-
-        coverage = image(np.clip(seen.opacity, 0.0, 1.0))
-        direct, bounced = image(radiance.direct, compact=True), image(radiance.indirect, compact=True)
-        rgb, error = direct + bounced, image(radiance.standard_error, compact=True)
+        coverage = view.coverage()
+        direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
+        rgb, error = direct + bounced, view.error_of_mean(radiance.standard_error)
         opacity = coverage
         if background != "transparent":
-            behind = _background(background, light.environment, direction).reshape(rgb.shape)
+            behind = _background(background, light.environment, camera.rays()[1]).reshape(rgb.shape)
             rgb, error = coverage * rgb + (1.0 - coverage) * behind, coverage * error
             opacity = np.ones_like(coverage)
         return RelitPicture(
@@ -125,13 +123,13 @@ class Renderer:
             standard_error=error,
             direct=direct,
             indirect=bounced,
-            albedo=image(albedo),
-            normal=image(seen.normal),
-            perceptual_roughness=image(seen.perceptual_roughness),
-            metalness=image(seen.metalness),
-            distance=image(seen.distance),
+            albedo=view.mean(albedo),
+            normal=normalise(view.mean(seen.normal)),
+            perceptual_roughness=view.mean(seen.perceptual_roughness),
+            metalness=view.mean(seen.metalness),
+            distance=view.mean(seen.distance),
             coverage=coverage,
-            num_samples=radiance.num_samples,
+            num_samples=radiance.num_samples * antialias**2,
         )
 
 
@@ -188,6 +186,7 @@ def render(
     num_samples: int = 64,
     seed: int = 0,
     indirect: bool = True,
+    antialias: int = 2,
     albedo_ratio: NDArray[np.floating] | None = None,
     background: Background = "transparent",
     progress: Callable[[float], None] | None = None,
@@ -195,10 +194,11 @@ def render(
     """Return the bundle's object as `camera` sees it in the light of `environment`.
 
     `rotate_deg` turns the light by that angle about +z. `num_samples` light directions are spent on every
-    covered pixel; `indirect` adds light that was reflected once before. `albedo_ratio` (one or three
-    factors on the stored albedo, result clipped to [0, 1]) defaults to the manifest's
-    `albedo_scale_rgb`. `background` is "transparent", "environment" or a linear colour. `progress` is
-    called with the finished fraction. Equal seeds give equal pictures.
+    covered pixel, shared by `antialias` x `antialias` rays (two directions each at least); `indirect` adds
+    light that was reflected once before. `albedo_ratio` (one or three factors on the stored albedo, result
+    clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background` is "transparent",
+    "environment" or a linear colour. `progress` is called with the finished fraction. Equal seeds give equal
+    pictures.
 
     Opens the bundle's graphs anew: to render many pictures, make one `Renderer`. Raises SettingError,
     UnsupportedQuality (every quality but "refined") or BundleError.
@@ -211,6 +211,7 @@ def render(
         num_samples=num_samples,
         seed=seed,
         indirect=indirect,
+        antialias=antialias,
         albedo_ratio=albedo_ratio,
         background=background,
         progress=progress,

@@ -1,0 +1,88 @@
+"""What a camera sees, with several rays for every pixel that the object is in or beside.
+
+One ray through a pixel's middle finds the pixels that matter; those are looked at again with a grid of
+rays. Pixel values are means over a pixel's rays, weighted by opacity where they describe the surface.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.cameras import Camera
+from lambent_relight.graphs import PrimaryHits, Rows, SurfaceCaches
+
+MIN_OPACITY = 1e-3
+"""Rays that are covered less than this see nothing."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The rays of a camera that meet the object, in the order of their pixels."""
+
+    camera: Camera
+    rays_per_pixel: int
+    pixel: NDArray[np.intp]
+    """Pixel of every ray, row * width + column, [ray]."""
+    origin: Rows
+    direction: Rows
+    hits: PrimaryHits
+
+    def coverage(self) -> Rows:
+        """Return the share of every pixel that the object covers, [height, width, 1]."""
+        return np.clip(self._sum(self.hits.opacity) / self.rays_per_pixel, 0.0, 1.0)
+
+    def mean(self, values: Rows) -> Rows:
+        """Return opacity-weighted means over each pixel's rays [ray, n], [height, width, n]."""
+        total = self._sum(self.hits.opacity)
+        return self._sum(values * self.hits.opacity) / np.maximum(total, 1e-12)
+
+    def error_of_mean(self, errors: Rows) -> Rows:
+        """Return the standard error of `mean` for rays with independent standard errors [ray, n]."""
+        total = self._sum(self.hits.opacity)
+        return np.sqrt(self._sum((errors * self.hits.opacity) ** 2)) / np.maximum(total, 1e-12)
+
+    def _sum(self, values: Rows) -> Rows:
+        size = self.camera.height * self.camera.width
+        sums = [np.bincount(self.pixel, values[:, i], size) for i in range(values.shape[1])]
+        image = np.stack(sums, axis=-1).astype(np.float32)
+        return image.reshape(self.camera.height, self.camera.width, values.shape[1])
+
+
+def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
+    """Return what `camera` sees with `antialias` x `antialias` rays for every pixel that matters."""
+    origin, direction = camera.rays()
+    hits = caches.gbuffer(origin, direction)
+    pixel = np.arange(len(origin))
+    if antialias > 1:
+        covered = (hits.opacity[:, 0] > MIN_OPACITY).reshape(camera.height, camera.width)
+        pixel, sub_ray = _rays_of_pixels(np.flatnonzero(_grown(covered)), camera, antialias)
+        origin, direction = camera.resized(camera.width * antialias, camera.height * antialias).rays()
+        origin, direction = origin[sub_ray], direction[sub_ray]
+        hits = caches.gbuffer(origin, direction)
+    seen = np.flatnonzero(hits.opacity[:, 0] > MIN_OPACITY)
+    kept = PrimaryHits(**{field.name: getattr(hits, field.name)[seen] for field in fields(hits)})
+    return View(camera, antialias**2, pixel[seen], origin[seen], direction[seen], kept)
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return `mask` [height, width] with the eight neighbours of every set pixel."""
+    rows = mask.copy()
+    rows[1:] |= mask[:-1]
+    rows[:-1] |= mask[1:]
+    grown = rows.copy()
+    grown[:, 1:] |= rows[:, :-1]
+    grown[:, :-1] |= rows[:, 1:]
+    return grown
+
+
+def _rays_of_pixels(
+    pixels: NDArray[np.intp], camera: Camera, antialias: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return pixel and ray number (in a camera with `antialias` times the pixels) of all rays of `pixels`."""
+    row, column = np.divmod(pixels, camera.width)
+    offset = np.arange(antialias)
+    fine_row = row[:, None, None] * antialias + offset[:, None]
+    fine_column = column[:, None, None] * antialias + offset
+    ray = fine_row * (camera.width * antialias) + fine_column
+    return np.repeat(pixels, antialias**2), ray.reshape(-1)
