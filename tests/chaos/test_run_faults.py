@@ -12,7 +12,7 @@ import pytest
 from support.live_server import FINAL, LiveServer, wait_until
 
 pytestmark = pytest.mark.slow
-KILLS = int(os.environ.get("LAMBENT_CHAOS_KILLS", "5"))
+KILLS = int(os.environ.get("LAMBENT_CHAOS_KILLS", "4"))
 
 
 @pytest.fixture(scope="module")
@@ -26,30 +26,31 @@ def scene(server: LiveServer) -> str:
     return server.scene()
 
 
-def test_jobs_whose_run_processes_are_killed_all_succeed_and_take_effect_once(
-    server: LiveServer, scene: str, tmp_path: Path
-):
+def test_jobs_whose_run_processes_are_killed_all_succeed_and_take_effect_once(tmp_path: Path):
     ends = tmp_path / "ends"
-    jobs = [server.submit(scene, num_steps=40, step_s=0.04, touch=ends) for _ in range(4)]
     choice = random.Random(1)  # noqa: S311
     killed = 0
-    while killed < KILLS:
-        alive = server.run_processes()
-        if not alive:
-            break
-        victim = choice.choice(alive)
-        time.sleep(choice.uniform(0.1, 0.5))
-        if victim.is_running():
-            victim.kill()
-            killed += 1
-    found = [server.wait(job, timeout_s=60) for job in jobs]
-    assert killed > 0
-    assert [job["state"] for job in found] == ["succeeded"] * len(jobs)
-    assert len({job["bundle_id"] for job in found}) == len(jobs)
-    for job in jobs:
-        states = [event["state"] for event in server.events(job) if event["type"] == "state"]
-        assert states.count("succeeded") == 1
-    wait_until(lambda: not server.run_processes())
+    # Kills may come faster than first checkpoints; that this is poison otherwise has its own test.
+    with LiveServer(tmp_path / "data", max_losses_without_checkpoint=100, max_losses=100) as server:
+        scene = server.scene()
+        jobs = [server.submit(scene, num_steps=40, step_s=0.04, touch=ends) for _ in range(2 + KILLS // 3)]
+        while killed < KILLS:
+            alive = server.run_processes()
+            if not alive:
+                assert any(server.job(job)["state"] not in FINAL for job in jobs), "too few kills"
+                continue
+            victim = choice.choice(alive)
+            time.sleep(choice.uniform(0.1, 0.5))
+            if victim.is_running():
+                victim.kill()
+                killed += 1
+        found = [server.wait(job, timeout_s=60) for job in jobs]
+        assert [job["state"] for job in found] == ["succeeded"] * len(jobs)
+        assert len({job["bundle_id"] for job in found}) == len(jobs)
+        for job in jobs:
+            states = [event["state"] for event in server.events(job) if event["type"] == "state"]
+            assert states.count("succeeded") == 1
+        wait_until(lambda: not server.run_processes())
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(server: LiveServer, scene: str):
