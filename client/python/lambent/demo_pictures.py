@@ -22,6 +22,8 @@ from lambent.contact_sheet import write_contact_sheet
 from lambent.truth import Picture, TrueView
 
 NUM_SAMPLES = 256
+ANTIALIAS = 2
+"""Rays per pixel along each side, for pictures and albedo alike."""
 NUM_SHOWN = 2
 
 Note = Callable[[str], None]
@@ -85,12 +87,16 @@ def make_pictures(bundle: Path, sample: Sample, output: Path, note: Note) -> lis
     rendered = []
     for view in shown:
         note(f"rendering {view.name}: as photographed")
-        reconstruction = renderer.render(view.camera, trained, num_samples=NUM_SAMPLES)
+        reconstruction = renderer.render(view.camera, trained, num_samples=NUM_SAMPLES, antialias=ANTIALIAS)
         relit = {}
         for light, environment in unseen.items():
             note(f"rendering {view.name}: under {light}")
             relit[light] = renderer.render(
-                view.camera, environment, num_samples=NUM_SAMPLES, albedo_ratio=ratio
+                view.camera,
+                environment,
+                num_samples=NUM_SAMPLES,
+                antialias=ANTIALIAS,
+                albedo_ratio=ratio,
             )
         seen = reconstruction
         rendered.append(
@@ -124,10 +130,9 @@ def format_table(figures: list[Figure]) -> str:
 
 
 def _albedo_over_white(renderer: Renderer, view: TrueView) -> Picture:
-    seen = renderer.gbuffer(view.camera)
-    shape = (view.camera.height, view.camera.width, -1)
-    alpha = np.clip(seen.opacity.reshape(shape), 0.0, 1.0).astype(np.float64)
-    return seen.albedo.reshape(shape) * alpha + 1.0 - alpha
+    seen = renderer.view(view.camera, ANTIALIAS)
+    alpha = seen.coverage().astype(np.float64)
+    return seen.mean(seen.hits.albedo) * alpha + 1.0 - alpha
 
 
 def _shown(picture: RelitPicture) -> Picture:
@@ -237,6 +242,7 @@ def _write_metrics(
         "bundle_files_sha256": sorted(entry.sha256 for entry in manifest.files),
         "views": shown,
         "num_samples": NUM_SAMPLES,
+        "antialias": ANTIALIAS,
         "albedo_ratio_rgb": ratio.tolist(),
         "figures": [asdict(figure) for figure in figures],
     }
@@ -245,12 +251,14 @@ def _write_metrics(
 
 
 def read_figures(bundle: Path, output: Path) -> list[Figure] | None:
-    """Return the figures of an earlier run if its pictures were made from this very bundle, else None."""
+    """Return an earlier run's figures if its pictures show this bundle and are made like ours, else None."""
     report_path = output / "metrics.json"
     if not (report_path.is_file() and (output / "contact_sheet.png").is_file()):
         return None
     report = json.loads(report_path.read_text())
     manifest = json.loads((bundle / "manifest.json").read_text())
     if report.get("bundle_files_sha256") != sorted(entry["sha256"] for entry in manifest["files"]):
+        return None
+    if (report.get("num_samples"), report.get("antialias")) != (NUM_SAMPLES, ANTIALIAS):
         return None
     return [Figure(**figure) for figure in report["figures"]]

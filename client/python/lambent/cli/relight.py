@@ -44,6 +44,9 @@ def relight(
     indirect: Annotated[
         bool, typer.Option("--indirect/--direct-only", help="Light that bounced once, or not.")
     ] = True,
+    antialias: Annotated[
+        int, typer.Option(help="Rays per pixel along each side, at the object.", min=1, max=8)
+    ] = 2,
     size: Annotated[int, typer.Option(help="Side of turntable pictures, pixels; 0: as photographed.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -76,5 +79,6 @@ def relight(
             exposure_ev=exposure_ev,
             background=background,
             indirect=indirect,
+            antialias=antialias,
         )
         render_shots(renderer, shots, look, output_folder, Output(as_json))

@@ -42,7 +42,7 @@ class Shot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Look:
-    """How pictures are made: light directions per pixel, seed, exposure of the PNG in stops, background."""
+    """How pictures are made: light directions per pixel, PNG exposure in stops, rays along a pixel's side."""
 
     quality: str
     num_samples: int
@@ -50,6 +50,7 @@ class Look:
     exposure_ev: float
     background: str
     indirect: bool
+    antialias: int
 
 
 @contextmanager
@@ -136,6 +137,7 @@ def render_shots(
                 num_samples=look.num_samples,
                 seed=look.seed,
                 indirect=look.indirect,
+                antialias=look.antialias,
                 background=BACKGROUNDS[look.background],
                 progress=lambda fraction, number=number: bar.move(number + fraction),
             )

@@ -62,6 +62,7 @@ def turntable(
             exposure_ev=exposure_ev,
             background=background,
             indirect=True,
+            antialias=2,
         )
         render_shots(renderer, shots, look, output_folder, output, exr=False)
     target = output_folder / f"turntable.{film}"
