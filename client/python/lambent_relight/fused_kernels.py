@@ -54,6 +54,16 @@ def contract_block(points, count, radius):
 
 
 @njit(**_OPTIONS)
+def _row_of(index, num_rows):
+    """Return `index` mod `num_rows`; a division is avoided where it can be, which is nearly everywhere."""
+    if index < num_rows:
+        return index
+    if num_rows & (num_rows - 1) == 0:
+        return index & (num_rows - 1)
+    return index % num_rows
+
+
+@njit(**_OPTIONS)
 def encode_grid(points, count, table, levels, half_extent, output_scale, out):
     """Write trilinear features of `points` [3, BLOCK] to `out` [levels * features, BLOCK].
 
@@ -61,6 +71,7 @@ def encode_grid(points, count, table, levels, half_extent, output_scale, out):
     Source: docs/reference/bundle-format.md (feature grids).
     """
     num_features = table.shape[1]
+    zero, one = np.float32(0.0), np.float32(1.0)
     for level in range(levels.shape[0]):
         n, first, rows = levels[level, 0], levels[level, 1], levels[level, 2]
         by, bz = levels[level, 3], levels[level, 4]
@@ -68,25 +79,30 @@ def encode_grid(points, count, table, levels, half_extent, output_scale, out):
         scale = np.float32(n / (2.0 * half_extent))
         shift = np.float32(0.5 * (n - 1))
         last = np.float32(n - 1)
+        column = level * num_features
         for r in range(count):
-            u = min(max(points[0, r] * scale + shift, np.float32(0.0)), last)
-            v = min(max(points[1, r] * scale + shift, np.float32(0.0)), last)
-            w = min(max(points[2, r] * scale + shift, np.float32(0.0)), last)
+            u = min(max(points[0, r] * scale + shift, zero), last)
+            v = min(max(points[1, r] * scale + shift, zero), last)
+            w = min(max(points[2, r] * scale + shift, zero), last)
             i, j, k = min(int(u), n - 2), min(int(v), n - 2), min(int(w), n - 2)
             fu, fv, fw = u - np.float32(i), v - np.float32(j), w - np.float32(k)
+            base = i + by * j + bz * k
+            r000, r100 = first + _row_of(base, rows), first + _row_of(base + 1, rows)
+            r010, r110 = first + _row_of(base + by, rows), first + _row_of(base + by + 1, rows)
+            base += bz
+            r001, r101 = first + _row_of(base, rows), first + _row_of(base + 1, rows)
+            r011, r111 = first + _row_of(base + by, rows), first + _row_of(base + by + 1, rows)
             for f in range(num_features):
-                out[level * num_features + f, r] = np.float32(0.0)
-            for corner in range(8):
-                a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
-                weight = (fu if a else np.float32(1.0) - fu) * (fv if b else np.float32(1.0) - fv)
-                weight *= fw if c else np.float32(1.0) - fw
-                row = first + (i + a + by * (j + b) + bz * (k + c)) % rows
-                for f in range(num_features):
-                    out[level * num_features + f, r] += weight * table[row, f]
-        if output_scale != np.float32(1.0):
+                x00 = table[r000, f] + fu * (table[r100, f] - table[r000, f])
+                x10 = table[r010, f] + fu * (table[r110, f] - table[r010, f])
+                x01 = table[r001, f] + fu * (table[r101, f] - table[r001, f])
+                x11 = table[r011, f] + fu * (table[r111, f] - table[r011, f])
+                y0, y1 = x00 + fv * (x10 - x00), x01 + fv * (x11 - x01)
+                out[column + f, r] = y0 + fw * (y1 - y0)
+        if output_scale != one:
             for f in range(num_features):
                 for r in range(count):
-                    out[level * num_features + f, r] *= output_scale
+                    out[column + f, r] *= output_scale
 
 
 @njit(**_OPTIONS)
