@@ -151,7 +151,7 @@ def _save(context: StepContext, stage: StageOne | StageTwo, fingerprint: str, se
     prune_checkpoints(context.folder, keep=2)
     context.reporter.checkpoint(context.stage, stage.steps_done, folder)
     if isinstance(stage, StageTwo):
-        context.reporter.log("training.scale", step=stage.steps_done, **stage.scale())
+        context.reporter.log("scale.measured", step=stage.steps_done, **stage.scale())
 
 
 def _discard(folder: Path) -> None:
