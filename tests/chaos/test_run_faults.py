@@ -109,8 +109,11 @@ def test_a_pipeline_that_fails_is_tried_three_times(server: LiveServer, scene: s
 
 
 def test_a_pipeline_that_fails_once_succeeds_in_the_end(server: LiveServer, scene: str, tmp_path: Path):
-    for how in ("exit", "memory", "worker_error"):
-        job = server.submit(scene, num_steps=10, fail_at=3, fail_how=how, fail_once=tmp_path / how)
+    jobs = {
+        how: server.submit(scene, num_steps=10, fail_at=3, fail_how=how, fail_once=tmp_path / how)
+        for how in ("exit", "memory", "worker_error")
+    }
+    for how, job in jobs.items():
         found = server.wait(job)
         assert (found["state"], found["run"]) == ("succeeded", 2), how
 

@@ -46,7 +46,7 @@ def follow(server: LiveServer, jobs: list[str], seen: list[tuple[str, int]], end
 
 def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(server: LiveServer):
     scene = server.scene()
-    jobs = [server.submit(scene, num_steps=60, step_s=0.06, checkpoint_every=10) for _ in range(4)]
+    jobs = [server.submit(scene, num_steps=40, step_s=0.06, checkpoint_every=10) for _ in range(4)]
     seen: list[tuple[str, int]] = []
     ended = threading.Event()
     follower = threading.Thread(target=follow, args=(server, jobs, seen, ended))
@@ -74,7 +74,7 @@ def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(ser
 
 def test_the_server_ends_in_time_with_open_streams_and_leaves_runs_alone(server: LiveServer):
     scene = server.scene()
-    job = server.submit(scene, num_steps=120, step_s=0.05)
+    job = server.submit(scene, num_steps=70, step_s=0.05)
     server.wait_step(job, 1)
     opened = threading.Semaphore(0)
 
@@ -159,7 +159,7 @@ def test_duplicate_submits_make_one_job(server: LiveServer):
 
 
 def test_a_server_killed_before_it_noted_the_process_adopts_it_by_its_registration(server: LiveServer):
-    job = server.submit(server.scene(), num_steps=60, step_s=0.05)
+    job = server.submit(server.scene(), num_steps=30, step_s=0.05)
     server.wait_step(job, 1)
     server.kill()
     database = sqlite3.connect(server.data / "lambent.sqlite")
