@@ -86,7 +86,7 @@ class Page:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def wait(self, expression: str, timeout_s: float = 15.0) -> Any:
+    def wait(self, expression: str, timeout_s: float = 60.0) -> Any:
         """Return the first true value of an expression."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:

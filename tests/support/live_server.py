@@ -33,7 +33,7 @@ FAST = {
 FINAL = {"succeeded", "failed", "cancelled"}
 
 
-def wait_until(condition: Any, timeout_s: float = 30.0) -> Any:
+def wait_until(condition: Any, timeout_s: float = 90.0) -> Any:
     """Return the first truthy value of `condition()`; AssertionError when time is up."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
@@ -132,12 +132,12 @@ class LiveServer:
         assert answer.status_code == 200, answer.text
         return answer.json()
 
-    def wait(self, job_id: str, *states: str, timeout_s: float = 60.0) -> dict[str, Any]:
+    def wait(self, job_id: str, *states: str, timeout_s: float = 120.0) -> dict[str, Any]:
         """Return the job once it is in one of `states` (any final one by default)."""
         wanted = set(states) or FINAL
         return wait_until(lambda: (job := self.job(job_id))["state"] in wanted and job, timeout_s)
 
-    def wait_step(self, job_id: str, step: int, timeout_s: float = 60.0) -> dict[str, Any]:
+    def wait_step(self, job_id: str, step: int, timeout_s: float = 120.0) -> dict[str, Any]:
         """Return the job once it has done `step` steps."""
         return wait_until(
             lambda: (job := self.job(job_id))["progress"] and job["progress"]["step"] >= step and job,
