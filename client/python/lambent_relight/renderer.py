@@ -28,7 +28,8 @@ Background = Literal["transparent", "environment"] | tuple[float, float, float]
 Reader = Literal["auto", "fused", "onnx"]
 
 _LOG = logging.getLogger("lambent_relight")
-_KEPT_VIEWS = 4
+_KEPT_RAYS = 3_000_000
+"""Camera rays that are remembered; about 70 bytes each."""
 _MAX_ANTIALIAS = 8
 
 
@@ -55,9 +56,10 @@ class Renderer:
         """Return what `camera` sees; the last few cameras are remembered."""
         key = (camera.key(), antialias)
         if key not in self._views:
-            while len(self._views) >= _KEPT_VIEWS:
+            view = look(self.caches, camera, antialias)
+            while self._views and sum(v.num_rays for v in self._views.values()) + view.num_rays > _KEPT_RAYS:
                 self._views.pop(next(iter(self._views)))
-            self._views[key] = look(self.caches, camera, antialias)
+            self._views[key] = view
         return self._views[key]
 
     def _prepared(self, environment: Environment) -> Light:

@@ -28,6 +28,11 @@ class View:
     direction: Rows
     hits: PrimaryHits
 
+    @property
+    def num_rays(self) -> int:
+        """How many rays meet the object."""
+        return len(self.pixel)
+
     def coverage(self) -> Rows:
         """Return the share of every pixel that the object covers, [height, width, 1]."""
         return np.clip(self._sum(self.hits.opacity) / self.rays_per_pixel, 0.0, 1.0)
