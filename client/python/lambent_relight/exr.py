@@ -28,19 +28,18 @@ def read_exr_rgb(path: Path, *, max_pixels: int) -> NDArray[np.float32]:
     colours are already multiplied by it). Raises EnvironmentFileError for a damaged file, one without
     colour, one in other primaries than Rec. 709, a cropped or deep picture, or one above `max_pixels`.
     """
+    # Damaged files make the library raise anything, in headers it has read as well as while it reads.
     try:
         headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
-    except Exception as error:
-        raise _damaged(path) from error
-    part_index = _choose_part(path, headers)
-    header = headers[part_index]
-    height, width = _checked_size(path, header, max_pixels)
-    _check_colour(path, header)
-    try:
+        part_index = _choose_part(path, headers)
+        height, width = _checked_size(path, headers[part_index], max_pixels)
+        _check_colour(path, headers[part_index])
         parts = OpenEXR.File(str(path), separate_channels=True, num_threads=1).parts
         # The library returns fewer parts, and no exception, when it runs out of memory.
         channels = parts[part_index].channels if part_index < len(parts) else {}
         planes = [channels[name].pixels for name in "RGB" if name in channels]
+    except EnvironmentFileError:
+        raise
     except Exception as error:
         raise _damaged(path) from error
     if len(planes) < 3 or any(p is None or p.shape != (height, width) for p in planes):

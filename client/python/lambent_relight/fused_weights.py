@@ -128,8 +128,9 @@ def network_constants(
 
     Raises NotFused unless the network is of this `kind`.
     """
-    text = metadata(bundle.graph(bundle.graph_path(graph))).get(METADATA_KEY, "")
+    data = bundle.graph(bundle.graph_path(graph))
     try:
+        text = metadata(data).get(METADATA_KEY, "")
         values = json.loads(text) if text else {}
         if values.get("kind") != kind:
             raise NotFused(f"the {graph} graph's network is {values.get('kind')!r}, not {kind!r}")
