@@ -8,7 +8,7 @@ import hashlib
 import stat
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Protocol
 
@@ -28,7 +28,7 @@ class FileSource(Protocol):
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
 
-    def open(self, path: str) -> "contextmanager[BinaryIO]":
+    def open(self, path: str) -> AbstractContextManager[BinaryIO]:
         """Return an open file, for use in a `with` statement."""
 
 
