@@ -192,7 +192,7 @@ def tiny() -> Config:
 
 
 def long() -> Config:
-    """The best result without a GPU: under an hour on two cores."""
+    """A longer run without a GPU, meant for under an hour on two cores; not tuned or timed yet."""
     base = fast()
     return replace(
         base,
@@ -207,7 +207,7 @@ def long() -> Config:
 
 
 def standard() -> Config:
-    """Daily use on one GPU with 24 GB: the paper's sizes with fewer rays and steps."""
+    """The paper's sizes with fewer rays and steps, meant for one GPU with 24 GB; not run on one yet."""
     paper = paper_tensoir()
     base = fast()
     appearance = replace(paper.model.nerf.appearance, bottleneck=64, reflection_width=64)
@@ -238,7 +238,11 @@ def standard() -> Config:
 
 
 def paper_tensoir() -> Config:
-    """The supplement's settings for TensoIR-synthetic, one GPU with 80 GB."""
+    """The supplement's settings for TensoIR-synthetic, meant for one GPU with 80 GB; not run on one yet.
+
+    Differs from the paper: the cache's specular branch is the network on an integrated directional encoding
+    of the authors' public code, not the copy of the fast cache that supplement 2.2 describes.
+    """
 
     def density(finest: int, features: int) -> DensityConfig:
         return DensityConfig(
