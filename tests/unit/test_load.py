@@ -34,6 +34,51 @@ def test_alpha_is_not_decoded_like_a_colour(tmp_path):
     assert load(folder).train[0].images["capture"][0, 0, 3] == pytest.approx(128 / 255)
 
 
+def with_first_frame(folder, **fields):
+    manifest = describe_scene(folder)
+    for name, value in fields.items():
+        setattr(manifest.frames[0], name, value)
+    return load_scene(folder, manifest, max_side=1000).train[0].images["capture"]
+
+
+@pytest.mark.parametrize("kind", ["grey", "rgb", "alpha"])
+def test_the_level_of_a_mask_file_is_the_alpha_of_an_opaque_photograph(tmp_path, kind):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12, 3), 200, dtype=np.uint8))
+    level = np.arange(144, dtype=np.uint8).reshape(12, 12)
+    files = {
+        "grey": level,
+        "rgb": np.stack([level] * 3, -1),
+        "alpha": np.stack([level * 0 + 9] * 3 + [level], -1),
+    }
+    save(folder / "m.png", files[kind])
+    np.testing.assert_allclose(with_first_frame(folder, mask="m.png")[..., 3], level / 255.0, atol=1e-6)
+
+
+def test_a_photograph_that_was_cut_out_already_keeps_the_edges_of_its_mask(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12, 4), 128, dtype=np.uint8))
+    save(folder / "m.png", np.full((12, 12), 128, dtype=np.uint8))
+    assert with_first_frame(folder, mask="m.png")[0, 0, 3] == pytest.approx(128 / 255)
+
+
+def test_a_mask_of_another_size_than_the_photograph_is_refused(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "m.png", np.full((12, 11), 128, dtype=np.uint8))
+    with pytest.raises(WorkerError, match=r"scene\.mask_size: m\.png has 11 x 12 pixels"):
+        with_first_frame(folder, mask="m.png")
+
+
+def test_exposure_scales_linear_light_and_leaves_alpha_alone(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12, 4), 188, dtype=np.uint8))
+    picture = with_first_frame(folder, exposure=2.0)
+    np.testing.assert_allclose(picture[0, 0], [1.0058, 1.0058, 1.0058, 188 / 255], atol=2e-3)
+    np.testing.assert_array_equal(
+        with_first_frame(folder, exposure=0.0), with_first_frame(folder, exposure=1.0)
+    )
+
+
 def test_a_picture_without_alpha_is_opaque_everywhere(tmp_path):
     folder = write_blender(tmp_path)
     save(folder / "train" / "r_0.png", np.full((12, 12, 3), 255, dtype=np.uint8))

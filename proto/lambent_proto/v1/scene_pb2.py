@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1clambent_proto/v1/scene.proto\x12\x10lambent_proto.v1\"\xc2\x02\n\rSceneManifest\x12\x16\n\x0eschema_version\x18\x01 \x01(\t\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\x0e\n\x06layout\x18\x03 \x01(\t\x12\x0e\n\x06lights\x18\x04 \x03(\t\x12\'\n\x06\x66rames\x18\x05 \x03(\x0b\x32\x17.lambent_proto.v1.Frame\x12(\n\x06\x62ounds\x18\x06 \x01(\x0b\x32\x18.lambent_proto.v1.Bounds\x12\x30\n\x0cprimary_rays\x18\x07 \x01(\x0b\x32\x1a.lambent_proto.v1.RayRange\x12\x32\n\x0esecondary_rays\x18\x08 \x01(\x0b\x32\x1a.lambent_proto.v1.RayRange\x12\x1a\n\x12\x63ontraction_radius\x18\t \x01(\x01\x12\x16\n\x0erelight_lights\x18\n \x03(\t\"*\n\x06\x42ounds\x12\x0f\n\x07minimum\x18\x01 \x03(\x01\x12\x0f\n\x07maximum\x18\x02 \x03(\x01\"%\n\x08RayRange\x12\x0c\n\x04near\x18\x01 \x01(\x01\x12\x0b\n\x03\x66\x61r\x18\x02 \x01(\x01\"\xf1\x01\n\x05\x46rame\x12\x0c\n\x04name\x18\x01 \x01(\t\x12&\n\x05split\x18\x02 \x01(\x0e\x32\x17.lambent_proto.v1.Split\x12(\n\x06\x63\x61mera\x18\x03 \x01(\x0b\x32\x18.lambent_proto.v1.Camera\x12\'\n\x06images\x18\x04 \x03(\x0b\x32\x17.lambent_proto.v1.Image\x12\x31\n\x05truth\x18\x05 \x03(\x0b\x32\".lambent_proto.v1.Frame.TruthEntry\x1a,\n\nTruthEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\x86\x01\n\x06\x43\x61mera\x12\r\n\x05width\x18\x01 \x01(\r\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\x0f\n\x07\x66ocal_x\x18\x03 \x01(\x01\x12\x0f\n\x07\x66ocal_y\x18\x04 \x01(\x01\x12\x10\n\x08\x63\x65ntre_x\x18\x05 \x01(\x01\x12\x10\n\x08\x63\x65ntre_y\x18\x06 \x01(\x01\x12\x17\n\x0f\x63\x61mera_to_world\x18\x07 \x03(\x01\"6\n\x05Image\x12\r\n\x05light\x18\x01 \x01(\t\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\x10\n\x08\x65ncoding\x18\x03 \x01(\t\"g\n\x07\x46inding\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12,\n\x08severity\x18\x02 \x01(\x0e\x32\x1a.lambent_proto.v1.Severity\x12\x0f\n\x07message\x18\x03 \x01(\t\x12\x0f\n\x07subject\x18\x04 \x01(\t\"\x8d\x01\n\x0bSceneReport\x12\x0e\n\x06usable\x18\x01 \x01(\x08\x12\x0e\n\x06layout\x18\x02 \x01(\t\x12+\n\x08\x66indings\x18\x03 \x03(\x0b\x32\x19.lambent_proto.v1.Finding\x12\x18\n\x10num_train_frames\x18\x04 \x01(\r\x12\x17\n\x0fnum_test_frames\x18\x05 \x01(\r*?\n\x05Split\x12\x15\n\x11SPLIT_UNSPECIFIED\x10\x00\x12\x0f\n\x0bSPLIT_TRAIN\x10\x01\x12\x0e\n\nSPLIT_TEST\x10\x02*N\n\x08Severity\x12\x18\n\x14SEVERITY_UNSPECIFIED\x10\x00\x12\x14\n\x10SEVERITY_WARNING\x10\x01\x12\x12\n\x0eSEVERITY_ERROR\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1clambent_proto/v1/scene.proto\x12\x10lambent_proto.v1\"\xde\x02\n\rSceneManifest\x12\x16\n\x0eschema_version\x18\x01 \x01(\t\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\x0e\n\x06layout\x18\x03 \x01(\t\x12\x0e\n\x06lights\x18\x04 \x03(\t\x12\'\n\x06\x66rames\x18\x05 \x03(\x0b\x32\x17.lambent_proto.v1.Frame\x12(\n\x06\x62ounds\x18\x06 \x01(\x0b\x32\x18.lambent_proto.v1.Bounds\x12\x30\n\x0cprimary_rays\x18\x07 \x01(\x0b\x32\x1a.lambent_proto.v1.RayRange\x12\x32\n\x0esecondary_rays\x18\x08 \x01(\x0b\x32\x1a.lambent_proto.v1.RayRange\x12\x1a\n\x12\x63ontraction_radius\x18\t \x01(\x01\x12\x16\n\x0erelight_lights\x18\n \x03(\t\x12\x1a\n\x12world_from_capture\x18\x0b \x03(\x01\"*\n\x06\x42ounds\x12\x0f\n\x07minimum\x18\x01 \x03(\x01\x12\x0f\n\x07maximum\x18\x02 \x03(\x01\"%\n\x08RayRange\x12\x0c\n\x04near\x18\x01 \x01(\x01\x12\x0b\n\x03\x66\x61r\x18\x02 \x01(\x01\"\x91\x02\n\x05\x46rame\x12\x0c\n\x04name\x18\x01 \x01(\t\x12&\n\x05split\x18\x02 \x01(\x0e\x32\x17.lambent_proto.v1.Split\x12(\n\x06\x63\x61mera\x18\x03 \x01(\x0b\x32\x18.lambent_proto.v1.Camera\x12\'\n\x06images\x18\x04 \x03(\x0b\x32\x17.lambent_proto.v1.Image\x12\x31\n\x05truth\x18\x05 \x03(\x0b\x32\".lambent_proto.v1.Frame.TruthEntry\x12\x0c\n\x04mask\x18\x06 \x01(\t\x12\x10\n\x08\x65xposure\x18\x07 \x01(\x01\x1a,\n\nTruthEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\xac\x01\n\x06\x43\x61mera\x12\r\n\x05width\x18\x01 \x01(\r\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\x0f\n\x07\x66ocal_x\x18\x03 \x01(\x01\x12\x0f\n\x07\x66ocal_y\x18\x04 \x01(\x01\x12\x10\n\x08\x63\x65ntre_x\x18\x05 \x01(\x01\x12\x10\n\x08\x63\x65ntre_y\x18\x06 \x01(\x01\x12\x17\n\x0f\x63\x61mera_to_world\x18\x07 \x03(\x01\x12$\n\x04lens\x18\x08 \x01(\x0b\x32\x16.lambent_proto.v1.Lens\"\x7f\n\x04Lens\x12\r\n\x05width\x18\x01 \x01(\r\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\x0f\n\x07\x66ocal_x\x18\x03 \x01(\x01\x12\x0f\n\x07\x66ocal_y\x18\x04 \x01(\x01\x12\x10\n\x08\x63\x65ntre_x\x18\x05 \x01(\x01\x12\x10\n\x08\x63\x65ntre_y\x18\x06 \x01(\x01\x12\x12\n\ndistortion\x18\x07 \x03(\x01\"6\n\x05Image\x12\r\n\x05light\x18\x01 \x01(\t\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\x10\n\x08\x65ncoding\x18\x03 \x01(\t\"g\n\x07\x46inding\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12,\n\x08severity\x18\x02 \x01(\x0e\x32\x1a.lambent_proto.v1.Severity\x12\x0f\n\x07message\x18\x03 \x01(\t\x12\x0f\n\x07subject\x18\x04 \x01(\t\"\x8d\x01\n\x0bSceneReport\x12\x0e\n\x06usable\x18\x01 \x01(\x08\x12\x0e\n\x06layout\x18\x02 \x01(\t\x12+\n\x08\x66indings\x18\x03 \x03(\x0b\x32\x19.lambent_proto.v1.Finding\x12\x18\n\x10num_train_frames\x18\x04 \x01(\r\x12\x17\n\x0fnum_test_frames\x18\x05 \x01(\r*?\n\x05Split\x12\x15\n\x11SPLIT_UNSPECIFIED\x10\x00\x12\x0f\n\x0bSPLIT_TRAIN\x10\x01\x12\x0e\n\nSPLIT_TEST\x10\x02*N\n\x08Severity\x12\x18\n\x14SEVERITY_UNSPECIFIED\x10\x00\x12\x14\n\x10SEVERITY_WARNING\x10\x01\x12\x12\n\x0eSEVERITY_ERROR\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -33,26 +33,28 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_FRAME_TRUTHENTRY']._loaded_options = None
   _globals['_FRAME_TRUTHENTRY']._serialized_options = b'8\001'
-  _globals['_SPLIT']._serialized_start=1144
-  _globals['_SPLIT']._serialized_end=1207
-  _globals['_SEVERITY']._serialized_start=1209
-  _globals['_SEVERITY']._serialized_end=1287
+  _globals['_SPLIT']._serialized_start=1371
+  _globals['_SPLIT']._serialized_end=1434
+  _globals['_SEVERITY']._serialized_start=1436
+  _globals['_SEVERITY']._serialized_end=1514
   _globals['_SCENEMANIFEST']._serialized_start=51
-  _globals['_SCENEMANIFEST']._serialized_end=373
-  _globals['_BOUNDS']._serialized_start=375
-  _globals['_BOUNDS']._serialized_end=417
-  _globals['_RAYRANGE']._serialized_start=419
-  _globals['_RAYRANGE']._serialized_end=456
-  _globals['_FRAME']._serialized_start=459
-  _globals['_FRAME']._serialized_end=700
-  _globals['_FRAME_TRUTHENTRY']._serialized_start=656
-  _globals['_FRAME_TRUTHENTRY']._serialized_end=700
-  _globals['_CAMERA']._serialized_start=703
-  _globals['_CAMERA']._serialized_end=837
-  _globals['_IMAGE']._serialized_start=839
-  _globals['_IMAGE']._serialized_end=893
-  _globals['_FINDING']._serialized_start=895
-  _globals['_FINDING']._serialized_end=998
-  _globals['_SCENEREPORT']._serialized_start=1001
-  _globals['_SCENEREPORT']._serialized_end=1142
+  _globals['_SCENEMANIFEST']._serialized_end=401
+  _globals['_BOUNDS']._serialized_start=403
+  _globals['_BOUNDS']._serialized_end=445
+  _globals['_RAYRANGE']._serialized_start=447
+  _globals['_RAYRANGE']._serialized_end=484
+  _globals['_FRAME']._serialized_start=487
+  _globals['_FRAME']._serialized_end=760
+  _globals['_FRAME_TRUTHENTRY']._serialized_start=716
+  _globals['_FRAME_TRUTHENTRY']._serialized_end=760
+  _globals['_CAMERA']._serialized_start=763
+  _globals['_CAMERA']._serialized_end=935
+  _globals['_LENS']._serialized_start=937
+  _globals['_LENS']._serialized_end=1064
+  _globals['_IMAGE']._serialized_start=1066
+  _globals['_IMAGE']._serialized_end=1120
+  _globals['_FINDING']._serialized_start=1122
+  _globals['_FINDING']._serialized_end=1225
+  _globals['_SCENEREPORT']._serialized_start=1228
+  _globals['_SCENEREPORT']._serialized_end=1369
 # @@protoc_insertion_point(module_scope)

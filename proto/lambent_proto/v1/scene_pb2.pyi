@@ -26,7 +26,7 @@ SEVERITY_WARNING: Severity
 SEVERITY_ERROR: Severity
 
 class SceneManifest(_message.Message):
-    __slots__ = ("schema_version", "name", "layout", "lights", "frames", "bounds", "primary_rays", "secondary_rays", "contraction_radius", "relight_lights")
+    __slots__ = ("schema_version", "name", "layout", "lights", "frames", "bounds", "primary_rays", "secondary_rays", "contraction_radius", "relight_lights", "world_from_capture")
     SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     LAYOUT_FIELD_NUMBER: _ClassVar[int]
@@ -37,6 +37,7 @@ class SceneManifest(_message.Message):
     SECONDARY_RAYS_FIELD_NUMBER: _ClassVar[int]
     CONTRACTION_RADIUS_FIELD_NUMBER: _ClassVar[int]
     RELIGHT_LIGHTS_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FROM_CAPTURE_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     name: str
     layout: str
@@ -47,7 +48,8 @@ class SceneManifest(_message.Message):
     secondary_rays: RayRange
     contraction_radius: float
     relight_lights: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, schema_version: _Optional[str] = ..., name: _Optional[str] = ..., layout: _Optional[str] = ..., lights: _Optional[_Iterable[str]] = ..., frames: _Optional[_Iterable[_Union[Frame, _Mapping]]] = ..., bounds: _Optional[_Union[Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., contraction_radius: _Optional[float] = ..., relight_lights: _Optional[_Iterable[str]] = ...) -> None: ...
+    world_from_capture: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, schema_version: _Optional[str] = ..., name: _Optional[str] = ..., layout: _Optional[str] = ..., lights: _Optional[_Iterable[str]] = ..., frames: _Optional[_Iterable[_Union[Frame, _Mapping]]] = ..., bounds: _Optional[_Union[Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., contraction_radius: _Optional[float] = ..., relight_lights: _Optional[_Iterable[str]] = ..., world_from_capture: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Bounds(_message.Message):
     __slots__ = ("minimum", "maximum")
@@ -66,7 +68,7 @@ class RayRange(_message.Message):
     def __init__(self, near: _Optional[float] = ..., far: _Optional[float] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("name", "split", "camera", "images", "truth")
+    __slots__ = ("name", "split", "camera", "images", "truth", "mask", "exposure")
     class TruthEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -79,15 +81,19 @@ class Frame(_message.Message):
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     IMAGES_FIELD_NUMBER: _ClassVar[int]
     TRUTH_FIELD_NUMBER: _ClassVar[int]
+    MASK_FIELD_NUMBER: _ClassVar[int]
+    EXPOSURE_FIELD_NUMBER: _ClassVar[int]
     name: str
     split: Split
     camera: Camera
     images: _containers.RepeatedCompositeFieldContainer[Image]
     truth: _containers.ScalarMap[str, str]
-    def __init__(self, name: _Optional[str] = ..., split: _Optional[_Union[Split, str]] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., images: _Optional[_Iterable[_Union[Image, _Mapping]]] = ..., truth: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    mask: str
+    exposure: float
+    def __init__(self, name: _Optional[str] = ..., split: _Optional[_Union[Split, str]] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., images: _Optional[_Iterable[_Union[Image, _Mapping]]] = ..., truth: _Optional[_Mapping[str, str]] = ..., mask: _Optional[str] = ..., exposure: _Optional[float] = ...) -> None: ...
 
 class Camera(_message.Message):
-    __slots__ = ("width", "height", "focal_x", "focal_y", "centre_x", "centre_y", "camera_to_world")
+    __slots__ = ("width", "height", "focal_x", "focal_y", "centre_x", "centre_y", "camera_to_world", "lens")
     WIDTH_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     FOCAL_X_FIELD_NUMBER: _ClassVar[int]
@@ -95,6 +101,7 @@ class Camera(_message.Message):
     CENTRE_X_FIELD_NUMBER: _ClassVar[int]
     CENTRE_Y_FIELD_NUMBER: _ClassVar[int]
     CAMERA_TO_WORLD_FIELD_NUMBER: _ClassVar[int]
+    LENS_FIELD_NUMBER: _ClassVar[int]
     width: int
     height: int
     focal_x: float
@@ -102,7 +109,26 @@ class Camera(_message.Message):
     centre_x: float
     centre_y: float
     camera_to_world: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, width: _Optional[int] = ..., height: _Optional[int] = ..., focal_x: _Optional[float] = ..., focal_y: _Optional[float] = ..., centre_x: _Optional[float] = ..., centre_y: _Optional[float] = ..., camera_to_world: _Optional[_Iterable[float]] = ...) -> None: ...
+    lens: Lens
+    def __init__(self, width: _Optional[int] = ..., height: _Optional[int] = ..., focal_x: _Optional[float] = ..., focal_y: _Optional[float] = ..., centre_x: _Optional[float] = ..., centre_y: _Optional[float] = ..., camera_to_world: _Optional[_Iterable[float]] = ..., lens: _Optional[_Union[Lens, _Mapping]] = ...) -> None: ...
+
+class Lens(_message.Message):
+    __slots__ = ("width", "height", "focal_x", "focal_y", "centre_x", "centre_y", "distortion")
+    WIDTH_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    FOCAL_X_FIELD_NUMBER: _ClassVar[int]
+    FOCAL_Y_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_X_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_Y_FIELD_NUMBER: _ClassVar[int]
+    DISTORTION_FIELD_NUMBER: _ClassVar[int]
+    width: int
+    height: int
+    focal_x: float
+    focal_y: float
+    centre_x: float
+    centre_y: float
+    distortion: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, width: _Optional[int] = ..., height: _Optional[int] = ..., focal_x: _Optional[float] = ..., focal_y: _Optional[float] = ..., centre_x: _Optional[float] = ..., centre_y: _Optional[float] = ..., distortion: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Image(_message.Message):
     __slots__ = ("light", "path", "encoding")

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from lambent_worker.errors import WorkerError
 from lambent_worker.scenes.lights import select_lights
-from lambent_worker.scenes.pictures import PictureError, read_pixels
+from lambent_worker.scenes.pictures import PictureError, read_coverage, read_pixels
 
 
 def load_scene(
@@ -26,8 +26,9 @@ def load_scene(
 
     `lights` chooses training lights by name; all lights of `manifest` by default. Larger pictures are
     averaged over the area of each new pixel, in linear light and weighted by alpha. Ground truth is loaded
-    for test views only, since training must not see it. Raises `WorkerError` with a `scene.*` code when a
-    file cannot be read.
+    for test views only, since training must not see it. A frame's mask limits the alpha of its photographs,
+    and its exposure factor brings them to the exposure of the first frame. Raises `WorkerError` with a
+    `scene.*` code when a file cannot be read.
     """
     manifest = select_lights(manifest, lights or tuple(manifest.lights))
     views = [(frame.split, _load_view(folder, frame, max_side)) for frame in manifest.frames]
@@ -69,10 +70,7 @@ def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:
 
 def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int) -> View:
     size = reduced_size(frame.camera.width, frame.camera.height, max_side)
-    images = {
-        image.light: _reduced(_linear_rgba(folder, image.path, image.encoding), size)
-        for image in frame.images
-    }
+    images = {image.light: _reduced(_photograph(folder, frame, image), size) for image in frame.images}
     return View(
         name=frame.name,
         camera=camera_of(frame).resized(*size),
@@ -86,6 +84,27 @@ def _pixels(folder: Path, path: str) -> ndarray:
         return read_pixels(folder / path)
     except PictureError as error:
         raise WorkerError(error.code, f"{path} {error}") from error
+
+
+def _photograph(
+    folder: Path, frame: scene_pb2.Frame, image: scene_pb2.Image
+) -> Float32[ndarray, "height width 4"]:
+    rgba = _linear_rgba(folder, image.path, image.encoding)
+    rgba[..., :3] *= np.float32(frame.exposure or 1.0)
+    if frame.mask:
+        try:
+            coverage = read_coverage(folder / frame.mask)
+        except PictureError as error:
+            raise WorkerError(error.code, f"{frame.mask} {error}") from error
+        if coverage.shape != rgba.shape[:2]:
+            raise WorkerError(
+                "scene.mask_size",
+                f"{frame.mask} has {coverage.shape[1]} x {coverage.shape[0]} pixels, {image.path} has "
+                f"{rgba.shape[1]} x {rgba.shape[0]}; make them one size",
+            )
+        # The smaller of the two: a picture that was cut out with the same mask keeps its soft edges.
+        rgba[..., 3] = np.minimum(rgba[..., 3], coverage)
+    return rgba
 
 
 def _linear_rgba(folder: Path, path: str, encoding: str) -> Float32[ndarray, "height width 4"]:

@@ -96,6 +96,22 @@ def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
+def read_coverage(path: Path) -> Float32[ndarray, "height width"]:
+    """Return how much of each pixel the object covers, from 0 to 1, as a mask file says it.
+
+    That is the grey level, or the alpha where any pixel of the file is transparent. Raises `PictureError` as
+    `read_pixels` does.
+    """
+    pixels = read_pixels(path)
+    scale = np.float32(1.0 / 255.0 if pixels.dtype == np.uint8 else 1.0)
+    opaque = 255 if pixels.dtype == np.uint8 else 1.0
+    channels = pixels.shape[-1]
+    if channels in (2, 4) and (pixels[..., -1] < opaque).any():
+        return pixels[..., -1].astype(np.float32) * scale
+    grey = pixels[..., : 3 if channels >= 3 else 1].astype(np.float32).mean(axis=-1)
+    return np.clip(grey * scale, 0.0, 1.0)
+
+
 def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")

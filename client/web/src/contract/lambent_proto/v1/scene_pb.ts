@@ -12,7 +12,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/scene.proto.
  */
 export const file_lambent_proto_v1_scene: GenFile = /*@__PURE__*/
-  fileDesc("ChxsYW1iZW50X3Byb3RvL3YxL3NjZW5lLnByb3RvEhBsYW1iZW50X3Byb3RvLnYxIsICCg1TY2VuZU1hbmlmZXN0EhYKDnNjaGVtYV92ZXJzaW9uGAEgASgJEgwKBG5hbWUYAiABKAkSDgoGbGF5b3V0GAMgASgJEg4KBmxpZ2h0cxgEIAMoCRInCgZmcmFtZXMYBSADKAsyFy5sYW1iZW50X3Byb3RvLnYxLkZyYW1lEigKBmJvdW5kcxgGIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgHIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USMgoOc2Vjb25kYXJ5X3JheXMYCCABKAsyGi5sYW1iZW50X3Byb3RvLnYxLlJheVJhbmdlEhoKEmNvbnRyYWN0aW9uX3JhZGl1cxgJIAEoARIWCg5yZWxpZ2h0X2xpZ2h0cxgKIAMoCSIqCgZCb3VuZHMSDwoHbWluaW11bRgBIAMoARIPCgdtYXhpbXVtGAIgAygBIiUKCFJheVJhbmdlEgwKBG5lYXIYASABKAESCwoDZmFyGAIgASgBIvEBCgVGcmFtZRIMCgRuYW1lGAEgASgJEiYKBXNwbGl0GAIgASgOMhcubGFtYmVudF9wcm90by52MS5TcGxpdBIoCgZjYW1lcmEYAyABKAsyGC5sYW1iZW50X3Byb3RvLnYxLkNhbWVyYRInCgZpbWFnZXMYBCADKAsyFy5sYW1iZW50X3Byb3RvLnYxLkltYWdlEjEKBXRydXRoGAUgAygLMiIubGFtYmVudF9wcm90by52MS5GcmFtZS5UcnV0aEVudHJ5GiwKClRydXRoRW50cnkSCwoDa2V5GAEgASgJEg0KBXZhbHVlGAIgASgJOgI4ASKGAQoGQ2FtZXJhEg0KBXdpZHRoGAEgASgNEg4KBmhlaWdodBgCIAEoDRIPCgdmb2NhbF94GAMgASgBEg8KB2ZvY2FsX3kYBCABKAESEAoIY2VudHJlX3gYBSABKAESEAoIY2VudHJlX3kYBiABKAESFwoPY2FtZXJhX3RvX3dvcmxkGAcgAygBIjYKBUltYWdlEg0KBWxpZ2h0GAEgASgJEgwKBHBhdGgYAiABKAkSEAoIZW5jb2RpbmcYAyABKAkiZwoHRmluZGluZxIMCgRjb2RlGAEgASgJEiwKCHNldmVyaXR5GAIgASgOMhoubGFtYmVudF9wcm90by52MS5TZXZlcml0eRIPCgdtZXNzYWdlGAMgASgJEg8KB3N1YmplY3QYBCABKAkijQEKC1NjZW5lUmVwb3J0Eg4KBnVzYWJsZRgBIAEoCBIOCgZsYXlvdXQYAiABKAkSKwoIZmluZGluZ3MYAyADKAsyGS5sYW1iZW50X3Byb3RvLnYxLkZpbmRpbmcSGAoQbnVtX3RyYWluX2ZyYW1lcxgEIAEoDRIXCg9udW1fdGVzdF9mcmFtZXMYBSABKA0qPwoFU3BsaXQSFQoRU1BMSVRfVU5TUEVDSUZJRUQQABIPCgtTUExJVF9UUkFJThABEg4KClNQTElUX1RFU1QQAipOCghTZXZlcml0eRIYChRTRVZFUklUWV9VTlNQRUNJRklFRBAAEhQKEFNFVkVSSVRZX1dBUk5JTkcQARISCg5TRVZFUklUWV9FUlJPUhACYgZwcm90bzM");
+  fileDesc("ChxsYW1iZW50X3Byb3RvL3YxL3NjZW5lLnByb3RvEhBsYW1iZW50X3Byb3RvLnYxIt4CCg1TY2VuZU1hbmlmZXN0EhYKDnNjaGVtYV92ZXJzaW9uGAEgASgJEgwKBG5hbWUYAiABKAkSDgoGbGF5b3V0GAMgASgJEg4KBmxpZ2h0cxgEIAMoCRInCgZmcmFtZXMYBSADKAsyFy5sYW1iZW50X3Byb3RvLnYxLkZyYW1lEigKBmJvdW5kcxgGIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgHIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USMgoOc2Vjb25kYXJ5X3JheXMYCCABKAsyGi5sYW1iZW50X3Byb3RvLnYxLlJheVJhbmdlEhoKEmNvbnRyYWN0aW9uX3JhZGl1cxgJIAEoARIWCg5yZWxpZ2h0X2xpZ2h0cxgKIAMoCRIaChJ3b3JsZF9mcm9tX2NhcHR1cmUYCyADKAEiKgoGQm91bmRzEg8KB21pbmltdW0YASADKAESDwoHbWF4aW11bRgCIAMoASIlCghSYXlSYW5nZRIMCgRuZWFyGAEgASgBEgsKA2ZhchgCIAEoASKRAgoFRnJhbWUSDAoEbmFtZRgBIAEoCRImCgVzcGxpdBgCIAEoDjIXLmxhbWJlbnRfcHJvdG8udjEuU3BsaXQSKAoGY2FtZXJhGAMgASgLMhgubGFtYmVudF9wcm90by52MS5DYW1lcmESJwoGaW1hZ2VzGAQgAygLMhcubGFtYmVudF9wcm90by52MS5JbWFnZRIxCgV0cnV0aBgFIAMoCzIiLmxhbWJlbnRfcHJvdG8udjEuRnJhbWUuVHJ1dGhFbnRyeRIMCgRtYXNrGAYgASgJEhAKCGV4cG9zdXJlGAcgASgBGiwKClRydXRoRW50cnkSCwoDa2V5GAEgASgJEg0KBXZhbHVlGAIgASgJOgI4ASKsAQoGQ2FtZXJhEg0KBXdpZHRoGAEgASgNEg4KBmhlaWdodBgCIAEoDRIPCgdmb2NhbF94GAMgASgBEg8KB2ZvY2FsX3kYBCABKAESEAoIY2VudHJlX3gYBSABKAESEAoIY2VudHJlX3kYBiABKAESFwoPY2FtZXJhX3RvX3dvcmxkGAcgAygBEiQKBGxlbnMYCCABKAsyFi5sYW1iZW50X3Byb3RvLnYxLkxlbnMifwoETGVucxINCgV3aWR0aBgBIAEoDRIOCgZoZWlnaHQYAiABKA0SDwoHZm9jYWxfeBgDIAEoARIPCgdmb2NhbF95GAQgASgBEhAKCGNlbnRyZV94GAUgASgBEhAKCGNlbnRyZV95GAYgASgBEhIKCmRpc3RvcnRpb24YByADKAEiNgoFSW1hZ2USDQoFbGlnaHQYASABKAkSDAoEcGF0aBgCIAEoCRIQCghlbmNvZGluZxgDIAEoCSJnCgdGaW5kaW5nEgwKBGNvZGUYASABKAkSLAoIc2V2ZXJpdHkYAiABKA4yGi5sYW1iZW50X3Byb3RvLnYxLlNldmVyaXR5Eg8KB21lc3NhZ2UYAyABKAkSDwoHc3ViamVjdBgEIAEoCSKNAQoLU2NlbmVSZXBvcnQSDgoGdXNhYmxlGAEgASgIEg4KBmxheW91dBgCIAEoCRIrCghmaW5kaW5ncxgDIAMoCzIZLmxhbWJlbnRfcHJvdG8udjEuRmluZGluZxIYChBudW1fdHJhaW5fZnJhbWVzGAQgASgNEhcKD251bV90ZXN0X2ZyYW1lcxgFIAEoDSo/CgVTcGxpdBIVChFTUExJVF9VTlNQRUNJRklFRBAAEg8KC1NQTElUX1RSQUlOEAESDgoKU1BMSVRfVEVTVBACKk4KCFNldmVyaXR5EhgKFFNFVkVSSVRZX1VOU1BFQ0lGSUVEEAASFAoQU0VWRVJJVFlfV0FSTklORxABEhIKDlNFVkVSSVRZX0VSUk9SEAJiBnByb3RvMw");
 
 /**
  * A scene folder, whatever layout it came in, described frame by frame.
@@ -33,7 +33,7 @@ export type SceneManifest = Message<"lambent_proto.v1.SceneManifest"> & {
   name: string;
 
   /**
-   * Layout the folder was read as: "tensoir_synthetic" or "nerf_blender".
+   * Name of the layout the folder was read as, for example "tensoir_synthetic" or "colmap".
    *
    * @generated from field: string layout = 3;
    */
@@ -79,6 +79,14 @@ export type SceneManifest = Message<"lambent_proto.v1.SceneManifest"> & {
    * @generated from field: repeated string relight_lights = 10;
    */
   relightLights: string[];
+
+  /**
+   * Similarity from the capture's own coordinates to those used here and in everything made of the scene:
+   * row-major 4x4 matrix. Empty when the capture's coordinates are used as they are.
+   *
+   * @generated from field: repeated double world_from_capture = 11;
+   */
+  worldFromCapture: number[];
 };
 
 /**
@@ -170,6 +178,21 @@ export type Frame = Message<"lambent_proto.v1.Frame"> & {
    * @generated from field: map<string, string> truth = 5;
    */
   truth: { [key: string]: string };
+
+  /**
+   * Path in the scene folder of the picture whose grey level is the coverage of the object; empty when the
+   * alpha of the photographs alone says it.
+   *
+   * @generated from field: string mask = 6;
+   */
+  mask: string;
+
+  /**
+   * Factor on linear values that brings the photographs to the exposure of the first frame; 0 counts as 1.
+   *
+   * @generated from field: double exposure = 7;
+   */
+  exposure: number;
 };
 
 /**
@@ -221,6 +244,13 @@ export type Camera = Message<"lambent_proto.v1.Camera"> & {
    * @generated from field: repeated double camera_to_world = 7;
    */
   cameraToWorld: number[];
+
+  /**
+   * What the files show where they were not taken by the pinhole camera above; they are resampled on loading.
+   *
+   * @generated from field: lambent_proto.v1.Lens lens = 8;
+   */
+  lens?: Lens | undefined;
 };
 
 /**
@@ -229,6 +259,60 @@ export type Camera = Message<"lambent_proto.v1.Camera"> & {
  */
 export const CameraSchema: GenMessage<Camera> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_scene, 4);
+
+/**
+ * A distorted lens: with (x, y) the pinhole's coordinates over depth and r their length, a point is seen at
+ * x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y likewise.
+ *
+ * @generated from message lambent_proto.v1.Lens
+ */
+export type Lens = Message<"lambent_proto.v1.Lens"> & {
+  /**
+   * Size, focal lengths and centre of the pictures as they are in the files, in pixels.
+   *
+   * @generated from field: uint32 width = 1;
+   */
+  width: number;
+
+  /**
+   * @generated from field: uint32 height = 2;
+   */
+  height: number;
+
+  /**
+   * @generated from field: double focal_x = 3;
+   */
+  focalX: number;
+
+  /**
+   * @generated from field: double focal_y = 4;
+   */
+  focalY: number;
+
+  /**
+   * @generated from field: double centre_x = 5;
+   */
+  centreX: number;
+
+  /**
+   * @generated from field: double centre_y = 6;
+   */
+  centreY: number;
+
+  /**
+   * k1, k2, p1, p2, k3, k4, k5, k6; OpenCV's order and signs (x right, y down).
+   *
+   * @generated from field: repeated double distortion = 7;
+   */
+  distortion: number[];
+};
+
+/**
+ * Describes the message lambent_proto.v1.Lens.
+ * Use `create(LensSchema)` to create a new message.
+ */
+export const LensSchema: GenMessage<Lens> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_scene, 5);
 
 /**
  * @generated from message lambent_proto.v1.Image
@@ -259,7 +343,7 @@ export type Image = Message<"lambent_proto.v1.Image"> & {
  * Use `create(ImageSchema)` to create a new message.
  */
 export const ImageSchema: GenMessage<Image> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_scene, 5);
+  messageDesc(file_lambent_proto_v1_scene, 6);
 
 /**
  * One thing about a scene that its owner should know, with what to do about it.
@@ -297,7 +381,7 @@ export type Finding = Message<"lambent_proto.v1.Finding"> & {
  * Use `create(FindingSchema)` to create a new message.
  */
 export const FindingSchema: GenMessage<Finding> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_scene, 6);
+  messageDesc(file_lambent_proto_v1_scene, 7);
 
 /**
  * The result of looking at a scene before any training.
@@ -336,7 +420,7 @@ export type SceneReport = Message<"lambent_proto.v1.SceneReport"> & {
  * Use `create(SceneReportSchema)` to create a new message.
  */
 export const SceneReportSchema: GenMessage<SceneReport> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_scene, 7);
+  messageDesc(file_lambent_proto_v1_scene, 8);
 
 /**
  * @generated from enum lambent_proto.v1.Split
