@@ -57,6 +57,17 @@ class DirectionCounts:
             )
         return cls(cosine=total // 4, sampler=total // 4, specular=total // 2)
 
+    def divided(self, parts: int) -> "DirectionCounts":
+        """Return the directions of each of `parts` points that share these; no half is left without one.
+
+        The total is divided exactly as long as it is a multiple of `parts` and gives each point two or more.
+        """
+        diffuse = self.cosine + self.sampler
+        share = max(2, self.total // parts) if self.total else 0
+        specular = min(max(1, round(share * self.specular / self.total)), share - 1) if share else 0
+        cosine = -(-(share - specular) * self.cosine // diffuse) if diffuse else 0
+        return DirectionCounts(cosine=cosine, sampler=share - specular - cosine, specular=specular)
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EstimatorConfig:
