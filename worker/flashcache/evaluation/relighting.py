@@ -10,7 +10,7 @@ from torch import Tensor
 from flashcache.geometry.directions import uv_from_direction
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
-from flashcache.physical.incident import Incident, SecondaryRays, visibility_only
+from flashcache.physical.incident import Incident, RadianceSource, SecondaryRays, visibility_only
 from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
@@ -62,21 +62,21 @@ def relit_radiance(
     light: MapLight,
     ratio: Float[Tensor, "3"],
     *,
+    cache: RadianceSource,
     num_directions: int,
     indirect: bool,
     generator: torch.Generator,
 ) -> Float[Tensor, "points 3"]:
-    """Return radiance towards the viewer under `light`, with the fast cache's shadows.
+    """Return radiance towards the viewer under `light`, with the shadows of `cache`.
 
     With `indirect`, a secondary ray that is blocked (decided at random with its opacity, which keeps the
     mean) finds the radiance of the point it hits: direct light under the same environment, with that
     point's material.
     """
     config = EstimatorConfig(stratified=True)
-    fast = model.fast_source()
 
     def near_field(rays: SecondaryRays) -> Incident:
-        answer = fast(rays)
+        answer = cache(rays)
         blocked = torch.rand(len(rays), generator=generator, device=rays.origins.device) < answer.opacity
         radiance = torch.zeros_like(rays.origins)
         index = blocked.nonzero()[:, 0]
@@ -94,7 +94,7 @@ def relit_radiance(
         return relight(
             ShadingPoints(positions, normal, omega_o, light_index),
             scaled_materials(model, positions, ratio),
-            source=visibility_only(fast),
+            source=visibility_only(cache),
             environment=light,
             light=light.sampler,
             counts=BOUNCE_COUNTS,
@@ -108,7 +108,7 @@ def relit_radiance(
     return relight(
         points,
         scaled_materials(model, points.positions, ratio),
-        source=near_field if indirect else visibility_only(fast),
+        source=near_field if indirect else visibility_only(cache),
         environment=light,
         light=light.sampler,
         counts=counts,
