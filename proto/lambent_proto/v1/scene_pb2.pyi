@@ -68,7 +68,7 @@ class RayRange(_message.Message):
     def __init__(self, near: _Optional[float] = ..., far: _Optional[float] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("name", "split", "camera", "images", "truth", "mask", "exposure")
+    __slots__ = ("name", "split", "camera", "images", "truth", "mask", "exposure", "mask_encoding")
     class TruthEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -83,6 +83,7 @@ class Frame(_message.Message):
     TRUTH_FIELD_NUMBER: _ClassVar[int]
     MASK_FIELD_NUMBER: _ClassVar[int]
     EXPOSURE_FIELD_NUMBER: _ClassVar[int]
+    MASK_ENCODING_FIELD_NUMBER: _ClassVar[int]
     name: str
     split: Split
     camera: Camera
@@ -90,7 +91,8 @@ class Frame(_message.Message):
     truth: _containers.ScalarMap[str, str]
     mask: str
     exposure: float
-    def __init__(self, name: _Optional[str] = ..., split: _Optional[_Union[Split, str]] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., images: _Optional[_Iterable[_Union[Image, _Mapping]]] = ..., truth: _Optional[_Mapping[str, str]] = ..., mask: _Optional[str] = ..., exposure: _Optional[float] = ...) -> None: ...
+    mask_encoding: str
+    def __init__(self, name: _Optional[str] = ..., split: _Optional[_Union[Split, str]] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., images: _Optional[_Iterable[_Union[Image, _Mapping]]] = ..., truth: _Optional[_Mapping[str, str]] = ..., mask: _Optional[str] = ..., exposure: _Optional[float] = ..., mask_encoding: _Optional[str] = ...) -> None: ...
 
 class Camera(_message.Message):
     __slots__ = ("width", "height", "focal_x", "focal_y", "centre_x", "centre_y", "camera_to_world", "lens")

@@ -93,7 +93,7 @@ def _photograph(
     rgba[..., :3] *= np.float32(frame.exposure or 1.0)
     if frame.mask:
         try:
-            coverage = read_coverage(folder / frame.mask)
+            coverage = read_coverage(folder / frame.mask, frame.mask_encoding)
         except PictureError as error:
             raise WorkerError(error.code, f"{frame.mask} {error}") from error
         if coverage.shape != rgba.shape[:2]:

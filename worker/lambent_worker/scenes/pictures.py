@@ -1,5 +1,6 @@
 """Opens picture files: header first, then pixels, with a limit on how many there may be."""
 
+import importlib
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,22 +10,35 @@ from jaxtyping import Float32, Shaped
 from numpy import ndarray
 from PIL import Image
 
+from lambent_worker.scenes.float_pictures import (
+    FLOAT_SUFFIXES,
+    MAX_FLOAT_PIXELS,
+    float_picture_size,
+    float_pixels,
+)
+from lambent_worker.scenes.picture_error import PictureError, reason_of
+
 MAX_PIXELS = 64 * 2**20
 """Pixels a single picture may have: 8192 x 8192."""
 
-MAX_EXR_PIXELS = 16 * 2**20
-"""The same for EXR, whose pixels are up to four times as large in memory."""
+HEIF_SUFFIXES = (".heic", ".heif")
+PILLOW_FORMATS = {
+    ".png": "PNG",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".webp": "WEBP",
+    **dict.fromkeys(HEIF_SUFFIXES, "HEIF"),
+}
+PICTURE_SUFFIXES = (*PILLOW_FORMATS, *FLOAT_SUFFIXES)
+NERO_DEPTH = "nero_depth"
+"""Encoding of a mask that is a depth picture of Glossy Synthetic: 65535 stands for 15 scene units."""
+NERO_BACKGROUND = 14.5
+"""Depth from which on nothing was hit, scene units."""
 
-PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
-PICTURE_SUFFIXES = (*PILLOW_FORMATS, ".exr")
 
-
-class PictureError(Exception):
-    """A picture cannot be used; `code` is stable, the text says why."""
-
-    def __init__(self, code: str, reason: str) -> None:
-        super().__init__(reason)
-        self.code = code
+def encoding_of(path: str) -> str:
+    """Return how the colours of a picture are stored, as `Image.encoding` says it."""
+    return "linear" if path.lower().endswith(FLOAT_SUFFIXES) else "srgb"
 
 
 def picture_size(path: Path) -> tuple[int, int]:
@@ -32,11 +46,11 @@ def picture_size(path: Path) -> tuple[int, int]:
 
     Raises `PictureError` for a missing file, something that is no picture, or more than `MAX_PIXELS` pixels.
     """
-    if path.suffix.lower() == ".exr":
-        width, height = _exr_size(path)
-        limit = MAX_EXR_PIXELS
+    if path.suffix.lower() in FLOAT_SUFFIXES:
+        width, height = float_picture_size(path)
+        limit = MAX_FLOAT_PIXELS
     else:
-        with _opened(path) as image:
+        with opened(path) as image:
             width, height = image.size
         limit = MAX_PIXELS
     if width * height > limit:
@@ -65,7 +79,7 @@ def picture_facts(path: Path) -> PictureFacts:
 
     Raises `PictureError` as `read_pixels` does.
     """
-    if path.suffix.lower() == ".exr":
+    if path.suffix.lower() in FLOAT_SUFFIXES:
         pixels = read_pixels(path)
         alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(1)
         return PictureFacts(
@@ -74,7 +88,7 @@ def picture_facts(path: Path) -> PictureFacts:
             has_background=bool(alpha.min() < 1.0),
         )
     picture_size(path)
-    with _opened(path) as image:
+    with opened(path) as image:
         _decode(image)
         bands = image.getextrema() if len(image.getbands()) > 1 else (image.getextrema(),)
         alpha = dict(zip(image.getbands(), bands, strict=True)).get("A", (255, 255))
@@ -82,44 +96,52 @@ def picture_facts(path: Path) -> PictureFacts:
 
 
 def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
-    """Return the pixels of a picture: 8-bit RGB(A) or grey(+alpha) as stored, or float32 for EXR.
+    """Return the pixels of a picture: 8-bit RGB(A) or grey(+alpha), or float32 for EXR and HDR.
 
-    Raises `PictureError` as `picture_size` does, and for files that end too early or hold broken data.
+    16-bit grey is reduced to 8 bit. Raises `PictureError` as `picture_size` does, and for files that end too
+    early or hold broken data.
     """
-    width, height = picture_size(path)
-    if path.suffix.lower() == ".exr":
-        return _exr_pixels(path, height, width)
-    with _opened(path) as image:
-        _decode(image)
-        plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
-        pixels = np.asarray(plain)
-    return pixels[..., None] if pixels.ndim == 2 else pixels
+    if path.suffix.lower() in FLOAT_SUFFIXES:
+        picture_size(path)
+        return float_pixels(path)
+    pixels = _stored_pixels(path)
+    return (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
 
 
-def read_coverage(path: Path) -> Float32[ndarray, "height width"]:
+def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height width"]:
     """Return how much of each pixel the object covers, from 0 to 1, as a mask file says it.
 
-    That is the grey level, or the alpha where any pixel of the file is transparent. Raises `PictureError` as
-    `read_pixels` does.
+    That is the grey level, or the alpha where any pixel of the file is transparent; with the encoding
+    `NERO_DEPTH` it is 1 where something nearer than the background is. Raises `PictureError` as `read_pixels`
+    does.
     """
-    pixels = read_pixels(path)
-    scale = np.float32(1.0 / 255.0 if pixels.dtype == np.uint8 else 1.0)
-    opaque = 255 if pixels.dtype == np.uint8 else 1.0
+    if path.suffix.lower() in FLOAT_SUFFIXES:
+        pixels, full = read_pixels(path), 1.0
+    else:
+        pixels = _stored_pixels(path)
+        full = float(np.iinfo(pixels.dtype).max)
+    if encoding == NERO_DEPTH:
+        return (pixels[..., 0] * (15.0 / full) < NERO_BACKGROUND).astype(np.float32)
     channels = pixels.shape[-1]
-    if channels in (2, 4) and (pixels[..., -1] < opaque).any():
-        return pixels[..., -1].astype(np.float32) * scale
-    grey = pixels[..., : 3 if channels >= 3 else 1].astype(np.float32).mean(axis=-1)
-    return np.clip(grey * scale, 0.0, 1.0)
+    if channels in (2, 4) and (pixels[..., -1] < full).any():
+        grey = pixels[..., -1].astype(np.float32)
+    else:
+        grey = pixels[..., : 3 if channels >= 3 else 1].astype(np.float32).mean(axis=-1)
+    return np.clip(grey / np.float32(full), 0.0, 1.0)
 
 
-def _opened(path: Path) -> Image.Image:
+def opened(path: Path) -> Image.Image:
+    """Return an 8-bit picture with its header read; raises `PictureError` where that cannot be done."""
     if not path.is_file():
         raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
     suffix = path.suffix.lower()
     if suffix not in PILLOW_FORMATS:
         raise PictureError(
-            "scene.image_format", f"has the unsupported suffix {suffix!r}; use PNG, JPEG, WebP or EXR"
+            "scene.image_format",
+            f"has the unsupported suffix {suffix!r}; use PNG, JPEG, WebP, HEIC, EXR or HDR",
         )
+    if suffix in HEIF_SUFFIXES:
+        _learn_heif()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -131,8 +153,33 @@ def _opened(path: Path) -> Image.Image:
     except Exception as error:
         raise PictureError(
             "scene.image_not_a_picture",
-            f"is not a {PILLOW_FORMATS[suffix]} picture ({_reason(error)}); export or copy it again",
+            f"is not a {PILLOW_FORMATS[suffix]} picture ({reason_of(error)}); export or copy it again",
         ) from error
+
+
+def _learn_heif() -> None:
+    try:
+        plugin = importlib.import_module("pillow_heif")
+    except ImportError as error:
+        raise PictureError(
+            "scene.heic_unsupported",
+            "is a HEIC picture, and pillow-heif, which reads them, is not installed; run pip install "
+            "'lambent[heic]' or export the photographs as JPEG",
+        ) from error
+    plugin.register_heif_opener()
+
+
+def _stored_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
+    """Return 8-bit pixels, or 16-bit ones where the file is grey with 16 bits."""
+    picture_size(path)
+    with opened(path) as image:
+        _decode(image)
+        if image.mode.startswith("I"):
+            pixels = np.clip(np.asarray(image), 0, 65535).astype(np.uint16)
+        else:
+            plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
+            pixels = np.asarray(plain)
+    return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
 def _decode(image: Image.Image) -> None:
@@ -142,54 +189,5 @@ def _decode(image: Image.Image) -> None:
             image.load()
     except Exception as error:  # Pillow's decoders raise many kinds; each means the same to the owner
         raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({_reason(error)}); export or copy it again"
+            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
         ) from error
-
-
-def _exr_size(path: Path) -> tuple[int, int]:
-    """Read the data window from the attributes at the start of an EXR file, without its library.
-
-    The library allocates what the header asks for, and a file of a few hundred bytes can ask for gigabytes.
-    """
-    if not path.is_file():
-        raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
-    with path.open("rb") as file:
-        head = file.read(65536)
-    if head[:4] != b"\x76\x2f\x31\x01":
-        raise PictureError("scene.image_not_a_picture", "is not an EXR picture; export or copy it again")
-    at = head.find(b"dataWindow\0box2i\0\x10\0\0\0")
-    window = head[at + 21 : at + 37]
-    if at < 0 or len(window) < 16:
-        raise PictureError("scene.image_broken", "has no data window in its header; export it again")
-    x0, y0, x1, y1 = (int(v) for v in np.frombuffer(window, dtype="<i4"))
-    return max(x1 - x0 + 1, 0), max(y1 - y0 + 1, 0)
-
-
-def _exr_pixels(path: Path, height: int, width: int) -> Float32[ndarray, "height width channels"]:
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(str(path)) as file:
-            channels = (
-                {name: channel.pixels for name, channel in file.channels().items()} if file.parts else {}
-            )
-    except Exception as error:
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({_reason(error)}); export it again"
-        ) from error
-    for names in (("RGBA",), ("RGB",), ("R", "G", "B", "A"), ("R", "G", "B"), ("Y",)):
-        if set(names) <= set(channels):
-            planes = [np.asarray(channels[name], dtype=np.float32) for name in names]
-            pixels = np.concatenate([p[..., None] if p.ndim == 2 else p for p in planes], axis=-1)
-            if pixels.shape[:2] != (height, width):
-                break
-            return pixels
-    raise PictureError(
-        "scene.image_broken",
-        f"has channels {sorted(channels)}, expected R, G, B (and A) or Y; export it again",
-    )
-
-
-def _reason(error: Exception) -> str:
-    text = str(error).splitlines()[0] if str(error) else type(error).__name__
-    return text.replace("\\", "/").rsplit("/", maxsplit=1)[-1][:120]
