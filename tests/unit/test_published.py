@@ -57,7 +57,7 @@ def test_objects_average_to_the_figures_of_the_papers_main_table(group, method, 
 
 def test_every_ablation_has_its_three_figures_and_a_source():
     rows = published.published_rows("ablations")
-    assert {row.method for row in rows} >= {"full", "k2", "k4", "k8", "no_cv_no_vmf_depth"}
+    assert {row.method for row in rows} >= {"full", "k2", "k4", "k8", "depth"}
     assert all(len(row.values) == 3 and row.source for row in rows)
 
 
