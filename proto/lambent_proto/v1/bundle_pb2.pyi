@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class BundleManifest(_message.Message):
-    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics")
+    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty")
     class MetricsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -33,6 +33,7 @@ class BundleManifest(_message.Message):
     TENSORS_FIELD_NUMBER: _ClassVar[int]
     ALBEDO_SCALE_RGB_FIELD_NUMBER: _ClassVar[int]
     METRICS_FIELD_NUMBER: _ClassVar[int]
+    UNCERTAINTY_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     scene_id: str
     name: str
@@ -50,7 +51,8 @@ class BundleManifest(_message.Message):
     tensors: _containers.RepeatedCompositeFieldContainer[TensorEntry]
     albedo_scale_rgb: _containers.RepeatedScalarFieldContainer[float]
     metrics: _containers.ScalarMap[str, float]
-    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ...) -> None: ...
+    uncertainty: Uncertainty
+    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ...) -> None: ...
 
 class Generator(_message.Message):
     __slots__ = ("name", "version", "git_revision", "train_step")
@@ -113,6 +115,16 @@ class Graph(_message.Message):
     light: str
     parity: Parity
     def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., light: _Optional[str] = ..., parity: _Optional[_Union[Parity, _Mapping]] = ...) -> None: ...
+
+class Uncertainty(_message.Message):
+    __slots__ = ("path", "box", "channels")
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    BOX_FIELD_NUMBER: _ClassVar[int]
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    path: str
+    box: _scene_pb2.Bounds
+    channels: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, path: _Optional[str] = ..., box: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., channels: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Parity(_message.Message):
     __slots__ = ("max_abs_error", "tolerance", "num_samples")

@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class EvaluationReport(_message.Message):
-    __slots__ = ("schema_version", "protocol_version", "scene", "preset", "seed", "num_views", "num_secondary_rays", "num_repeats", "metrics", "albedo_ratio_rgb", "seconds", "notes")
+    __slots__ = ("schema_version", "protocol_version", "scene", "preset", "seed", "num_views", "num_secondary_rays", "num_repeats", "metrics", "albedo_ratio_rgb", "seconds", "notes", "protocol", "absent", "dataset", "object_group", "published", "albedo_ratio_least_squares_rgb", "train_lights")
     class SecondsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -27,6 +27,13 @@ class EvaluationReport(_message.Message):
     ALBEDO_RATIO_RGB_FIELD_NUMBER: _ClassVar[int]
     SECONDS_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
+    PROTOCOL_FIELD_NUMBER: _ClassVar[int]
+    ABSENT_FIELD_NUMBER: _ClassVar[int]
+    DATASET_FIELD_NUMBER: _ClassVar[int]
+    OBJECT_GROUP_FIELD_NUMBER: _ClassVar[int]
+    PUBLISHED_FIELD_NUMBER: _ClassVar[int]
+    ALBEDO_RATIO_LEAST_SQUARES_RGB_FIELD_NUMBER: _ClassVar[int]
+    TRAIN_LIGHTS_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     protocol_version: str
     scene: str
@@ -39,7 +46,14 @@ class EvaluationReport(_message.Message):
     albedo_ratio_rgb: _containers.RepeatedScalarFieldContainer[float]
     seconds: _containers.ScalarMap[str, float]
     notes: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, schema_version: _Optional[str] = ..., protocol_version: _Optional[str] = ..., scene: _Optional[str] = ..., preset: _Optional[str] = ..., seed: _Optional[int] = ..., num_views: _Optional[int] = ..., num_secondary_rays: _Optional[int] = ..., num_repeats: _Optional[int] = ..., metrics: _Optional[_Iterable[_Union[Metric, _Mapping]]] = ..., albedo_ratio_rgb: _Optional[_Iterable[float]] = ..., seconds: _Optional[_Mapping[str, float]] = ..., notes: _Optional[_Iterable[str]] = ...) -> None: ...
+    protocol: _containers.RepeatedScalarFieldContainer[str]
+    absent: _containers.RepeatedCompositeFieldContainer[AbsentMetric]
+    dataset: str
+    object_group: str
+    published: _containers.RepeatedCompositeFieldContainer[PublishedResult]
+    albedo_ratio_least_squares_rgb: _containers.RepeatedScalarFieldContainer[float]
+    train_lights: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, schema_version: _Optional[str] = ..., protocol_version: _Optional[str] = ..., scene: _Optional[str] = ..., preset: _Optional[str] = ..., seed: _Optional[int] = ..., num_views: _Optional[int] = ..., num_secondary_rays: _Optional[int] = ..., num_repeats: _Optional[int] = ..., metrics: _Optional[_Iterable[_Union[Metric, _Mapping]]] = ..., albedo_ratio_rgb: _Optional[_Iterable[float]] = ..., seconds: _Optional[_Mapping[str, float]] = ..., notes: _Optional[_Iterable[str]] = ..., protocol: _Optional[_Iterable[str]] = ..., absent: _Optional[_Iterable[_Union[AbsentMetric, _Mapping]]] = ..., dataset: _Optional[str] = ..., object_group: _Optional[str] = ..., published: _Optional[_Iterable[_Union[PublishedResult, _Mapping]]] = ..., albedo_ratio_least_squares_rgb: _Optional[_Iterable[float]] = ..., train_lights: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Metric(_message.Message):
     __slots__ = ("name", "value", "unit", "standard_error")
@@ -52,3 +66,26 @@ class Metric(_message.Message):
     unit: str
     standard_error: float
     def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., unit: _Optional[str] = ..., standard_error: _Optional[float] = ...) -> None: ...
+
+class AbsentMetric(_message.Message):
+    __slots__ = ("name", "reason")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    reason: str
+    def __init__(self, name: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class PublishedResult(_message.Message):
+    __slots__ = ("method", "values")
+    class ValuesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    METHOD_FIELD_NUMBER: _ClassVar[int]
+    VALUES_FIELD_NUMBER: _ClassVar[int]
+    method: str
+    values: _containers.ScalarMap[str, float]
+    def __init__(self, method: _Optional[str] = ..., values: _Optional[_Mapping[str, float]] = ...) -> None: ...

@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/bundle.proto.
  */
 export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKmBQoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRouCgxNZXRyaWNzRW50cnkSCwoDa2V5GAEgASgJEg0KBXZhbHVlGAIgASgBOgI4ASJUCglHZW5lcmF0b3ISDAoEbmFtZRgBIAEoCRIPCgd2ZXJzaW9uGAIgASgJEhQKDGdpdF9yZXZpc2lvbhgDIAEoCRISCgp0cmFpbl9zdGVwGAQgASgNImwKBVdvcmxkEg8KB3VwX2F4aXMYASABKAkSEgoKaGFuZGVkbmVzcxgCIAEoCRIMCgR1bml0GAMgASgJEh4KFmVudmlyb25tZW50X2NvbnZlbnRpb24YBCABKAkSEAoIcmFkaWFuY2UYBSABKAkiQQoNU2Vjb25kYXJ5UmF5cxIVCg1vcmlnaW5fb2Zmc2V0GAEgASgBEgwKBG5lYXIYAiABKAESCwoDZmFyGAMgASgBImAKCkJ1bmRsZUZpbGUSDAoEcGF0aBgBIAEoCRISCgpzaXplX2J5dGVzGAIgASgBEg4KBnNoYTI1NhgDIAEoCRISCgptZWRpYV90eXBlGAQgASgJEgwKBHJvbGUYBSABKAkiXAoFR3JhcGgSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWxpZ2h0GAMgASgJEigKBnBhcml0eRgEIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuUGFyaXR5IkcKBlBhcml0eRIVCg1tYXhfYWJzX2Vycm9yGAEgASgBEhEKCXRvbGVyYW5jZRgCIAEoARITCgtudW1fc2FtcGxlcxgDIAEoDSKSAQoER3JpZBIMCgRuYW1lGAEgASgJEg4KBnRlbnNvchgCIAEoCRIUCgxudW1fZmVhdHVyZXMYAyABKA0SEwoLaGFsZl9leHRlbnQYBCABKAESFAoMb3V0cHV0X3NjYWxlGAUgASgBEisKBmxldmVscxgGIAMoCzIbLmxhbWJlbnRfcHJvdG8udjEuR3JpZExldmVsInAKCUdyaWRMZXZlbBISCgpyZXNvbHV0aW9uGAEgASgNEhEKCWZpcnN0X3JvdxgCIAEoDRIQCghudW1fcm93cxgDIAEoDRIUCgxtdWx0aXBsaWVyX3kYBCABKA0SFAoMbXVsdGlwbGllcl96GAUgASgNImMKC1RlbnNvckVudHJ5EgwKBG5hbWUYASABKAkSDQoFZHR5cGUYAiABKAkSDQoFc2hhcGUYAyADKA0SFAoMb2Zmc2V0X2J5dGVzGAQgASgBEhIKCnNpemVfYnl0ZXMYBSABKAFiBnByb3RvMw", [file_lambent_proto_v1_scene]);
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSLaBQoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkaLgoMTWV0cmljc0VudHJ5EgsKA2tleRgBIAEoCRINCgV2YWx1ZRgCIAEoAToCOAEiVAoJR2VuZXJhdG9yEgwKBG5hbWUYASABKAkSDwoHdmVyc2lvbhgCIAEoCRIUCgxnaXRfcmV2aXNpb24YAyABKAkSEgoKdHJhaW5fc3RlcBgEIAEoDSJsCgVXb3JsZBIPCgd1cF9heGlzGAEgASgJEhIKCmhhbmRlZG5lc3MYAiABKAkSDAoEdW5pdBgDIAEoCRIeChZlbnZpcm9ubWVudF9jb252ZW50aW9uGAQgASgJEhAKCHJhZGlhbmNlGAUgASgJIkEKDVNlY29uZGFyeVJheXMSFQoNb3JpZ2luX29mZnNldBgBIAEoARIMCgRuZWFyGAIgASgBEgsKA2ZhchgDIAEoASJgCgpCdW5kbGVGaWxlEgwKBHBhdGgYASABKAkSEgoKc2l6ZV9ieXRlcxgCIAEoARIOCgZzaGEyNTYYAyABKAkSEgoKbWVkaWFfdHlwZRgEIAEoCRIMCgRyb2xlGAUgASgJIlwKBUdyYXBoEgwKBG5hbWUYASABKAkSDAoEcGF0aBgCIAEoCRINCgVsaWdodBgDIAEoCRIoCgZwYXJpdHkYBCABKAsyGC5sYW1iZW50X3Byb3RvLnYxLlBhcml0eSJUCgtVbmNlcnRhaW50eRIMCgRwYXRoGAEgASgJEiUKA2JveBgCIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEhAKCGNoYW5uZWxzGAMgAygJIkcKBlBhcml0eRIVCg1tYXhfYWJzX2Vycm9yGAEgASgBEhEKCXRvbGVyYW5jZRgCIAEoARITCgtudW1fc2FtcGxlcxgDIAEoDSKSAQoER3JpZBIMCgRuYW1lGAEgASgJEg4KBnRlbnNvchgCIAEoCRIUCgxudW1fZmVhdHVyZXMYAyABKA0SEwoLaGFsZl9leHRlbnQYBCABKAESFAoMb3V0cHV0X3NjYWxlGAUgASgBEisKBmxldmVscxgGIAMoCzIbLmxhbWJlbnRfcHJvdG8udjEuR3JpZExldmVsInAKCUdyaWRMZXZlbBISCgpyZXNvbHV0aW9uGAEgASgNEhEKCWZpcnN0X3JvdxgCIAEoDRIQCghudW1fcm93cxgDIAEoDRIUCgxtdWx0aXBsaWVyX3kYBCABKA0SFAoMbXVsdGlwbGllcl96GAUgASgNImMKC1RlbnNvckVudHJ5EgwKBG5hbWUYASABKAkSDQoFZHR5cGUYAiABKAkSDQoFc2hhcGUYAyADKA0SFAoMb2Zmc2V0X2J5dGVzGAQgASgBEhIKCnNpemVfYnl0ZXMYBSABKAFiBnByb3RvMw", [file_lambent_proto_v1_scene]);
 
 /**
  * manifest.json of a bundle.
@@ -122,6 +122,13 @@ export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
    * @generated from field: map<string, double> metrics = 17;
    */
   metrics: { [key: string]: number };
+
+  /**
+   * How well the photographs determine the materials; absent in bundles before 1.1.
+   *
+   * @generated from field: lambent_proto.v1.Uncertainty uncertainty = 18;
+   */
+  uncertainty?: Uncertainty | undefined;
 };
 
 /**
@@ -266,7 +273,7 @@ export type BundleFile = Message<"lambent_proto.v1.BundleFile"> & {
   mediaType: string;
 
   /**
-   * "graph", "weights", "mesh", "environment", "cameras", "preview", "report".
+   * "graph", "weights", "mesh", "environment", "cameras", "preview", "report", "uncertainty".
    *
    * @generated from field: string role = 5;
    */
@@ -319,6 +326,41 @@ export const GraphSchema: GenMessage<Graph> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_bundle, 5);
 
 /**
+ * A grid of cell values over a box: value (i, j, k) belongs to the centre of a cell.
+ *
+ * @generated from message lambent_proto.v1.Uncertainty
+ */
+export type Uncertainty = Message<"lambent_proto.v1.Uncertainty"> & {
+  /**
+   * NPY file, float16, C order [x, y, z, channel].
+   *
+   * @generated from field: string path = 1;
+   */
+  path: string;
+
+  /**
+   * The box the grid fills, scene units.
+   *
+   * @generated from field: lambent_proto.v1.Bounds box = 2;
+   */
+  box?: Bounds | undefined;
+
+  /**
+   * What each channel holds (docs/reference/bundle-format.md).
+   *
+   * @generated from field: repeated string channels = 3;
+   */
+  channels: string[];
+};
+
+/**
+ * Describes the message lambent_proto.v1.Uncertainty.
+ * Use `create(UncertaintySchema)` to create a new message.
+ */
+export const UncertaintySchema: GenMessage<Uncertainty> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_bundle, 6);
+
+/**
  * @generated from message lambent_proto.v1.Parity
  */
 export type Parity = Message<"lambent_proto.v1.Parity"> & {
@@ -343,7 +385,7 @@ export type Parity = Message<"lambent_proto.v1.Parity"> & {
  * Use `create(ParitySchema)` to create a new message.
  */
 export const ParitySchema: GenMessage<Parity> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 6);
+  messageDesc(file_lambent_proto_v1_bundle, 7);
 
 /**
  * A multi-resolution feature grid with the additive lattice hash.
@@ -391,7 +433,7 @@ export type Grid = Message<"lambent_proto.v1.Grid"> & {
  * Use `create(GridSchema)` to create a new message.
  */
 export const GridSchema: GenMessage<Grid> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 7);
+  messageDesc(file_lambent_proto_v1_bundle, 8);
 
 /**
  * @generated from message lambent_proto.v1.GridLevel
@@ -432,7 +474,7 @@ export type GridLevel = Message<"lambent_proto.v1.GridLevel"> & {
  * Use `create(GridLevelSchema)` to create a new message.
  */
 export const GridLevelSchema: GenMessage<GridLevel> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 8);
+  messageDesc(file_lambent_proto_v1_bundle, 9);
 
 /**
  * @generated from message lambent_proto.v1.TensorEntry
@@ -471,5 +513,5 @@ export type TensorEntry = Message<"lambent_proto.v1.TensorEntry"> & {
  * Use `create(TensorEntrySchema)` to create a new message.
  */
 export const TensorEntrySchema: GenMessage<TensorEntry> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 9);
+  messageDesc(file_lambent_proto_v1_bundle, 10);
 

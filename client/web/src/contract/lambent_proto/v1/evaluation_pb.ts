@@ -12,7 +12,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/evaluation.proto.
  */
 export const file_lambent_proto_v1_evaluation: GenFile = /*@__PURE__*/
-  fileDesc("CiFsYW1iZW50X3Byb3RvL3YxL2V2YWx1YXRpb24ucHJvdG8SEGxhbWJlbnRfcHJvdG8udjEi+wIKEEV2YWx1YXRpb25SZXBvcnQSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSGAoQcHJvdG9jb2xfdmVyc2lvbhgCIAEoCRINCgVzY2VuZRgDIAEoCRIOCgZwcmVzZXQYBCABKAkSDAoEc2VlZBgFIAEoDRIRCgludW1fdmlld3MYBiABKA0SGgoSbnVtX3NlY29uZGFyeV9yYXlzGAcgASgNEhMKC251bV9yZXBlYXRzGAggASgNEikKB21ldHJpY3MYCSADKAsyGC5sYW1iZW50X3Byb3RvLnYxLk1ldHJpYxIYChBhbGJlZG9fcmF0aW9fcmdiGAogAygBEkAKB3NlY29uZHMYCyADKAsyLy5sYW1iZW50X3Byb3RvLnYxLkV2YWx1YXRpb25SZXBvcnQuU2Vjb25kc0VudHJ5Eg0KBW5vdGVzGAwgAygJGi4KDFNlY29uZHNFbnRyeRILCgNrZXkYASABKAkSDQoFdmFsdWUYAiABKAE6AjgBIksKBk1ldHJpYxIMCgRuYW1lGAEgASgJEg0KBXZhbHVlGAIgASgBEgwKBHVuaXQYAyABKAkSFgoOc3RhbmRhcmRfZXJyb3IYBCABKAFiBnByb3RvMw");
+  fileDesc("CiFsYW1iZW50X3Byb3RvL3YxL2V2YWx1YXRpb24ucHJvdG8SEGxhbWJlbnRfcHJvdG8udjEi2AQKEEV2YWx1YXRpb25SZXBvcnQSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSGAoQcHJvdG9jb2xfdmVyc2lvbhgCIAEoCRINCgVzY2VuZRgDIAEoCRIOCgZwcmVzZXQYBCABKAkSDAoEc2VlZBgFIAEoDRIRCgludW1fdmlld3MYBiABKA0SGgoSbnVtX3NlY29uZGFyeV9yYXlzGAcgASgNEhMKC251bV9yZXBlYXRzGAggASgNEikKB21ldHJpY3MYCSADKAsyGC5sYW1iZW50X3Byb3RvLnYxLk1ldHJpYxIYChBhbGJlZG9fcmF0aW9fcmdiGAogAygBEkAKB3NlY29uZHMYCyADKAsyLy5sYW1iZW50X3Byb3RvLnYxLkV2YWx1YXRpb25SZXBvcnQuU2Vjb25kc0VudHJ5Eg0KBW5vdGVzGAwgAygJEhAKCHByb3RvY29sGA0gAygJEi4KBmFic2VudBgOIAMoCzIeLmxhbWJlbnRfcHJvdG8udjEuQWJzZW50TWV0cmljEg8KB2RhdGFzZXQYDyABKAkSFAoMb2JqZWN0X2dyb3VwGBAgASgJEjQKCXB1Ymxpc2hlZBgRIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuUHVibGlzaGVkUmVzdWx0EiYKHmFsYmVkb19yYXRpb19sZWFzdF9zcXVhcmVzX3JnYhgSIAMoARIUCgx0cmFpbl9saWdodHMYEyADKAkaLgoMU2Vjb25kc0VudHJ5EgsKA2tleRgBIAEoCRINCgV2YWx1ZRgCIAEoAToCOAEiSwoGTWV0cmljEgwKBG5hbWUYASABKAkSDQoFdmFsdWUYAiABKAESDAoEdW5pdBgDIAEoCRIWCg5zdGFuZGFyZF9lcnJvchgEIAEoASIsCgxBYnNlbnRNZXRyaWMSDAoEbmFtZRgBIAEoCRIOCgZyZWFzb24YAiABKAkijwEKD1B1Ymxpc2hlZFJlc3VsdBIOCgZtZXRob2QYASABKAkSPQoGdmFsdWVzGAIgAygLMi0ubGFtYmVudF9wcm90by52MS5QdWJsaXNoZWRSZXN1bHQuVmFsdWVzRW50cnkaLQoLVmFsdWVzRW50cnkSCwoDa2V5GAEgASgJEg0KBXZhbHVlGAIgASgBOgI4AWIGcHJvdG8z");
 
 /**
  * @generated from message lambent_proto.v1.EvaluationReport
@@ -83,6 +83,55 @@ export type EvaluationReport = Message<"lambent_proto.v1.EvaluationReport"> & {
    * @generated from field: repeated string notes = 12;
    */
   notes: string[];
+
+  /**
+   * The protocol in short, one rule per entry.
+   *
+   * @generated from field: repeated string protocol = 13;
+   */
+  protocol: string[];
+
+  /**
+   * Figures of the protocol that could not be had, and why.
+   *
+   * @generated from field: repeated lambent_proto.v1.AbsentMetric absent = 14;
+   */
+  absent: AbsentMetric[];
+
+  /**
+   * Layout of the capture ("tensoir_synthetic", "openillumination", ...).
+   *
+   * @generated from field: string dataset = 15;
+   */
+  dataset: string;
+
+  /**
+   * "diffuse" or "specular" for an object of OpenIllumination's published list, else empty.
+   *
+   * @generated from field: string object_group = 16;
+   */
+  objectGroup: string;
+
+  /**
+   * What others reported for this scene.
+   *
+   * @generated from field: repeated lambent_proto.v1.PublishedResult published = 17;
+   */
+  published: PublishedResult[];
+
+  /**
+   * Factor from predicted to true albedo by least squares after a gamma of 2.2.
+   *
+   * @generated from field: repeated double albedo_ratio_least_squares_rgb = 18;
+   */
+  albedoRatioLeastSquaresRgb: number[];
+
+  /**
+   * Lights the run was trained in.
+   *
+   * @generated from field: repeated string train_lights = 19;
+   */
+  trainLights: string[];
 };
 
 /**
@@ -129,4 +178,50 @@ export type Metric = Message<"lambent_proto.v1.Metric"> & {
  */
 export const MetricSchema: GenMessage<Metric> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_evaluation, 1);
+
+/**
+ * @generated from message lambent_proto.v1.AbsentMetric
+ */
+export type AbsentMetric = Message<"lambent_proto.v1.AbsentMetric"> & {
+  /**
+   * @generated from field: string name = 1;
+   */
+  name: string;
+
+  /**
+   * @generated from field: string reason = 2;
+   */
+  reason: string;
+};
+
+/**
+ * Describes the message lambent_proto.v1.AbsentMetric.
+ * Use `create(AbsentMetricSchema)` to create a new message.
+ */
+export const AbsentMetricSchema: GenMessage<AbsentMetric> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_evaluation, 2);
+
+/**
+ * @generated from message lambent_proto.v1.PublishedResult
+ */
+export type PublishedResult = Message<"lambent_proto.v1.PublishedResult"> & {
+  /**
+   * @generated from field: string method = 1;
+   */
+  method: string;
+
+  /**
+   * By our names of figures.
+   *
+   * @generated from field: map<string, double> values = 2;
+   */
+  values: { [key: string]: number };
+};
+
+/**
+ * Describes the message lambent_proto.v1.PublishedResult.
+ * Use `create(PublishedResultSchema)` to create a new message.
+ */
+export const PublishedResultSchema: GenMessage<PublishedResult> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_evaluation, 3);
 
