@@ -6,7 +6,7 @@ from flashcache.evaluation.metrics import over_white
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.errors import WorkerError
 from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import area_weights, load_scene, reduced_size
+from lambent_worker.scenes.load import load_scene
 from support.captures import REFERENCES, save, write_blender
 
 SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
@@ -116,20 +116,6 @@ def test_reducing_keeps_the_direction_of_every_pixel_corner():
     full = load(SCENE).test[0].camera
     assert camera.width / camera.focal_x == pytest.approx(full.width / full.focal_x)
     assert camera.centre_x / camera.width == pytest.approx(0.5)
-
-
-def test_area_weights_average_and_cover_every_source_pixel_equally():
-    weights = area_weights(128, 50)
-    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
-    np.testing.assert_allclose(weights.sum(axis=0), 50 / 128)
-
-
-@pytest.mark.parametrize(
-    ("size", "side", "expected"),
-    [((800, 400), 128, (128, 64)), ((64, 48), 128, (64, 48)), ((3, 900), 9, (1, 9))],
-)
-def test_pictures_are_reduced_but_never_enlarged(size, side, expected):
-    assert reduced_size(*size, side) == expected
 
 
 def test_normals_are_unit_vectors_on_the_object_and_zero_beside_it():

@@ -6,13 +6,15 @@ import numpy as np
 import torch
 from flashcache.color import linear_from_srgb
 from flashcache.data.scene import Camera, Scene, View
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.errors import WorkerError
 from lambent_worker.scenes.lights import select_lights
-from lambent_worker.scenes.pictures import PictureError, read_coverage, read_pixels
+from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.pictures import read_coverage, read_pixels
+from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_weighted
 
 
 def load_scene(
@@ -25,7 +27,8 @@ def load_scene(
     """Return the capture in memory: linear radiance, straight alpha, no side longer than `max_side` pixels.
 
     `lights` chooses training lights by name; all lights of `manifest` by default. Larger pictures are
-    averaged over the area of each new pixel, in linear light and weighted by alpha. Ground truth is loaded
+    averaged over the area of each new pixel, in linear light and weighted by alpha, and pictures through a
+    lens with distortion are resampled to the frame's pinhole camera. Ground truth is loaded
     for test views only, since training must not see it. A frame's mask limits the alpha of its photographs,
     and its exposure factor brings them to the exposure of the first frame. Raises `WorkerError` with a
     `scene.*` code when a file cannot be read.
@@ -60,17 +63,12 @@ def camera_of(frame: scene_pb2.Frame) -> Camera:
     )
 
 
-def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:
-    """Return the size in pixels after reducing the longer side to `max_side`; never larger than before."""
-    longest = max(width, height)
-    if longest <= max_side:
-        return width, height
-    return max(1, round(width * max_side / longest)), max(1, round(height * max_side / longest))
-
-
 def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int) -> View:
     size = reduced_size(frame.camera.width, frame.camera.height, max_side)
-    images = {image.light: _reduced(_photograph(folder, frame, image), size) for image in frame.images}
+    images = {
+        image.light: resampled_colour(_photograph(folder, frame, image), frame.camera, size)
+        for image in frame.images
+    }
     return View(
         name=frame.name,
         camera=camera_of(frame).resized(*size),
@@ -135,14 +133,14 @@ def _load_truth(
             coverage = values[..., 3:]
             if kind == "normal":
                 values = np.concatenate([values[..., :3] * 2.0 - 1.0, coverage], axis=-1)
-            values = _reduced(values, size)
+            values = resampled_colour(values, frame.camera, size)
             if kind == "normal":
                 length = np.linalg.norm(values[..., :3], axis=-1, keepdims=True)
                 values[..., :3] *= (values[..., 3:] > 0.0) / np.maximum(length, 1e-6)
         else:
             values = values[..., :1]
             weight = (values > 0.0).astype(np.float32) if kind == "distance" or coverage is None else coverage
-            values = _reduced_weighted(values, weight, size)
+            values = resampled_weighted(values, weight, frame.camera, size)
         truth[kind] = np.ascontiguousarray(values, dtype=np.float32)
     return truth
 
@@ -151,40 +149,3 @@ def _with_alpha(values: Float32[ndarray, "height width _"]) -> Float32[ndarray, 
     if values.shape[-1] == 4:
         return values
     return np.concatenate([values[..., :3], np.ones_like(values[..., :1])], axis=-1)
-
-
-def area_weights(source: int, target: int) -> Float64[ndarray, "target source"]:
-    """Return the matrix that averages `source` pixels in a row over the extents of `target` equal ones."""
-    edges = np.linspace(0.0, source, target + 1)
-    columns = np.arange(source)
-    overlap = np.minimum(edges[1:, None], columns + 1.0) - np.maximum(edges[:-1, None], columns)
-    return np.clip(overlap, 0.0, None) * (target / source)
-
-
-def _averaged(values: ndarray, size: tuple[int, int]) -> ndarray:
-    rows = area_weights(values.shape[0], size[1])
-    columns = area_weights(values.shape[1], size[0])
-    return np.einsum("rh,hwc,kw->rkc", rows, values.astype(np.float64), columns, optimize=True)
-
-
-def _reduced(
-    values: Float32[ndarray, "height width 4"], size: tuple[int, int]
-) -> Float32[ndarray, "rows columns 4"]:
-    """Average three channels weighted by the fourth, and the fourth itself."""
-    if (values.shape[1], values.shape[0]) == size:
-        return values
-    premultiplied = np.concatenate([values[..., :3] * values[..., 3:], values[..., 3:]], axis=-1)
-    mean = _averaged(premultiplied, size)
-    mean[..., :3] = np.where(mean[..., 3:] > 0.0, mean[..., :3] / np.maximum(mean[..., 3:], 1e-12), 0.0)
-    return mean.astype(np.float32)
-
-
-def _reduced_weighted(
-    values: Float32[ndarray, "height width 1"],
-    weight: Float32[ndarray, "height width 1"],
-    size: tuple[int, int],
-) -> Float32[ndarray, "rows columns 1"]:
-    """Average one channel weighted by `weight`; zero where the weight is."""
-    if (values.shape[1], values.shape[0]) == size:
-        return values
-    return (_averaged(values * weight, size) / np.maximum(_averaged(weight, size), 1e-12)).astype(np.float32)

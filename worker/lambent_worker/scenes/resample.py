@@ -1,0 +1,118 @@
+"""Brings pictures to another size and to a pinhole camera: averaging over areas, and undoing distortion.
+
+Pictures are arrays [height, width, channels] of linear values; pixel centres lie at half-integer coordinates.
+"""
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+from lambent_proto.v1 import scene_pb2
+from numpy import ndarray
+
+from lambent_worker.scenes.lens import distorted
+
+ROWS_AT_ONCE = 256
+SUPERSAMPLING = 2
+"""How much larger than the result a picture is while distortion is undone, at most."""
+
+
+def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:
+    """Return the size in pixels after reducing the longer side to `max_side`; never larger than before."""
+    longest = max(width, height)
+    if longest <= max_side:
+        return width, height
+    return max(1, round(width * max_side / longest)), max(1, round(height * max_side / longest))
+
+
+def area_weights(source: int, target: int) -> Float64[ndarray, "target source"]:
+    """Return the matrix that averages `source` pixels in a row over the extents of `target` equal ones."""
+    edges = np.linspace(0.0, source, target + 1)
+    columns = np.arange(source)
+    overlap = np.minimum(edges[1:, None], columns + 1.0) - np.maximum(edges[:-1, None], columns)
+    return np.clip(overlap, 0.0, None) * (target / source)
+
+
+def resampled(
+    values: Float32[ndarray, "height width channels"], camera: scene_pb2.Camera, size: tuple[int, int]
+) -> Float32[ndarray, "rows columns channels"]:
+    """Return a picture as the pinhole `camera` shows it, with `size` = (width, height) pixels.
+
+    Each new pixel is the average over its area; where the camera states a lens, distortion is undone.
+    """
+    if camera.HasField("lens"):
+        work = tuple(
+            source if source <= SUPERSAMPLING * target else SUPERSAMPLING * target
+            for source, target in zip((values.shape[1], values.shape[0]), size, strict=True)
+        )
+        values = _straightened(_averaged(values, (work[0], work[1])), camera)
+    return _averaged(values, size)
+
+
+def resampled_colour(
+    values: Float32[ndarray, "height width 4"], camera: scene_pb2.Camera, size: tuple[int, int]
+) -> Float32[ndarray, "rows columns 4"]:
+    """Return what `resampled` does, with three channels weighted by the fourth, which is coverage."""
+    if (values.shape[1], values.shape[0]) == size and not camera.HasField("lens"):
+        return values
+    premultiplied = np.concatenate([values[..., :3] * values[..., 3:], values[..., 3:]], axis=-1)
+    mean = resampled(premultiplied, camera, size)
+    mean[..., :3] = np.where(mean[..., 3:] > 0.0, mean[..., :3] / np.maximum(mean[..., 3:], 1e-12), 0.0)
+    return mean
+
+
+def resampled_weighted(
+    values: Float32[ndarray, "height width 1"],
+    weight: Float32[ndarray, "height width 1"],
+    camera: scene_pb2.Camera,
+    size: tuple[int, int],
+) -> Float32[ndarray, "rows columns 1"]:
+    """Return what `resampled` does for one channel weighted by `weight`; zero where the weight is."""
+    if (values.shape[1], values.shape[0]) == size and not camera.HasField("lens"):
+        return values
+    return resampled(values * weight, camera, size) / np.maximum(resampled(weight, camera, size), 1e-12)
+
+
+def _averaged(
+    values: Float32[ndarray, "height width channels"], size: tuple[int, int]
+) -> Float32[ndarray, "rows columns channels"]:
+    if (values.shape[1], values.shape[0]) == size:
+        return values
+    rows = area_weights(values.shape[0], size[1])
+    columns = area_weights(values.shape[1], size[0])
+    return np.einsum("rh,hwc,kw->rkc", rows, values.astype(np.float64), columns, optimize=True).astype(
+        np.float32
+    )
+
+
+def _straightened(
+    values: Float32[ndarray, "height width channels"], camera: scene_pb2.Camera
+) -> Float32[ndarray, "height width channels"]:
+    """Return the pinhole's picture with as many pixels as `values`, looked up between the lens' pixels."""
+    height, width = values.shape[:2]
+    lens = camera.lens
+    x = ((np.arange(width) + 0.5) * camera.width / width - camera.centre_x) / camera.focal_x
+    result = np.empty_like(values)
+    for start in range(0, height, ROWS_AT_ONCE):
+        rows = np.arange(start, min(start + ROWS_AT_ONCE, height)) + 0.5
+        y = (rows * camera.height / height - camera.centre_y) / camera.focal_y
+        seen_x, seen_y = distorted(*np.meshgrid(x, y), np.array(lens.distortion))
+        columns = (lens.focal_x * seen_x + lens.centre_x) * width / lens.width - 0.5
+        lines = (lens.focal_y * seen_y + lens.centre_y) * height / lens.height - 0.5
+        result[start : start + len(rows)] = _bilinear(values, columns, lines)
+    return result
+
+
+def _bilinear(
+    values: Float32[ndarray, "height width channels"],
+    columns: Float[ndarray, "rows count"],
+    lines: Float[ndarray, "rows count"],
+) -> Float32[ndarray, "rows count channels"]:
+    height, width = values.shape[:2]
+    columns, lines = np.clip(columns, 0.0, width - 1.0), np.clip(lines, 0.0, height - 1.0)
+    left = np.minimum(columns.astype(np.int64), max(width - 2, 0))
+    above = np.minimum(lines.astype(np.int64), max(height - 2, 0))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(above + 1, height - 1)
+    across = (columns - left).astype(np.float32)[..., None]
+    down = (lines - above).astype(np.float32)[..., None]
+    upper = values[above, left] * (1.0 - across) + values[above, right] * across
+    lower = values[below, left] * (1.0 - across) + values[below, right] * across
+    return upper * (1.0 - down) + lower * down
