@@ -32,7 +32,7 @@ def test_this_process_keeps_its_own_limits(tmp_path):
 
 def test_an_unknown_layout_is_a_usage_error_before_any_child_starts(tmp_path):
     with pytest.raises(UsageError):
-        check.check_scene(tmp_path, "colmap")
+        check.check_scene(tmp_path, "polaroid")
 
 
 def test_a_child_without_enough_memory_ends_in_a_finding(tmp_path, monkeypatch):

@@ -157,12 +157,23 @@ def test_a_lens_of_nonsense_is_an_error(tmp_path, lens):
     assert codes(inspect_scene(folder)) == ["scene.lens_invalid"]
 
 
-def test_lens_distortion_is_not_silently_ignored(tmp_path):
+LENSES = {
+    "fisheye model": ({"camera_model": "OPENCV_FISHEYE"}, "scene.lens_unsupported"),
+    "fisheye switch": ({"is_fisheye": True}, "scene.lens_unsupported"),
+    "panorama": ({"camera_model": "EQUIRECTANGULAR"}, "scene.lens_unsupported"),
+    "ambiguous coefficient": ({"k4": 0.1}, "scene.lens_unsupported"),
+    "no number": ({"k1": "strong"}, "scene.lens_invalid"),
+    "folding": ({"k1": -9.0}, "scene.lens_invalid"),
+}
+
+
+@pytest.mark.parametrize(("lens", "code"), LENSES.values(), ids=LENSES.keys())
+def test_a_lens_that_no_pinhole_can_stand_in_for_is_refused_with_its_frame(tmp_path, lens, code):
     folder = write_blender(tmp_path)
-    edit_frame(folder, 1, k1=0.1)
+    edit_frame(folder, 1, **lens)
     report = inspect_scene(folder)
-    assert codes(report) == ["scene.lens_distorted"]
-    assert "k1" in report.findings[0].message
+    assert codes(report) == [code]
+    assert "r_1" in report.findings[0].message
 
 
 @pytest.mark.parametrize("path", ["../train/r_0", "/etc/passwd", "train\\r_0", "", "a/../../b", "."])
@@ -274,7 +285,7 @@ def test_one_camera_that_looks_elsewhere_is_a_warning_that_names_it(tmp_path):
     assert subject_of(report, "scene.camera_looks_elsewhere") == "train_r_3"
 
 
-def test_an_object_away_from_the_origin_is_a_warning(tmp_path):
+def test_an_object_away_from_the_origin_needs_no_attention(tmp_path):
     folder = write_blender(tmp_path)
     for split in ("train", "test"):
         transforms = read_transforms(folder, split)
@@ -283,7 +294,7 @@ def test_an_object_away_from_the_origin_is_a_warning(tmp_path):
         write_transforms(folder, split, transforms)
     report = inspect_scene(folder)
     assert report.usable
-    assert warnings_of(report) == ["scene.off_centre"]
+    assert warnings_of(report) == []
 
 
 def test_photographs_without_a_cut_out_object_are_a_warning(tmp_path):

@@ -82,7 +82,7 @@ def test_a_generic_upload_gets_ranges_from_its_cameras(tmp_path):
     assert (manifest.secondary_rays.near, manifest.secondary_rays.far) == pytest.approx((0.05, 2.0))
 
 
-def test_an_object_beside_the_origin_gets_a_larger_uncontracted_ball(tmp_path):
+def test_an_object_beside_the_origin_is_moved_there_and_the_move_is_recorded(tmp_path):
     folder = write_blender(tmp_path)
     for split in ("train", "test"):
         transforms = read_transforms(folder, split)
@@ -90,8 +90,14 @@ def test_an_object_beside_the_origin_gets_a_larger_uncontracted_ball(tmp_path):
             frame["transform_matrix"][0][3] += 3.0
         write_transforms(folder, split, transforms)
     manifest = describe_scene(folder)
-    assert manifest.contraction_radius == pytest.approx(5.0)
-    assert list(manifest.bounds.minimum) == pytest.approx([1.0, -2.0, -2.0])
+    assert manifest.contraction_radius == pytest.approx(2.0)
+    assert list(manifest.bounds.minimum) == pytest.approx([-2.0, -2.0, -2.0])
+    moved = np.array(manifest.world_from_capture).reshape(4, 4)
+    np.testing.assert_allclose(moved, [[1, 0, 0, -3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-5)
+    kept = describe_scene(write_blender(tmp_path / "kept"))
+    assert list(kept.world_from_capture) == []
+    for one, other in zip(manifest.frames, kept.frames, strict=True):
+        np.testing.assert_allclose(one.camera.camera_to_world, other.camera.camera_to_world, atol=1e-5)
 
 
 def test_every_eighth_view_is_held_out_when_there_is_no_test_split(tmp_path):
@@ -153,8 +159,8 @@ def test_a_light_that_is_not_there_or_named_twice_is_a_usage_error(wanted):
 
 
 def test_an_unknown_layout_is_a_usage_error_that_lists_the_known_ones(tmp_path):
-    with pytest.raises(UsageError, match="tensoir_synthetic, nerf_blender"):
-        describe_scene(write_blender(tmp_path), "colmap")
+    with pytest.raises(UsageError, match="tensoir_synthetic, .*nerf_blender, nerfstudio, colmap"):
+        describe_scene(write_blender(tmp_path), "polaroid")
 
 
 def test_a_refused_scene_carries_every_problem(tmp_path):

@@ -26,7 +26,7 @@ SEVERITY_WARNING: Severity
 SEVERITY_ERROR: Severity
 
 class SceneManifest(_message.Message):
-    __slots__ = ("schema_version", "name", "layout", "lights", "frames", "bounds", "primary_rays", "secondary_rays", "contraction_radius", "relight_lights", "world_from_capture")
+    __slots__ = ("schema_version", "name", "layout", "lights", "frames", "bounds", "primary_rays", "secondary_rays", "contraction_radius", "relight_lights", "world_from_capture", "bounds_from")
     SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     LAYOUT_FIELD_NUMBER: _ClassVar[int]
@@ -38,6 +38,7 @@ class SceneManifest(_message.Message):
     CONTRACTION_RADIUS_FIELD_NUMBER: _ClassVar[int]
     RELIGHT_LIGHTS_FIELD_NUMBER: _ClassVar[int]
     WORLD_FROM_CAPTURE_FIELD_NUMBER: _ClassVar[int]
+    BOUNDS_FROM_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     name: str
     layout: str
@@ -49,7 +50,8 @@ class SceneManifest(_message.Message):
     contraction_radius: float
     relight_lights: _containers.RepeatedScalarFieldContainer[str]
     world_from_capture: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, schema_version: _Optional[str] = ..., name: _Optional[str] = ..., layout: _Optional[str] = ..., lights: _Optional[_Iterable[str]] = ..., frames: _Optional[_Iterable[_Union[Frame, _Mapping]]] = ..., bounds: _Optional[_Union[Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., contraction_radius: _Optional[float] = ..., relight_lights: _Optional[_Iterable[str]] = ..., world_from_capture: _Optional[_Iterable[float]] = ...) -> None: ...
+    bounds_from: str
+    def __init__(self, schema_version: _Optional[str] = ..., name: _Optional[str] = ..., layout: _Optional[str] = ..., lights: _Optional[_Iterable[str]] = ..., frames: _Optional[_Iterable[_Union[Frame, _Mapping]]] = ..., bounds: _Optional[_Union[Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., contraction_radius: _Optional[float] = ..., relight_lights: _Optional[_Iterable[str]] = ..., world_from_capture: _Optional[_Iterable[float]] = ..., bounds_from: _Optional[str] = ...) -> None: ...
 
 class Bounds(_message.Message):
     __slots__ = ("minimum", "maximum")

@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 from lambent_proto.v1 import scene_pb2
 
+from lambent_worker.scenes.exposure import Exposure
+
 
 @dataclass(kw_only=True, slots=True)
 class Capture:
@@ -18,3 +20,9 @@ class Capture:
     """Range of camera rays in scene units, where the capture states it."""
     box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Corners of a box around the object, where the capture states it."""
+    up_is_z: bool = True
+    """Whether the layout says that z points up; otherwise the cameras are asked."""
+    exposures: dict[str, Exposure] = field(default_factory=dict)
+    """By frame name, where the capture states them beside the pictures."""
+    other_files: set[str] = field(default_factory=set)
+    """Pictures that belong to the layout although no frame uses them."""

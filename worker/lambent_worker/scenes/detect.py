@@ -5,15 +5,29 @@ from pathlib import Path
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError, UsageError
-from lambent_worker.scenes import nerf_blender, tensoir_synthetic
+from lambent_worker.scenes import (
+    colmap,
+    glossy_synthetic,
+    nerf_blender,
+    nerfstudio,
+    openillumination,
+    tensoir_synthetic,
+)
+from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
+from lambent_worker.scenes.frames import check_names, report_extra_files
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
+from lambent_worker.scenes.silhouette_check import fit_to_silhouettes, training_silhouettes
+from lambent_worker.scenes.world import settle, stand_upright
 
 SCHEMA_VERSION = "1.0"
 
 # A folder may satisfy two readers; the richer layout comes first.
-READERS = {reader.NAME: reader for reader in (tensoir_synthetic, nerf_blender)}
+READERS = {
+    reader.NAME: reader
+    for reader in (tensoir_synthetic, openillumination, glossy_synthetic, nerf_blender, nerfstudio, colmap)
+}
 LAYOUTS = tuple(READERS)
 
 
@@ -41,18 +55,23 @@ def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene
         return None
     layout = layout or detect_layout(folder)
     if layout is None:
+        looked_for = "; ".join(f"{reader.LOOKS_LIKE} ({name})" for name, reader in READERS.items())
         problems.error(
             "scene.layout_unknown",
-            "neither train_*/metadata.json (TensoIR-synthetic) nor transforms_train.json (NeRF-Blender) was "
-            "found; see docs/howto/own-photographs.md",
+            f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
         )
         return None
     capture = READERS[layout].read_capture(folder, problems)
     if not capture.frames:
-        check_rig([], problems)
+        if problems.usable:
+            check_rig([], problems)
         return None
     hold_out(capture.frames)
+    check_names(capture.frames, problems)
+    if problems.usable:  # else a picture may be left over because its camera is what is wrong
+        report_extra_files(folder, capture.frames, capture.other_files, problems)
     check_rig(capture.frames, problems)
+    set_exposures(folder, capture.frames, capture.exposures, problems)
     manifest = scene_pb2.SceneManifest(
         schema_version=SCHEMA_VERSION,
         name=capture.name,
@@ -61,18 +80,24 @@ def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene
         relight_lights=capture.relight_lights,
         frames=capture.frames,
     )
-    set_extent(manifest, capture, object_capture=layout == tensoir_synthetic.NAME)
+    if problems.usable:
+        if not capture.up_is_z:
+            stand_upright(manifest, problems)
+        set_extent(manifest, capture, object_capture=layout == tensoir_synthetic.NAME)
+        settle(manifest)
     return manifest
 
 
 def describe_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneManifest:
     """Return the description of the capture in `folder`, all lights included.
 
-    Raises `SceneRefusedError` with every problem that the files' names, headers and cameras show; pixels are
-    looked at by `lambent_worker.check`.
+    Where there are masks they say where the object is. Raises `SceneRefusedError` with every problem that the
+    files' names, headers, cameras and masks show; other pixels are looked at by `lambent_worker.check`.
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems)
+    if manifest is not None and problems.usable:
+        fit_to_silhouettes(manifest, training_silhouettes(folder, manifest, problems))
     if manifest is None or not problems.usable:
         raise SceneRefusedError(
             scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())

@@ -41,7 +41,7 @@ def hold_out(frames: list[scene_pb2.Frame]) -> None:
 
 
 def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_capture: bool) -> None:
-    """Fill in bounds, ray ranges and the contraction radius, all in scene units.
+    """Fill in bounds, ray ranges and the contraction radius, all in scene units, from what headers tell.
 
     With r the median distance of the cameras from the point they look at: space is contracted beyond r/2, the
     box reaches r/2 from that point, camera rays run from 0.1 r to 4 r (0.5 r to 1.5 r where `object_capture`
@@ -49,7 +49,7 @@ def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_ca
     published TensoIR-synthetic scenes (r = 4) these are the paper's settings. What the capture states goes
     first.
     """
-    positions, directions = camera_axes(capture.frames)
+    positions, directions = camera_axes(list(manifest.frames))
     centre = looked_at_point(positions, directions)
     centre = np.zeros(3) if centre is None else centre
     # Six digits: the last bits of the least squares solution are noise and would only look like information.
@@ -64,8 +64,25 @@ def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_ca
     if capture.box:
         # A stated box is where all detail is: the grids cover exactly the cube around it.
         manifest.contraction_radius = float(np.abs([low, high]).max())
-    manifest.bounds.minimum.extend(float(v) for v in low)
-    manifest.bounds.maximum.extend(float(v) for v in high)
+    manifest.bounds_from = "capture" if capture.box or object_capture else "cameras"
+    manifest.bounds.minimum[:] = [float(v) for v in low]
+    manifest.bounds.maximum[:] = [float(v) for v in high]
     near, far = capture.near_far or ((0.5 * rig, 1.5 * rig) if object_capture else (0.1 * rig, 4.0 * rig))
     manifest.primary_rays.near, manifest.primary_rays.far = near, far
     manifest.secondary_rays.near, manifest.secondary_rays.far = 0.025 * reach, reach
+
+
+def set_fitted_box(
+    manifest: scene_pb2.SceneManifest, low: Float64[ndarray, "3"], high: Float64[ndarray, "3"]
+) -> None:
+    """Replace the bounds by a box around the object; secondary rays get the paper's share of its size.
+
+    With h half the longest side they run from h/30 to 4 h/3: 0.05 to 2 for an object of the published scenes'
+    size (h = 1.5).
+    """
+    half = float(0.5 * (high - low).max())
+    manifest.bounds_from = "silhouettes"
+    manifest.bounds.minimum[:] = low.tolist()
+    manifest.bounds.maximum[:] = high.tolist()
+    manifest.secondary_rays.near, manifest.secondary_rays.far = half / 30.0, 4.0 * half / 3.0
+    manifest.contraction_radius = float(np.abs([low, high]).max())

@@ -6,9 +6,12 @@ from pathlib import Path
 
 from lambent_proto.v1 import scene_pb2
 
+from lambent_worker.scenes import glossy_synthetic
 from lambent_worker.scenes.detect import collect_scene
-from lambent_worker.scenes.pictures import PictureError, PictureFacts, picture_facts
+from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size, read_coverage
 from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.silhouette_check import check_silhouettes, training_silhouettes
 
 UNSUPPORTED_SUFFIXES = {
     **dict.fromkeys((".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".npz", ".joblib"), "a pickle or checkpoint"),
@@ -39,7 +42,12 @@ def inspect_scene(
     problems = Problems()
     manifest = collect_scene(folder, layout, problems)
     if folder.is_dir():
-        _find_unsupported(folder, problems)
+        known = (
+            glossy_synthetic.pickles_of(folder)
+            if manifest and manifest.layout == glossy_synthetic.NAME
+            else set()
+        )
+        _find_unsupported(folder, known, problems)
     if manifest is None:
         return scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
     _look_at_pictures(folder, manifest, skip, announce, problems)
@@ -53,8 +61,8 @@ def inspect_scene(
     )
 
 
-def _find_unsupported(folder: Path, problems: Problems) -> None:
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+def _find_unsupported(folder: Path, known: set[Path], problems: Problems) -> None:
+    for path in sorted(p for p in folder.rglob("*") if p.is_file() and p not in known):
         kind = UNSUPPORTED_SUFFIXES.get(path.suffix.lower())
         if kind is None:
             with path.open("rb") as file:
@@ -75,29 +83,70 @@ def _look_at_pictures(
     problems: Problems,
 ) -> None:
     seen: dict[str, str] = {}
-    photographs: list[PictureFacts] = []
+    masked = [False]
     for frame in manifest.frames:
-        for path in [*(image.path for image in frame.images), *frame.truth.values()]:
-            announce(path)
-            facts = _look_at(folder, path, frame.name, skip, problems)
-            if facts is None or path in frame.truth.values():
+        for image in frame.images:
+            announce(image.path)
+            facts = _look_at(folder, image.path, frame.name, skip, problems)
+            if facts is None:
                 continue
-            photographs.append(facts)
-            with (folder / path).open("rb") as file:
-                digest = file_digest(file, "sha256").hexdigest()
-            if digest in seen:
-                problems.warning(
-                    "scene.image_duplicate",
-                    f'{path} (frame "{frame.name}") is the same file as {seen[digest]}; if the cameras '
-                    "differ, one of the two poses is wrong",
-                    path,
-                )
-            seen.setdefault(digest, path)
-    if photographs and not any(facts.has_background for facts in photographs):
+            masked.append(facts.has_background)
+            _note_duplicate(folder, image.path, frame.name, seen, problems)
+        for path in frame.truth.values():
+            announce(path)
+            _look_at(folder, path, frame.name, skip, problems)
+        if frame.mask:
+            announce(frame.mask)
+            masked.append(True)
+            _look_at_mask(folder, frame, skip, problems)
+    if not any(masked):
         problems.warning(
             "scene.no_mask",
-            "no photograph has a transparent background, so everything in view is taken for the object; cut "
-            "the object out and save PNG with alpha for a better result",
+            "no photograph has a transparent background and there are no masks, so everything in view is "
+            "taken for the object; cut the object out and save PNG with alpha, or add masks, for a better "
+            "result",
+        )
+    if problems.usable:
+        announce("")
+        check_silhouettes(training_silhouettes(folder, manifest, problems), problems)
+
+
+def _note_duplicate(folder: Path, path: str, frame: str, seen: dict[str, str], problems: Problems) -> None:
+    with (folder / path).open("rb") as file:
+        digest = file_digest(file, "sha256").hexdigest()
+    if digest in seen:
+        problems.warning(
+            "scene.image_duplicate",
+            f'{path} (frame "{frame}") is the same file as {seen[digest]}; if the cameras differ, one of the '
+            "two poses is wrong",
+            path,
+        )
+    seen.setdefault(digest, path)
+
+
+def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], problems: Problems) -> None:
+    if frame.mask in skip:
+        _note_too_large(frame.mask, frame.name, problems)
+        return
+    try:
+        coverage = read_coverage(folder / frame.mask, frame.mask_encoding)
+        width, height = picture_size(folder / frame.images[0].path)
+    except PictureError as error:
+        problems.error(error.code, f'{frame.mask} (frame "{frame.name}") {error}', frame.mask)
+        return
+    if coverage.shape != (height, width):
+        problems.error(
+            "scene.mask_size",
+            f'{frame.mask} (frame "{frame.name}") has {coverage.shape[1]} x {coverage.shape[0]} pixels, its '
+            f"photograph has {width} x {height}; make them one size",
+            frame.mask,
+        )
+    elif not (coverage > 0.0).any():
+        problems.error(
+            "scene.mask_empty",
+            f'{frame.mask} (frame "{frame.name}") says that the object is not in the picture; mend the mask '
+            "or leave the frame out",
+            frame.mask,
         )
 
 
@@ -105,11 +154,7 @@ def _look_at(
     folder: Path, path: str, frame: str, skip: frozenset[str], problems: Problems
 ) -> PictureFacts | None:
     if path in skip:
-        problems.error(
-            "scene.image_too_large",
-            f'{path} (frame "{frame}") needs more memory or time than a picture may; export it smaller',
-            path,
-        )
+        _note_too_large(path, frame, problems)
         return None
     try:
         facts = picture_facts(folder / path)
@@ -128,3 +173,11 @@ def _look_at(
             "scene.image_empty", f'{path} (frame "{frame}") is fully transparent; leave the frame out', path
         )
     return facts
+
+
+def _note_too_large(path: str, frame: str, problems: Problems) -> None:
+    problems.error(
+        "scene.image_too_large",
+        f'{path} (frame "{frame}") needs more memory or time than a picture may; export it smaller',
+        path,
+    )

@@ -25,10 +25,13 @@ def select_lights(
     chosen.CopyFrom(manifest)
     del chosen.lights[:]
     chosen.lights.extend(names)
+    # A layout may offer every light for both; one that is trained on is no test of relighting.
+    relight = [name for name in manifest.relight_lights if name not in names]
+    chosen.relight_lights[:] = relight
     for frame in chosen.frames:
         kept = set(names)
         if frame.split == scene_pb2.SPLIT_TEST:
-            kept |= set(manifest.relight_lights)
+            kept |= set(relight)
         images = [image for image in frame.images if image.light in kept]
         del frame.images[:]
         frame.images.extend(images)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from flashcache.color import linear_from_srgb
 from flashcache.data.scene import Camera, Scene, View
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
@@ -15,6 +15,7 @@ from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import read_coverage, read_pixels
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_weighted
+from lambent_worker.scenes.world import rotation_and_scale, world_matrix
 
 
 def load_scene(
@@ -34,7 +35,8 @@ def load_scene(
     `scene.*` code when a file cannot be read.
     """
     manifest = select_lights(manifest, lights or tuple(manifest.lights))
-    views = [(frame.split, _load_view(folder, frame, max_side)) for frame in manifest.frames]
+    world = world_matrix(manifest)
+    views = [(frame.split, _load_view(folder, frame, max_side, world)) for frame in manifest.frames]
     return Scene(
         name=manifest.name,
         lights=tuple(manifest.lights),
@@ -63,7 +65,7 @@ def camera_of(frame: scene_pb2.Frame) -> Camera:
     )
 
 
-def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int) -> View:
+def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int, world: Float64[ndarray, "4 4"]) -> View:
     size = reduced_size(frame.camera.width, frame.camera.height, max_side)
     images = {
         image.light: resampled_colour(_photograph(folder, frame, image), frame.camera, size)
@@ -73,7 +75,7 @@ def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int) -> View:
         name=frame.name,
         camera=camera_of(frame).resized(*size),
         images=images,
-        truth=_load_truth(folder, frame, size) if frame.split == scene_pb2.SPLIT_TEST else {},
+        truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
     )
 
 
@@ -118,8 +120,9 @@ def _linear_rgba(folder: Path, path: str, encoding: str) -> Float32[ndarray, "he
 
 
 def _load_truth(
-    folder: Path, frame: scene_pb2.Frame, size: tuple[int, int]
+    folder: Path, frame: scene_pb2.Frame, size: tuple[int, int], world: Float64[ndarray, "4 4"]
 ) -> dict[str, Float32[ndarray, "height width channels"]]:
+    rotation, scale = rotation_and_scale(world)
     truth: dict[str, ndarray] = {}
     coverage = None
     for kind in ("albedo", "normal", "roughness", "metallic", "distance"):
@@ -137,10 +140,12 @@ def _load_truth(
             if kind == "normal":
                 length = np.linalg.norm(values[..., :3], axis=-1, keepdims=True)
                 values[..., :3] *= (values[..., 3:] > 0.0) / np.maximum(length, 1e-6)
+                values[..., :3] = values[..., :3] @ rotation.T
         else:
             values = values[..., :1]
             weight = (values > 0.0).astype(np.float32) if kind == "distance" or coverage is None else coverage
             values = resampled_weighted(values, weight, frame.camera, size)
+            values = values * scale if kind == "distance" else values
         truth[kind] = np.ascontiguousarray(values, dtype=np.float32)
     return truth
 

@@ -108,6 +108,17 @@ def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
     return (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
 
 
+def has_alpha(path: Path) -> bool:
+    """Return whether a picture has a channel for transparency; from the header, but for EXR.
+
+    Raises `PictureError` as `picture_size` does.
+    """
+    if path.suffix.lower() in FLOAT_SUFFIXES:
+        return path.suffix.lower() == ".exr" and read_pixels(path).shape[-1] == 4
+    with opened(path) as image:
+        return image.has_transparency_data
+
+
 def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height width"]:
     """Return how much of each pixel the object covers, from 0 to 1, as a mask file says it.
 

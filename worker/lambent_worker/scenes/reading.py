@@ -13,6 +13,8 @@ from lambent_worker.scenes.problems import Problems
 
 MAX_JSON_BYTES = 64 * 2**20
 RIGID_TOLERANCE = 1e-3
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Multiplied from the right: from camera axes x right, y down, z forward to x right, y up, z backward."""
 
 
 def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, Any] | None:
@@ -27,11 +29,21 @@ def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, A
                 name,
             )
             return None
-        value = json.loads(path.read_text(encoding="utf-8"))
+        twice: list[str] = []
+        value = json.loads(
+            path.read_text(encoding="utf-8"), object_pairs_hook=lambda pairs: _object(pairs, twice)
+        )
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         problems.error(
             "scene.metadata_unreadable", f"{name} is not readable JSON ({reason}); write it again", name
+        )
+        return None
+    if twice:
+        problems.error(
+            "scene.key_duplicate",
+            f'{name} names "{twice[0][:100]}" twice where only one can be meant; remove or rename one',
+            name,
         )
         return None
     if not isinstance(value, dict):
@@ -42,6 +54,14 @@ def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, A
         )
         return None
     return value
+
+
+def _object(pairs: list[tuple[str, Any]], twice: list[str]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [key for key, _ in pairs]
+        twice.extend(key for key in made if names.count(key) > 1)
+    return made
 
 
 def finite_number(value: object) -> float | None:
@@ -123,6 +143,18 @@ def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float6
         )
         return None
     return _rigid(matrix, subject, problems)
+
+
+def pose_from_world_to_camera(
+    value: object, subject: str, problems: Problems
+) -> Float64[ndarray, "4 4"] | None:
+    """Return the camera-to-world matrix with our camera axes of a world-to-camera matrix with OpenCV's.
+
+    `value` has 3 x 4 or 4 x 4 numbers; OpenCV's axes are x right, y down, z forward. None after noting in
+    `problems` what is wrong.
+    """
+    pose = pose_from_numbers(value, subject, problems)
+    return None if pose is None else np.linalg.inv(pose) @ OPENGL_FROM_OPENCV
 
 
 def _rigid(

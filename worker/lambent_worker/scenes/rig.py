@@ -5,12 +5,11 @@ from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_worker.scenes.conventions import CONVENTIONS
 from lambent_worker.scenes.extent import camera_axes, looked_at_point
 from lambent_worker.scenes.problems import Problems
 
 MIN_TRAIN_FRAMES = 3
-OFF_CENTRE = 0.25
-"""Distance of the object from the origin worth a note, as a share of its distance from the cameras."""
 
 
 def check_rig(frames: list[scene_pb2.Frame], problems: Problems) -> None:
@@ -30,7 +29,7 @@ def check_rig(frames: list[scene_pb2.Frame], problems: Problems) -> None:
         problems.error(
             "scene.cameras_coincide",
             "all cameras stand on one spot, so depth cannot be seen; photograph the object from several "
-            "places and solve the poses again",
+            f"places and solve the poses again{_fitting_convention(frames)}",
         )
         return
     centre = looked_at_point(positions, directions)
@@ -38,27 +37,40 @@ def check_rig(frames: list[scene_pb2.Frame], problems: Problems) -> None:
         problems.error(
             "scene.cameras_parallel",
             "all cameras look in the same direction, so there is no point they look at; photograph the "
-            "object from several sides, or check the axes of the poses (looking along -z)",
+            "object from several sides, or check the axes of the poses (looking along -z)"
+            f"{_fitting_convention(frames)}",
         )
         return
     _check_sight(frames, centre, problems)
-    distance = float(np.median(np.linalg.norm(positions - centre, axis=-1)))
-    if np.linalg.norm(centre) > OFF_CENTRE * distance:
-        where = ", ".join(f"{v:.3g}" for v in centre)
-        problems.warning(
-            "scene.off_centre",
-            f"the cameras look at ({where}), away from the origin; move the origin into the object, detail "
-            "is finest there",
-        )
+
+
+def _fitting_convention(frames: list[scene_pb2.Frame]) -> str:
+    """Return the end of a message: how the poses would make sense, if there is such a way."""
+    poses = np.array([frame.camera.camera_to_world for frame in frames]).reshape(-1, 4, 4)
+    for convention in CONVENTIONS:
+        turned = convention.applied(poses)
+        positions, directions = turned[:, :3, 3], -turned[:, :3, 2]
+        centre = looked_at_point(positions, directions)
+        if centre is None:
+            continue
+        distance = np.linalg.norm(positions - centre, axis=-1)
+        if np.linalg.norm(positions - positions[0], axis=-1).max() < 0.1 * distance.max():
+            continue
+        sights = [_sight(frame.camera, pose, centre) for frame, pose in zip(frames, turned, strict=True)]
+        if all(shown for _, shown in sights):
+            return f"; they make sense read {convention.advice}"
+    return ""
 
 
 def _check_sight(frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], problems: Problems) -> None:
-    depth, inside = np.array([_sight(frame.camera, centre) for frame in frames]).T
+    poses = np.array([frame.camera.camera_to_world for frame in frames]).reshape(-1, 4, 4)
+    sights = [_sight(frame.camera, pose, centre) for frame, pose in zip(frames, poses, strict=True)]
+    depth, inside = np.array(sights).T
     if (depth < 0.0).mean() > 0.5:
         problems.error(
             "scene.cameras_look_away",
             f"{int((depth < 0.0).sum())} of {len(frames)} cameras look away from the point they surround; "
-            "the poses probably use OpenCV axes (looking along +z), turn them by diag(1, -1, -1, 1)",
+            f"check the axes of the poses{_fitting_convention(frames)}",
         )
         return
     blind = [frame for frame, ok in zip(frames, inside, strict=True) if not ok]
@@ -66,7 +78,8 @@ def _check_sight(frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], p
         problems.error(
             "scene.no_overlap",
             f"{len(blind)} of {len(frames)} cameras do not have the common point in the picture, so their "
-            "views do not overlap; check poses, focal length and that the files belong together",
+            "views do not overlap; check poses, focal length and that the files belong together"
+            f"{_fitting_convention(frames)}",
         )
         return
     for frame in blind:
@@ -78,9 +91,10 @@ def _check_sight(frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], p
         )
 
 
-def _sight(camera: scene_pb2.Camera, point: Float64[ndarray, "3"]) -> tuple[float, bool]:
+def _sight(
+    camera: scene_pb2.Camera, pose: Float64[ndarray, "4 4"], point: Float64[ndarray, "3"]
+) -> tuple[float, bool]:
     """Return the depth of a point in front of a camera (scene units) and whether the picture shows it."""
-    pose = np.array(camera.camera_to_world).reshape(4, 4)
     x, y, z = pose[:3, :3].T @ (point - pose[:3, 3])
     depth = -z
     if depth <= 0.0:

@@ -24,6 +24,7 @@ from lambent_worker.scenes.reading import (
 )
 
 NAME = "tensoir_synthetic"
+LOOKS_LIKE = "train_*/metadata.json"
 
 # The order decides the default light; the names are those of the published data set.
 TRAIN_LIGHTS = ("sunset", "sunset_000", "sunset_120", "sunset_240", "snow", "courtyard")

@@ -1,0 +1,214 @@
+"""Reads a COLMAP sparse model with its photographs.
+
+    <scene>/sparse/0/ cameras.bin images.bin (or .txt)     or sparse/, or colmap/sparse/0/
+    <scene>/images/   photographs, named as in the model
+    <scene>/masks/    optional: <name>.png or <stem>.png, white is the object
+
+Poses are world-to-camera with OpenCV axes. The world has any scale and direction; see `world`.
+"""
+
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from lambent_proto.v1 import scene_pb2
+from numpy import ndarray
+
+from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.colmap_model import (
+    ColmapCamera,
+    ColmapImage,
+    ModelError,
+    read_cameras,
+    read_images,
+)
+from lambent_worker.scenes.frames import check_sizes, frame_names
+from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.pictures import encoding_of, picture_size
+from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.reading import inside_folder, pose_from_world_to_camera
+from lambent_worker.scenes.transforms_json import scaled
+
+NAME = "colmap"
+LOOKS_LIKE = "sparse/0/images.bin or .txt"
+LIGHT = "capture"
+"""This layout knows one light and has no name for it."""
+
+MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
+IMAGES, MASKS = "images", "masks"
+
+
+def is_layout(folder: Path) -> bool:
+    """Return whether `folder` looks like this layout."""
+    return _model_folder(folder) is not None
+
+
+def read_capture(folder: Path, problems: Problems) -> Capture:
+    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
+    model = _model_folder(folder)
+    if model is None:
+        problems.error(
+            "scene.file_missing",
+            f"there is no images.bin or images.txt in {', '.join(MODEL_FOLDERS)}; add COLMAP's sparse model",
+            f"{MODEL_FOLDERS[0]}/images.bin",
+        )
+        return capture
+    entries = _read_model(folder, model, problems)
+    if entries is None:
+        return capture
+    cameras, images = entries
+    by_camera = defaultdict(list)
+    has_masks = (folder / MASKS).is_dir()
+    seen: set[str] = set()
+    for image in sorted(images, key=lambda image: image.name):
+        if image.name in seen:
+            problems.error(
+                "scene.frame_duplicate",
+                f'{model}: the model registers "{image.name}" twice; keep one of the two',
+                image.name,
+            )
+            continue
+        seen.add(image.name)
+        frame = _read_frame(folder, model, image, cameras, problems)
+        if frame is None or (has_masks and not _set_mask(folder, image.name, frame, problems)):
+            continue
+        by_camera[image.camera].append(frame)
+        capture.frames.append(frame)
+    for frames in by_camera.values():
+        check_sizes(frames, problems)
+    names = frame_names([frame.images[0].path for frame in capture.frames])
+    for frame in capture.frames:
+        frame.name = names[frame.images[0].path]
+    return capture
+
+
+def _model_folder(folder: Path) -> str | None:
+    return next(
+        (
+            place
+            for place in MODEL_FOLDERS
+            if any((folder / place / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
+        ),
+        None,
+    )
+
+
+def _read_model(
+    folder: Path, model: str, problems: Problems
+) -> tuple[dict[int, ColmapCamera], list[ColmapImage]] | None:
+    suffix = ".bin" if (folder / model / "images.bin").is_file() else ".txt"
+    paths = [f"{model}/{name}{suffix}" for name in ("cameras", "images")]
+    try:
+        reading = paths[0]
+        cameras = read_cameras(folder / paths[0])
+        reading = paths[1]
+        return cameras, read_images(folder / paths[1])
+    except FileNotFoundError:
+        problems.error("scene.file_missing", f"{reading} does not exist; copy COLMAP's whole model", reading)
+    except (ModelError, OSError) as error:
+        reason = error if isinstance(error, ModelError) else "cannot be read"
+        problems.error("scene.metadata_unreadable", f"{reading} {reason}; export the model again", reading)
+    return None
+
+
+def _read_frame(
+    folder: Path, model: str, image: ColmapImage, cameras: dict[int, ColmapCamera], problems: Problems
+) -> scene_pb2.Frame | None:
+    subject = f'{model} image "{image.name[:100]}"'
+    clean = inside_folder(image.name, subject, problems)
+    if clean is None:
+        return None
+    picture = f"{IMAGES}/{clean.as_posix()}"
+    camera = cameras.get(image.camera)
+    if camera is None:
+        problems.error(
+            "scene.camera_missing",
+            f"{subject} was taken by camera {image.camera}, which the model does not describe; "
+            "export the model again",
+            picture,
+        )
+        return None
+    try:
+        size = picture_size(folder / picture)
+    except PictureError as error:
+        problems.error(error.code, f"{subject}: {picture} {error}", picture)
+        return None
+    pose = _pose(image, subject, problems)
+    figures = _figures(camera, subject, problems)
+    if pose is None or figures is None:
+        return None
+    fitted = scaled(figures, size, picture, f"camera {image.camera} of the model", problems)
+    if fitted is None:
+        return None
+    described = camera_with_lens(fitted, pose, subject, problems)
+    if described is None:
+        return None
+    return scene_pb2.Frame(
+        split=scene_pb2.SPLIT_TRAIN,
+        camera=described,
+        images=[scene_pb2.Image(light=LIGHT, path=picture, encoding=encoding_of(picture))],
+    )
+
+
+def _pose(image: ColmapImage, subject: str, problems: Problems) -> Float64[ndarray, "4 4"] | None:
+    quaternion = np.array(image.rotation)
+    length = float(np.linalg.norm(quaternion))
+    if length < 1e-6:  # a rotation by nothing at all; written as a matrix it would be singular
+        matrix = np.zeros((3, 4))
+    else:
+        w, x, y, z = quaternion / length
+        matrix = np.array(
+            [
+                [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y), 0.0],
+                [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x), 0.0],
+                [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y), 0.0],
+            ]
+        )
+    matrix[:, 3] = image.translation
+    return pose_from_world_to_camera(matrix, subject, problems)
+
+
+def _figures(camera: ColmapCamera, subject: str, problems: Problems) -> LensFigures | None:
+    """Return a camera's parameters sorted by meaning, or None after noting a model that is not understood."""
+    values = camera.parameters
+    if camera.model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
+        focal_x, focal_y, (centre_x, centre_y), distortion = values[0], values[0], values[1:3], values[3:]
+    elif camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV"):
+        focal_x, focal_y, (centre_x, centre_y), distortion = values[0], values[1], values[2:4], values[4:]
+    else:
+        problems.error(
+            "scene.lens_unsupported",
+            f"{subject} has the camera model {camera.model}, which no pinhole can stand in for; run colmap "
+            "image_undistorter and give its result",
+            subject,
+        )
+        return None
+    return LensFigures(
+        width=camera.width,
+        height=camera.height,
+        focal_x=focal_x,
+        focal_y=focal_y,
+        centre_x=centre_x,
+        centre_y=centre_y,
+        distortion=tuple(distortion),
+    )
+
+
+def _set_mask(folder: Path, name: str, frame: scene_pb2.Frame, problems: Problems) -> bool:
+    """Fill in the frame's mask; return whether there is one."""
+    stem = name.rsplit(".", maxsplit=1)[0]
+    candidates = [f"{MASKS}/{name}.png", f"{MASKS}/{stem}.png", f"{MASKS}/{name}"]
+    found = next((path for path in candidates if (folder / path).is_file()), None)
+    if found is None:
+        problems.error(
+            "scene.file_missing",
+            f"there is no mask {candidates[0]} (nor {candidates[1]}), but there is a folder of masks; "
+            "add it, or remove the folder to take everything for the object",
+            candidates[0],
+        )
+        return False
+    frame.mask = found
+    return True

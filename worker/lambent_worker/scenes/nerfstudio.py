@@ -1,0 +1,164 @@
+"""Reads the transforms.json of nerfstudio and instant-ngp: one file for all frames.
+
+Each frame has `file_path`, `transform_matrix` (camera-to-world, camera axes x right, y up, looking along -z),
+and may have a lens of its own, `mask_path`, and `exposure_time`, `f_number`, `iso`. `train_filenames`,
+`test_filenames` and `val_filenames` may say what is trained on. Lenses: see `transforms_json`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.exposure import stated_exposure
+from lambent_worker.scenes.frames import check_sizes, frame_names, listed
+from lambent_worker.scenes.pictures import encoding_of
+from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.reading import inside_folder, read_json_object
+from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame_entries, read_camera
+
+NAME = "nerfstudio"
+LOOKS_LIKE = "transforms.json"
+LIGHT = "capture"
+"""This layout knows one light and has no name for it."""
+
+FILE = "transforms.json"
+SPLITS = (
+    ("train_filenames", scene_pb2.SPLIT_TRAIN),
+    ("test_filenames", scene_pb2.SPLIT_TEST),
+    ("val_filenames", scene_pb2.SPLIT_TEST),
+)
+
+
+def is_layout(folder: Path) -> bool:
+    """Return whether `folder` looks like this layout."""
+    return (folder / FILE).is_file()
+
+
+def read_capture(folder: Path, problems: Problems) -> Capture:
+    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
+    transforms = read_json_object(folder, FILE, problems)
+    if transforms is None:
+        return capture
+    seen: set[str] = set()
+    shared_lens = []
+    for subject, entry in frame_entries(FILE, transforms, problems):
+        picture = find_picture(folder, entry["file_path"], subject, problems)
+        if picture is None:
+            continue
+        if picture in seen:
+            problems.error(
+                "scene.frame_duplicate",
+                f"{subject}: {picture} is named by an earlier frame already; remove one of the two",
+                picture,
+            )
+            continue
+        seen.add(picture)
+        camera = read_camera(folder, picture, {**transforms, **entry}, subject, problems)
+        if camera is None:
+            continue
+        frame = scene_pb2.Frame(
+            split=scene_pb2.SPLIT_TRAIN,
+            camera=camera,
+            images=[scene_pb2.Image(light=LIGHT, path=picture, encoding=encoding_of(picture))],
+        )
+        if not _read_mask(folder, entry, subject, frame, problems):
+            continue
+        capture.frames.append(frame)
+        frame.name = picture
+        exposure = stated_exposure(entry)
+        if exposure is not None:
+            capture.exposures[picture] = exposure
+        if not any(key in entry for key in LENS_KEYS):
+            shared_lens.append(frame)
+    check_sizes(shared_lens, problems)
+    _choose_splits(folder, transforms, capture, problems)
+    names = frame_names([frame.name for frame in capture.frames])
+    capture.exposures = {names[path]: value for path, value in capture.exposures.items() if path in names}
+    for frame in capture.frames:
+        frame.name = names[frame.name]
+    return capture
+
+
+def _read_mask(
+    folder: Path, entry: dict[str, Any], subject: str, frame: scene_pb2.Frame, problems: Problems
+) -> bool:
+    """Fill in the frame's mask; return whether what the entry says about it holds."""
+    if "mask_path" not in entry:
+        return True
+    path = entry["mask_path"]
+    clean = inside_folder(path, subject, problems) if isinstance(path, str) else None
+    if clean is None:
+        if not isinstance(path, str):
+            problems.error("scene.file_path_missing", f"{subject}: mask_path must name a picture", subject)
+        return False
+    if not (folder / clean).is_file():
+        problems.error(
+            "scene.file_missing",
+            f"{subject}: there is no mask {clean}; add it, or remove mask_path to take "
+            "everything for the object",
+            clean.as_posix(),
+        )
+        return False
+    frame.mask = clean.as_posix()
+    return True
+
+
+def _choose_splits(folder: Path, transforms: dict[str, Any], capture: Capture, problems: Problems) -> None:
+    """Set the split of each frame from the file's lists; frames in none of them are left out."""
+    lists: dict[str, set[str]] = {}
+    for key, _ in SPLITS:
+        names = transforms.get(key)
+        if names is None:
+            continue
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            problems.error(
+                "scene.metadata_unreadable", f"{FILE}: {key} must be a list of file names; mend it", FILE
+            )
+            continue
+        lists[key] = {name.removeprefix("./") for name in names}
+        if len(lists[key]) != len(names):
+            problems.error("scene.frame_duplicate", f"{FILE}: {key} names a picture twice; remove one", FILE)
+    if not lists:
+        return
+    if lists.get("test_filenames"):
+        validation = lists.pop("val_filenames", set()) - lists["test_filenames"]
+    else:
+        validation = set()
+    known = {frame.images[0].path for frame in capture.frames}
+    absent = sorted(name for names in lists.values() for name in names if not _is_frame(name, known))
+    if absent and problems.usable:
+        problems.error(
+            "scene.file_missing",
+            f"{FILE}: the split lists name pictures that no frame has ({listed(absent)}); correct the lists",
+            absent[0],
+        )
+    kept = []
+    unused = []
+    for frame in capture.frames:
+        path = frame.images[0].path
+        split = next((s for key, s in SPLITS if _is_listed(path, lists.get(key, set()))), None)
+        if split is not None:
+            frame.split = split
+            kept.append(frame)
+            continue
+        capture.other_files |= {path, frame.mask}
+        if not _is_listed(path, validation):
+            unused.append(path)
+    if unused:
+        problems.warning(
+            "scene.extra_file",
+            f"{FILE}: {listed(unused)} in none of the split lists; not used",
+            unused[0],
+        )
+    capture.frames = kept
+
+
+def _is_listed(path: str, names: set[str]) -> bool:
+    return path in names or path.rsplit(".", maxsplit=1)[0] in names
+
+
+def _is_frame(name: str, known: set[str]) -> bool:
+    return name in known or any(path.rsplit(".", maxsplit=1)[0] == name for path in known)

@@ -1,0 +1,117 @@
+"""Uses the masks of a capture: to see whether its poses agree with them, and to find the object's box."""
+
+from pathlib import Path
+
+import numpy as np
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.scenes.coverage import has_coverage, small_coverage
+from lambent_worker.scenes.extent import set_fitted_box
+from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.silhouettes import (
+    AGREEMENT,
+    MASK_SIDE,
+    Hull,
+    Silhouette,
+    carve,
+    explained,
+    other_convention,
+    silhouette_of,
+)
+from lambent_worker.scenes.world import settle
+
+MAX_VIEWS = 40
+MIN_VIEWS = 8
+"""Fewer silhouettes than this leave too much room to say anything."""
+SINGLE_AGREEMENT = 0.8
+"""Share of one frame's mask that the others must explain."""
+MARGIN = 0.03
+"""Added to each side of the box, as a share of its longest side."""
+
+
+def training_silhouettes(
+    folder: Path, manifest: scene_pb2.SceneManifest, problems: Problems
+) -> list[Silhouette]:
+    """Return the silhouettes of up to 40 training frames, evenly chosen; those without a background left out.
+
+    Pictures that cannot be opened are noted in `problems`.
+    """
+    frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TRAIN]
+    chosen = sorted({round(i) for i in np.linspace(0, len(frames) - 1, min(len(frames), MAX_VIEWS))})
+    silhouettes = []
+    for frame in (frames[i] for i in chosen):
+        path = frame.mask or frame.images[0].path
+        try:
+            coverage = small_coverage(folder, frame, MASK_SIDE) if has_coverage(folder, frame) else None
+        except PictureError as error:
+            problems.error(error.code, f'{path} (frame "{frame.name}") {error}', path)
+            continue
+        if coverage is None:
+            continue
+        silhouette = silhouette_of(frame, coverage)
+        if silhouette.mask.any() and not silhouette.mask.all():
+            silhouettes.append(silhouette)
+    return silhouettes
+
+
+def check_silhouettes(views: list[Silhouette], problems: Problems) -> None:
+    """Note in `problems` when poses and masks cannot both be right, and which convention would be."""
+    if len(views) < MIN_VIEWS:
+        return
+    shares = explained(views, carve(views))
+    usual = float(np.median(shares))
+    if usual >= AGREEMENT:
+        for view, share in zip(views, shares, strict=True):
+            if share < SINGLE_AGREEMENT:
+                problems.warning(
+                    "scene.mask_disagrees",
+                    f'frame "{view.name}": only {100.0 * share:.0f} % of its mask lies where the other masks '
+                    "allow the object to be; its pose or its mask is wrong, mend it or leave the frame out",
+                    view.name,
+                )
+        return
+    convention = other_convention(views)
+    if convention is not None:
+        problems.error(
+            "scene.axes_wrong",
+            f"projected with these poses the masks agree on {100.0 * usual:.0f} % of their area only (worst: "
+            f'frame "{views[int(shares.argmin())].name}"), but on all of it when the poses are read '
+            f"{convention.advice}",
+            views[int(shares.argmin())].name,
+        )
+        return
+    problems.warning(
+        "scene.silhouettes_disagree",
+        f"projected with these poses the masks agree on {100.0 * usual:.0f} % of their area only (worst: "
+        f'frame "{views[int(shares.argmin())].name}"); check that masks and poses belong together',
+        views[int(shares.argmin())].name,
+    )
+
+
+def fit_to_silhouettes(manifest: scene_pb2.SceneManifest, views: list[Silhouette]) -> bool:
+    """Replace bounds guessed from the cameras by a box around what the masks show, and settle the world.
+
+    Returns False, leaving everything as it is, where the capture fixes its box, where there are too few
+    masks, or where poses and masks do not agree.
+    """
+    if manifest.bounds_from != "cameras" or len(views) < MIN_VIEWS:
+        return False
+    hull = carve(views)
+    if hull is None or np.median(explained(views, hull)) < AGREEMENT:
+        return False
+    low, high = _box_with_margin(hull)
+    # Cameras all on one side leave a cone behind the object open: there the guess is kept.
+    low = np.where(hull.open_low, np.maximum(low, manifest.bounds.minimum), low)
+    high = np.where(hull.open_high, np.minimum(high, manifest.bounds.maximum), high)
+    set_fitted_box(manifest, low, high)
+    settle(manifest)
+    return True
+
+
+def _box_with_margin(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
+    low, high = hull.box
+    margin = MARGIN * float((high - low).max())
+    step = 0.01 * float((high - low).max())
+    # Whole hundredths: the rest is the grid's, not the object's.
+    return np.floor((low - margin) / step) * step, np.ceil((high + margin) / step) * step
