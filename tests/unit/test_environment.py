@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -58,3 +59,67 @@ def test_lights_differ_and_are_positive(config: EnvironmentConfig):
 def test_an_odd_number_of_rows_is_refused():
     with pytest.raises(ConfigError, match="even"):
         EnvironmentConfig(texture_height=7)
+
+
+def turned(direction: torch.Tensor, degrees: float) -> torch.Tensor:
+    """Return directions turned by `degrees` about +z, counter-clockwise from above."""
+    angle = math.radians(degrees)
+    x, y, z = direction.unbind(dim=-1)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return torch.stack([cosine * x - sine * y, sine * x + cosine * y, z], dim=-1)
+
+
+@pytest.mark.parametrize("config", [TEXTURE, EnvironmentConfig(width=8, num_layers=1, last_width=8)])
+def test_rotated_lights_are_one_environment_turned_about_the_vertical(config: EnvironmentConfig):
+    torch.manual_seed(0)
+    made = Environment(config, 3, rotations_deg=(0.0, 120.0, 240.0))
+    alone = Environment(config, 1)
+    alone.load_state_dict(made.state_dict())
+    assert made.num_lights == 1
+    directions = torch.nn.functional.normalize(torch.randn(40, 3), dim=-1)
+    for light, degrees in enumerate((0.0, 120.0, 240.0)):
+        # What shone from d shines from the turned d: L_deg(d) = L_0(R_z(-deg) d).
+        found = made(turned(directions, degrees), lights(directions, light))
+        torch.testing.assert_close(found, alone(directions, lights(directions)), rtol=1e-4, atol=1e-5)
+
+
+def test_the_picture_of_a_rotated_light_is_shifted_to_the_left_by_a_positive_angle():
+    # Azimuth decreases to the right, so light turned counter-clockwise moves to the left.
+    made = Environment(TEXTURE, 2, rotations_deg=(0.0, 90.0))
+    with torch.no_grad():
+        made.texture[0, :, 4, 8] = 5.0
+    first, second = (made.image(8, light).sum(dim=-1) for light in (0, 1))
+    assert int(first.argmax()) % 16 - int(second.argmax()) % 16 == 4
+
+
+@pytest.mark.parametrize("config", [TEXTURE, EnvironmentConfig(width=8, num_layers=1, last_width=8)])
+def test_a_known_environment_is_what_was_given_and_has_no_gradient(config: EnvironmentConfig):
+    made = Environment(replace(config, known_height=8), 2, known=(1,))
+    image = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(1))
+    made.set_known(1, image)
+    torch.testing.assert_close(made.image(8, 1), image, rtol=1e-4, atol=1e-4)
+    assert made.learned == (0,)
+    directions = environment_directions(6, 12).reshape(-1, 3).float()
+    made(directions, lights(directions, 1)).sum().backward()
+    assert all(p.grad is None or not p.grad.any() for p in made.parameters())
+    made(directions, lights(directions, 0)).sum().backward()
+    assert any(p.grad is not None and p.grad.any() for p in made.parameters())
+
+
+def test_each_ray_gets_the_environment_of_its_light_given_or_learned():
+    made = Environment(replace(TEXTURE, known_height=4), 3, known=(2, 0))
+    made.set_known(0, torch.full((4, 8, 3), 3.0))
+    made.set_known(2, torch.full((4, 8, 3), 5.0))
+    up = torch.tensor([[0.0, 0.0, 1.0]]).expand(3, 3)
+    found = made(up, torch.tensor([0, 1, 2]))[:, 0]
+    torch.testing.assert_close(found, torch.tensor([3.0, math.log(1.0 + math.exp(-1.0)), 5.0]))
+
+
+def test_a_known_environment_serves_all_rotated_lights_and_is_kept_in_the_state():
+    config = replace(TEXTURE, known_height=8)
+    made, copy = (Environment(config, 2, rotations_deg=(0.0, 90.0), known=(0,)) for _ in range(2))
+    image = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(1))
+    made.set_known(1, image)
+    assert made.learned == ()
+    copy.load_state_dict(made.state_dict())
+    torch.testing.assert_close(copy.image(8, 1), image.roll(-4, dims=1), rtol=1e-4, atol=1e-4)

@@ -137,6 +137,59 @@ def test_gradients_through_the_caches_are_scaled_and_zero_by_default():
     assert reached[1] == pytest.approx(0.25 * reached[2])
 
 
+@pytest.mark.parametrize("supervise", [False, True])
+def test_the_fast_cache_alone_learns_from_exact_rays_that_do_not_count(supervise):
+    given, config = case(40), EstimatorConfig(control_variate="fast_only")
+    near, quick = _Recorder(nerf), _Recorder(blurred)
+
+    def bright(rays):
+        answer = near(rays)
+        return Incident(1e3 + answer.near_radiance, answer.opacity, answer.distance)
+
+    result = control_variate(
+        given.points,
+        given.materials,
+        nerf=bright,
+        fast=quick,
+        environment=environment,
+        mixture=peaked_mixture(given.rows, unit(0.5, -0.1, 0.8)),
+        limits=LIMITS,
+        config=config,
+        generator=torch.Generator().manual_seed(1),
+        supervise=supervise,
+    )
+    assert len(near.calls) == int(supervise)
+    assert (result.exact is not None) == supervise
+    assert result.rgb.max() < 20.0
+    if result.exact is not None:
+        # The graph of the exact rays is for the fast cache's own loss.
+        assert [graph for _, graph in quick.calls] == [False, True]
+        assert result.exact.radiance.max() > 500.0
+
+
+def test_the_gradient_into_the_environment_is_scaled():
+    given, reached = case(20), []
+    for factor in (1.0, 0.25, 0.0):
+        gain = torch.ones((), dtype=torch.float64, requires_grad=True)
+        result = estimates(
+            given,
+            light=lambda directions, light, gain=gain: gain * environment(directions),
+            environment_gradient=factor,
+        )
+        (result.rgb.sum() + 0.0 * gain).backward()
+        reached.append(float(gain.grad))
+    assert reached[1] == pytest.approx(0.25 * reached[0])
+    assert reached[2] == 0.0
+
+
+def test_exact_rays_know_their_half():
+    result, *_ = _ask(case(30, alpha=1.0), EstimatorConfig(exact=_counts(3, 2, 4)))
+    found = result.exact
+    expected = (torch.arange(9) < 5).expand(30, 9)[found.above]
+    assert torch.equal(found.from_diffuse, expected)
+    assert len(found.from_diffuse) == len(found.rays)
+
+
 def test_only_rays_above_the_surface_are_traced():
     given = case(200, alpha=1.0)
     result, exact, fast, _ = _ask(given, EstimatorConfig())

@@ -38,3 +38,22 @@ def test_rays_from_outside_do_not_count():
     fast_cache_loss(answer, incident(), torch.tensor([1.0, 0.0, 1.0]), LIMITS).backward()
     assert answer.near_radiance.grad[0].any()
     assert not answer.near_radiance.grad[1].any()
+
+
+def test_the_two_halves_count_alike_however_many_rays_they_have():
+    answer, target = incident(), incident()
+    with torch.no_grad():
+        answer.opacity[0] = 0.6
+    from_diffuse = torch.tensor([True, False, False])
+    together = fast_cache_loss(answer, target, INSIDE, LIMITS)
+    by_half = fast_cache_loss(answer, target, INSIDE, LIMITS, from_diffuse=from_diffuse)
+    torch.testing.assert_close(by_half, 1.5 * together)
+
+
+def test_a_half_without_rays_costs_nothing():
+    answer = incident(radiance=0.6)
+    none = torch.zeros(3, dtype=torch.bool)
+    expected = 0.5 * fast_cache_loss(answer, incident(), INSIDE, LIMITS)
+    torch.testing.assert_close(
+        fast_cache_loss(answer, incident(), INSIDE, LIMITS, from_diffuse=none), expected
+    )

@@ -2,13 +2,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.caches.nerf_cache import NerfCache, NerfCacheConfig
+from flashcache.caches.nerf_cache import SECONDARY_CURVE, NerfCache, NerfCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.errors import ConfigError
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig
 from flashcache.geometry.rays import Rays
-from flashcache.volume.proposal_sampling import SampleCounts
+from flashcache.volume.proposal_sampling import SampleCounts, midpoints
 from support.statistics import assert_mean
 
 GRID = HashGridConfig(finest_resolution=32, log2_table_size=12)
@@ -100,3 +100,47 @@ def test_outgoing_radiance_is_asked_for_towards_the_rays_origin():
 def test_a_negative_number_of_colours_is_refused():
     with pytest.raises(ConfigError, match="secondary_colours"):
         NerfCacheConfig(secondary_colours=-1)
+
+
+def test_secondary_rays_are_sampled_on_the_power_ladder():
+    made = cache()
+    with torch.no_grad():
+        for density in (*made.proposals, made.density):
+            density.head.weight.zero_()
+            density.head.bias.fill_(-40.0)
+        seen = []
+        made.density.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0]))
+        given = rays(1)
+        made.incident(given, light(1), None)
+    distances = (seen[0] - given.origins).norm(dim=-1)
+    edges = SECONDARY_CURVE.distance(
+        torch.linspace(0.0, 1.0, 7)[None], given.near[:, None], given.far[:, None]
+    )
+    torch.testing.assert_close(distances, midpoints(edges)[0], rtol=2e-3, atol=2e-3)
+    # Half of the samples lie in the first quarter of the way.
+    assert int((distances < 0.5).sum()) >= 3
+
+
+def test_jitter_moves_the_intervals_of_secondary_rays():
+    made = cache()
+    with torch.no_grad():
+        fixed, moved = (
+            made.incident(rays(5), light(5), torch.Generator().manual_seed(3), jitter=jitter)
+            for jitter in (False, True)
+        )
+    assert not torch.allclose(fixed.opacity, moved.opacity)
+    torch.testing.assert_close(fixed.opacity, moved.opacity, rtol=0.3, atol=0.1)
+
+
+def test_the_exponent_of_the_configuration_is_the_one_used_after_training():
+    made = cache()
+    for density in made.proposals:
+        with torch.no_grad():
+            density.grid.table.normal_(0.0, 3.0)
+    other = replace(CONFIG, exponent=0.2)
+    with torch.no_grad():
+        usual = made.trace(rays(20), generator=None).samples.edges
+        flat = made.trace(rays(20), exponent=0.2, generator=None).samples.edges
+        made.config = other
+        assert torch.equal(made.trace(rays(20), generator=None).samples.edges, flat)
+        assert not torch.allclose(usual, flat)

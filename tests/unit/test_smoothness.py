@@ -1,5 +1,6 @@
+import pytest
 import torch
-from flashcache.losses.smoothness import pseudo_albedo, smoothness
+from flashcache.losses.smoothness import guide_weight, pseudo_albedo, smoothness
 from flashcache.physical.brdf import Materials
 
 GUESS = torch.full((2, 3), 0.4)
@@ -37,3 +38,15 @@ def test_the_pseudo_albedo_carries_no_gradient_and_stays_in_range_in_the_dark():
     found = pseudo_albedo(radiance, torch.zeros(1, 3))
     assert not found.requires_grad
     assert found.max() <= 1.0
+
+
+@pytest.mark.parametrize(("guided", "flat", "edge"), [("decreasing", 1.1, 0.2), ("none", 1.0, 1.0)])
+def test_the_weight_where_the_guess_stays_and_where_it_changes(guided, flat, edge):
+    assert guide_weight(GUESS, GUESS, guided)[0] == pytest.approx(flat)
+    assert guide_weight(GUESS, 0.2 * GUESS, guided)[0] == pytest.approx(edge, abs=0.1)
+
+
+def test_the_printed_weight_is_the_change_itself():
+    # Supplement Eq. 9.
+    torch.testing.assert_close(guide_weight(GUESS, 0.5 * GUESS, "printed"), torch.full((2,), 0.2))
+    assert smoothness(materials(0.8), materials(0.4), GUESS, GUESS, ONES, guided="printed") == 0.0

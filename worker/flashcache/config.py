@@ -10,7 +10,13 @@ from hashlib import sha256
 from typing import Any
 
 from flashcache.data.ray_batches import PixelChoice
+from flashcache.data.ray_budget import RayBudget
+from flashcache.data.space import SpaceConfig
 from flashcache.errors import ConfigError
+from flashcache.losses.clusters import ClusterConfig
+from flashcache.losses.consistency import UnobservedConfig
+from flashcache.losses.environment import EnvironmentPriorConfig
+from flashcache.losses.smoothness import SmoothnessGuide
 from flashcache.physical.estimator import EstimatorConfig
 from flashcache.physical.model import ModelConfig
 
@@ -50,6 +56,8 @@ class StageOneConfig:
     distortion_weight: float = 0.0
     distortion_from: float = 0.0
     orientation_weight: float = 0.0
+    orientation_derived: float = 2.0
+    """Weight of derived normals in the orientation loss, where predicted ones have 1; the paper has 0."""
     normal_weight: float = 1.0
     """Final weight of the normal loss."""
     normal_start: float = 1e-4
@@ -63,7 +71,7 @@ class StageOneConfig:
     normal_weight_gradient: float = 0.1
     """Share of the gradient that the render weights get from the normal loss."""
     grid_decay: float = 0.0
-    """Weight of the mean squared grid value, on the density grid."""
+    """Weight of half the mean squared value of each level of the density and proposal grids."""
     proposal_exponent: float = 0.4
     """Largest exponent of the proposal weights (annealing ends there)."""
 
@@ -89,6 +97,10 @@ class StageTwoConfig:
     points: typing.Literal["categorical", "depth"] = "categorical"
     points_per_ray: int = 1
     """K of paper Eq. 11."""
+    secondary_jitter: bool = False
+    """Move the intervals along exact secondary rays at random, as the paper does; less biased and noisier."""
+    weight_gradient: float = 0.0
+    """Factor on the gradient of the physical pictures into the render weights; 0 in the paper's code."""
     symmetric: bool = False
     """Let gradients flow into both passes instead of the first only; their mean is the same."""
     material_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
@@ -104,24 +116,37 @@ class StageTwoConfig:
     mask_weight: float = 1.0
     distortion_weight: float = 0.0
     orientation_weight: float = 0.0
+    orientation_derived: float = 2.0
     normal_weight: float = 1.0
     normal_every: int = 1
     normal_rays: float = 1.0
     normal_weight_gradient: float = 0.1
     random_background: bool = False
     consistency_weight: float = 0.1
+    unobserved: UnobservedConfig = field(default_factory=UnobservedConfig)
     smoothness_weight: float = 0.05
     smoothness_step: float = 0.01
     """Standard deviation of the step between compared points, scene units."""
+    smoothness_guide: SmoothnessGuide = "decreasing"
+    pseudo_albedo: typing.Literal["diffuse", "radiance"] = "diffuse"
+    """The cache's radiance behind its guess at the albedo; the paper takes all of it."""
+    clusters: ClusterConfig = field(default_factory=ClusterConfig)
     grey_weight: float = 0.0
     """Weight of the environment's mean deviation from grey (decision 0006)."""
+    environment_prior: EnvironmentPriorConfig = field(default_factory=EnvironmentPriorConfig)
+    fast_by_half: bool = False
+    """Let the diffuse and the specular half count alike in the fast cache's loss, as in the paper."""
     grid_decay: float = 0.0
+    """Weight of half the mean squared value of each level of density, material and sampler grids."""
     proposal_exponent: float = 0.4
+    budget: RayBudget = field(default_factory=RayBudget)
 
     def __post_init__(self) -> None:
         for name in ("num_steps", "num_rays", "points_per_ray", "normal_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"stage_two.{name} must be at least 1, got {getattr(self, name)}")
+        if not 0.0 <= self.normal_rays <= 1.0:
+            raise ConfigError(f"stage_two.normal_rays must lie in 0..1, got {self.normal_rays}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -153,6 +178,7 @@ class Config:
     preset: str
     max_side: int = 800
     """Longer photographs are reduced to this many pixels, in linear light."""
+    space: SpaceConfig = field(default_factory=SpaceConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     pixels: PixelChoice = field(default_factory=PixelChoice)
     stage_one: StageOneConfig = field(default_factory=StageOneConfig)

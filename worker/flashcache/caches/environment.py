@@ -4,7 +4,9 @@ Directions point towards the light, z up; texture convention as in `geometry.dir
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -26,19 +28,49 @@ class EnvironmentConfig:
     last_width: int = 128
     num_frequencies: int = 4
     bias: float = -1.0
+    lights: Literal["separate", "rotated"] = "separate"
+    """"rotated" makes all lights one environment turned about +z, each by its own angle."""
+    rotations_deg: tuple[float, ...] = ()
+    """Angles of rotated lights in the scene's order; empty reads them from names such as `sunset_120`."""
+    known_height: int = 128
+    """Rows to which a given environment is resampled."""
 
     def __post_init__(self) -> None:
         if self.texture_height < 0 or self.texture_height % 2:
             raise ConfigError(f"texture_height must be even and not negative, got {self.texture_height}")
+        if self.known_height < 2:
+            raise ConfigError(f"known_height must be at least 2, got {self.known_height}")
 
 
 class Environment(nn.Module):
-    """Radiance of the surroundings by direction, positive, linear Rec. 709."""
+    """Radiance of the surroundings by direction, not negative, linear Rec. 709.
 
-    def __init__(self, config: EnvironmentConfig, num_lights: int) -> None:
+    With `rotations_deg` all lights share one environment: that of a light is the shared one turned by its
+    angle about +z. The environments of the lights `known` (indices; any of them stands for all where lights
+    are rotated) are given by `set_known` and never learned.
+    """
+
+    known_images: Tensor
+
+    def __init__(
+        self,
+        config: EnvironmentConfig,
+        num_lights: int,
+        *,
+        rotations_deg: Sequence[float] = (),
+        known: Sequence[int] = (),
+    ) -> None:
         super().__init__()
+        assert len(rotations_deg) in (0, num_lights), "one angle per light"
         self.config = config
+        self.rotations = tuple(math.radians(angle) for angle in rotations_deg)
+        num_lights = 1 if self.rotations else num_lights
         self.num_lights = num_lights
+        """Environments, one for all lights where they are rotated."""
+        self.known = (0,) if self.rotations and known else tuple(known)
+        if self.known:
+            rows = config.known_height
+            self.register_buffer("known_images", torch.zeros(len(self.known), rows, 2 * rows, 3))
         if config.texture_height:
             rows = config.texture_height
             self.texture = nn.Parameter(torch.zeros(num_lights, 3, rows, 2 * rows))
@@ -48,43 +80,64 @@ class Environment(nn.Module):
             self.last = linear(self.network.num_outputs, config.last_width)
             self.head = linear(config.last_width, 3 * num_lights)
 
+    @property
+    def learned(self) -> tuple[int, ...]:
+        """Return the indices of the environments that are learned."""
+        return tuple(index for index in range(self.num_lights) if index not in self.known)
+
+    def set_known(self, light: int, image: Float[Tensor, "height width 3"]) -> None:
+        """Give the environment of a known light; `image` has `known_height` rows and twice as many columns.
+
+        Where lights are rotated, it is the shared environment, unturned.
+        """
+        place = 0 if self.rotations else self.known.index(light)
+        with torch.no_grad():
+            self.known_images[place].copy_(image)
+
     def forward(
         self, directions: Float[Tensor, "rays 3"], light_index: Int[Tensor, " rays"]
     ) -> Float[Tensor, "rays 3"]:
         """Return the radiance that arrives from `directions` (unit) in each ray's light."""
+        if self.rotations:
+            directions = self._turned_back(directions, light_index)
+            light_index = torch.zeros_like(light_index)
+        if not self.known:
+            return self._learned(directions, light_index)
+        given = self._given(directions, light_index)
+        if not self.learned:
+            return given
+        is_known = torch.isin(light_index, torch.tensor(self.known, device=light_index.device))
+        return torch.where(is_known[:, None], given, self._learned(directions, light_index))
+
+    def _turned_back(self, directions: Tensor, light_index: Tensor) -> Tensor:
+        """Return where directions point in the unturned environment: `L_deg(d) = L_0(R_z(-deg) d)`."""
+        angle = directions.new_tensor(self.rotations)[light_index]
+        cosine, sine = angle.cos(), angle.sin()
+        x, y, z = directions.unbind(dim=-1)
+        return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], dim=-1)
+
+    def _learned(self, directions: Tensor, light_index: Tensor) -> Tensor:
         if self.config.texture_height:
-            return self._lookup(directions, light_index)
+            radiance = torch.nn.functional.softplus(self.texture + self.config.bias)
+            return _lookup(radiance.permute(0, 2, 3, 1), directions, light_index)
         hidden = torch.relu(
             self.last(self.network(positional_encoding(directions, self.config.num_frequencies)))
         )
         raw = self.head(hidden).reshape(-1, self.num_lights, 3)
-        raw = raw[:, 0] if self.num_lights == 1 else raw[torch.arange(len(raw)), light_index]
+        raw = (
+            raw[:, 0] if self.num_lights == 1 else raw[torch.arange(len(raw), device=raw.device), light_index]
+        )
         return torch.nn.functional.softplus(raw + self.config.bias)
 
-    def _lookup(self, directions: Tensor, light_index: Tensor) -> Tensor:
-        """Bilinear lookup with wrap-around in azimuth; softplus of the interpolated value's corners."""
-        radiance = torch.nn.functional.softplus(self.texture + self.config.bias)
-        rows, columns = radiance.shape[-2:]
-        polar = torch.acos(directions[:, 2].clamp(-1.0, 1.0)) / math.pi
-        azimuth = (0.5 - torch.atan2(directions[:, 1], directions[:, 0]) / (2.0 * math.pi)) % 1.0
-        v, u = polar * rows - 0.5, azimuth * columns - 0.5
-        v0, u0 = v.floor(), u.floor()
-        fv, fu = (v - v0)[:, None], (u - u0)[:, None]
-        top = v0.long().clamp(0, rows - 1)
-        bottom = (v0.long() + 1).clamp(0, rows - 1)
-        left, right = u0.long() % columns, (u0.long() + 1) % columns
-        flat = radiance.permute(0, 2, 3, 1).reshape(-1, 3)
-        base = light_index * (rows * columns)
+    def _given(self, directions: Tensor, light_index: Tensor) -> Tensor:
+        """Return the given radiance; that of any given light for rays of the others."""
+        place = torch.zeros(self.num_lights, dtype=torch.long, device=light_index.device)
+        for position, light in enumerate(self.known):
+            place[light] = position
+        return _lookup(self.known_images, directions, place[light_index])
 
-        def texel(row: Tensor, column: Tensor) -> Tensor:
-            return flat.index_select(0, base + row * columns + column)
-
-        upper = texel(top, left) * (1 - fu) + texel(top, right) * fu
-        lower = texel(bottom, left) * (1 - fu) + texel(bottom, right) * fu
-        return upper * (1 - fv) + lower * fv
-
-    def image(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
-        """Return the environment as a latitude-longitude picture, `width = 2 height`, linear radiance."""
+    def picture(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
+        """Return a light's latitude-longitude picture, `width = 2 height`, with gradients."""
         device = next(self.parameters()).device
         polar = (torch.arange(height, device=device) + 0.5) * math.pi / height
         azimuth = math.pi - (torch.arange(2 * height, device=device) + 0.5) * math.pi / height
@@ -97,5 +150,35 @@ class Environment(nn.Module):
             dim=-1,
         ).reshape(-1, 3)
         index = torch.full((len(directions),), light, dtype=torch.long, device=device)
-        with torch.no_grad():
-            return self(directions, index).reshape(height, 2 * height, 3)
+        return self(directions, index).reshape(height, 2 * height, 3)
+
+    @torch.no_grad()
+    def image(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
+        """Return a light's environment as a picture of linear radiance, without gradients."""
+        return self.picture(height, light)
+
+
+def _lookup(
+    images: Float[Tensor, "lights height width 3"],
+    directions: Float[Tensor, "rays 3"],
+    light_index: Int[Tensor, " rays"],
+) -> Float[Tensor, "rays 3"]:
+    """Return bilinearly interpolated pixels of each ray's picture, with wrap-around in azimuth."""
+    _, rows, columns, _ = images.shape
+    polar = torch.acos(directions[:, 2].clamp(-1.0, 1.0)) / math.pi
+    azimuth = (0.5 - torch.atan2(directions[:, 1], directions[:, 0]) / (2.0 * math.pi)) % 1.0
+    v, u = polar * rows - 0.5, azimuth * columns - 0.5
+    v0, u0 = v.floor(), u.floor()
+    fv, fu = (v - v0)[:, None], (u - u0)[:, None]
+    top = v0.long().clamp(0, rows - 1)
+    bottom = (v0.long() + 1).clamp(0, rows - 1)
+    left, right = u0.long() % columns, (u0.long() + 1) % columns
+    flat = images.reshape(-1, 3)
+    base = light_index * (rows * columns)
+
+    def texel(row: Tensor, column: Tensor) -> Tensor:
+        return flat.index_select(0, base + row * columns + column)
+
+    upper = texel(top, left) * (1 - fu) + texel(top, right) * fu
+    lower = texel(bottom, left) * (1 - fu) + texel(bottom, right) * fu
+    return upper * (1 - fv) + lower * fv

@@ -51,6 +51,8 @@ class NerfCacheConfig:
     """Points at which a secondary ray's radiance is evaluated, drawn by weight; 0 evaluates all."""
     normal_floor: float = 4.0
     """Gradient of log density below which derived normals shrink [1/scene unit]."""
+    exponent: float = 1.0
+    """Exponent of the proposal weights on secondary rays and after training; the end of the annealing."""
 
     def __post_init__(self) -> None:
         if self.secondary_colours < 0:
@@ -112,15 +114,16 @@ class NerfCache(nn.Module):
         self,
         rays: Rays,
         *,
-        exponent: float,
+        exponent: float | None = None,
         generator: torch.Generator | None,
         num_derived: int = 0,
     ) -> Geometry:
-        """Return the geometry that primary rays meet.
+        """Return the geometry that primary rays meet; by default with the exponent of the configuration.
 
         The first `num_derived` rays also get derived normals, which cost a Jacobian per point.
         """
         counts = self.config.primary_counts
+        exponent = self.config.exponent if exponent is None else exponent
         samples = self.sample(rays, counts, PRIMARY_CURVE, exponent=exponent, generator=generator)
         points = samples.positions.reshape(-1, 3)
         split = num_derived * counts.final
@@ -168,12 +171,16 @@ class NerfCache(nn.Module):
 
         With `secondary_colours` K > 0 radiance is evaluated at K points drawn by weight, which
         needs a generator and is unbiased; otherwise at all of them. `jitter` also moves the
-        intervals at random; the paper keeps them fixed. `distance` is the mean distance over the
+        intervals at random, as the paper does in training. `distance` is the mean distance over the
         opaque part, the far end where nothing is hit.
         """
         counts = self.config.secondary_counts
         samples = self.sample(
-            rays, counts, SECONDARY_CURVE, exponent=1.0, generator=generator if jitter else None
+            rays,
+            counts,
+            SECONDARY_CURVE,
+            exponent=self.config.exponent,
+            generator=generator if jitter else None,
         )
         points = samples.positions.reshape(-1, 3)
         found = self.density(points)

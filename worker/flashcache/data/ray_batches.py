@@ -37,6 +37,10 @@ class RayBatch:
     coverage: Float[Tensor, " rays"]
     """Share of the pixel that the object covers."""
     light_index: Int[Tensor, " rays"]
+    pixel: Int[Tensor, " rays"]
+    """Position of the pixel in the concatenated photographs."""
+    weight: Float[Tensor, " rays"]
+    """Factor of the ray's losses on the picture; one on average."""
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -87,6 +91,10 @@ class TrainingPixels:
 
     def draw(self, num_rays: int, generator: torch.Generator) -> RayBatch:
         """Return a batch of pixels drawn with replacement; rays go through pixel centres."""
+        return self.at(self.choose(num_rays, generator))
+
+    def choose(self, num_rays: int, generator: torch.Generator) -> Int[Tensor, " rays"]:
+        """Return the pixels of a batch by their position in the concatenated photographs."""
         num_inside = round(num_rays * self.choice.inside_share)
 
         def randint(high: int, count: int) -> Tensor:
@@ -99,10 +107,9 @@ class TrainingPixels:
             ]
         )
         # Shuffled, so that a leading part of the batch is an unbiased part of it.
-        index = index[torch.randperm(num_rays, generator=generator, device=self.device)]
-        return self.at(index)
+        return index[torch.randperm(num_rays, generator=generator, device=self.device)]
 
-    def at(self, index: Int[Tensor, " rays"]) -> RayBatch:
+    def at(self, index: Int[Tensor, " rays"], weight: Float[Tensor, " rays"] | None = None) -> RayBatch:
         """Return the rays of pixels given by their position in the concatenated photographs."""
         image = torch.searchsorted(self.starts, index, right=True) - 1
         local = index - self.starts[image]
@@ -112,7 +119,8 @@ class TrainingPixels:
         directions = pixel_directions(columns, rows, self.focal[image], self.centre[image], pose)
         values = self.pixels[index]
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
-        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image])
+        weight = torch.ones(len(index), device=self.device) if weight is None else weight
+        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], index, weight)
 
 
 def clip_to_scene(

@@ -1,6 +1,6 @@
 """Supervision of the fast cache by the NeRF cache on the correction term's rays."""
 
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
@@ -14,14 +14,16 @@ def fast_cache_loss(
     inside: Float[Tensor, " rays"],
     limits: RayLimits,
     *,
+    from_diffuse: Bool[Tensor, " rays"] | None = None,
     opacity_weight: float = 0.125,
     distance_weight: float = 0.1,
 ) -> Float[Tensor, ""]:
     """Return the distance of the fast cache's answer from the NeRF cache's, which is detached.
 
     Radiance is compared in sRGB, opacity linearly, distance in normalised distance where the ray is
-    mostly blocked. `inside` is one for rays that count. Source: supplement 2.1; the distance
-    term is ours (docs/decisions/0004-distance-output.md).
+    mostly blocked. `inside` is one for rays that count. With `from_diffuse` the rays of the diffuse and
+    of the specular half count as much as each other, however many there are. Source: supplement 2.1; the
+    distance term is ours (docs/decisions/0004-distance-output.md).
     """
     rgb = (loss_curve(answer.near_radiance) - loss_curve(target.near_radiance.detach())).square().mean(dim=-1)
     opacity = (answer.opacity - target.opacity.detach()).square()
@@ -30,4 +32,8 @@ def fast_cache_loss(
     found = SECONDARY_CURVE.normalised(answer.distance, start, end)
     blocked = (target.opacity.detach() > 0.5).to(rgb.dtype)
     distance = blocked * (wanted - found).abs()
-    return (inside * (rgb + opacity_weight * opacity + distance_weight * distance)).mean()
+    loss = inside * (rgb + opacity_weight * opacity + distance_weight * distance)
+    if from_diffuse is None:
+        return loss.mean()
+    halves = (loss[half] for half in (from_diffuse, ~from_diffuse))
+    return 0.5 * sum((half.mean() for half in halves if half.numel()), start=loss.new_zeros(()))

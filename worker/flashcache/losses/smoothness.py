@@ -1,16 +1,22 @@
 """Smoothness of the materials where the pictures give no reason for a change (supplement 2.10)."""
 
+from typing import Literal
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from flashcache.physical.brdf import Materials
 
+SmoothnessGuide = Literal["decreasing", "printed", "none"]
+""""decreasing" smooths less where the cache's guess at the albedo changes, "printed" is the supplement's
+Eq. 9, which smooths more there, "none" smooths everywhere alike."""
+
 
 def pseudo_albedo(
     radiance: Float[Tensor, "points 3"], irradiance: Float[Tensor, "points 3"]
 ) -> Float[Tensor, "points 3"]:
-    """Return diffuse radiance over irradiance/pi, the cache's guess at the albedo (supplement Eq. 10)."""
+    """Return radiance over irradiance/pi, both of the cache: its guess at the albedo (supplement Eq. 10)."""
     return (radiance / irradiance.clamp_min(1e-3)).clamp(0.0, 1.0).detach()
 
 
@@ -20,11 +26,14 @@ def smoothness(
     guess_here: Float[Tensor, "points 3"],
     guess_nearby: Float[Tensor, "points 3"],
     point_weight: Float[Tensor, " points"],
+    *,
+    guided: SmoothnessGuide = "decreasing",
 ) -> Float[Tensor, ""]:
     """Return the relative change of the materials over a small step, weighed down where pictures change.
 
-    Differs from the paper: Eq. 9 as printed smooths only where the picture changes; we use the
-    decreasing form `2 sigmoid(-4 change) + 0.1` (docs/decisions/0003-smoothness-weight.md).
+    `guided` says how the guesses at the albedo enter. Source: supplement Eq. 8.
+    Differs from the paper: Eq. 9 as printed ("printed") smooths only where the picture changes; by default
+    we use the decreasing form `2 sigmoid(-4 change) + 0.1` (docs/decisions/0003-smoothness-weight.md).
     """
 
     def relative(a: Tensor, b: Tensor) -> Tensor:
@@ -36,6 +45,17 @@ def smoothness(
         + relative(here.alpha, nearby.alpha)
         + relative(here.metalness, nearby.metalness)
     )
-    difference = (guess_here - guess_nearby).abs() / torch.maximum(guess_here, guess_nearby).clamp_min(1e-3)
-    weight = 2.0 * torch.sigmoid(-4.0 * difference.sum(dim=-1)) + 0.1
-    return (total * weight * point_weight).mean()
+    return (total * guide_weight(guess_here, guess_nearby, guided) * point_weight).mean()
+
+
+def guide_weight(
+    guess_here: Float[Tensor, "points 3"], guess_nearby: Float[Tensor, "points 3"], guided: SmoothnessGuide
+) -> Float[Tensor, " points"]:
+    """Return the weight of the smoothness between two points, from guesses at their albedo (Eq. 9)."""
+    change = (guess_here - guess_nearby).abs()
+    if guided == "none":
+        return torch.ones_like(change[:, 0])
+    if guided == "printed":
+        return change.mean(dim=-1)
+    relative = change / torch.maximum(guess_here, guess_nearby).clamp_min(1e-3)
+    return 2.0 * torch.sigmoid(-4.0 * relative.sum(dim=-1)) + 0.1

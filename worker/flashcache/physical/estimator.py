@@ -78,7 +78,8 @@ class EstimatorConfig:
     exact: DirectionCounts = field(default_factory=lambda: DirectionCounts.split(16))
     """Directions of the correction, that both caches answer; all there are without the control variate."""
     control_variate: Literal["on", "off", "fast_only"] = "on"
-    """"off" asks the NeRF cache only; "fast_only" leaves the correction out and is biased."""
+    """"off" asks the NeRF cache only. "fast_only" leaves the correction out and is biased; it traces exact
+    directions in training only, for the fast cache and the light sampler to learn from."""
     sampler: Literal["vmf", "none"] = "vmf"
     stratified: bool = False
     """Spread the variates of a point evenly (unbiased, less noise); the paper draws them independently."""
@@ -86,10 +87,17 @@ class EstimatorConfig:
     """Factor on the gradient that reaches the shading normal."""
     through_cache: float = 0.0
     """Factor on the gradient into the caches; the paper's code has 1e-4; 0 saves the graph."""
+    environment_gradient: float = 1.0
+    """Factor on the gradient into the environment."""
+    roulette: float = 0.0
+    """Exact directions whose throughput is below this multiple of the point's mean are traced at random and
+    count more, which saves rays without bias; 0 traces all, as the paper does."""
 
     def __post_init__(self) -> None:
         if self.control_variate not in ("on", "off", "fast_only"):
             raise ConfigError(f"control_variate must be on, off or fast_only, got {self.control_variate!r}")
+        if self.roulette < 0.0:
+            raise ConfigError(f"roulette must not be negative, got {self.roulette}")
         if self.sampler not in ("vmf", "none"):
             raise ConfigError(f"sampler must be vmf or none, got {self.sampler!r}")
         for name in ("fast", "exact"):
@@ -116,6 +124,7 @@ def control_variate(
     config: EstimatorConfig,
     generator: torch.Generator,
     with_variance: bool = False,
+    supervise: bool = False,
 ) -> Estimate:
     """Return the fast estimate plus the correction that makes its mean that of the NeRF cache alone.
 
@@ -123,11 +132,12 @@ def control_variate(
     light sampler's at the points, or None to draw from the cosine instead. Sources are called without
     gradients unless `config.through_cache` says otherwise, except for the fast cache on the rays of the
     correction, whose answer is returned for its own loss; the environment is asked once, with gradients.
-    Source: paper Eq. 9.
+    `supervise` traces the exact directions also where the estimate leaves them out ("fast_only"), for the
+    losses that learn from them. Source: paper Eq. 9.
     """
     nothing = DirectionCounts(cosine=0, sampler=0, specular=0)
     counts = (
-        nothing if config.control_variate == "fast_only" else config.exact,
+        config.exact if supervise or config.control_variate != "fast_only" else nothing,
         nothing if config.control_variate == "off" else config.fast,
     )
     cosine = CosineLobe(points.normal.detach())
@@ -138,12 +148,21 @@ def control_variate(
     else:
         diffuse = [(cosine, [c.cosine for c in counts]), (mixture, [c.sampler for c in counts])]
     specular = [(lobe, [count.specular for count in counts])]
-    directions = DrawnDirections.draw(points, diffuse, specular, config.stratified, limits, generator)
+    directions = DrawnDirections.draw(
+        points,
+        diffuse,
+        specular,
+        config.stratified,
+        limits,
+        generator,
+        materials=materials,
+        roulette=config.roulette,
+    )
 
     rays = directions.rays
-    sky = environment(rays.directions, rays.light_index)
+    sky = scale_gradient(environment(rays.directions, rays.light_index), config.environment_gradient)
     exact_nerf, exact_fast, fast_only = _ask(rays, directions.num_exact_rays, nerf, fast, config)
-    near, clear = _signed(exact_nerf, exact_fast, fast_only, config.through_cache)
+    near, clear = _signed(exact_nerf, exact_fast, fast_only, config)
     radiance = directions.scatter(near + clear.unsqueeze(-1) * sky)
     result = directions.integrate(radiance, materials, config.normal_gradient, with_variance)
     if exact_nerf is None:
@@ -174,7 +193,7 @@ def estimate(
     halves = [[(strategy, [count]) for strategy, count in half] for half in (diffuse, specular)]
     directions = DrawnDirections.draw(points, halves[0], halves[1], config.stratified, limits, generator)
     rays = directions.rays
-    near, clear = _signed(source(rays), None, None, config.through_cache)
+    near, clear = _signed(source(rays), None, None, config)
     sky = environment(rays.directions, rays.light_index)
     radiance = directions.scatter(near + clear.unsqueeze(-1) * sky)
     return directions.integrate(radiance, materials, config.normal_gradient, with_variance)
@@ -233,7 +252,7 @@ def _ask(
     with torch.no_grad() if frozen else nullcontext():
         if config.control_variate == "off":
             return nerf(exact), None, None
-        if config.control_variate == "fast_only":
+        if config.control_variate == "fast_only" and not num_exact:
             return None, None, fast(rest)
         exact_nerf = nerf(exact)
         if not apart:
@@ -251,24 +270,26 @@ def _signed(
     exact_nerf: NearField | None,
     exact_fast: NearField | None,
     fast_only: NearField | None,
-    through_cache: float,
+    config: EstimatorConfig,
 ) -> tuple[Tensor, Tensor]:
     """Return the near radiance and the factor of the environment with which every ray enters the sum.
 
     An exact ray counts NeRF minus fast cache: the environment enters with minus the difference of the
-    opacities.
+    opacities. Without a correction it counts nothing.
     """
 
     def parts(answer: NearField) -> tuple[Tensor, Tensor]:
         return (
-            scale_gradient(answer.near_radiance, through_cache),
-            1.0 - scale_gradient(answer.opacity, through_cache),
+            scale_gradient(answer.near_radiance, config.through_cache),
+            1.0 - scale_gradient(answer.opacity, config.through_cache),
         )
 
     blocks = []
     if exact_nerf is not None:
         near, clear = parts(exact_nerf)
-        if exact_fast is not None:
+        if config.control_variate == "fast_only" and exact_fast is not None:
+            near, clear = torch.zeros_like(near), torch.zeros_like(clear)
+        elif exact_fast is not None:
             known, seen = parts(exact_fast)
             near, clear = near - known, clear - seen
         blocks.append((near, clear))

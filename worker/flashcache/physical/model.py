@@ -37,6 +37,14 @@ class Domain:
     """Near and far along rays that leave a surface."""
     contraction_radius: float
     lights: tuple[str, ...]
+    origin_offset: float = 0.0
+    """Distance of secondary rays' origins from the surface; 0: a fifth of their near distance."""
+    fast_radius: float = 0.0
+    """Distance from the origin within which rays teach the fast cache; 0: the contraction radius."""
+    rotations_deg: tuple[float, ...] = ()
+    """Angle of every light where they are one environment turned about +z; empty where each has its own."""
+    known_lights: tuple[str, ...] = ()
+    """Lights whose environment is given and not learned; with `rotations_deg`, any name stands for all."""
 
 
 class InverseModel(nn.Module):
@@ -49,22 +57,30 @@ class InverseModel(nn.Module):
         self.config = config
         self.domain = domain
         self.nerf = NerfCache(config.nerf, radius, num_lights)
-        self.environment = Environment(config.environment, num_lights)
+        self.environment = Environment(
+            config.environment,
+            num_lights,
+            rotations_deg=domain.rotations_deg,
+            known=tuple(domain.lights.index(light) for light in domain.known_lights),
+        )
         self.materials = MaterialField(config.materials, radius)
         self.fast = FastCache(config.fast, radius, num_lights, near, far)
         self.light_sampler = LightSampler(config.light_sampler, radius, num_lights)
-        self.limits = RayLimits(near=near, far=far)
+        # Published scenes have a near distance of 0.05 and an offset of 0.01 (supplement 2.3).
+        self.limits = RayLimits(near=near, far=far, origin_offset=domain.origin_offset or near / 5.0)
 
-    def ask_nerf(self, rays: SecondaryRays, generator: torch.Generator | None) -> CacheAnswer:
-        """Return what the NeRF cache sees along secondary rays."""
+    def ask_nerf(
+        self, rays: SecondaryRays, generator: torch.Generator | None, *, jitter: bool = False
+    ) -> CacheAnswer:
+        """Return what the NeRF cache sees along secondary rays; see `NerfCache.incident`."""
         near = rays.origins.new_full((len(rays),), rays.near)
         far = rays.origins.new_full((len(rays),), rays.far)
         inside = Rays(rays.origins, rays.directions, near, far)
-        return self.nerf.incident(inside, rays.light_index, generator)
+        return self.nerf.incident(inside, rays.light_index, generator, jitter=jitter)
 
-    def nerf_source(self, generator: torch.Generator | None) -> RadianceSource:
-        """Return the NeRF cache as the estimators see it; see `NerfCache.incident` for the generator."""
-        return lambda rays: self.ask_nerf(rays, generator)
+    def nerf_source(self, generator: torch.Generator | None, *, jitter: bool = False) -> RadianceSource:
+        """Return the NeRF cache as the estimators see it; see `NerfCache.incident` for the arguments."""
+        return lambda rays: self.ask_nerf(rays, generator, jitter=jitter)
 
     def fast_source(self) -> RadianceSource:
         """Return the fast cache as the estimators see it."""

@@ -16,6 +16,7 @@ from flashcache.geometry.directions import dot
 from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials, diffuse_albedo, lambert_cos, specular_brdf_cos
 from flashcache.physical.incident import Incident, NearField, RayLimits, SecondaryRays
+from flashcache.physical.roulette import survival_probability
 from flashcache.physical.sampling import DirectionSamples, Strategy, draw_directions
 
 CONTRIBUTION_MAXIMUM = 1e4
@@ -62,6 +63,11 @@ class ExactDirections:
     fast: Incident | None
     """The fast cache's answer with gradients for its own loss; None without control variate."""
 
+    @property
+    def from_diffuse(self) -> Bool[Tensor, " rays"]:
+        """Return whether each of `rays` belongs to the diffuse half."""
+        return self.above.nonzero()[:, 1] < self.num_diffuse
+
 
 class Estimate(NamedTuple):
     """Reflected radiance at each point, linear, split as the caches' heads are."""
@@ -91,6 +97,7 @@ class DrawnDirections:
     halves: tuple[DirectionSamples, DirectionSamples]
     omega_i: Tensor
     above: Tensor
+    """Whether a direction is above the surface, and traced."""
     is_exact: Tensor
     index: Tensor
     """Flat positions (point * lights + light) of the directions that are traced, exact ones first."""
@@ -105,10 +112,14 @@ class DrawnDirections:
         stratified: bool,
         limits: RayLimits,
         generator: torch.Generator,
+        *,
+        materials: Materials | None = None,
+        roulette: float = 0.0,
     ) -> "DrawnDirections":
         """Return fresh directions; each strategy comes with its numbers of exact and fast directions.
 
-        A single number per strategy makes all directions exact.
+        A single number per strategy makes all directions exact. With a positive `roulette`, exact directions
+        that can hardly matter at points of these materials are traced at random (`survival_probability`).
         """
         with torch.no_grad():
             like = points.positions
@@ -123,6 +134,13 @@ class DrawnDirections:
                 everything = sum(sum(counts) for _, counts in half)
                 flags += [True] * exact + [False] * (everything - exact)
             is_exact = torch.tensor(flags, dtype=torch.bool, device=like.device)
+            if roulette and materials is not None:
+                chance = survival_probability(
+                    points.normal, points.omega_o, materials, halves, is_exact, roulette
+                )
+                u = torch.rand(chance.shape, generator=generator, device=like.device, dtype=like.dtype)
+                above = above & (u < chance)
+                halves = _weighted(halves, 1.0 / chance)
             first = (above & is_exact).reshape(-1).nonzero().squeeze(-1)
             second = (above & ~is_exact).reshape(-1).nonzero().squeeze(-1)
             index = torch.cat([first, second])
@@ -192,6 +210,17 @@ class DrawnDirections:
             nerf=answer,
             fast=known,
         )
+
+
+def _weighted(
+    halves: tuple[DirectionSamples, DirectionSamples], factor: Tensor
+) -> tuple[DirectionSamples, DirectionSamples]:
+    """Return the directions with their weights times `factor` [points, lights]."""
+    parts = factor.split([half.omega_i.shape[1] for half in halves], dim=1)
+    return tuple(
+        half._replace(weight=half.weight * part, mis_weight=half.mis_weight * part)
+        for half, part in zip(halves, parts, strict=True)
+    )
 
 
 def _guard(terms: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -7,6 +7,7 @@ from flashcache.caches.nerf_cache import Geometry
 from flashcache.color import srgb_from_linear
 from flashcache.config import StageOneConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
+from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
 from flashcache.losses.proposal import distortion, interlevel
@@ -63,11 +64,12 @@ class StageOne:
             normal_weight=normal_weight,
             normal_weight_gradient=config.normal_weight_gradient,
             orientation_weight=config.orientation_weight if with_normals else 0.0,
+            orientation_derived=config.orientation_derived,
             distortion_weight=config.distortion_weight if fraction >= config.distortion_from else 0.0,
         )
         if config.grid_decay:
-            decay = self.model.nerf.density.grid.table.square().mean()
-            terms["grid_decay"] = 0.5 * config.grid_decay * decay
+            densities = (*self.model.nerf.proposals, self.model.nerf.density)
+            terms["grid_decay"] = config.grid_decay * grid_decay(density.grid for density in densities)
         loss = torch.stack(list(terms.values())).sum()
         set_rates(
             self.optimiser,
@@ -135,6 +137,7 @@ def shape_terms(
     normal_weight: float,
     normal_weight_gradient: float,
     orientation_weight: float,
+    orientation_derived: float,
     distortion_weight: float,
 ) -> dict[str, Tensor]:
     """Return the losses on normals and on the spread of weights that have a weight above zero."""
@@ -148,10 +151,12 @@ def shape_terms(
         )
         if orientation_weight:
             directions = batch.rays.directions[:num_rays]
-            terms["orientation"] = orientation_weight * (
-                orientation(weights, geometry.normal[points], directions)
-                + 2.0 * orientation(weights, geometry.derived, directions)
-            )
+            backwards = orientation(weights, geometry.normal[points], directions)
+            if orientation_derived:
+                backwards = backwards + orientation_derived * orientation(
+                    weights, geometry.derived, directions
+                )
+            terms["orientation"] = orientation_weight * backwards
     if distortion_weight:
         terms["distortion"] = distortion_weight * distortion(geometry.samples, geometry.weights)
     return terms

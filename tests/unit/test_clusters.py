@@ -1,0 +1,45 @@
+import math
+
+import pytest
+import torch
+from flashcache.errors import ConfigError
+from flashcache.losses.clusters import ClusterConfig, material_entropy
+from flashcache.physical.brdf import Materials
+
+
+def materials(rows: torch.Tensor) -> Materials:
+    return Materials(rows[:, :3], rows[:, 3:4], rows[:, 4:5])
+
+
+def test_one_material_has_no_entropy():
+    same = torch.full((7, 5), 0.4)
+    assert float(material_entropy(materials(same), torch.ones(7), 0.1)) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_two_far_clusters_of_equal_size_have_the_entropy_of_a_coin():
+    rows = torch.full((8, 5), 0.1)
+    rows[4:] = 0.9
+    found = float(material_entropy(materials(rows), torch.ones(8), 0.05))
+    assert found == pytest.approx(math.log(2.0), abs=1e-4)
+
+
+def test_points_of_no_weight_do_not_count():
+    rows = torch.full((8, 5), 0.1)
+    rows[4:] = 0.9
+    weight = torch.tensor([1.0] * 4 + [0.0] * 4)
+    assert float(material_entropy(materials(rows), weight, 0.05)) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_stray_point_is_drawn_to_the_near_cluster_and_not_to_the_far_one():
+    rows = torch.full((9, 5), 0.2)
+    rows[4:8] = 0.8
+    rows[8] = 0.27
+    rows.requires_grad_()
+    material_entropy(materials(rows), torch.ones(9), 0.1).backward()
+    # Descent moves it down, towards 0.2.
+    assert (rows.grad[8] > 0.0).all()
+
+
+def test_a_width_of_zero_is_refused():
+    with pytest.raises(ConfigError, match="width"):
+        ClusterConfig(width=0.0)

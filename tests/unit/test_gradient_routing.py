@@ -1,0 +1,172 @@
+"""Which loss of stage two moves which part of the model, term by term."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from flashcache.config import Config, StageTwoConfig
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.ray_budget import RayBudget
+from flashcache.losses.clusters import ClusterConfig
+from flashcache.losses.consistency import UnobservedConfig
+from flashcache.losses.environment import EnvironmentPriorConfig
+from flashcache.physical.model import Domain, InverseModel
+from flashcache.presets import tiny
+from flashcache.training.stage_two import StageTwo
+from support.lit_sphere import lit_sphere
+
+SCENE = lit_sphere(num_views=4)
+DOMAIN = Domain(
+    bounds_min=SCENE.bounds_min,
+    bounds_max=SCENE.bounds_max,
+    primary=SCENE.primary,
+    secondary=SCENE.secondary,
+    contraction_radius=SCENE.contraction_radius,
+    lights=SCENE.lights,
+)
+PARTS = (
+    "nerf.proposals",
+    "nerf.density",
+    "nerf.normals",
+    "nerf.appearance",
+    "materials",
+    "environment",
+    "fast",
+    "light_sampler",
+)
+SHAPE = {"nerf.density", "nerf.normals"}
+HEADS = {"nerf.appearance"}
+REACHED = {
+    "colour": SHAPE | HEADS,
+    "mask": {"nerf.density"},
+    "normals": SHAPE,
+    "orientation": SHAPE,
+    "distortion": {"nerf.density"},
+    "physical": {"materials", "environment", "nerf.normals"},
+    "consistency_diffuse": HEADS,
+    "consistency_specular": HEADS,
+    "consistency_irradiance": HEADS,
+    "unobserved_diffuse": HEADS,
+    "unobserved_specular": HEADS,
+    "unobserved_irradiance": HEADS,
+    "smoothness": {"materials"},
+    "clusters": {"materials"},
+    "grey": {"environment"},
+    "white": {"environment"},
+    "variation": {"environment"},
+    "fast": {"fast"},
+    "sampler": {"light_sampler"},
+    "grid_decay": {"nerf.density", "materials", "light_sampler"},
+}
+EVERYTHING = {
+    "mask_weight": 1.0,
+    "distortion_weight": 0.1,
+    "orientation_weight": 0.1,
+    "normal_every": 1,
+    "normal_rays": 1.0,
+    "consistency_weight": 0.1,
+    "unobserved": UnobservedConfig(weight=0.1),
+    "smoothness_weight": 0.1,
+    "clusters": ClusterConfig(weight=0.1),
+    "grey_weight": 0.1,
+    "environment_prior": EnvironmentPriorConfig(white_weight=0.1, variation_weight=0.1),
+    "grid_decay": 1.0,
+    "warmup_steps": 0,
+    "num_rays": 48,
+}
+
+
+def stage(config: Config | None = None, **settings) -> StageTwo:
+    """Return stage two with every loss switched on, past an initial state in which heads give zero."""
+    config = config or tiny()
+    two: StageTwoConfig = replace(config.stage_two, **(EVERYTHING | settings))
+    torch.manual_seed(0)
+    model = InverseModel(config.model, DOMAIN)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.02 * torch.randn(parameter.shape))
+    pixels = TrainingPixels(SCENE, config.pixels, torch.device("cpu"))
+    return StageTwo(model, pixels, two, seed=0)
+
+
+def sizes(made: StageTwo, term: torch.Tensor) -> dict[str, float]:
+    """Return the largest gradient of a term in each part of the model that it reaches."""
+    found = {}
+    for part in PARTS:
+        parameters = [p for p in made.model.get_submodule(part).parameters() if p.requires_grad]
+        for parameter in parameters:
+            if parameter.grad is not None:
+                parameter.grad.zero_()
+    term.backward(retain_graph=True)
+    for part in PARTS:
+        gradients = [p.grad for p in made.model.get_submodule(part).parameters() if p.grad is not None]
+        largest = max((float(g.abs().max()) for g in gradients), default=0.0)
+        if largest:
+            found[part] = largest
+    return found
+
+
+@pytest.fixture(scope="module")
+def reached() -> dict[str, set[str]]:
+    made = stage()
+    terms, _, _ = made.losses()
+    return {name: set(sizes(made, term)) for name, term in terms.items()}
+
+
+def test_every_loss_of_stage_two_is_in_the_table(reached):
+    assert set(reached) == set(REACHED)
+
+
+@pytest.mark.parametrize("name", REACHED)
+def test_a_loss_moves_the_parts_it_should_and_no_other(reached, name):
+    assert reached[name] == REACHED[name]
+
+
+def physical_gradients(**settings) -> dict[str, float]:
+    base = tiny().stage_two.estimator
+    weight = settings.pop("weight_gradient", 0.0)
+    made = stage(estimator=replace(base, **settings), weight_gradient=weight)
+    return sizes(made, made.losses()[0]["physical"])
+
+
+def test_gradients_through_the_caches_reach_their_parts_in_proportion():
+    small, large = (physical_gradients(through_cache=factor) for factor in (1e-4, 1e-2))
+    for part in ("nerf.density", "nerf.appearance", "fast"):
+        assert large[part] == pytest.approx(100.0 * small[part], rel=1e-3)
+    assert large["materials"] == pytest.approx(small["materials"], rel=1e-5)
+
+
+def test_the_factors_on_environment_and_normal_are_those_of_the_settings():
+    one = physical_gradients()
+    half = physical_gradients(environment_gradient=0.5, normal_gradient=0.05)
+    assert half["environment"] == pytest.approx(0.5 * one["environment"], rel=1e-4)
+    assert half["nerf.normals"] == pytest.approx(5.0 * one["nerf.normals"], rel=1e-3)
+
+
+def test_render_weights_get_a_share_of_the_physical_gradient_where_asked():
+    assert "nerf.density" not in physical_gradients()
+    tenth, whole = (physical_gradients(weight_gradient=factor)["nerf.density"] for factor in (0.1, 1.0))
+    assert whole == pytest.approx(10.0 * tenth, rel=1e-3)
+
+
+def test_the_width_gets_a_quarter_of_its_gradient():
+    config = tiny()
+    gradients = []
+    for factor in (1.0, 0.25):
+        materials = replace(config.model.materials, alpha_gradient=factor)
+        made = stage(replace(config, model=replace(config.model, materials=materials)))
+        made.losses()[0]["physical"].backward()
+        # Row 6 of the head is the raw width.
+        gradients.append(made.model.materials.head.bias.grad[6])
+    torch.testing.assert_close(gradients[1], 0.25 * gradients[0])
+
+
+def test_drawing_by_error_remembers_where_the_picture_is_wrong():
+    made = stage(budget=RayBudget(error_share=0.5, block=8))
+    before = made.errors.error.clone()
+    made.losses()
+    assert not torch.equal(made.errors.error, before)
+    other = stage(budget=RayBudget(error_share=0.5, block=8))
+    other.restore_extra_state(made.extra_state())
+    assert torch.equal(other.errors.error, made.errors.error)
+    assert stage().extra_state() == {}

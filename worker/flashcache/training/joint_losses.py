@@ -1,0 +1,189 @@
+"""The losses of stage two by what they move; every function returns its terms by name, weighted."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.caches.nerf_cache import Geometry
+from flashcache.config import StageTwoConfig
+from flashcache.data.ray_batches import RayBatch
+from flashcache.fields.appearance import Appearance
+from flashcache.losses.clusters import material_entropy
+from flashcache.losses.consistency import consistency
+from flashcache.losses.environment import grey_prior, variation_prior, white_prior
+from flashcache.losses.fast_cache import fast_cache_loss
+from flashcache.losses.grid_decay import grid_decay
+from flashcache.losses.light_sampler import light_sampler_loss
+from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
+from flashcache.losses.smoothness import pseudo_albedo, smoothness
+from flashcache.physical.model import InverseModel
+from flashcache.physical.shading import Estimate, ShadingPoints
+from flashcache.training.passes import Pass
+from flashcache.training.stage_one import shape_terms
+
+Terms = dict[str, Tensor]
+
+
+def covered(batch: RayBatch, points: ShadingPoints) -> Float[Tensor, " points"]:
+    """Return one for shaded points whose pixel shows the object, else zero."""
+    repeats = len(points.positions) // len(batch)
+    return (batch.coverage > 0.0).repeat_interleave(repeats).to(points.positions.dtype)
+
+
+def cache_terms(
+    model: InverseModel,
+    config: StageTwoConfig,
+    batch: RayBatch,
+    geometry: Geometry,
+    cache: Float[Tensor, "rays 3"],
+    generator: torch.Generator,
+    *,
+    with_normals: bool,
+) -> Terms:
+    """Return the losses that keep the NeRF cache true to the photographs, and those on its shape."""
+    background = torch.ones_like(batch.colour)
+    if config.random_background:
+        background = torch.rand(background.shape, generator=generator, device=background.device)
+    opacity = geometry.opacity
+    seen = cache + (1.0 - opacity)[:, None] * background
+    colour = cache_photometric(seen, batch.over(background), batch.weight)
+    terms = {"colour": config.cache_weight * colour}
+    if config.mask_weight:
+        terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage, batch.weight)
+    terms |= shape_terms(
+        batch,
+        geometry,
+        normal_weight=config.normal_weight if with_normals else 0.0,
+        normal_weight_gradient=config.normal_weight_gradient,
+        orientation_weight=config.orientation_weight if with_normals else 0.0,
+        orientation_derived=config.orientation_derived,
+        distortion_weight=config.distortion_weight,
+    )
+    return terms
+
+
+def decay_terms(model: InverseModel, config: StageTwoConfig) -> Terms:
+    """Return the decay of the grids that train; proposals are frozen, decay alone would erase them."""
+    if not config.grid_decay:
+        return {}
+    grids = [model.materials.grid, model.light_sampler.grid]
+    if config.cache_weight:
+        grids.append(model.nerf.density.grid)
+    return {"grid_decay": config.grid_decay * grid_decay(grids)}
+
+
+def physical_terms(
+    config: StageTwoConfig, batch: RayBatch, cache: Float[Tensor, "rays 3"], first: Pass, second: Pass
+) -> Terms:
+    """Return the photometric loss of the physically based pictures over black."""
+    counted = (batch.coverage > 0.0).to(cache.dtype) * batch.weight
+    wanted = batch.colour * batch.coverage[:, None]
+    loss = physical_photometric(wanted, first.picture, second.picture, cache, counted)
+    if config.symmetric:
+        loss = 0.5 * (loss + physical_photometric(wanted, second.picture, first.picture, cache, counted))
+    return {"physical": config.physical_weight * loss}
+
+
+def consistency_terms(
+    model: InverseModel,
+    points: ShadingPoints,
+    hidden: Float[Tensor, "points width"],
+    estimate: Estimate,
+    point_weight: Float[Tensor, " points"],
+    weight: float,
+    *,
+    name: str = "consistency",
+) -> Terms:
+    """Return the losses that move the cache's heads towards physical estimates at the same points."""
+    heads = model.nerf.appearance(
+        points.positions, hidden.detach(), points.normal.detach(), points.omega_o, points.light_index
+    )
+    pairs = {
+        "diffuse": (heads.diffuse, estimate.diffuse),
+        "specular": (heads.specular, estimate.specular),
+        "irradiance": (heads.irradiance, estimate.irradiance),
+    }
+    return {
+        f"{name}_{part}": weight * consistency(head, physical, point_weight)
+        for part, (head, physical) in pairs.items()
+    }
+
+
+def material_terms(
+    model: InverseModel,
+    config: StageTwoConfig,
+    batch: RayBatch,
+    appearance: Appearance,
+    first: Pass,
+    generator: torch.Generator,
+) -> Terms:
+    """Return the priors on materials."""
+    points, terms = first.points, {}
+    if config.smoothness_weight:
+        shape, device = points.positions.shape, points.positions.device
+        step = config.smoothness_step * torch.randn(shape, generator=generator, device=device)
+        nearby = points.positions + step
+        with torch.no_grad():
+            hidden = model.nerf.density(nearby).hidden
+            moved = model.nerf.appearance(nearby, hidden, points.normal, points.omega_o, points.light_index)
+            guesses = [
+                pseudo_albedo(getattr(found, config.pseudo_albedo), found.irradiance)
+                for found in (Appearance(*(part[first.index] for part in appearance)), moved)
+            ]
+        terms["smoothness"] = config.smoothness_weight * smoothness(
+            first.materials,
+            model.materials(nearby),
+            *guesses,
+            covered(batch, points),
+            guided=config.smoothness_guide,
+        )
+    if config.clusters.weight:
+        terms["clusters"] = config.clusters.weight * material_entropy(
+            first.materials, covered(batch, points), config.clusters.width
+        )
+    return terms
+
+
+def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:
+    """Return the priors on the environments that are learned."""
+    prior, environment, terms = config.environment_prior, model.environment, {}
+    device = next(model.parameters()).device
+    learned = torch.tensor(environment.learned, device=device)
+    if not len(learned):
+        return {}
+    if config.grey_weight:
+        directions = torch.randn(256, 3, generator=generator, device=device)
+        directions = torch.nn.functional.normalize(directions, dim=-1)
+        index = learned[torch.randint(len(learned), (256,), generator=generator, device=device)]
+        terms["grey"] = config.grey_weight * grey_prior(environment(directions, index))
+    if prior.white_weight or prior.variation_weight:
+        images = [environment.picture(prior.rows, light) for light in environment.learned]
+        priors = {
+            "white": (prior.white_weight, white_prior),
+            "variation": (prior.variation_weight, variation_prior),
+        }
+        for name, (weight, loss) in priors.items():
+            if weight:
+                total = torch.stack([loss(image, pole_aware=prior.pole_aware) for image in images])
+                terms[name] = weight * total.mean()
+    return terms
+
+
+def secondary_terms(model: InverseModel, config: StageTwoConfig, first: Pass) -> Terms:
+    """Return the losses that train the fast cache and the light sampler on the exact rays."""
+    exact, terms = first.estimate.exact, {}
+    if exact is None:
+        return terms
+    if exact.fast is not None:
+        radius = model.domain.fast_radius or model.domain.contraction_radius
+        inside = (exact.rays.origins.norm(dim=-1) < radius).to(exact.nerf.opacity.dtype)
+        terms["fast"] = fast_cache_loss(
+            exact.fast,
+            exact.nerf,
+            inside,
+            model.limits,
+            from_diffuse=exact.from_diffuse if config.fast_by_half else None,
+        )
+    if first.mixture is not None:
+        terms["sampler"] = light_sampler_loss(first.mixture, exact)
+    return terms
