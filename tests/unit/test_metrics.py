@@ -119,3 +119,17 @@ def test_one_view_has_no_standard_error():
     assert metrics.standard_error(np.array([3.0])) == 0.0
     assert metrics.psnr_standard_error(np.array([0.0, 0.0])) == 0.0
     assert metrics.standard_error(np.array([1.0, 3.0])) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("level", [0.001, 0.02, 0.3, 0.9])
+def test_the_encoded_standard_error_is_that_of_encoded_samples(level):
+    width = 0.01 * level
+    samples = level + width * GENERATOR.standard_normal(400_000)
+    encoded = np.where(samples <= 0.0031308, 12.92 * samples, 1.055 * samples ** (1 / 2.4) - 0.055)
+    rgba = np.array([[encoded.mean()] * 3 + [0.5]])
+    found = metrics.encoded_standard_error(rgba, np.full((1, 3), width))
+    np.testing.assert_allclose(found, 0.5 * encoded.std(), rtol=0.01)
+
+
+def test_clipped_pixels_have_no_encoded_error():
+    assert not metrics.encoded_standard_error(np.ones((4, 4)), np.ones((4, 3))).any()

@@ -9,6 +9,7 @@ import pytest
 from lambent_proto.v1 import evaluation_pb2
 from lambent_worker.report import figures
 from lambent_worker.report.page import grouped, write_page
+from lambent_worker.report.predictions import save_array
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
@@ -38,6 +39,10 @@ def page_of(tmp_path, folder, **changes):
     scene = load_scene(folder, select_lights(describe_scene(folder)), max_side=32)
     views = scene.test or scene.train
     write_predictions(tmp_path, scene, views)
+    for view in views:
+        error = np.full((*next(iter(view.images.values())).shape[:2], 3), 0.02)
+        for light in (*scene.lights, *scene.relight_lights):
+            save_array(tmp_path / "pred" / view.name / f"rgba_{light}_stderr.npy", error)
     report = evaluation_pb2.EvaluationReport(
         scene="a <b>scene</b>",
         preset="fast",
@@ -46,7 +51,8 @@ def page_of(tmp_path, folder, **changes):
             evaluation_pb2.Metric(name="nvs/psnr", value=30.125, unit="dB", standard_error=0.25),
             evaluation_pb2.Metric(name="albedo_rgb_ratio/ssim", value=0.9, unit="1"),
         ],
-        notes=["LPIPS is not computed."],
+        protocol=["Pictures are compared.", "Normals: angles."],
+        absent=[evaluation_pb2.AbsentMetric(name="nvs/lpips", reason="needs weights: give a <file>")],
         seconds={"cache": 110.4},
         **changes,
     )
@@ -67,6 +73,8 @@ def test_every_kind_of_picture_is_shown_beside_its_truth(tmp_path):
         "photograph, venice_sunset_000",
         "physically based",
         "error, physically based",
+        "noise, physically based",
+        "noise, relit, studio_small_05",
         "cache",
         "albedo, scaled",
         "true albedo",
@@ -100,6 +108,28 @@ def test_figures_are_printed_with_their_error_and_unit(tmp_path):
     assert any("1.0000, 2.0000, 1.5000" in word for word in words)
     assert any("cache 110 s" in word for word in words)
     assert any("docs/reference/protocol.md" in word for word in words)
+
+
+def test_the_protocol_is_printed_with_its_version(tmp_path):
+    words = page_of(tmp_path, REFERENCES / "scenes" / "tensoir_synthetic").words
+    assert {"Pictures are compared.", "Normals: angles."} <= set(words)
+    assert "The protocol, version 1.0, in short" in words
+
+
+def test_an_absent_figure_says_why(tmp_path):
+    words = page_of(tmp_path, REFERENCES / "scenes" / "tensoir_synthetic").words
+    assert words[words.index("nvs/lpips") + 1] == "needs weights: give a <file>"
+
+
+def test_published_figures_stand_beside_ours(tmp_path):
+    published = [
+        evaluation_pb2.PublishedResult(method="TensoIR", values={"nvs/psnr": 34.7, "nvs/ssim": 0.968})
+    ]
+    folder = REFERENCES / "scenes" / "tensoir_synthetic"
+    words = page_of(tmp_path, folder, published=published).words
+    assert words[words.index("TensoIR") :][:3] == ["TensoIR", "34.700", "0.968"]
+    assert words[words.index("this run (fast)") :][:3] == ["this run (fast)", "30.125", "–"]
+    assert "TensoIR" not in page_of(tmp_path / "other", folder).words
 
 
 def test_every_metric_has_a_place_on_the_page():

@@ -1,11 +1,14 @@
 """Figures in our reports are the ones the reference script prints for the same predictions."""
 
+import shutil
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from lambent_worker.report.predictions import save_array
 from lambent_worker.report.request import evenly_spaced
-from lambent_worker.report.scores import albedo_ratios, score
+from lambent_worker.report.scores import Ruling, albedo_ratios, object_mask, score
 from lambent_worker.run_folder import write_json
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
@@ -24,8 +27,13 @@ def scored(tmp_path_factory):
     scene = load_scene(FOLDER, manifest, max_side=1000)
     write_predictions(out, scene, scene.test)
     write_json(_noise(out) / "test_000.json", {"physical/venice_sunset_000": 0.25})
-    ours = {row.name: row for row in score(out, scene, scene.test, held_out=True).as_metrics()}
+    ours = figures(out, scene)
     return ours, reference_evaluation().evaluate(FOLDER, out / "pred"), out, scene
+
+
+def figures(out, scene, **rules):
+    ruling = Ruling.of(scene, held_out=True, **rules)
+    return {row.name: row for row in score(out, scene, scene.test, ruling).as_metrics()}
 
 
 def _noise(out):
@@ -80,11 +88,82 @@ def test_the_noise_of_monte_carlo_pictures_is_reported(scored):
     assert ours["nvs/venice_sunset_000/monte_carlo_standard_error"].value == 0.25
 
 
+def test_the_noise_ceiling_is_the_psnr_that_noise_alone_leaves(scored, tmp_path):
+    _, _, _, scene = scored
+    generator = np.random.default_rng(1)
+    for view in scene.test:
+        rgba = np.full((*view.images[scene.lights[0]].shape[:2], 4), 0.5)
+        rgba[..., 3] = 1.0
+        save_array(tmp_path / "pred" / view.name / f"rgba_{scene.lights[0]}.npy", rgba)
+        linear_error = np.full((*rgba.shape[:2], 3), 0.01)
+        save_array(tmp_path / "pred" / view.name / f"rgba_{scene.lights[0]}_stderr.npy", linear_error)
+    level = ((0.5 + 0.055) / 1.055) ** 2.4
+    noisy = level + 0.01 * generator.standard_normal(200_000)
+    encoded_error = np.std(1.055 * noisy ** (1 / 2.4) - 0.055)
+    found = figures(tmp_path, scene)["nvs/noise_ceiling"]
+    assert found.value == pytest.approx(-20.0 * np.log10(encoded_error), abs=0.1)
+    assert found.unit == "dB"
+
+
+class Difference:
+    """A distance that can be worked out by hand."""
+
+    name = "vgg"
+
+    def distance(self, first, second):
+        return float(np.abs(first - second).mean())
+
+
+def test_lpips_is_in_every_group_where_weights_are_given(scored):
+    _, _, out, scene = scored
+    found = figures(out, scene, lpips=Difference())
+    for group in (
+        "nvs",
+        "relight",
+        "relight_direct",
+        "nvs_cache",
+        "albedo_rgb_ratio",
+        "albedo_least_squares",
+    ):
+        assert found[f"{group}/lpips_vgg"].value > 0.0
+    assert "nvs/lpips_vgg" not in scored[0]
+
+
+def test_on_openillumination_a_run_in_several_lights_counts_for_relighting_only(scored):
+    _, _, out, scene = scored
+    found = figures(out, scene, dataset="openillumination")
+    assert "relight/psnr" in found
+    assert "nvs/psnr" not in found
+    assert "nvs_several_lights/psnr" in found
+    alone = replace(scene, lights=scene.lights[:1])
+    found = figures(out, alone, dataset="openillumination")
+    assert "nvs/psnr" in found
+    assert "relight/psnr" not in found
+    assert "relight_one_light/psnr" in found
+
+
+def test_on_openillumination_nothing_outside_the_mask_counts(scored, tmp_path):
+    _, _, out, scene = scored
+    shutil.copytree(out, tmp_path / "out")
+    for view in scene.test:
+        outside = object_mask(view) == 0
+        for light in scene.relight_lights:
+            path = tmp_path / "out" / "pred" / view.name / f"rgba_{light}.npy"
+            rgba = np.load(path)
+            rgba[outside] = [1.0, 0.0, 0.0, 1.0]
+            np.save(path, rgba)
+    rules = {"dataset": "openillumination"}
+    before, after = figures(out, scene, **rules), figures(tmp_path / "out", scene, **rules)
+    assert after["relight/psnr"].value == before["relight/psnr"].value
+    assert figures(tmp_path / "out", scene)["relight/psnr"].value < before["relight/psnr"].value - 1.0
+
+
 def test_a_scene_without_truth_still_has_its_pictures_scored(tmp_path):
     folder = REFERENCES / "scenes" / "nerf_blender"
     scene = load_scene(folder, describe_scene(folder), max_side=32)
     write_predictions(tmp_path, scene, scene.train[:2])
-    rows = {row.name for row in score(tmp_path, scene, scene.train[:2], held_out=False).as_metrics()}
+    ruling = Ruling.of(scene, held_out=False)
+    rows = {row.name for row in score(tmp_path, scene, scene.train[:2], ruling).as_metrics()}
     assert "training_views/psnr" in rows
     assert not any(name.startswith(("albedo", "normal")) for name in rows)
 

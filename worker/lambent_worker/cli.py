@@ -158,6 +158,12 @@ def evaluate(
     repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
     directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
     max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
+    shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",
+    lpips_weights: Annotated[
+        list[Path] | None,
+        typer.Option(help="Weights of LPIPS, .safetensors or .pth; repeat for backbone and linear layers."),
+    ] = None,
+    exr: Annotated[bool, typer.Option("--exr", help="Also write pictures as linear EXR with noise.")] = False,
     device: Device = "",
     as_json: Json = False,
 ) -> None:
@@ -167,7 +173,7 @@ def evaluate(
     prepare()
     from lambent_worker.console import ConsoleReporter
     from lambent_worker.evaluation_run import evaluate_run
-    from lambent_worker.report.request import EvaluationRequest
+    from lambent_worker.report.request import EvaluationRequest, as_shadows
 
     request = EvaluationRequest(
         num_views=views,
@@ -175,6 +181,9 @@ def evaluate(
         num_directions=directions,
         environments=environments,
         max_side=max_side,
+        shadows=as_shadows(shadows),
+        lpips_weights=tuple(lpips_weights or ()),
+        exr=exr,
     )
     with ConsoleReporter(as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
         report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
@@ -183,6 +192,8 @@ def evaluate(
             if metric.name.count("/") == 1:  # figures of single lights are in the report
                 unit = "" if metric.unit == "1" else f" {metric.unit}"
                 typer.echo(f"{metric.name:32s} {metric.value:9.3f} +- {metric.standard_error:.3f}{unit}")
+        for row in report.absent:
+            typer.echo(f"{row.name:32s}         - {row.reason}")
         typer.echo(f"report: {out / 'report.html'}")
 
 

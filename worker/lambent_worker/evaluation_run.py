@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from flashcache.data.scene import Scene
+from flashcache.evaluation.lpips import load_lpips
 from jaxtyping import Float32
 from lambent_proto.v1 import evaluation_pb2, scene_pb2
 from lambent_relight.environments import load_environment
@@ -14,8 +15,9 @@ from numpy import ndarray
 
 from lambent_worker.errors import UsageError
 from lambent_worker.pipeline import StepContext, scene_hash
+from lambent_worker.report import protocol
 from lambent_worker.report.evaluate import evaluate
-from lambent_worker.report.request import EvaluationRequest, Subject
+from lambent_worker.report.request import EvaluationRequest, Subject, rule_of
 from lambent_worker.reporter import Reporter
 from lambent_worker.run_folder import digest, done_inputs, read_record, stage_seconds, write_json
 from lambent_worker.scenes.detect import describe_scene
@@ -49,7 +51,12 @@ def evaluate_run(
     context = step_context(run, run_dir, reporter, "evaluate")
     scene, manifest = _scene_to_compare(context, scene_dir, request)
     maps = read_maps(request.environments, tuple(manifest.relight_lights))
-    settings = {**asdict(request), "environments": sorted(maps), "scene": scene_hash(scene_dir)}
+    # What is computed from pictures, or written beside them, does not make them others.
+    settings = {
+        name: value for name, value in asdict(request).items() if name not in ("lpips_weights", "exr")
+    }
+    settings |= {"environments": sorted(maps), "scene": scene_hash(scene_dir), "protocol": protocol.VERSION}
+    lpips = load_lpips(request.lpips_weights) if request.lpips_weights else None
     _prepare_out(out, digest(trained, settings, [float(image.sum()) for _, image in sorted(maps.items())]))
     views, held_out = evaluated_views(scene, request.num_views)
     subject = Subject(
@@ -62,6 +69,9 @@ def evaluate_run(
         seed=run.seed,
         out=out,
         advance=lambda: None,
+        rule=rule_of(run.config.stage_two, request.shadows),
+        dataset=manifest.layout,
+        lpips=lpips,
     )
     report = evaluate(
         with_progress(subject, context), preset=run.config.preset, seconds=stage_seconds(run_dir)

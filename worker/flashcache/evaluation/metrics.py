@@ -135,3 +135,18 @@ def psnr_standard_error(errors: Float[ndarray, " views"]) -> float:
     """
     mean = float(np.mean(errors))
     return 10.0 / np.log(10.0) * standard_error(errors) / mean if mean > 0.0 else 0.0
+
+
+def encoded_standard_error(
+    rgba: Float[ndarray, "*shape 4"], standard_error: Float[ndarray, "*shape 3"]
+) -> Float[ndarray, "*shape 3"]:
+    """Return the standard error of a picture over white in sRGB values, from that in linear radiance.
+
+    `rgba` is encoded, straight alpha. First order, so too small where the noise reaches across the bend of
+    the curve; zero where the picture is clipped at white.
+    """
+    encoded = rgba[..., :3].astype(np.float64)
+    slope = np.where(
+        encoded <= 0.04045, 12.92, 1.055 / 2.4 * ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** -1.4
+    )
+    return np.where(encoded < 1.0, slope * standard_error * rgba[..., 3:], 0.0)

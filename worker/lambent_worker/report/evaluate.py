@@ -9,14 +9,16 @@ from lambent_proto.v1 import evaluation_pb2
 from numpy import ndarray
 
 from lambent_worker.messages import message_to_dict
-from lambent_worker.report import figures
+from lambent_worker.report import figures, protocol
+from lambent_worker.report.absent import absent_metrics
 from lambent_worker.report.page import write_page
 from lambent_worker.report.predictions import encoded, predict_relit, predict_surfaces
-from lambent_worker.report.request import PROTOCOL_VERSION, UNSCALED_VIEWS, Subject
-from lambent_worker.report.scores import albedo_ratios, load, score
+from lambent_worker.report.published import object_group, published_scene
+from lambent_worker.report.request import UNSCALED_VIEWS, Subject
+from lambent_worker.report.scores import Ruling, albedo_ratios, load, score
 from lambent_worker.run_folder import write_json
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 SHEET_VIEWS = 3
 
 
@@ -31,18 +33,29 @@ def evaluate(
     ratios = albedo_ratios(subject.out, subject.views)
     median = np.ones(3) if ratios is None else ratios[0]
     predict_relit(subject, (float(median[0]), float(median[1]), float(median[2])))
-    table = score(subject.out, subject.scene, subject.views, held_out=subject.held_out)
+    ruling = Ruling.of(subject.scene, held_out=subject.held_out, dataset=subject.dataset, lpips=subject.lpips)
+    rows = score(subject.out, subject.scene, subject.views, ruling).as_metrics()
     report = evaluation_pb2.EvaluationReport(
         schema_version=SCHEMA_VERSION,
-        protocol_version=PROTOCOL_VERSION,
+        protocol_version=protocol.VERSION,
+        protocol=protocol.SUMMARY,
         scene=subject.scene.name,
         preset=preset,
         seed=subject.seed,
         num_views=len(subject.views),
         num_secondary_rays=subject.request.num_directions,
         num_repeats=subject.request.num_repeats,
-        metrics=table.as_metrics(),
+        metrics=rows,
+        absent=absent_metrics(subject, (row.name for row in rows)),
         albedo_ratio_rgb=[] if ratios is None else median.tolist(),
+        albedo_ratio_least_squares_rgb=[] if ratios is None else ratios[1].tolist(),
+        dataset=subject.dataset,
+        object_group=object_group(subject.dataset, subject.scene.name),
+        published=[
+            evaluation_pb2.PublishedResult(method=row.method, values=dict(row.values))
+            for row in published_scene(subject.dataset, subject.scene.name)
+        ],
+        train_lights=subject.scene.lights,
         seconds=dict(seconds),
         notes=[*notes, *_notes(subject, has_ratio=ratios is not None)],
     )
@@ -83,7 +96,7 @@ def _sheet_row(subject: Subject, view: View) -> list[Float[ndarray, "height widt
 
 
 def _notes(subject: Subject, *, has_ratio: bool) -> list[str]:
-    notes = ["LPIPS is not computed: it needs network weights that are not part of this release."]
+    notes = []
     if not subject.held_out:
         notes.append("The scene has no test views; the figures are on training views and flatter the model.")
     if has_ratio and subject.maps:
@@ -91,9 +104,8 @@ def _notes(subject: Subject, *, has_ratio: bool) -> list[str]:
             "Relit pictures use albedo times the median ratio; relight_unscaled, on at most "
             f"{UNSCALED_VIEWS} views, does without."
         )
-    missing = [light for light in subject.scene.relight_lights if light not in subject.maps]
-    if missing:
-        notes.append(
-            f"Not relit under {', '.join(missing)}: --environments names no folder with maps of these names."
-        )
+    if subject.request.num_repeats == 1:
+        notes.append("With one repeat the standard error of a picture is an upper estimate.")
+    if subject.rule.control_variate == "off":
+        notes.append("Trained without control variate: pictures and shadows come from the NeRF cache.")
     return notes

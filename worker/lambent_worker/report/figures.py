@@ -12,6 +12,8 @@ from PIL import Image
 MAX_SIDE = 256
 ERROR_SCALE = 0.25
 """Difference in encoded values that is drawn in the brightest colour."""
+NOISE_SCALE = 0.05
+"""Standard error in encoded values that is drawn in the brightest colour."""
 
 # Dark violet over red to pale yellow: equal steps look equally large, also in grey.
 _HEAT = np.array(

@@ -13,7 +13,8 @@ from lambent_proto.v1 import evaluation_pb2
 from numpy import ndarray
 
 from lambent_worker.report import figures
-from lambent_worker.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, encoded
+from lambent_worker.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded
+from lambent_worker.report.published import METRICS
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.report.scores import load
 
@@ -60,10 +61,33 @@ def write_page(
         report=report,
         groups=grouped(report.metrics),
         single_lights=SINGLE_LIGHTS,
+        comparison=comparison(report),
         rows=rows,
         error_scale=figures.ERROR_SCALE,
+        noise_scale=figures.NOISE_SCALE,
     )
     path.write_text(page, encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Our figures beside published ones: a table with one column per figure."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[float | None, ...]], ...]
+
+
+def comparison(report: evaluation_pb2.EvaluationReport) -> Comparison | None:
+    """Return what was published for this scene with our figures as the last line, or None for nothing."""
+    if not report.published:
+        return None
+    known = {name for result in report.published for name in result.values}
+    columns = tuple(name for name in METRICS.values() if name in known)
+    ours = {row.name: row.value for row in report.metrics}
+    lines = [(result.method, dict(result.values)) for result in report.published]
+    lines.append((f"this run ({report.preset})", ours))
+    rows = tuple((title, tuple(values.get(name) for name in columns)) for title, values in lines)
+    return Comparison(columns, rows)
 
 
 def grouped(
@@ -102,7 +126,18 @@ def _light_line(out: Path, view: View, light: str) -> list[tuple[str, Picture]]:
     line = [] if truth is None else [(f"photograph, {light}", truth)]
     for title, folder in (("physically based", "pred"), ("cache", CACHE_FOLDER)):
         line += _with_error(title, load(out, folder, view, f"rgba_{light}"), truth)
+        line += _noise(title, out, folder, view, light)
     return line
+
+
+def _noise(title: str, out: Path, folder: str, view: View, light: str) -> list[tuple[str, Picture]]:
+    """Return the standard error of a Monte Carlo picture in encoded values, as heat."""
+    error = load(out, folder, view, f"rgba_{light}{ERROR_SUFFIX}")
+    predicted = load(out, folder, view, f"rgba_{light}")
+    if error is None or predicted is None:
+        return []
+    encoded_error = metrics.encoded_standard_error(predicted, error).mean(axis=-1)
+    return [(f"noise, {title}", figures.heat(encoded_error / figures.NOISE_SCALE))]
 
 
 def _relit_line(out: Path, view: View, light: str) -> list[tuple[str, Picture]]:
@@ -112,6 +147,7 @@ def _relit_line(out: Path, view: View, light: str) -> list[tuple[str, Picture]]:
     truth = _photograph(view, light)
     line = [] if truth is None else [(f"truth, {light}", truth)]
     line += _with_error(f"relit, {light}", predicted, truth)
+    line += _noise(f"relit, {light}", out, "pred", view, light)
     line += _with_error("relit, direct light only", load(out, DIRECT_FOLDER, view, f"rgba_{light}"), truth)
     return line
 

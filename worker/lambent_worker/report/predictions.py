@@ -6,6 +6,9 @@ pred/<view>/roughness.npy             perceptual, [H, W, 1];  metallic.npy [H, W
 pred_cache/<view>/rgba_<light>.npy    the same picture from the NeRF cache alone
 pred_direct/<view>/rgba_<light>.npy   relit without the indirect bounce
 pred_unscaled/<view>/rgba_<light>.npy relit without the albedo ratio, a few views
+<name>_stderr.npy                     beside every Monte Carlo picture: its standard error, linear radiance
+                                      [H, W, 3]
+<name>.exr                            on request: linear radiance times alpha, alpha, and the standard error
 noise/<view>.json                     mean standard error of each Monte Carlo picture, linear radiance
 """
 
@@ -19,6 +22,7 @@ from flashcache.data.scene import View
 from flashcache.evaluation.metrics import normal_with_background
 from flashcache.evaluation.views import GBuffer, Picture, render_gbuffer, render_physical, render_relit
 from jaxtyping import Float, Float32
+from lambent_relight.exr import write_exr
 from numpy import ndarray
 
 from lambent_worker.report.request import UNSCALED_VIEWS, Subject, evenly_spaced
@@ -27,6 +31,7 @@ from lambent_worker.run_folder import write_json
 CACHE_FOLDER = "pred_cache"
 DIRECT_FOLDER = "pred_direct"
 UNSCALED_FOLDER = "pred_unscaled"
+ERROR_SUFFIX = "_stderr"
 
 
 def predict_surfaces(subject: Subject) -> None:
@@ -40,7 +45,7 @@ def predict_surfaces(subject: Subject) -> None:
         subject.advance()
         for index, light in enumerate(subject.scene.lights):
             path = folder / f"rgba_{light}.npy"
-            if not path.is_file():
+            if not _is_there(subject, path):
                 picture = render_physical(
                     subject.model,
                     view.camera,
@@ -48,8 +53,9 @@ def predict_surfaces(subject: Subject) -> None:
                     num_repeats=subject.request.num_repeats,
                     light=index,
                     seed=subject.seed,
+                    rule=subject.rule,
                 )
-                _save_picture(subject.out, view.name, f"physical/{light}", path, picture)
+                _save_picture(subject, view.name, f"physical/{light}", path, picture)
             subject.advance()
 
 
@@ -64,7 +70,7 @@ def predict_relit(subject: Subject, ratio: tuple[float, float, float]) -> None:
                 kinds.append((UNSCALED_FOLDER, "unscaled", True, ones))
             for folder, kind, indirect, factor in kinds:
                 path = subject.out / folder / view.name / f"rgba_{light}.npy"
-                if not path.is_file():
+                if not _is_there(subject, path):
                     picture = render_relit(
                         subject.model,
                         view.camera,
@@ -74,8 +80,9 @@ def predict_relit(subject: Subject, ratio: tuple[float, float, float]) -> None:
                         num_repeats=subject.request.num_repeats,
                         indirect=indirect,
                         seed=subject.seed,
+                        rule=subject.rule,
                     )
-                    _save_picture(subject.out, view.name, f"{kind}/{light}", path, picture)
+                    _save_picture(subject, view.name, f"{kind}/{light}", path, picture)
                 subject.advance()
 
 
@@ -118,13 +125,32 @@ def _save_pictures_of_cache(subject: Subject, view: View, buffer: GBuffer) -> No
         )
 
 
-def _save_picture(out: Path, view: str, kind: str, path: Path, picture: Picture) -> None:
-    """Save a picture, and before it the mean standard error over its opaque part."""
+def _is_there(subject: Subject, path: Path) -> bool:
+    """Return whether a picture was written, with all that goes with it."""
+    return path.is_file() and (path.with_suffix(".exr").is_file() or not subject.request.exr)
+
+
+def _save_picture(subject: Subject, view: str, kind: str, path: Path, picture: Picture) -> None:
+    """Save a picture, and before it its standard error and the mean of that over the opaque part."""
+    out, error = subject.out, picture.standard_error
     seen = picture.opacity[..., 0] > 0.5
-    noise = float(picture.standard_error[seen].mean()) if seen.any() else 0.0
+    noise = float(error[seen].mean()) if seen.any() else 0.0
     (out / "noise").mkdir(parents=True, exist_ok=True)
     write_json(out / "noise" / f"{view}.json", {**read_noise(out, view), kind: noise})
+    save_array(path.with_name(f"{path.stem}{ERROR_SUFFIX}.npy"), error)
+    if subject.request.exr:
+        write_exr(path.with_suffix(".exr"), exr_channels(picture))
     save_array(path, encoded(picture.rgb, picture.opacity))
+
+
+def exr_channels(picture: Picture) -> dict[str, Float32[ndarray, "height width"]]:
+    """Return a picture as channels of an EXR: premultiplied colour, alpha, and the layer `standard_error`."""
+    opacity = np.clip(picture.opacity, 0.0, 1.0)
+    planes = {name: (picture.rgb * opacity)[..., c] for c, name in enumerate("RGB")}
+    planes["A"] = opacity[..., 0]
+    return planes | {
+        f"standard_error.{name}": (picture.standard_error * opacity)[..., c] for c, name in enumerate("RGB")
+    }
 
 
 def save_array(path: Path, values: Float[ndarray, "..."]) -> None:

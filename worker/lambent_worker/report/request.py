@@ -1,17 +1,21 @@
 """What an evaluation is asked for, and what it works on."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, cast
 
+from flashcache.config import StageTwoConfig
 from flashcache.data.scene import Scene, View
+from flashcache.evaluation.lpips import Lpips
+from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float32
 from numpy import ndarray
 
-PROTOCOL_VERSION = "1.0"
-"""Version of docs/reference/protocol.md."""
+from lambent_worker.errors import UsageError
 
+Shadows = Literal["fast", "nerf"]
 UNSCALED_VIEWS = 5
 """Views that are relit a second time without the albedo ratio."""
 
@@ -30,6 +34,12 @@ class EvaluationRequest:
     """Folder of maps named like the scene's relighting lights."""
     max_side: int = 0
     """Longer side of the pictures in pixels; 0 for that of the files."""
+    shadows: Shadows = "fast"
+    """Cache that tells what hides a new light; the paper's figures use the NeRF cache."""
+    lpips_weights: tuple[Path, ...] = ()
+    """Files with the weights of LPIPS; empty for a report without it."""
+    exr: bool = False
+    """Also write Monte Carlo pictures as EXR: linear, unclipped, with their standard error."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -49,8 +59,30 @@ class Subject:
     out: Path
     advance: Callable[[], None]
     """Called after every picture; raises `Stopped` when the run was asked to end."""
+    rule: RenderRule = field(default_factory=RenderRule)
+    """How the model was trained, and is rendered."""
+    dataset: str = ""
+    """Layout of the capture; some data sets have rules of their own."""
+    lpips: Lpips | None = None
 
 
 def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:
     """Return at most `count` of `views` at equal strides, all of them for 0."""
     return views[:: max(1, len(views) // count)][:count] if count else views
+
+
+def rule_of(settings: StageTwoConfig, shadows: Shadows = "fast") -> RenderRule:
+    """Return how a run trained with `settings` is rendered: with the estimator it learned with."""
+    return RenderRule(
+        control_variate=settings.estimator.control_variate,
+        sampler=settings.estimator.sampler,
+        points=settings.points,
+        shadows=shadows,
+    )
+
+
+def as_shadows(name: str) -> Shadows:
+    """Return `name` where it is one of the caches; raises `UsageError` otherwise."""
+    if name not in ("fast", "nerf"):
+        raise UsageError("evaluate.shadows_unknown", f'--shadows "{name}" is neither fast nor nerf')
+    return cast(Shadows, name)

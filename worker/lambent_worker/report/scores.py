@@ -1,64 +1,30 @@
 """Scores predictions on disk against a scene's truth, by docs/reference/protocol.md."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from flashcache.data.scene import Scene, View
 from flashcache.evaluation import metrics
-from jaxtyping import Float
-from lambent_proto.v1 import evaluation_pb2
+from flashcache.evaluation.lpips import Lpips
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from lambent_worker.report.predictions import (
     CACHE_FOLDER,
     DIRECT_FOLDER,
+    ERROR_SUFFIX,
     UNSCALED_FOLDER,
     encoded,
     read_noise,
 )
+from lambent_worker.report.published import dataset_of
 from lambent_worker.report.request import evenly_spaced
+from lambent_worker.report.table import Table
 
 RATIO_VIEWS = 20
 INTERIOR_ALPHA = 0.99
-UNITS = {"psnr": "dB", "psnr_gamma": "dB", "psnr_linear": "dB", "mae_all": "deg", "mae_mask": "deg"}
-
-
-@dataclass(slots=True)
-class Table:
-    """Values of named metrics, view by view."""
-
-    values: dict[str, list[float]] = field(default_factory=dict)
-    pooled: dict[str, list[float]] = field(default_factory=dict)
-    """Mean squared errors per view of metrics that pool the pixels of all views before the logarithm."""
-    counts: dict[str, list[int]] = field(default_factory=dict)
-    """Pixels behind each entry of `pooled`."""
-
-    def add(self, name: str, value: float) -> None:
-        """Note the value of one view."""
-        self.values.setdefault(name, []).append(value)
-
-    def pool(self, name: str, error: float, count: int) -> None:
-        """Note the mean squared error of one view over `count` pixels."""
-        self.pooled.setdefault(name, []).append(error)
-        self.counts.setdefault(name, []).append(count)
-
-    def as_metrics(self) -> list[evaluation_pb2.Metric]:
-        """Return means over the views with their standard errors, in the order they were first noted."""
-        rows = []
-        for name, values in self.values.items():
-            rows.append(_metric(name, float(np.mean(values)), metrics.standard_error(np.array(values))))
-        for name, errors in self.pooled.items():
-            mean = float(np.average(errors, weights=self.counts[name]))
-            error = metrics.psnr_standard_error(np.array(errors))
-            rows.append(_metric(name, metrics.psnr_from_error(mean), error))
-        return rows
-
-
-def _metric(name: str, value: float, error: float) -> evaluation_pb2.Metric:
-    unit = UNITS.get(name.rsplit("/", maxsplit=1)[-1], "1")
-    return evaluation_pb2.Metric(name=name, value=value, unit=unit, standard_error=error)
 
 
 def load(out: Path, folder: str, view: View, name: str) -> Float[ndarray, "height width channels"] | None:
@@ -89,49 +55,80 @@ def albedo_ratios(out: Path, views: Sequence[View]) -> tuple[Float[ndarray, "3"]
     )
 
 
-def score(out: Path, scene: Scene, views: Sequence[View], *, held_out: bool) -> Table:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ruling:
+    """What decides how pictures are compared, and under which names."""
+
+    held_out: bool
+    """Whether the views were kept from training."""
+    lpips: Lpips | None = None
+    masked: bool = False
+    """Multiply both pictures by the object's mask instead of showing them over white."""
+    novel_views: str = "nvs"
+    relight: str = "relight"
+
+    @classmethod
+    def of(cls, scene: Scene, *, held_out: bool, dataset: str = "", lpips: Lpips | None = None) -> "Ruling":
+        """Return the protocol's rule for a data set.
+
+        On OpenIllumination novel views count from a run in one light and relit pictures from a run in
+        several; the others get a name that no table looks for.
+        """
+        several = len(scene.lights) > 1
+        open_illumination = dataset_of(dataset) == "openillumination"
+        return cls(
+            held_out=held_out,
+            lpips=lpips,
+            masked=open_illumination,
+            novel_views="nvs_several_lights" if open_illumination and several else "nvs",
+            relight="relight_one_light" if open_illumination and not several else "relight",
+        )
+
+
+def score(out: Path, scene: Scene, views: Sequence[View], ruling: Ruling) -> Table:
     """Return every figure that the predictions below `out` and the truth of `views` allow."""
     table = Table()
     ratios = albedo_ratios(out, views)
     for view in views:
-        _score_pictures(table, out, scene, view, "nvs" if held_out else "training_views")
+        _score_pictures(table, out, scene, view, ruling)
         if ratios is not None:
-            _score_albedo(table, out, view, *ratios)
+            _score_albedo(table, out, view, *ratios, ruling.lpips)
         _score_normals(table, out, view)
         _score_scalars(table, out, view)
     return table
 
 
-def _score_pictures(table: Table, out: Path, scene: Scene, view: View, seen: str) -> None:
+def _score_pictures(table: Table, out: Path, scene: Scene, view: View, ruling: Ruling) -> None:
     noise = read_noise(out, view.name)
+    seen, relit = ruling.novel_views if ruling.held_out else "training_views", ruling.relight
     groups = [
         (seen, "pred", scene.lights[:1], "physical"),
         (f"{seen}_all_train_lights", "pred", scene.lights[1:] and scene.lights, "physical"),
         (f"{seen}_cache", CACHE_FOLDER, scene.lights, ""),
-        ("relight", "pred", scene.relight_lights, "relit"),
-        ("relight_direct", DIRECT_FOLDER, scene.relight_lights, "direct"),
-        ("relight_unscaled", UNSCALED_FOLDER, scene.relight_lights, "unscaled"),
+        (relit, "pred", scene.relight_lights, "relit"),
+        (f"{relit}_direct", DIRECT_FOLDER, scene.relight_lights, "direct"),
+        (f"{relit}_unscaled", UNSCALED_FOLDER, scene.relight_lights, "unscaled"),
     ]
     for group, folder, lights, kind in groups:
-        found = list(_compared(out, folder, view, lights))
+        found = list(_compared(out, folder, view, lights, ruling))
         # One value per view: the mean over its lights, so that views stay independent samples.
-        if found:
-            table.add(f"{group}/psnr", float(np.mean([psnr for _, psnr, _ in found])))
-            table.add(f"{group}/ssim", float(np.mean([ssim for _, _, ssim in found])))
+        for name in found[0][1] if found else ():
+            table.add(f"{group}/{name}", float(np.mean([values[name] for _, values in found])))
+        _score_noise(table, out / folder / view.name, group, [light for light, _ in found])
         if group.endswith("_all_train_lights"):
             found = found[1:]  # the first light has its rows already
-        for light, psnr, ssim in found:
-            name = f"rgb/{light}" if folder == "pred" else f"{group}/{light}"
-            table.add(f"{name}/psnr", psnr)
-            table.add(f"{name}/ssim", ssim)
+        for light, values in found:
+            prefix = f"rgb/{light}" if folder == "pred" else f"{group}/{light}"
+            for name, value in values.items():
+                table.add(f"{prefix}/{name}", value)
             if f"{kind}/{light}" in noise:
                 table.add(f"{group}/{light}/monte_carlo_standard_error", noise[f"{kind}/{light}"])
 
 
 def _compared(
-    out: Path, folder: str, view: View, lights: Sequence[str]
-) -> Iterator[tuple[str, float, float]]:
-    """Yield light, PSNR (dB) and SSIM of the pictures that were rendered and have a truth."""
+    out: Path, folder: str, view: View, lights: Sequence[str], ruling: Ruling
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield light and figures of the pictures that were rendered and have a truth."""
     for light in lights:
         predicted = load(out, folder, view, f"rgba_{light}")
         if predicted is None or light not in view.images:
@@ -139,11 +136,36 @@ def _compared(
         image = view.images[light]
         truth = metrics.over_white(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
         over = np.clip(metrics.over_white(predicted), 0.0, 1.0)
-        yield light, metrics.psnr(over, truth), metrics.ssim(over, truth)
+        if ruling.masked:
+            inside = object_mask(view)[..., None]
+            truth, over = truth * inside, over * inside
+        figures = {"psnr": metrics.psnr(over, truth), "ssim": metrics.ssim(over, truth)}
+        if ruling.lpips is not None:
+            figures[f"lpips_{ruling.lpips.name}"] = ruling.lpips.distance(over, truth)
+        yield light, figures
+
+
+def _score_noise(table: Table, folder: Path, group: str, lights: Sequence[str]) -> None:
+    """Note the mean squared error that the noise of Monte Carlo pictures alone makes in encoded values."""
+    errors, count = [], 0
+    for light in lights:
+        path = folder / f"rgba_{light}{ERROR_SUFFIX}.npy"
+        if path.is_file():
+            rgba = np.load(folder / f"rgba_{light}.npy", allow_pickle=False)
+            error = metrics.encoded_standard_error(rgba, np.load(path, allow_pickle=False))
+            errors.append(float(np.mean(np.square(error))))
+            count += error.size // 3
+    if errors and max(errors) > 0.0:
+        table.pool(f"{group}/noise_ceiling", float(np.mean(errors)), count)
 
 
 def _score_albedo(
-    table: Table, out: Path, view: View, median: Float[ndarray, "3"], fitted: Float[ndarray, "3"]
+    table: Table,
+    out: Path,
+    view: View,
+    median: Float[ndarray, "3"],
+    fitted: Float[ndarray, "3"],
+    lpips: Lpips | None,
 ) -> None:
     predicted = load(out, "pred", view, "albedo")
     if predicted is None or "albedo" not in view.truth:
@@ -162,6 +184,8 @@ def _score_albedo(
         scaled = metrics.scaled_albedo(predicted, ratio, mask)
         if name != "albedo_interior":
             table.add(f"{name}/ssim", metrics.ssim(scaled, truth))
+            if lpips is not None:
+                table.add(f"{name}/lpips_{lpips.name}", lpips.distance(scaled, truth))
         a, b = scaled[pixels], truth[pixels]
         if len(a):
             after = metrics.mean_squared_error(metrics.with_albedo_gamma(a), metrics.with_albedo_gamma(b))
@@ -174,7 +198,7 @@ def _score_normals(table: Table, out: Path, view: View) -> None:
     if predicted is None or "normal" not in view.truth:
         return
     truth = view.truth["normal"].astype(np.float64)
-    mask = _mask(view)
+    mask = object_mask(view)
     true_normal = metrics.normal_with_background(truth[..., :3], truth[..., 3:])
     error = metrics.angular_error(_unit(predicted), true_normal)
     table.add("normal/mae_all", float(np.where(mask, error, 0.0).mean()))
@@ -183,7 +207,7 @@ def _score_normals(table: Table, out: Path, view: View) -> None:
 
 
 def _score_scalars(table: Table, out: Path, view: View) -> None:
-    mask = _mask(view)
+    mask = object_mask(view)
     if not mask.any():
         return
     for name in ("roughness", "metallic"):
@@ -199,7 +223,7 @@ def _score_scalars(table: Table, out: Path, view: View) -> None:
             table.add("distance/mean_abs", float(np.abs(predicted - truth)[inside].mean()))
 
 
-def _mask(view: View) -> ndarray:
+def object_mask(view: View) -> Bool[ndarray, "height width"]:
     """Return where the object is: alpha above 0 in the first map that has one."""
     for kind in ("albedo", "normal"):
         if kind in view.truth:

@@ -7,8 +7,9 @@ from flashcache.data.scene import Scene, View
 from lambent_worker.pipeline import StepContext
 from lambent_worker.report.evaluate import evaluate, preview_sheet
 from lambent_worker.report.predictions import num_pictures
-from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced
+from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced, rule_of
 from lambent_worker.run_folder import stage_seconds
+from lambent_worker.steps.ingest import read_manifest
 from lambent_worker.steps.training import load_trained, read_scene
 
 
@@ -33,6 +34,8 @@ def run(context: StepContext) -> None:
         seed=context.seed,
         out=context.folder,
         advance=lambda: None,
+        rule=rule_of(context.config.stage_two),
+        dataset=read_manifest(context).layout,
     )
     subject = with_progress(subject, context)
     report = evaluate(subject, preset=context.config.preset, seconds=stage_seconds(context.run_dir))

@@ -1,0 +1,49 @@
+"""Which figures of the protocol a report lacks, and why: nothing is left out without a word."""
+
+from collections.abc import Iterable
+
+from lambent_proto.v1 import evaluation_pb2
+
+from lambent_worker.report.published import dataset_of
+from lambent_worker.report.request import Subject
+
+LPIPS_REASON = "needs network weights: give --lpips-weights FILE (docs/reference/protocol.md)"
+
+
+def absent_metrics(subject: Subject, found: Iterable[str]) -> list[evaluation_pb2.AbsentMetric]:
+    """Return the figures that are not among the names `found`, each with the reason."""
+    names = set(found)
+    reasons: dict[str, str] = {}
+    truth = {kind for view in subject.views for kind in view.truth}
+    if "albedo" not in truth:
+        reasons["albedo_rgb_ratio/psnr_gamma"] = "the capture has no true albedo"
+    if "normal" not in truth:
+        reasons["normal/mae_all"] = "the capture has no true normals"
+    if not subject.held_out:
+        reasons["nvs/psnr"] = "the capture has no test views"
+    reasons |= _relighting(subject)
+    if dataset_of(subject.dataset) == "openillumination" and len(subject.scene.lights) > 1:
+        reasons["nvs/psnr"] = "on OpenIllumination novel views count from a run in one light"
+    if subject.lpips is None:
+        groups = {name.split("/")[0] for name in names if name.count("/") == 1 and name.endswith("/ssim")}
+        reasons |= {f"{group}/lpips": LPIPS_REASON for group in sorted(groups)}
+    return [
+        evaluation_pb2.AbsentMetric(name=name, reason=reason)
+        for name, reason in reasons.items()
+        if name not in names
+    ]
+
+
+def _relighting(subject: Subject) -> dict[str, str]:
+    scene = subject.scene
+    if not scene.relight_lights:
+        return {"relight/psnr": "the capture has no pictures in other light"}
+    missing = [light for light in scene.relight_lights if light not in subject.maps]
+    found = {f"rgb/{light}/psnr": "--environments holds no map of this name" for light in missing}
+    if len(missing) == len(scene.relight_lights):
+        found["relight/psnr"] = (
+            "no environment map was given: --environments DIR with maps named like the lights"
+        )
+    elif dataset_of(subject.dataset) == "openillumination" and len(scene.lights) == 1:
+        found["relight/psnr"] = "on OpenIllumination relit pictures count from a run in several lights"
+    return found
