@@ -157,6 +157,8 @@ class EvaluationConfig:
     num_repeats: int = 1
     num_directions: int = 64
     """Secondary rays per pixel and repeat."""
+    uncertainty_points: int = 1000
+    """Surface points at which the uncertainty of materials is measured; 0 leaves it out."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
