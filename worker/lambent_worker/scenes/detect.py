@@ -5,6 +5,7 @@ from pathlib import Path
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError, UsageError
+from lambent_worker.masks.apply import attach_masks
 from lambent_worker.scenes import (
     colmap,
     glossy_synthetic,
@@ -38,10 +39,13 @@ def detect_layout(folder: Path) -> str | None:
     return next((name for name, reader in READERS.items() if reader.is_layout(folder)), None)
 
 
-def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene_pb2.SceneManifest | None:
+def collect_scene(
+    folder: Path, layout: str | None, problems: Problems, masks: Path | None = None
+) -> scene_pb2.SceneManifest | None:
     """Return what could be understood of `folder`; everything that is wrong goes to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
+    `masks` is a folder of masks that go before those of the layout.
     """
     if layout is not None and layout not in READERS:
         raise UsageError(
@@ -80,6 +84,8 @@ def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene
         relight_lights=capture.relight_lights,
         frames=capture.frames,
     )
+    if masks is not None:
+        attach_masks(manifest, folder, masks, problems)
     if problems.usable:
         if not capture.up_is_z:
             stand_upright(manifest, problems)
@@ -88,14 +94,17 @@ def collect_scene(folder: Path, layout: str | None, problems: Problems) -> scene
     return manifest
 
 
-def describe_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneManifest:
+def describe_scene(
+    folder: Path, layout: str | None = None, masks: Path | None = None
+) -> scene_pb2.SceneManifest:
     """Return the description of the capture in `folder`, all lights included.
 
-    Where there are masks they say where the object is. Raises `SceneRefusedError` with every problem that the
-    files' names, headers, cameras and masks show; other pixels are looked at by `lambent_worker.check`.
+    `masks` is a folder of masks that go before those of the layout. Where there are masks they say where the
+    object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
+    show; other pixels are looked at by `lambent_worker.check`.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems)
+    manifest = collect_scene(folder, layout, problems, masks)
     if manifest is not None and problems.usable:
         fit_to_silhouettes(manifest, training_silhouettes(folder, manifest, problems))
     if manifest is None or not problems.usable:

@@ -1,0 +1,81 @@
+"""Gives the frames of a capture masks from a folder beside it."""
+
+from collections import Counter
+from pathlib import Path, PurePosixPath
+
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.scenes.pictures import PICTURE_SUFFIXES
+from lambent_worker.scenes.problems import Problems
+
+_MAX_NAMED = 5
+
+
+def attach_masks(
+    manifest: scene_pb2.SceneManifest, folder: Path, masks_dir: Path, problems: Problems
+) -> None:
+    """Set `Frame.mask` of every frame of the capture in `folder` to its mask in `masks_dir`.
+
+    A mask is named like the frame (`train_003.png`), like its picture's path (`images/0001.png`), or like its
+    picture where no other has that name (`0001.png`; `0001.jpg.png`, as COLMAP wants them, is taken as well).
+    Paths are relative to `folder` where the masks lie in it, else absolute. Frames without a mask and masks
+    without a frame go to `problems`.
+    """
+    if not masks_dir.is_dir():
+        problems.error(
+            "scene.mask_folder_missing",
+            f'--masks "{masks_dir.name}" is not a folder; give the folder with a mask for every picture',
+        )
+        return
+    files = _files_by_name(masks_dir)
+    stems = Counter(_stem(frame) for frame in manifest.frames)
+    used: set[Path] = set()
+    lacking = []
+    for frame in manifest.frames:
+        found = next((files[name] for name in _names(frame, stems) if name in files), None)
+        if found is None:
+            lacking.append(frame.name)
+            continue
+        used.add(found)
+        inside = found.is_relative_to(folder)
+        frame.mask = (found.relative_to(folder) if inside else found.resolve()).as_posix()
+        frame.mask_encoding = ""
+    if lacking:
+        problems.error(
+            "scene.mask_file_missing",
+            f"{len(lacking)} of {len(manifest.frames)} frames have no mask in {masks_dir.name}: "
+            f"{_listed(lacking)}; name each like its frame or its picture, for example {lacking[0]}.png",
+            lacking[0],
+        )
+    left = sorted(path.relative_to(masks_dir).as_posix() for path in set(files.values()) - used)
+    if left and not lacking:
+        problems.warning(
+            "scene.mask_unused",
+            f"{len(left)} masks in {masks_dir.name} belong to no frame: {_listed(left)}; remove them, or "
+            "check the names",
+            left[0],
+        )
+
+
+def _names(frame: scene_pb2.Frame, stems: Counter[str]) -> list[str]:
+    """Return the names without suffix that a mask of the frame may have, the surest first."""
+    path = PurePosixPath(frame.images[0].path)
+    names = [frame.name, path.with_suffix("").as_posix(), path.as_posix()]
+    if stems[path.stem] == 1:
+        names += [path.stem, path.name]
+    return names
+
+
+def _stem(frame: scene_pb2.Frame) -> str:
+    return PurePosixPath(frame.images[0].path).stem
+
+
+def _files_by_name(folder: Path) -> dict[str, Path]:
+    """Return the pictures below `folder` by their path in it without suffix."""
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURE_SUFFIXES)
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(names[:_MAX_NAMED])
+    return shown if len(names) <= _MAX_NAMED else f"{shown} and {len(names) - _MAX_NAMED} more"
