@@ -176,3 +176,10 @@ def test_each_steps_hash_contains_the_one_before(scene):
     other = input_hashes(scene, CONFIG, 0, ("capture",), "")
     assert not set(one.values()) & set(other.values())
     assert len(set(one.values())) == len(STEPS)
+
+
+def test_a_given_environment_changes_every_step(scene):
+    learned = input_hashes(scene, CONFIG, 0, (), "")
+    given, other = (input_hashes(scene, CONFIG, 0, (), "", {"": name}) for name in ("a.hdr", "b.hdr"))
+    assert not set(given.values()) & (set(other.values()) | set(learned.values()))
+    assert input_hashes(scene, CONFIG, 0, (), "", {}) == learned

@@ -1,5 +1,6 @@
 import pytest
 from flashcache.config import config_hash
+from flashcache.data.space import SpaceConfig
 from flashcache.errors import ConfigError
 from flashcache.presets import PRESETS, preset
 
@@ -41,8 +42,76 @@ def test_the_papers_presets_leave_our_departures_off(name: str):
     assert config.stage_two.grey_weight == 0.0
     assert config.model.nerf.density.softplus_beta is None
     assert not config.stage_two.estimator.stratified
+    assert config.stage_one.orientation_derived == config.stage_two.orientation_derived == 0.0
+    assert config.stage_two.pseudo_albedo == "radiance"
+    assert config.stage_two.secondary_jitter
+    assert config.stage_two.fast_by_half
+    assert config.stage_two.estimator.through_cache == 1e-4
+    assert config.model.nerf.normal_floor < 1e-3
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_preset_spends_effort_on_what_is_beyond_the_paper(name: str):
+    two = preset(name).stage_two
+    prior = two.environment_prior
+    weights = (two.unobserved.weight, two.clusters.weight, prior.white_weight, prior.variation_weight)
+    assert (*weights, two.budget.error_share, two.estimator.roulette) == (0.0,) * 6
 
 
 def test_an_unknown_preset_is_answered_with_the_known_ones():
     with pytest.raises(ConfigError, match="tiny, fast"):
         preset("quick")
+
+
+SPACES = {
+    # contraction radius, primary, secondary, radius of the fast cache's loss, extent of the material grid
+    "paper_tensoir": (2.0, (2.0, 6.0), (0.05, 2.0), 2.0, 1.0),
+    "paper_openillumination": (1.0, (0.25, 2.0), (0.02, 0.5), 0.5, 1.0),
+    "paper_glossy": (2.0, (1.0, 4.0), (0.05, 1.0), 1.0, 2.0),
+}
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_the_papers_presets_place_their_datasets_where_the_paper_does(name: str):
+    config = preset(name)
+    space, grids = config.space, config.model
+    found = (space.contraction_radius, space.primary, space.secondary, space.fast_radius)
+    assert (*found, grids.materials.grid.half_extent) == SPACES[name]
+    assert grids.fast.feature_grid.half_extent == 2.0
+
+
+@pytest.mark.parametrize("name", [name for name in PRESETS if name not in PAPER])
+def test_other_presets_leave_a_scene_where_its_capture_puts_it(name: str):
+    assert preset(name).space == SpaceConfig()
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_exponent_after_training_is_the_one_training_ends_with(name: str):
+    config = preset(name)
+    exponents = {config.model.nerf.exponent, config.stage_two.proposal_exponent}
+    assert exponents == {config.stage_one.proposal_exponent}
+
+
+@pytest.mark.parametrize(
+    ("name", "exponent", "compact", "normals"),
+    [
+        ("paper_tensoir:armadillo", 0.4, 0.0, 1.0),
+        ("paper_tensoir:ficus", 1.0, 0.0, 1.0),
+        ("paper_tensoir:hotdog", 0.4, 0.01, 1.0),
+        ("paper_tensoir:lego", 0.4, 0.01, 1.0),
+        ("paper_glossy:bell", 0.4, 0.01, 1.0),
+        ("paper_glossy:teapot", 0.4, 0.01, 0.25),
+    ],
+)
+def test_published_scenes_have_settings_of_their_own(name, exponent, compact, normals):
+    config = preset(name)
+    assert config.model.nerf.exponent == exponent
+    for stage in (config.stage_one, config.stage_two):
+        assert (stage.distortion_weight, stage.orientation_weight) == (compact, compact)
+        assert stage.normal_weight == normals
+
+
+@pytest.mark.parametrize(("name", "known"), [("paper_tensoir:cat", "armadillo"), ("fast:lego", "none")])
+def test_an_unknown_published_scene_is_answered_with_the_known_ones(name: str, known: str):
+    with pytest.raises(ConfigError, match=known):
+        preset(name)

@@ -1,7 +1,9 @@
 """A run folder is used for the run it was made for, or refused with what to do."""
 
+import numpy as np
 import pytest
 from flashcache.errors import ConfigError
+from lambent_relight.environments import write_environment
 from lambent_worker.errors import UsageError
 from lambent_worker.run_folder import (
     begin_step,
@@ -117,3 +119,23 @@ def test_a_run_that_is_not_trained_has_no_bundle(tmp_path):
     prepare(tmp_path)
     with pytest.raises(UsageError, match=r"run\.not_trained"):
         export_run(tmp_path / "run", tmp_path / "out", RecordingReporter())
+
+
+def test_a_published_scene_has_its_own_settings(tmp_path):
+    run = prepare(tmp_path, preset="paper_tensoir:hotdog")
+    assert run.config.stage_one.distortion_weight == 0.01
+    with pytest.raises(UsageError, match=r"config\.preset_unknown.*armadillo"):
+        prepare(tmp_path, preset="paper_tensoir:cat")
+
+
+def test_given_environments_are_kept_and_part_of_what_a_run_is(tmp_path):
+    sky = tmp_path / "sky.exr"
+    write_environment(sky, np.ones((4, 8, 3), np.float32))
+    run = prepare(tmp_path, known_lights=[str(sky)])
+    (name,) = run.known_lights.values()
+    assert (tmp_path / "run" / "known_lights" / name).is_file()
+    sky.write_bytes(sky.read_bytes())
+    assert prepare(tmp_path, known_lights=[str(sky)]) == run
+    write_environment(sky, np.full((4, 8, 3), 2.0, np.float32))
+    with pytest.raises(UsageError, match=r"run\.other_settings.*another known_lights;"):
+        prepare(tmp_path, known_lights=[str(sky)])

@@ -20,9 +20,12 @@ from flashcache.errors import ConfigError
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig, NormalConfig
 from flashcache.fields.materials import MaterialConfig
+from flashcache.losses.metalness import MetalnessPriorConfig
+from flashcache.losses.shape import ShapePriorConfig
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig
 from flashcache.physical.light_sampler import LightSamplerConfig
 from flashcache.physical.model import ModelConfig
+from flashcache.presets_paper import of_scene, paper_glossy, paper_openillumination, paper_tensoir
 from flashcache.volume.proposal_sampling import SampleCounts
 
 
@@ -51,7 +54,7 @@ def fast() -> Config:
             grid=_grid(256, 8, 2, 17),
             bottleneck=32,
             factor_width=32,
-            num_degrees=4,
+            num_degrees=5,
             width_bias=-3.0,
             view_frequencies=2,
             reflection_width=64,
@@ -85,18 +88,21 @@ def fast() -> Config:
             rates=Rates(grid=1e-2, network=3e-3),
             final_rate=0.05,
             warmup_steps=80,
-            carving_share=0.35,
-            specular_from=0.4,
+            carving_share=0.2,
+            specular_from=0.08,
             random_background=True,
-            mask_weight=0.0,
+            mask_weight=0.3,
             distortion_weight=0.3,
             distortion_from=0.3,
             orientation_weight=0.01,
             normal_weight=0.5,
             normal_start=0.0,
-            normal_ramp=(0.25, 0.45),
+            normal_ramp=(0.18, 0.25),
             normal_every=1,
-            normal_rays=0.4,
+            normal_rays=0.5,
+            shape_prior=ShapePriorConfig(
+                recession_weight=0.23, late_recession_weight=0.07, flatness_weight=0.03
+            ),
             proposal_exponent=1.0,
         ),
         stage_two=StageTwoConfig(
@@ -123,6 +129,7 @@ def fast() -> Config:
             random_background=True,
             smoothness_weight=0.003,
             grey_weight=0.015,
+            metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3),
             proposal_exponent=1.0,
         ),
         evaluation=EvaluationConfig(num_views=4, num_repeats=1),
@@ -217,10 +224,13 @@ def standard() -> Config:
         normals=NormalConfig(own_grid=_grid(128, 4, 2, 17)),
         appearance=appearance,
         secondary_colours=1,
+        normal_floor=base.model.nerf.normal_floor,
+        exponent=base.model.nerf.exponent,
     )
     return replace(
         paper,
         preset="standard",
+        space=base.space,
         model=replace(paper.model, nerf=nerf),
         pixels=PixelChoice(),
         stage_one=replace(
@@ -237,104 +247,6 @@ def standard() -> Config:
     )
 
 
-def paper_tensoir() -> Config:
-    """The supplement's settings for TensoIR-synthetic, meant for one GPU with 80 GB; not run on one yet.
-
-    Differs from the paper: the cache's specular branch is the network on an integrated directional encoding
-    of the authors' public code, not the copy of the fast cache that supplement 2.2 describes.
-    """
-
-    def density(finest: int, features: int) -> DensityConfig:
-        return DensityConfig(
-            grid=HashGridConfig(finest_resolution=finest, num_features=features, log2_table_size=19),
-            softplus_beta=None,
-        )
-
-    def fine(features: int = 4, finest: int = 2048, half_extent: float = 1.0) -> HashGridConfig:
-        return HashGridConfig(
-            finest_resolution=finest,
-            num_features=features,
-            log2_table_size=19,
-            half_extent=half_extent,
-        )
-
-    nerf = NerfCacheConfig(
-        proposals=(density(512, 1), density(1024, 1)),
-        density=density(2048, 4),
-        appearance=AppearanceConfig(grid=fine()),
-    )
-    return Config(
-        preset="paper_tensoir",
-        model=ModelConfig(
-            nerf=nerf,
-            fast=FastCacheConfig(
-                distance_grid=fine(finest=256), feature_grid=fine(finest=256, half_extent=2.0)
-            ),
-            materials=MaterialConfig(grid=fine()),
-            light_sampler=LightSamplerConfig(grid=fine()),
-        ),
-        pixels=PixelChoice(inside_share=0.0),
-        stage_one=StageOneConfig(mask_weight=1.0, grid_decay=1.0),
-        stage_two=StageTwoConfig(grid_decay=1.0),
-        evaluation=EvaluationConfig(num_views=8, num_repeats=32),
-        export=ExportConfig(gbuffer_samples=256, mesh_resolution=256, environment_height=128),
-    )
-
-
-def paper_openillumination() -> Config:
-    """The supplement's settings for OpenIllumination, one GPU with 80 GB."""
-    base = paper_tensoir()
-    return replace(
-        base,
-        preset="paper_openillumination",
-        max_side=1992,
-        stage_one=replace(
-            base.stage_one,
-            normal_start=1.0,
-            normal_ramp=(0.0, 0.0),
-            proposal_exponent=0.8,
-            grid_decay=0.1,
-        ),
-        stage_two=replace(
-            base.stage_two,
-            num_steps=100_000,
-            physical_weight=1.0,
-            proposal_exponent=0.8,
-            smoothness_weight=0.001,
-            smoothness_step=0.005,
-            grid_decay=0.1,
-        ),
-    )
-
-
-def paper_glossy() -> Config:
-    """The supplement's settings for Glossy Synthetic, one GPU with 80 GB."""
-    base = paper_tensoir()
-    return replace(
-        base,
-        preset="paper_glossy",
-        stage_one=replace(
-            base.stage_one,
-            mask_weight=10.0,
-            distortion_weight=0.01,
-            orientation_weight=0.01,
-            normal_weight_gradient=0.0,
-            grid_decay=0.1,
-        ),
-        stage_two=replace(
-            base.stage_two,
-            num_steps=20_000,
-            mask_weight=10.0,
-            distortion_weight=0.01,
-            orientation_weight=0.01,
-            normal_weight_gradient=0.0,
-            smoothness_weight=0.001,
-            smoothness_step=0.005,
-            grid_decay=0.1,
-        ),
-    )
-
-
 PRESETS: dict[str, Callable[[], Config]] = {
     preset.__name__: preset
     for preset in (tiny, fast, long, standard, paper_tensoir, paper_openillumination, paper_glossy)
@@ -342,7 +254,12 @@ PRESETS: dict[str, Callable[[], Config]] = {
 
 
 def preset(name: str) -> Config:
-    """Return the preset `name`; raises `ConfigError` listing the known ones."""
+    """Return the preset `name`, or with `PRESET:SCENE` the paper's settings for a published scene.
+
+    Raises `ConfigError` listing the known ones.
+    """
+    name, colon, scene = name.partition(":")
     if name not in PRESETS:
         raise ConfigError(f"unknown preset {name!r}; choose from {', '.join(PRESETS)}")
-    return PRESETS[name]()
+    config = PRESETS[name]()
+    return of_scene(config, scene) if colon else config

@@ -105,8 +105,17 @@ def check(
 def train(
     scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
-    preset: Annotated[str, typer.Option(help="tiny, fast, long, standard, or one of paper_*.")] = "fast",
+    preset: Annotated[
+        str, typer.Option(help="tiny, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
+    ] = "fast",
     light: Annotated[str, typer.Option(help="Training light, or several with commas.")] = "",
+    rotated: Annotated[
+        bool, typer.Option("--rotated", help="The lights are one, turned by the angles in their names.")
+    ] = False,
+    known_light: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
+    ] = None,
     layout: Layout = "",
     seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
     device: Device = "",
@@ -130,15 +139,25 @@ def train(
         layout=layout,
         seed=seed,
         device=device,
-        overrides=parse_settings(settings or []),
+        overrides=({"model.environment.lights": "rotated"} if rotated else {})
+        | parse_settings(settings or []),
         resume=resume,
+        known_lights=known_light or (),
     )
     from lambent_worker.console import ConsoleReporter
     from lambent_worker.pipeline import run_pipeline
 
     with ConsoleReporter(out, as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
         run_pipeline(
-            scene_dir, out, run.config, run.seed, run.device, reporter, lights=run.lights, layout=run.layout
+            scene_dir,
+            out,
+            run.config,
+            run.seed,
+            run.device,
+            reporter,
+            lights=run.lights,
+            layout=run.layout,
+            known_lights=run.known_lights,
         )
     if not as_json:
         typer.echo(f"bundle: {out / 'bundle'}")

@@ -1,7 +1,7 @@
 """Runs the steps of a job in a run folder, each once: ingest, cache, joint, evaluate, export."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import file_digest
 from pathlib import Path
@@ -25,7 +25,7 @@ STEPS = ("ingest", "cache", "joint", "evaluate", "export")
 # What a step's files depend on: the step before it, and the parts of the configuration it reads.
 PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
-    "cache": ("max_side", "model", "pixels", "stage_one"),
+    "cache": ("max_side", "space", "model", "pixels", "stage_one"),
     "joint": ("stage_two",),
     "evaluate": ("evaluation",),
     "export": ("export",),
@@ -78,6 +78,8 @@ class StepContext:
     """Training lights by name; empty for the scene's first."""
     layout: str = ""
     """Layout to read the scene as; empty to detect it."""
+    known_lights: Mapping[str, str] = field(default_factory=dict)
+    """Names of kept environment files by light; see `known_lights`."""
     clock: Clock = field(default_factory=lambda: Clock(before=0.0, share=1.0, job_started=0.0))
 
     @property
@@ -118,6 +120,7 @@ def run_pipeline(
     *,
     lights: tuple[str, ...] = (),
     layout: str = "",
+    known_lights: Mapping[str, str] | None = None,
 ) -> None:
     """Run `steps` in order, leaving out those whose results are there already.
 
@@ -131,7 +134,8 @@ def run_pipeline(
             "pipeline.step_unknown", f"unknown steps {', '.join(unknown)}; there are {', '.join(STEPS)}"
         )
     with locked(run_dir):
-        hashes = input_hashes(scene_dir, config, seed, lights, layout)
+        known_lights = known_lights or {}
+        hashes = input_hashes(scene_dir, config, seed, lights, layout, known_lights)
         total = sum(SHARES[name] for name in steps)
         done = {name for name in steps if done_inputs(run_dir, name) == hashes[name]}
         context = StepContext(
@@ -143,6 +147,7 @@ def run_pipeline(
             reporter=reporter,
             lights=lights,
             layout=layout,
+            known_lights=known_lights,
             clock=Clock(before=0.0, share=0.0, job_started=sum(SHARES[name] for name in done) / total),
         )
         before = 0.0
@@ -196,10 +201,16 @@ def _step_function(name: str) -> Callable[[StepContext], None]:
 
 
 def input_hashes(
-    scene_dir: Path, config: Config, seed: int, lights: tuple[str, ...], layout: str
+    scene_dir: Path,
+    config: Config,
+    seed: int,
+    lights: tuple[str, ...],
+    layout: str,
+    known_lights: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """Return for every step the hash of everything its result depends on."""
-    hashes = {"ingest": digest("ingest", scene_hash(scene_dir), list(lights), layout)}
+    given = [dict(known_lights)] if known_lights else []
+    hashes = {"ingest": digest("ingest", scene_hash(scene_dir), list(lights), layout, *given)}
     for name in STEPS[1:]:
         hashes[name] = step_inputs(name, hashes[PREVIOUS[name]], config, seed)
     return hashes

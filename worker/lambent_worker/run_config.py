@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from flashcache.config import Config, Rates, with_overrides
-from flashcache.errors import ConfigError
-from flashcache.presets import PRESETS
+from flashcache.presets import preset as preset_of
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 # Parts of an order that are no settings of the method.
@@ -19,10 +18,9 @@ def config_of(
 
     Raises `ConfigError` for an unknown preset or setting.
     """
-    if spec.preset not in PRESETS:
-        raise ConfigError(f"there is no preset {spec.preset!r}; there are {', '.join(PRESETS)}")
+    base = preset_of(spec.preset)
     settings = {name: value for name, value in spec.params.items() if name not in (LIGHTS, LAYOUT)}
-    config = adjust(with_overrides(PRESETS[spec.preset](), settings), adjustments)
+    config = adjust(with_overrides(base, settings), adjustments)
     lights = tuple(name.strip() for name in spec.params.get(LIGHTS, "").split(",") if name.strip())
     return config, lights, spec.params.get(LAYOUT, "")
 

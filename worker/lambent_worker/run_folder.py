@@ -45,6 +45,8 @@ class RunSettings:
     """Training lights by name; empty for the scene's first."""
     layout: str = ""
     """Layout to read the scene as; empty to detect it."""
+    known_lights: Mapping[str, str] = field(default_factory=dict)
+    """Names of the kept files of given environments by light; see `known_lights`."""
     scene: str = field(compare=False, default="")
     """Folder of the capture."""
 
@@ -74,6 +76,7 @@ def read_settings(run_dir: Path) -> RunSettings:
             device=record["device"],
             lights=tuple(record["lights"]),
             layout=record["layout"],
+            known_lights=record.get("known_lights", {}),
             scene=record["scene"],
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

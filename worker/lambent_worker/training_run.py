@@ -1,14 +1,16 @@
 """What `lambent train` and `lambent export` do around the pipeline: settings, folders, refusals."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from flashcache.config import Config, from_dict, to_dict, with_overrides
-from flashcache.presets import PRESETS
+from flashcache.errors import ConfigError
+from flashcache.presets import preset as preset_of
 
 from lambent_worker.errors import UsageError
+from lambent_worker.known_lights import keep_known_lights, names_by_content, parse_known_lights
 from lambent_worker.pipeline import StepContext, run_step, step_inputs
 from lambent_worker.reporter import Reporter
 from lambent_worker.run_folder import (
@@ -30,6 +32,8 @@ class Run:
     device: str
     lights: tuple[str, ...]
     layout: str
+    known_lights: Mapping[str, str]
+    """Kept environment files by light."""
     scene: str
     """Folder of the capture the run was trained on."""
 
@@ -45,6 +49,7 @@ def prepare_run(
     device: str,
     overrides: Mapping[str, str],
     resume: bool,
+    known_lights: Sequence[str] = (),
 ) -> Run:
     """Return the run to do in `run_dir`, made new or found there.
 
@@ -54,9 +59,8 @@ def prepare_run(
     """
     if resume:
         return open_run(run_dir, device)
-    if preset not in PRESETS:
-        raise UsageError("config.preset_unknown", f'--preset "{preset}" is none of {", ".join(PRESETS)}')
-    config = with_overrides(PRESETS[preset](), overrides)
+    config = config_for(preset, overrides)
+    files = parse_known_lights(known_lights)
     wanted = RunSettings(
         preset=preset,
         config=to_dict(config),
@@ -64,6 +68,7 @@ def prepare_run(
         device=device or "cpu",
         lights=lights,
         layout=layout,
+        known_lights=names_by_content(files),
         scene=str(scene_dir.resolve()),
     )
     if (run_dir / "run.json").exists():
@@ -74,8 +79,21 @@ def prepare_run(
             "run.folder_not_empty", f'"{run_dir}" exists and holds no run; choose another folder with -o'
         )
     check_device(wanted.device)
+    keep_known_lights(run_dir, files)
     write_settings(run_dir, wanted)
     return _as_run(wanted)
+
+
+def config_for(name: str, overrides: Mapping[str, str]) -> Config:
+    """Return a preset, or `PRESET:SCENE` for a published scene, with settings changed.
+
+    Raises `UsageError` for an unknown name and `ConfigError` for a wrong setting.
+    """
+    try:
+        base = preset_of(name)
+    except ConfigError as error:
+        raise UsageError("config.preset_unknown", f'--preset "{name}": {error}') from error
+    return with_overrides(base, overrides)
 
 
 def open_run(run_dir: Path, device: str = "") -> Run:
@@ -139,6 +157,7 @@ def step_context(run: Run, run_dir: Path, reporter: Reporter, stage: str) -> Ste
         stage=stage,
         lights=run.lights,
         layout=run.layout,
+        known_lights=run.known_lights,
     )
 
 
@@ -149,6 +168,7 @@ def _as_run(settings: RunSettings) -> Run:
         device=settings.device,
         lights=settings.lights,
         layout=settings.layout,
+        known_lights=settings.known_lights,
         scene=settings.scene,
     )
 

@@ -53,7 +53,11 @@ def domain_of(
     environment: EnvironmentConfig,
     known_lights: Sequence[str] = (),
 ) -> Domain:
-    """Return what a model must know of a placed scene; raises `ConfigError` for lights without an angle."""
+    """Return what a model must know of a scene, placed by `space`.
+
+    Raises `ConfigError` for rotated lights without an angle.
+    """
+    scene = placed(scene, space)
     return Domain(
         bounds_min=scene.bounds_min,
         bounds_max=scene.bounds_max,

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.scene import Scene
+from flashcache.data.space import domain_of, placed
 from flashcache.errors import TrainingError
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.training.checkpoint import (
@@ -22,6 +23,7 @@ from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 
 from lambent_worker.errors import Stopped
+from lambent_worker.known_lights import give_known_lights, known_names
 from lambent_worker.pipeline import StepContext
 from lambent_worker.run_folder import STEP_FOLDERS, digest
 from lambent_worker.scenes.load import load_scene
@@ -33,25 +35,24 @@ SKIPPED_SHARE_LIMIT = 0.05
 
 def read_scene(context: StepContext) -> Scene:
     """Return the capture of the run, loaded at the preset's size."""
-    return load_scene(context.scene_dir, read_manifest(context), max_side=context.config.max_side)
+    scene = load_scene(context.scene_dir, read_manifest(context), max_side=context.config.max_side)
+    return placed(scene, context.config.space)
 
 
-def domain_of(scene: Scene) -> Domain:
-    """Return what a model must know of a scene's space."""
-    return Domain(
-        bounds_min=scene.bounds_min,
-        bounds_max=scene.bounds_max,
-        primary=scene.primary,
-        secondary=scene.secondary,
-        contraction_radius=scene.contraction_radius,
-        lights=scene.lights,
-    )
+def domain_for(context: StepContext, scene: Scene) -> Domain:
+    """Return what the run's model must know of the scene's space and lights."""
+    environment = context.config.model.environment
+    rotated = environment.lights == "rotated"
+    known = known_names(context.known_lights, scene.lights, rotated=rotated)
+    return domain_of(scene, context.config.space, environment, known)
 
 
 def new_model(context: StepContext, scene: Scene) -> InverseModel:
-    """Return a model in its initial state, the same for the same seed."""
+    """Return a model in its initial state, the same for the same seed, with the given environments in it."""
     torch.manual_seed(context.seed)
-    return InverseModel(context.config.model, domain_of(scene)).to(context.device)
+    model = InverseModel(context.config.model, domain_for(context, scene)).to(context.device)
+    give_known_lights(model, context.run_dir, context.known_lights)
+    return model
 
 
 def load_trained(context: StepContext, scene: Scene, stage: str) -> InverseModel:
