@@ -6,6 +6,7 @@ import pytest
 import torch
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
+from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import PRESETS, preset, tiny
 from flashcache.training.checkpoint import CheckpointState, load_checkpoint, save_checkpoint
@@ -80,6 +81,23 @@ def test_another_seed_gives_another_model(kind):
     assert any(not torch.equal(a[name], b[name]) for name in a)
 
 
+def test_priors_on_shape_and_metal_act_in_the_steps_they_are_meant_for():
+    config = small(5, 3)
+    terms = {}
+    for kind in ("cache", "joint"):
+        stage = stage_of(kind, config)
+        terms[kind] = []
+        while not stage.finished:
+            terms[kind].append(stage.step().terms)
+    # Carving is the first of five steps; normals count from the second on.
+    assert all("recession" in step for step in terms["cache"])
+    prior = config.stage_one.shape_prior
+    early, late = (abs(terms["cache"][step]["recession"]) for step in (0, 1))
+    assert 0.0 < late / prior.late_recession_weight < 2.0 * early / prior.recession_weight
+    assert ["flatness" in step for step in terms["cache"]] == [False, True, True, True, True]
+    assert all(step["metalness"] > 0.0 for step in terms["joint"])
+
+
 def test_stage_one_changes_the_nerf_cache_only():
     stage = stage_of("cache", small())
     before = weights_of(stage)
@@ -119,7 +137,10 @@ def test_a_frozen_cache_stays_as_it_was():
 
 def test_warming_up_leaves_materials_and_environment_alone():
     config = small()
-    config = replace(config, stage_two=replace(config.stage_two, warmup_steps=4))
+    without_prior = MetalnessPriorConfig()
+    config = replace(
+        config, stage_two=replace(config.stage_two, warmup_steps=4, metalness_prior=without_prior)
+    )
     stage = stage_of("joint", config)
     before = weights_of(stage)
     for _ in range(3):

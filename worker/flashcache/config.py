@@ -16,6 +16,8 @@ from flashcache.errors import ConfigError
 from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.consistency import UnobservedConfig
 from flashcache.losses.environment import EnvironmentPriorConfig
+from flashcache.losses.metalness import MetalnessPriorConfig
+from flashcache.losses.shape import ShapePriorConfig
 from flashcache.losses.smoothness import SmoothnessGuide
 from flashcache.physical.estimator import EstimatorConfig
 from flashcache.physical.model import ModelConfig
@@ -70,6 +72,7 @@ class StageOneConfig:
     """Share of the rays that take part in the normal loss."""
     normal_weight_gradient: float = 0.1
     """Share of the gradient that the render weights get from the normal loss."""
+    shape_prior: ShapePriorConfig = field(default_factory=ShapePriorConfig)
     grid_decay: float = 0.0
     """Weight of half the mean squared value of each level of the density and proposal grids."""
     proposal_exponent: float = 0.4
@@ -133,6 +136,7 @@ class StageTwoConfig:
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     grey_weight: float = 0.0
     """Weight of the environment's mean deviation from grey (decision 0006)."""
+    metalness_prior: MetalnessPriorConfig = field(default_factory=MetalnessPriorConfig)
     environment_prior: EnvironmentPriorConfig = field(default_factory=EnvironmentPriorConfig)
     fast_by_half: bool = False
     """Let the diffuse and the specular half count alike in the fast cache's loss, as in the paper."""

@@ -14,6 +14,7 @@ from flashcache.losses.environment import grey_prior, variation_prior, white_pri
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.light_sampler import light_sampler_loss
+from flashcache.losses.metalness import directional_variation, directions_around, metalness_prior
 from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
 from flashcache.physical.model import InverseModel
@@ -142,6 +143,37 @@ def material_terms(
             first.materials, covered(batch, points), config.clusters.width
         )
     return terms
+
+
+def metalness_terms(
+    model: InverseModel,
+    config: StageTwoConfig,
+    batch: RayBatch,
+    geometry: Geometry,
+    first: Pass,
+    generator: torch.Generator,
+    *,
+    warming_up: bool,
+) -> Terms:
+    """Return the prior that takes strongly view-dependent surfaces for metal (decision 0015)."""
+    prior, points = config.metalness_prior, first.points
+    weight = prior.warmup_weight if warming_up else prior.weight
+    if not weight:
+        return {}
+    repeats = prior.num_directions
+    with torch.no_grad():
+        normal = points.normal
+        outgoing = model.nerf.appearance(
+            points.positions.repeat_interleave(repeats, dim=0),
+            geometry.hidden[first.index].repeat_interleave(repeats, dim=0),
+            normal.repeat_interleave(repeats, dim=0),
+            directions_around(normal, repeats, generator).reshape(-1, 3),
+            points.light_index.repeat_interleave(repeats),
+        )
+        shape = (len(normal), repeats, 3)
+        variation = directional_variation(outgoing.diffuse.reshape(shape), outgoing.specular.reshape(shape))
+    metalness = first.materials.metalness
+    return {"metalness": weight * metalness_prior(metalness, variation, covered(batch, points), prior)}
 
 
 def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:

@@ -1,5 +1,7 @@
 """Stage one: the NeRF cache learns to reproduce the photographs (supplement 2.4)."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -11,6 +13,7 @@ from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
 from flashcache.losses.proposal import distortion, interlevel
+from flashcache.losses.shape import ShapePriorConfig, flatness, recession, tangent_steps
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.optimiser import (
@@ -21,7 +24,8 @@ from flashcache.training.optimiser import (
     set_rates,
 )
 from flashcache.training.schedule import proposal_exponent, ramp, rate_factor
-from flashcache.volume.quadrature import composite
+from flashcache.volume.proposal_sampling import midpoints
+from flashcache.volume.quadrature import composite, draw_points
 
 STAGE = "cache"
 
@@ -34,6 +38,8 @@ class StageOne:
     ) -> None:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         self.optimiser = build_optimiser(parameter_groups([(model.nerf, config.rates)]))
+        scene = pixels.scene
+        self.half_diagonal = 0.5 * math.dist(scene.bounds_min, scene.bounds_max)
         self.steps_done = 0
         self.num_skipped = 0
 
@@ -67,6 +73,7 @@ class StageOne:
             orientation_derived=config.orientation_derived,
             distortion_weight=config.distortion_weight if fraction >= config.distortion_from else 0.0,
         )
+        terms |= self._shape_prior_terms(batch, geometry, fraction, generator)
         if config.grid_decay:
             densities = (*self.model.nerf.proposals, self.model.nerf.density)
             terms["grid_decay"] = config.grid_decay * grid_decay(density.grid for density in densities)
@@ -114,6 +121,41 @@ class StageOne:
         if config.mask_weight:
             terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage, weight)
         return terms, picture
+
+    def _shape_prior_terms(
+        self, batch: RayBatch, geometry: Geometry, fraction: float, generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        """Return the priors on shape that have a weight now (decision 0014)."""
+        config, terms = self.config.shape_prior, {}
+        carving_now = fraction < self.config.carving_share
+        weight = config.recession_weight if carving_now else config.late_recession_weight
+        if weight:
+            inside = midpoints(geometry.samples.distances) - batch.rays.near[:, None]
+            terms["recession"] = weight * recession(
+                geometry.weights, inside / self.half_diagonal, batch.coverage
+            )
+        rise = ramp(fraction, *self.config.normal_ramp)
+        if config.flatness_weight and rise > 0.0:
+            terms["flatness"] = (
+                config.flatness_weight * rise * self._flatness(batch, geometry, config, generator)
+            )
+        return terms
+
+    def _flatness(
+        self, batch: RayBatch, geometry: Geometry, config: ShapePriorConfig, generator: torch.Generator
+    ) -> Tensor:
+        count = min(config.flatness_rays, len(batch))
+        weights = geometry.weights[:count].detach()
+        u = torch.rand(count, 1, generator=generator, device=weights.device)
+        row = weights.shape[-1] * torch.arange(count, device=weights.device)
+        index = draw_points(weights, u).index[:, 0] + row
+        normal = geometry.normal[index]
+        nearby = geometry.samples.positions.reshape(-1, 3)[index] + tangent_steps(
+            normal, config.flatness_step * self.half_diagonal, generator
+        )
+        moved = self.model.nerf.normals(nearby, self.model.nerf.density(nearby).hidden)
+        seen = weights.sum(dim=-1) * (batch.coverage[:count] > 0.5)
+        return flatness(normal, moved, seen)
 
     def _normal_weight(self, fraction: float) -> float:
         config = self.config

@@ -20,6 +20,7 @@ from flashcache.training.joint_losses import (
     decay_terms,
     environment_terms,
     material_terms,
+    metalness_terms,
     physical_terms,
     secondary_terms,
 )
@@ -135,6 +136,9 @@ class StageTwo:
             terms |= material_terms(model, config, batch, appearance, first, generator)
             terms |= environment_terms(model, config, generator)
             self._record_errors(batch, picture.detach())
+        terms |= metalness_terms(
+            model, config, batch, geometry, first, generator, warming_up=step < config.warmup_steps
+        )
         terms |= secondary_terms(model, config, first)
         return terms, picture, batch
 

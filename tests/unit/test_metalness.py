@@ -1,0 +1,54 @@
+import pytest
+import torch
+from flashcache.errors import ConfigError
+from flashcache.losses.metalness import (
+    MetalnessPriorConfig,
+    directional_variation,
+    directions_around,
+    metalness_prior,
+)
+
+GREY = torch.full((1, 8, 3), 0.3)
+FLICKER = torch.tensor([0.0, 1.0] * 4)[None, :, None].expand(1, 8, 3)
+
+
+def test_a_matt_surface_does_not_vary_and_a_mirror_does():
+    assert directional_variation(GREY, torch.zeros_like(GREY)).item() == 0.0
+    assert directional_variation(torch.zeros_like(GREY), FLICKER).item() > 1.0
+
+
+def test_a_faint_highlight_on_a_bright_surface_varies_little():
+    assert directional_variation(GREY, 0.04 * FLICKER).item() < 0.1
+
+
+def test_a_metal_in_uniform_light_gives_itself_away_by_nothing():
+    assert directional_variation(torch.zeros_like(GREY), GREY).item() < 1e-5
+
+
+@pytest.mark.parametrize(("variation", "rises"), [(0.0, False), (1.0, True)])
+def test_the_prior_moves_metalness_towards_what_variation_suggests(variation, rises):
+    metalness = torch.full((1, 1), 0.5, requires_grad=True)
+    metalness_prior(metalness, torch.tensor([variation]), torch.ones(1), MetalnessPriorConfig()).backward()
+    assert (metalness.grad.item() < 0.0) == rises
+
+
+def test_the_prior_is_content_at_its_own_ends_and_leaves_uncovered_points_alone():
+    config = MetalnessPriorConfig(range=(0.1, 0.9))
+    ends = torch.tensor([[0.1], [0.9], [0.5]])
+    weight = torch.tensor([1.0, 1.0, 0.0])
+    assert metalness_prior(ends, torch.tensor([0.0, 2.0, 2.0]), weight, config).item() < 1e-12
+
+
+def test_directions_lie_above_the_surface_with_nearly_the_mean_cosine_of_diffuse_light():
+    normal = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(3)))
+    found = directions_around(normal, 16, torch.Generator().manual_seed(4))
+    cosine = (found * normal[:, None]).sum(dim=-1)
+    torch.testing.assert_close(found.norm(dim=-1), torch.ones(4000, 16))
+    assert cosine.min() > 0.0
+    assert cosine.mean().item() == pytest.approx(2.0 / 3.0, abs=0.05)
+
+
+@pytest.mark.parametrize("settings", [{"num_directions": 1}, {"variation": (0.3, 0.3)}])
+def test_settings_that_say_nothing_are_refused(settings):
+    with pytest.raises(ConfigError):
+        MetalnessPriorConfig(**settings)

@@ -1,0 +1,69 @@
+"""Priors on shape for short trainings: how far away a surface lies, and how its normals vary.
+
+Lengths are shares of half the diagonal of the scene's box, so that weights do not depend on its units.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShapePriorConfig:
+    """Priors on shape beyond the paper; all off by default (decision 0014)."""
+
+    recession_weight: float = 0.0
+    """Reward for distance during the carving phase."""
+    late_recession_weight: float = 0.0
+    """Reward for distance after it."""
+    flatness_weight: float = 0.0
+    """Weight of the difference of neighbouring normals; rises with the normal loss."""
+    flatness_step: float = 0.017
+    """Standard deviation of the step between compared points."""
+    flatness_rays: int = 512
+    """Rays of a batch that take part in flatness, one point each."""
+
+    def __post_init__(self) -> None:
+        if self.flatness_rays < 1:
+            raise ConfigError(f"flatness_rays must be at least 1, got {self.flatness_rays}")
+
+
+def recession(
+    weights: Float[Tensor, "rays samples"],
+    distances: Float[Tensor, "rays samples"],
+    coverage: Float[Tensor, " rays"],
+) -> Float[Tensor, ""]:
+    """Return minus the mean distance of what fully covered pixels see: less the farther away it lies.
+
+    Where colours do not say how far a surface is, as on a mirror or inside its reflection, photographs and
+    outline agree with every surface between the visual hull and the true one; this term prefers the farthest.
+    `distances` count from where the ray enters the scene and are constants: only render weights move.
+    """
+    mean = (weights * distances.detach()).sum(dim=-1) / weights.sum(dim=-1).clamp_min(0.05)
+    return -torch.where(coverage > 0.99, mean, torch.zeros_like(mean)).mean()
+
+
+def flatness(
+    normal: Float[Tensor, "points 3"],
+    nearby: Float[Tensor, "points 3"],
+    weight: Float[Tensor, " points"],
+) -> Float[Tensor, ""]:
+    """Return the weighted mean distance of normals that lie close together.
+
+    It is the distance, not its square, so that a crease costs no more than the same turn spread over a bump.
+    """
+    difference = torch.sqrt((normal - nearby).square().sum(dim=-1) + 1e-4)
+    return (difference * weight).mean()
+
+
+def tangent_steps(
+    normal: Float[Tensor, "points 3"], scale: float, generator: torch.Generator
+) -> Float[Tensor, "points 3"]:
+    """Return random steps along the surface, normally distributed with standard deviation `scale`."""
+    frozen = normal.detach()
+    step = scale * torch.randn(normal.shape, generator=generator, device=normal.device, dtype=normal.dtype)
+    return step - (step * frozen).sum(dim=-1, keepdim=True) * frozen
