@@ -1,6 +1,11 @@
+from dataclasses import replace
+
 import torch
+from flashcache.caches.fast_cache import FastCacheAnswer, FastCacheConfig
+from flashcache.caches.nerf_cache import NerfCache, NerfCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
+from flashcache.fields.density import DensityConfig
 
 CONFIG = AppearanceConfig(
     grid=HashGridConfig(finest_resolution=32, log2_table_size=12),
@@ -51,3 +56,52 @@ def test_without_specular_only_the_specular_part_is_missing():
     whole, part = answer(), answer(with_specular=False)
     assert not part.specular.any()
     assert torch.equal(part.diffuse, whole.diffuse)
+
+
+class Wall(torch.nn.Module):
+    """Answers every reflected ray with the same radiance and opacity."""
+
+    def __init__(self, opacity: float) -> None:
+        super().__init__()
+        self.opacity = opacity
+
+    def forward(self, origins: torch.Tensor, directions: torch.Tensor, light_index: torch.Tensor):
+        opacity = torch.full((len(origins),), self.opacity)
+        return FastCacheAnswer(0.25 * self.opacity * torch.ones_like(origins), opacity, *3 * [opacity])
+
+
+def reflected(opacity: float, seed: int = 3) -> torch.Tensor:
+    """Return the specular radiance over what remains of it where reflections are white."""
+    torch.manual_seed(0)
+    config = replace(CONFIG, architecture="fast_like")
+    made = AppearanceField(config, 4, 1.5, 1, Wall(opacity))
+    with torch.no_grad():
+        made.reflection_head.weight.mul_(20.0)
+    hidden = torch.randn(10, 4, generator=torch.Generator().manual_seed(1))
+    index = torch.zeros(10, dtype=torch.long)
+    return made(unit(10, 3, seed=1), hidden, unit(10, 3, seed=2), unit(10, 3, seed=seed), index).specular
+
+
+def test_an_opaque_reflection_hides_the_far_field_and_a_clear_one_shows_it():
+    hidden, clear, half = (reflected(opacity) for opacity in (1.0, 0.0, 0.5))
+    torch.testing.assert_close(half, 0.5 * (hidden + clear))
+    share = clear / hidden
+    assert share.std() > 0.05  # the far field varies with direction, the wall does not
+
+
+def test_reflected_radiance_trains_through_the_ray_that_it_looks_along():
+    config = NerfCacheConfig(
+        appearance=replace(CONFIG, architecture="fast_like"),
+        density=DensityConfig(grid=CONFIG.grid, width=8, num_layers=1),
+        reflected=FastCacheConfig(distance_grid=CONFIG.grid, feature_grid=CONFIG.grid),
+    )
+    cache = NerfCache(config, 1.5, 1, (0.05, 2.0))
+    normal = unit(10, 3, seed=2).requires_grad_()
+    hidden, index = torch.randn(10, 8), torch.zeros(10, dtype=torch.long)
+    found = cache.appearance(unit(10, 3, seed=1), hidden, normal, unit(10, 3, seed=3), index)
+    found.specular.sum().backward()
+    network = cache.appearance.reflected
+    assert network.feature_grid.table.grad.abs().max() > 0.0
+    assert network.distance_head.weight.grad.abs().max() > 0.0
+    assert cache.appearance.reflection_head.weight.grad.abs().max() > 0.0
+    assert normal.grad.abs().max() > 0.0

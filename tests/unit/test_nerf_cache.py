@@ -26,7 +26,7 @@ CONFIG = NerfCacheConfig(
 
 def cache(secondary_colours: int = 0) -> NerfCache:
     torch.manual_seed(0)
-    made = NerfCache(replace(CONFIG, secondary_colours=secondary_colours), 1.5, 1)
+    made = NerfCache(replace(CONFIG, secondary_colours=secondary_colours), 1.5, 1, (0.05, 2.0))
     with torch.no_grad():
         for grid in (made.density.grid, made.appearance.grid):
             grid.table.normal_(0.0, 0.5)

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.encoding.directional import positional_encoding
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
+from flashcache.volume.proposal_sampling import SECONDARY_CURVE
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,19 +49,39 @@ class FastCache(nn.Module):
     """Maps secondary rays to what they meet, about ten times cheaper than the NeRF cache."""
 
     def __init__(
-        self, config: FastCacheConfig, contraction_radius: float, num_lights: int, near: float, far: float
+        self,
+        config: FastCacheConfig,
+        contraction_radius: float,
+        num_lights: int,
+        near: float,
+        far: float,
+        *,
+        position_frequencies: int | None = None,
+        origin_frequencies: int | None = None,
+        colour_bias: float = -2.0,
     ) -> None:
+        """The last three are for the copy inside the NeRF cache's appearance (supplement 2.2).
+
+        `position_frequencies` replaces `config.num_frequencies` for the origin in the distance network,
+        `origin_frequencies` lets the decoder see the encoded origin (not at all by default), and
+        `colour_bias` is added to the raw colour.
+        """
         super().__init__()
         self.config = config
+        self.position_frequencies = (
+            config.num_frequencies if position_frequencies is None else position_frequencies
+        )
+        self.origin_frequencies = origin_frequencies
+        self.colour_bias = colour_bias
         self.contraction_radius = contraction_radius
         self.num_lights = num_lights
         self.near, self.far = near, far
         self.distance_grid = HashGrid(config.distance_grid)
         self.code = Hidden(self.distance_grid.out_features, config.code_width, config.code_layers)
-        num_encoded = 3 + 6 * config.num_frequencies
+        num_encoded = 6 + 6 * (config.num_frequencies + self.position_frequencies)
         skip = 3 if config.distance_layers > 3 else None
         self.distance_network = Hidden(
-            self.code.num_outputs + 2 * num_encoded,
+            self.code.num_outputs + num_encoded,
             config.distance_width,
             config.distance_layers,
             skip_after=skip,
@@ -70,7 +90,9 @@ class FastCache(nn.Module):
         nn.init.zeros_(self.distance_head.weight)
         self.feature_grid = HashGrid(config.feature_grid)
         first, second = config.decoder_widths
-        self.decoder = nn.ModuleList([linear(self.feature_grid.out_features, first), linear(first, second)])
+        num_origin = 0 if origin_frequencies is None else 3 + 6 * origin_frequencies
+        num_mixed = self.feature_grid.out_features + num_origin
+        self.decoder = nn.ModuleList([linear(num_mixed, first), linear(first, second)])
         self.decoder_head = linear(second, 3 * num_lights)
 
     def forward(
@@ -87,7 +109,7 @@ class FastCache(nn.Module):
         contracted = contract(origins, self.contraction_radius)
         encoded = [
             self.code(self.distance_grid(contracted)),
-            positional_encoding(contracted, self.config.num_frequencies),
+            positional_encoding(contracted, self.position_frequencies),
             positional_encoding(directions, self.config.num_frequencies),
         ]
         raw = self.distance_head(self.distance_network(torch.cat(encoded, dim=-1)))
@@ -99,9 +121,11 @@ class FastCache(nn.Module):
         points = origins[:, None] + distances[..., None] * directions[:, None]
         features = self.feature_grid(contract(points.reshape(-1, 3), self.contraction_radius))
         mixed = (weights[..., None] * features.reshape(-1, count, features.shape[-1])).sum(dim=1)
+        if self.origin_frequencies is not None:
+            mixed = torch.cat([mixed, positional_encoding(origins, self.origin_frequencies)], dim=-1)
         hidden = torch.relu(self.decoder[1](torch.relu(self.decoder[0](mixed))))
         colour = self._of_light(self.decoder_head(hidden), light_index)
-        colour = torch.nn.functional.softplus(colour - 2.0)
+        colour = torch.nn.functional.softplus(colour + self.colour_bias)
         mean = (weights * distances).sum(dim=-1) / opacity.clamp_min(1e-3)
         distance = torch.where(opacity < 1e-3, torch.full_like(mean, self.far), mean)
         return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.errors import ConfigError
 from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
@@ -20,6 +21,8 @@ from flashcache.fields.density import (
 )
 from flashcache.geometry.rays import Rays
 from flashcache.volume.proposal_sampling import (
+    PRIMARY_CURVE,
+    SECONDARY_CURVE,
     DistanceCurve,
     RaySamples,
     SampleCounts,
@@ -27,9 +30,6 @@ from flashcache.volume.proposal_sampling import (
     sample_rays,
 )
 from flashcache.volume.quadrature import draw_points, render_weights
-
-PRIMARY_CURVE = DistanceCurve()
-SECONDARY_CURVE = DistanceCurve(power=-1.5, premultiplier=2.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,6 +45,8 @@ class NerfCacheConfig:
     density: DensityConfig = field(default_factory=DensityConfig)
     normals: NormalConfig = field(default_factory=NormalConfig)
     appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
+    reflected: FastCacheConfig = field(default_factory=FastCacheConfig)
+    """Sizes of the network for reflected radiance in the appearance architecture `fast_like`."""
     primary_counts: SampleCounts = field(default_factory=SampleCounts)
     secondary_counts: SampleCounts = field(default_factory=SampleCounts)
     secondary_colours: int = 0
@@ -86,7 +88,14 @@ class CacheAnswer(NamedTuple):
 class NerfCache(nn.Module):
     """Two proposal densities, the final density with normals, and the appearance."""
 
-    def __init__(self, config: NerfCacheConfig, contraction_radius: float, num_lights: int) -> None:
+    def __init__(
+        self,
+        config: NerfCacheConfig,
+        contraction_radius: float,
+        num_lights: int,
+        secondary: tuple[float, float],
+    ) -> None:
+        """`secondary` is the near and the far distance of reflected rays, scene units."""
         super().__init__()
         self.config = config
         self.proposals = nn.ModuleList(
@@ -95,7 +104,20 @@ class NerfCache(nn.Module):
         self.density = DensityField(config.density, contraction_radius)
         num_hidden = self.density.network.num_outputs
         self.normals = NormalField(config.normals, num_hidden, contraction_radius)
-        self.appearance = AppearanceField(config.appearance, num_hidden, contraction_radius, num_lights)
+        reflected = None
+        if config.appearance.architecture == "fast_like":
+            reflected = FastCache(
+                config.reflected,
+                contraction_radius,
+                num_lights,
+                *secondary,
+                position_frequencies=4,
+                origin_frequencies=4,
+                colour_bias=-1.0,
+            )
+        self.appearance = AppearanceField(
+            config.appearance, num_hidden, contraction_radius, num_lights, reflected
+        )
 
     def sample(
         self,

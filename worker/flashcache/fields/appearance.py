@@ -5,7 +5,7 @@ Directions point away from the surface; radiance is linear Rec. 709.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -22,8 +22,11 @@ RADIANCE_MAXIMUM = 1e4
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppearanceConfig:
-    """Sizes of the appearance networks (supplement 2.2, architecture `ide`)."""
+    """Sizes of the appearance networks (supplement 2.2)."""
 
+    architecture: Literal["ide", "fast_like"] = "ide"
+    """Where reflected radiance comes from: a network on the reflected direction alone, or a copy of the fast
+    cache along the reflected ray with a far field behind it, as in the paper."""
     grid: HashGridConfig = field(default_factory=HashGridConfig)
     bottleneck: int = 128
     factor_width: int = 64
@@ -36,7 +39,10 @@ class AppearanceConfig:
     """Frequencies of the view direction as a further input of the reflection network; -1 leaves it out, as
     the paper does (docs/decisions/0012-view-direction.md)."""
     reflection_width: int = 128
+    """Width of the network on the reflected direction; of the far field in `fast_like`."""
     reflection_layers: int = 4
+    far_degrees: int = 4
+    """Bands of the far field's directional encoding, `fast_like` only."""
 
 
 class Appearance(NamedTuple):
@@ -57,8 +63,14 @@ class AppearanceField(nn.Module):
     """Maps points, their density features, normals and view directions to outgoing radiance."""
 
     def __init__(
-        self, config: AppearanceConfig, num_hidden: int, contraction_radius: float, num_lights: int
+        self,
+        config: AppearanceConfig,
+        num_hidden: int,
+        contraction_radius: float,
+        num_lights: int,
+        reflected: nn.Module | None = None,
     ) -> None:
+        """`reflected` answers reflected rays in `fast_like`: near radiance and opacity, as the fast cache."""
         super().__init__()
         self.config = config
         self.contraction_radius = contraction_radius
@@ -70,14 +82,17 @@ class AppearanceField(nn.Module):
         self.bottleneck = linear(num_features, config.bottleneck)
         self.factor = Hidden(config.bottleneck + 1, config.factor_width, config.factor_layers)
         self.factor_head = linear(self.factor.num_outputs, 1)
-        self.directional = IntegratedDirectionalEncoding(config.num_degrees)
+        self.reflected = reflected
+        if config.architecture == "fast_like":
+            self.directional = IntegratedDirectionalEncoding(config.far_degrees)
+            num_inputs = self.directional.out_features
+        else:
+            self.directional = IntegratedDirectionalEncoding(config.num_degrees)
+            num_view = 3 + 6 * config.view_frequencies if config.view_frequencies >= 0 else 0
+            num_inputs = config.bottleneck + self.directional.out_features + num_view
         skip = 3 if config.reflection_layers > 3 else None
-        num_view = 3 + 6 * config.view_frequencies if config.view_frequencies >= 0 else 0
         self.reflection = Hidden(
-            config.bottleneck + self.directional.out_features + num_view,
-            config.reflection_width,
-            config.reflection_layers,
-            skip_after=skip,
+            num_inputs, config.reflection_width, config.reflection_layers, skip_after=skip
         )
         self.reflection_head = linear(self.reflection.num_outputs, 3 * num_lights)
 
@@ -110,14 +125,35 @@ class AppearanceField(nn.Module):
         factor = torch.sigmoid(
             self.factor_head(self.factor(torch.cat([bottleneck, cosine], dim=-1))) + math.log(3.0)
         )
-        direction_code = self.directional(reflect(omega_o, normal), width)
-        inputs = [bottleneck, direction_code]
-        if self.config.view_frequencies >= 0:
-            inputs.append(positional_encoding(omega_o, self.config.view_frequencies))
-        reflected = self.reflection_head(self.reflection(torch.cat(inputs, dim=-1)))
-        reflected = torch.nn.functional.softplus(self._of_light(reflected, light_index) - 1.0)
+        reflected = self._reflected(
+            positions, reflect(omega_o, normal), omega_o, width, bottleneck, light_index
+        )
         specular = (tint * factor * reflected).clamp_max(RADIANCE_MAXIMUM)
         return Appearance(diffuse, specular, irradiance)
+
+    def _reflected(
+        self,
+        positions: Tensor,
+        omega_r: Tensor,
+        omega_o: Tensor,
+        width: Tensor,
+        bottleneck: Tensor,
+        light_index: Tensor,
+    ) -> Tensor:
+        """Return the radiance that arrives around the reflected direction `omega_r`."""
+        code = self.directional(omega_r, width)
+        if self.config.architecture == "fast_like":
+            far = self._from_directions([code], light_index)
+            near = self.reflected(positions, omega_r, light_index)
+            return near.near_radiance + (1.0 - near.opacity)[:, None] * far
+        inputs = [bottleneck, code]
+        if self.config.view_frequencies >= 0:
+            inputs.append(positional_encoding(omega_o, self.config.view_frequencies))
+        return self._from_directions(inputs, light_index)
+
+    def _from_directions(self, inputs: list[Tensor], light_index: Tensor) -> Tensor:
+        raw = self.reflection_head(self.reflection(torch.cat(inputs, dim=-1)))
+        return torch.nn.functional.softplus(self._of_light(raw, light_index) - 1.0)
 
     def _of_light(self, values: Tensor, light_index: Tensor) -> Tensor:
         """Pick each point's light from heads laid out light after light."""

@@ -56,7 +56,7 @@ class InverseModel(nn.Module):
         near, far = domain.secondary
         self.config = config
         self.domain = domain
-        self.nerf = NerfCache(config.nerf, radius, num_lights)
+        self.nerf = NerfCache(config.nerf, radius, num_lights, (near, far))
         self.environment = Environment(
             config.environment,
             num_lights,

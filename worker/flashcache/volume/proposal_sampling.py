@@ -68,6 +68,10 @@ class DistanceCurve:
         return (self.ladder(t) - start) / (end - start).clamp_min(1e-9)
 
 
+PRIMARY_CURVE = DistanceCurve()
+SECONDARY_CURVE = DistanceCurve(power=-1.5, premultiplier=2.0)
+
+
 class Round(NamedTuple):
     """One round of sampling: edges in normalised distance and the weights found between them."""
 
