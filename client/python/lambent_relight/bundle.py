@@ -19,6 +19,7 @@ from lambent_relight.cameras import Camera, parse_cameras
 from lambent_relight.environments import Environment, load_environment
 from lambent_relight.errors import BundleError
 from lambent_relight.onnx_check import check_onnx
+from lambent_relight.uncertainty import UncertaintyGrid, read_uncertainty
 
 SCHEMA_MAJOR = 1
 """The major version of the format that this reader knows."""
@@ -77,6 +78,19 @@ class Bundle:
             copy = Path(folder) / "trained.exr"
             copy.write_bytes(data)
             return load_environment(copy)
+
+    def uncertainty(self) -> UncertaintyGrid | None:
+        """Return how well the photographs determine the materials, or None where the bundle does not say."""
+        if not self.manifest.HasField("uncertainty"):
+            return None
+        stated = self.manifest.uncertainty
+        if all(file.path != stated.path for file in self.manifest.files):
+            raise BundleError(
+                "bundle.file_missing", f'"{stated.path[:200]}" is not in files', "export the bundle again"
+            )
+        data = read_checked(self.source, stated.path, limit_bytes=_MAX_PICTURE_BYTES)
+        box = stated.box
+        return read_uncertainty(data, list(box.minimum), list(box.maximum), list(stated.channels))
 
     def _path_of_role(self, role: str) -> str:
         for file in self.manifest.files:

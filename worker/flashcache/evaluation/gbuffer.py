@@ -96,3 +96,14 @@ def _surface(model: InverseModel, rays: Rays, light: int) -> Float[Tensor, "rays
     distance = torch.where(empty, torch.zeros_like(distance), distance)
     albedo = composite(geometry.weights, materials.albedo) * share
     return torch.cat([opacity, distance, normal, albedo, width, metalness, colour], dim=-1)
+
+
+@torch.no_grad()
+def cache_picture(
+    model: InverseModel, rays: Rays, light: int
+) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, " rays"]]:
+    """Return the NeRF cache's radiance along rays, premultiplied over black, and their opacity."""
+    geometry = model.nerf.trace(rays, exponent=1.0, generator=None)
+    index = torch.full((len(rays),), light, device=rays.origins.device)
+    found = model.nerf.outgoing(geometry, rays.directions, index)
+    return composite(geometry.weights, found.radiance), geometry.opacity
