@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class BundleManifest(_message.Message):
-    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty")
+    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "transport")
     class MetricsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -34,6 +34,7 @@ class BundleManifest(_message.Message):
     ALBEDO_SCALE_RGB_FIELD_NUMBER: _ClassVar[int]
     METRICS_FIELD_NUMBER: _ClassVar[int]
     UNCERTAINTY_FIELD_NUMBER: _ClassVar[int]
+    TRANSPORT_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     scene_id: str
     name: str
@@ -52,7 +53,8 @@ class BundleManifest(_message.Message):
     albedo_scale_rgb: _containers.RepeatedScalarFieldContainer[float]
     metrics: _containers.ScalarMap[str, float]
     uncertainty: Uncertainty
-    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ...) -> None: ...
+    transport: Transport
+    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ...) -> None: ...
 
 class Generator(_message.Message):
     __slots__ = ("name", "version", "git_revision", "train_step")
@@ -125,6 +127,42 @@ class Uncertainty(_message.Message):
     box: _scene_pb2.Bounds
     channels: _containers.RepeatedScalarFieldContainer[str]
     def __init__(self, path: _Optional[str] = ..., box: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., channels: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Transport(_message.Message):
+    __slots__ = ("tier", "size", "num_texels", "texels_path", "planes", "shadow_bits_path", "num_shadow_directions")
+    TIER_FIELD_NUMBER: _ClassVar[int]
+    SIZE_FIELD_NUMBER: _ClassVar[int]
+    NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
+    TEXELS_PATH_FIELD_NUMBER: _ClassVar[int]
+    PLANES_FIELD_NUMBER: _ClassVar[int]
+    SHADOW_BITS_PATH_FIELD_NUMBER: _ClassVar[int]
+    NUM_SHADOW_DIRECTIONS_FIELD_NUMBER: _ClassVar[int]
+    tier: str
+    size: int
+    num_texels: int
+    texels_path: str
+    planes: _containers.RepeatedCompositeFieldContainer[TransportPlanes]
+    shadow_bits_path: str
+    num_shadow_directions: int
+    def __init__(self, tier: _Optional[str] = ..., size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texels_path: _Optional[str] = ..., planes: _Optional[_Iterable[_Union[TransportPlanes, _Mapping]]] = ..., shadow_bits_path: _Optional[str] = ..., num_shadow_directions: _Optional[int] = ...) -> None: ...
+
+class TransportPlanes(_message.Message):
+    __slots__ = ("name", "path", "bands", "channels", "num_texels", "scales", "offsets")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    BANDS_FIELD_NUMBER: _ClassVar[int]
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
+    SCALES_FIELD_NUMBER: _ClassVar[int]
+    OFFSETS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    path: str
+    bands: int
+    channels: int
+    num_texels: int
+    scales: _containers.RepeatedScalarFieldContainer[float]
+    offsets: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., bands: _Optional[int] = ..., channels: _Optional[int] = ..., num_texels: _Optional[int] = ..., scales: _Optional[_Iterable[float]] = ..., offsets: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Parity(_message.Message):
     __slots__ = ("max_abs_error", "tolerance", "num_samples")

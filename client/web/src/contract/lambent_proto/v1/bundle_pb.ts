@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/bundle.proto.
  */
 export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSLaBQoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkaLgoMTWV0cmljc0VudHJ5EgsKA2tleRgBIAEoCRINCgV2YWx1ZRgCIAEoAToCOAEiVAoJR2VuZXJhdG9yEgwKBG5hbWUYASABKAkSDwoHdmVyc2lvbhgCIAEoCRIUCgxnaXRfcmV2aXNpb24YAyABKAkSEgoKdHJhaW5fc3RlcBgEIAEoDSJsCgVXb3JsZBIPCgd1cF9heGlzGAEgASgJEhIKCmhhbmRlZG5lc3MYAiABKAkSDAoEdW5pdBgDIAEoCRIeChZlbnZpcm9ubWVudF9jb252ZW50aW9uGAQgASgJEhAKCHJhZGlhbmNlGAUgASgJIkEKDVNlY29uZGFyeVJheXMSFQoNb3JpZ2luX29mZnNldBgBIAEoARIMCgRuZWFyGAIgASgBEgsKA2ZhchgDIAEoASJgCgpCdW5kbGVGaWxlEgwKBHBhdGgYASABKAkSEgoKc2l6ZV9ieXRlcxgCIAEoARIOCgZzaGEyNTYYAyABKAkSEgoKbWVkaWFfdHlwZRgEIAEoCRIMCgRyb2xlGAUgASgJIlwKBUdyYXBoEgwKBG5hbWUYASABKAkSDAoEcGF0aBgCIAEoCRINCgVsaWdodBgDIAEoCRIoCgZwYXJpdHkYBCABKAsyGC5sYW1iZW50X3Byb3RvLnYxLlBhcml0eSJUCgtVbmNlcnRhaW50eRIMCgRwYXRoGAEgASgJEiUKA2JveBgCIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEhAKCGNoYW5uZWxzGAMgAygJIkcKBlBhcml0eRIVCg1tYXhfYWJzX2Vycm9yGAEgASgBEhEKCXRvbGVyYW5jZRgCIAEoARITCgtudW1fc2FtcGxlcxgDIAEoDSKSAQoER3JpZBIMCgRuYW1lGAEgASgJEg4KBnRlbnNvchgCIAEoCRIUCgxudW1fZmVhdHVyZXMYAyABKA0SEwoLaGFsZl9leHRlbnQYBCABKAESFAoMb3V0cHV0X3NjYWxlGAUgASgBEisKBmxldmVscxgGIAMoCzIbLmxhbWJlbnRfcHJvdG8udjEuR3JpZExldmVsInAKCUdyaWRMZXZlbBISCgpyZXNvbHV0aW9uGAEgASgNEhEKCWZpcnN0X3JvdxgCIAEoDRIQCghudW1fcm93cxgDIAEoDRIUCgxtdWx0aXBsaWVyX3kYBCABKA0SFAoMbXVsdGlwbGllcl96GAUgASgNImMKC1RlbnNvckVudHJ5EgwKBG5hbWUYASABKAkSDQoFZHR5cGUYAiABKAkSDQoFc2hhcGUYAyADKA0SFAoMb2Zmc2V0X2J5dGVzGAQgASgBEhIKCnNpemVfYnl0ZXMYBSABKAFiBnByb3RvMw", [file_lambent_proto_v1_scene]);
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKKBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSLgoJdHJhbnNwb3J0GBQgASgLMhsubGFtYmVudF9wcm90by52MS5UcmFuc3BvcnQaLgoMTWV0cmljc0VudHJ5EgsKA2tleRgBIAEoCRINCgV2YWx1ZRgCIAEoAToCOAEiVAoJR2VuZXJhdG9yEgwKBG5hbWUYASABKAkSDwoHdmVyc2lvbhgCIAEoCRIUCgxnaXRfcmV2aXNpb24YAyABKAkSEgoKdHJhaW5fc3RlcBgEIAEoDSJsCgVXb3JsZBIPCgd1cF9heGlzGAEgASgJEhIKCmhhbmRlZG5lc3MYAiABKAkSDAoEdW5pdBgDIAEoCRIeChZlbnZpcm9ubWVudF9jb252ZW50aW9uGAQgASgJEhAKCHJhZGlhbmNlGAUgASgJIkEKDVNlY29uZGFyeVJheXMSFQoNb3JpZ2luX29mZnNldBgBIAEoARIMCgRuZWFyGAIgASgBEgsKA2ZhchgDIAEoASJgCgpCdW5kbGVGaWxlEgwKBHBhdGgYASABKAkSEgoKc2l6ZV9ieXRlcxgCIAEoARIOCgZzaGEyNTYYAyABKAkSEgoKbWVkaWFfdHlwZRgEIAEoCRIMCgRyb2xlGAUgASgJIlwKBUdyYXBoEgwKBG5hbWUYASABKAkSDAoEcGF0aBgCIAEoCRINCgVsaWdodBgDIAEoCRIoCgZwYXJpdHkYBCABKAsyGC5sYW1iZW50X3Byb3RvLnYxLlBhcml0eSJUCgtVbmNlcnRhaW50eRIMCgRwYXRoGAEgASgJEiUKA2JveBgCIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEhAKCGNoYW5uZWxzGAMgAygJIrwBCglUcmFuc3BvcnQSDAoEdGllchgBIAEoCRIMCgRzaXplGAIgASgNEhIKCm51bV90ZXhlbHMYAyABKA0SEwoLdGV4ZWxzX3BhdGgYBCABKAkSMQoGcGxhbmVzGAUgAygLMiEubGFtYmVudF9wcm90by52MS5UcmFuc3BvcnRQbGFuZXMSGAoQc2hhZG93X2JpdHNfcGF0aBgGIAEoCRIdChVudW1fc2hhZG93X2RpcmVjdGlvbnMYByABKA0igwEKD1RyYW5zcG9ydFBsYW5lcxIMCgRuYW1lGAEgASgJEgwKBHBhdGgYAiABKAkSDQoFYmFuZHMYAyABKA0SEAoIY2hhbm5lbHMYBCABKA0SEgoKbnVtX3RleGVscxgFIAEoDRIOCgZzY2FsZXMYBiADKAESDwoHb2Zmc2V0cxgHIAMoASJHCgZQYXJpdHkSFQoNbWF4X2Fic19lcnJvchgBIAEoARIRCgl0b2xlcmFuY2UYAiABKAESEwoLbnVtX3NhbXBsZXMYAyABKA0ikgEKBEdyaWQSDAoEbmFtZRgBIAEoCRIOCgZ0ZW5zb3IYAiABKAkSFAoMbnVtX2ZlYXR1cmVzGAMgASgNEhMKC2hhbGZfZXh0ZW50GAQgASgBEhQKDG91dHB1dF9zY2FsZRgFIAEoARIrCgZsZXZlbHMYBiADKAsyGy5sYW1iZW50X3Byb3RvLnYxLkdyaWRMZXZlbCJwCglHcmlkTGV2ZWwSEgoKcmVzb2x1dGlvbhgBIAEoDRIRCglmaXJzdF9yb3cYAiABKA0SEAoIbnVtX3Jvd3MYAyABKA0SFAoMbXVsdGlwbGllcl95GAQgASgNEhQKDG11bHRpcGxpZXJfehgFIAEoDSJjCgtUZW5zb3JFbnRyeRIMCgRuYW1lGAEgASgJEg0KBWR0eXBlGAIgASgJEg0KBXNoYXBlGAMgAygNEhQKDG9mZnNldF9ieXRlcxgEIAEoARISCgpzaXplX2J5dGVzGAUgASgBYgZwcm90bzM", [file_lambent_proto_v1_scene]);
 
 /**
  * manifest.json of a bundle.
@@ -129,6 +129,13 @@ export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
    * @generated from field: lambent_proto.v1.Uncertainty uncertainty = 18;
    */
   uncertainty?: Uncertainty | undefined;
+
+  /**
+   * Baked light transport; absent in bundles before 1.1.
+   *
+   * @generated from field: lambent_proto.v1.Transport transport = 20;
+   */
+  transport?: Transport | undefined;
 };
 
 /**
@@ -361,6 +368,118 @@ export const UncertaintySchema: GenMessage<Uncertainty> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_bundle, 6);
 
 /**
+ * How light travels over the object, in texels (docs/reference/bundle-format.md).
+ *
+ * @generated from message lambent_proto.v1.Transport
+ */
+export type Transport = Message<"lambent_proto.v1.Transport"> & {
+  /**
+   * "full" or "lite".
+   *
+   * @generated from field: string tier = 1;
+   */
+  tier: string;
+
+  /**
+   * Texels along a side of the square atlas.
+   *
+   * @generated from field: uint32 size = 2;
+   */
+  size: number;
+
+  /**
+   * @generated from field: uint32 num_texels = 3;
+   */
+  numTexels: number;
+
+  /**
+   * One bit per place of the atlas, rows from the top, lowest bit first: covered or not.
+   *
+   * @generated from field: string texels_path = 4;
+   */
+  texelsPath: string;
+
+  /**
+   * "direct", "visibility" and "indirect".
+   *
+   * @generated from field: repeated lambent_proto.v1.TransportPlanes planes = 5;
+   */
+  planes: TransportPlanes[];
+
+  /**
+   * One bit per texel and direction; empty where there are none.
+   *
+   * @generated from field: string shadow_bits_path = 6;
+   */
+  shadowBitsPath: string;
+
+  /**
+   * @generated from field: uint32 num_shadow_directions = 7;
+   */
+  numShadowDirections: number;
+};
+
+/**
+ * Describes the message lambent_proto.v1.Transport.
+ * Use `create(TransportSchema)` to create a new message.
+ */
+export const TransportSchema: GenMessage<Transport> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_bundle, 7);
+
+/**
+ * Planes of texels, one signed byte each: value = offset + scale * byte.
+ *
+ * @generated from message lambent_proto.v1.TransportPlanes
+ */
+export type TransportPlanes = Message<"lambent_proto.v1.TransportPlanes"> & {
+  /**
+   * @generated from field: string name = 1;
+   */
+  name: string;
+
+  /**
+   * @generated from field: string path = 2;
+   */
+  path: string;
+
+  /**
+   * Spherical harmonics of this many bands: bands^2 coefficients.
+   *
+   * @generated from field: uint32 bands = 3;
+   */
+  bands: number;
+
+  /**
+   * 3: red, green, blue of each coefficient follow each other.
+   *
+   * @generated from field: uint32 channels = 4;
+   */
+  channels: number;
+
+  /**
+   * @generated from field: uint32 num_texels = 5;
+   */
+  numTexels: number;
+
+  /**
+   * @generated from field: repeated double scales = 6;
+   */
+  scales: number[];
+
+  /**
+   * @generated from field: repeated double offsets = 7;
+   */
+  offsets: number[];
+};
+
+/**
+ * Describes the message lambent_proto.v1.TransportPlanes.
+ * Use `create(TransportPlanesSchema)` to create a new message.
+ */
+export const TransportPlanesSchema: GenMessage<TransportPlanes> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_bundle, 8);
+
+/**
  * @generated from message lambent_proto.v1.Parity
  */
 export type Parity = Message<"lambent_proto.v1.Parity"> & {
@@ -385,7 +504,7 @@ export type Parity = Message<"lambent_proto.v1.Parity"> & {
  * Use `create(ParitySchema)` to create a new message.
  */
 export const ParitySchema: GenMessage<Parity> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 7);
+  messageDesc(file_lambent_proto_v1_bundle, 9);
 
 /**
  * A multi-resolution feature grid with the additive lattice hash.
@@ -433,7 +552,7 @@ export type Grid = Message<"lambent_proto.v1.Grid"> & {
  * Use `create(GridSchema)` to create a new message.
  */
 export const GridSchema: GenMessage<Grid> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 8);
+  messageDesc(file_lambent_proto_v1_bundle, 10);
 
 /**
  * @generated from message lambent_proto.v1.GridLevel
@@ -474,7 +593,7 @@ export type GridLevel = Message<"lambent_proto.v1.GridLevel"> & {
  * Use `create(GridLevelSchema)` to create a new message.
  */
 export const GridLevelSchema: GenMessage<GridLevel> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 9);
+  messageDesc(file_lambent_proto_v1_bundle, 11);
 
 /**
  * @generated from message lambent_proto.v1.TensorEntry
@@ -513,5 +632,5 @@ export type TensorEntry = Message<"lambent_proto.v1.TensorEntry"> & {
  * Use `create(TensorEntrySchema)` to create a new message.
  */
 export const TensorEntrySchema: GenMessage<TensorEntry> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 10);
+  messageDesc(file_lambent_proto_v1_bundle, 12);
 
