@@ -24,6 +24,12 @@ def looked_at_point(
     return np.linalg.solve(total, (projectors @ positions[:, :, None]).sum(axis=0)[:, 0])
 
 
+def stand_apart(positions: Float64[ndarray, "cameras 3"], centre: Float64[ndarray, "3"]) -> bool:
+    """Return whether most cameras stand in different places, seen from the point they look at."""
+    from_middle = np.linalg.norm(positions - np.median(positions, axis=0), axis=-1)
+    return bool(np.median(from_middle) > 0.1 * np.median(np.linalg.norm(positions - centre, axis=-1)))
+
+
 def camera_axes(
     frames: list[scene_pb2.Frame],
 ) -> tuple[Float64[ndarray, "cameras 3"], Float64[ndarray, "cameras 3"]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.scenes import glossy_synthetic
-from lambent_worker.scenes.detect import collect_scene
+from lambent_worker.scenes.detect import collect_scene, detect_layout
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size, read_coverage
 from lambent_worker.scenes.problems import Problems
@@ -33,20 +33,19 @@ def inspect_scene(
     layout: str | None = None,
     skip: frozenset[str] = frozenset(),
     announce: Callable[[str], None] = lambda path: None,
+    masks: Path | None = None,
 ) -> scene_pb2.SceneReport:
     """Return the report on the capture in `folder`, with every problem (at most 100 findings).
 
     `skip` names files that must not be opened because they have brought a reader down; each is reported as an
-    error. `announce` is called with the path of each file before it is decoded.
+    error. `announce` is called with the path of each file before it is decoded. `masks` is a folder of masks
+    that go before those of the layout.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems)
+    manifest = collect_scene(folder, layout, problems, masks)
     if folder.is_dir():
-        known = (
-            glossy_synthetic.pickles_of(folder)
-            if manifest and manifest.layout == glossy_synthetic.NAME
-            else set()
-        )
+        is_glossy = (layout or detect_layout(folder)) == glossy_synthetic.NAME
+        known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
         _find_unsupported(folder, known, problems)
     if manifest is None:
         return scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())

@@ -6,7 +6,7 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.scenes.conventions import CONVENTIONS
-from lambent_worker.scenes.extent import camera_axes, looked_at_point
+from lambent_worker.scenes.extent import camera_axes, looked_at_point, stand_apart
 from lambent_worker.scenes.problems import Problems
 
 MIN_TRAIN_FRAMES = 3
@@ -53,8 +53,7 @@ def _fitting_convention(frames: list[scene_pb2.Frame]) -> str:
         centre = looked_at_point(positions, directions)
         if centre is None:
             continue
-        distance = np.linalg.norm(positions - centre, axis=-1)
-        if np.linalg.norm(positions - positions[0], axis=-1).max() < 0.1 * distance.max():
+        if not stand_apart(positions, centre):
             continue
         sights = [_sight(frame.camera, pose, centre) for frame, pose in zip(frames, turned, strict=True)]
         if all(shown for _, shown in sights):

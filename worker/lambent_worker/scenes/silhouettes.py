@@ -14,22 +14,26 @@ from numpy import ndarray
 from scipy.ndimage import maximum_filter
 
 from lambent_worker.scenes.conventions import CONVENTIONS, Convention
-from lambent_worker.scenes.extent import looked_at_point
+from lambent_worker.scenes.extent import looked_at_point, stand_apart
 
 MASK_SIDE = 96
 """Longer side of the masks used here, pixels."""
-GRID = 44
-"""Points along each side of the grid."""
+FIRST_GRID, SECOND_GRID = 28, 44
+"""Points along each side of the grid that finds the object and of the one that covers it."""
 START = 0.6
 """Half the side of the first grid, as a share of the distance between cameras and object."""
 OUTSIDE_SHARE = 0.02
-"""Share of the cameras showing a point that may show it outside the mask; one may in any case from 20 on."""
+"""Share of the cameras showing a point that may show it outside the mask."""
+ONE_MAY_DIFFER_FROM = 20
+"""Number of cameras showing a point from which on one may differ, however small its share."""
 LEAST_SEEN = 0.5
 """Share of the cameras that must show a point."""
 INSIDE = 0.5
 """Coverage from which on a pixel counts as the object."""
 AGREEMENT = 0.98
 """Share of a mask that the hull explains in a sound capture (it is 1 but for noise and small errors)."""
+SINGLE_AGREEMENT = 0.95
+"""The same for the worst single mask."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -77,8 +81,11 @@ def silhouette_of(frame: scene_pb2.Frame, coverage: Float[ndarray, "height width
     )
 
 
-def carve(views: Sequence[Silhouette]) -> Hull | None:
+def carve(views: Sequence[Silhouette], one_may_differ_from: int = ONE_MAY_DIFFER_FROM) -> Hull | None:
     """Return the hull of the object the cameras surround, or None where the masks leave no point.
+
+    Cameras showing a point inside the mask must be all but 2 %, or all but one where at least
+    `one_may_differ_from` show it.
 
     The first grid reaches 0.6 times the distance of the cameras to each side of the point they look at; the
     second one covers what is left, so its points are as fine as the object allows.
@@ -88,13 +95,13 @@ def carve(views: Sequence[Silhouette]) -> Hull | None:
     if centre is None:
         return None
     reach = START * float(np.median(np.linalg.norm(positions - centre, axis=-1)))
-    first = _carved(views, centre - reach, centre + reach)
+    first = _carved(views, centre - reach, centre + reach, FIRST_GRID, one_may_differ_from)
     if first is None:
         return None
     low, high = first.box
     open_low = low < centre - reach + first.spacing
     open_high = high > centre + reach - first.spacing
-    second = _carved(views, low - first.spacing, high + first.spacing)
+    second = _carved(views, low - first.spacing, high + first.spacing, SECOND_GRID, one_may_differ_from)
     return None if second is None else replace(second, open_low=open_low, open_high=open_high)
 
 
@@ -113,24 +120,39 @@ def explained(views: Sequence[Silhouette], hull: Hull | None) -> Float64[ndarray
     return np.array(shares)
 
 
-def other_convention(views: Sequence[Silhouette]) -> Convention | None:
-    """Return the convention under which the poses explain the masks best, or None where none does."""
+def other_convention(views: Sequence[Silhouette], better_than: float) -> Convention | None:
+    """Return the convention under which the poses explain the masks best, or None where none does.
+
+    It must explain every mask but for noise, and on average more than the share `better_than`.
+    """
     poses = np.stack([view.pose for view in views])
-    shares = []
+    best: Convention | None = None
     for convention in CONVENTIONS:
-        turned = [
-            replace(view, pose=pose) for view, pose in zip(views, convention.applied(poses), strict=True)
-        ]
-        shares.append(float(np.median(explained(turned, carve(turned)))))
-    best = int(np.argmax(shares))
-    return CONVENTIONS[best] if shares[best] >= AGREEMENT else None
+        applied = convention.applied(poses)
+        centre = looked_at_point(applied[:, :3, 3], -applied[:, :3, 2])
+        # Cameras on one spot would explain anything.
+        if centre is None or not stand_apart(applied[:, :3, 3], centre):
+            continue
+        turned = [replace(v, pose=p) for v, p in zip(views, applied, strict=True)]
+        shares = explained(turned, carve(turned))
+        if (
+            np.median(shares) >= AGREEMENT
+            and shares.min() >= SINGLE_AGREEMENT
+            and shares.mean() > better_than
+        ):
+            best, better_than = convention, float(shares.mean())
+    return best
 
 
 def _carved(
-    views: Sequence[Silhouette], low: Float64[ndarray, "3"], high: Float64[ndarray, "3"]
+    views: Sequence[Silhouette],
+    low: Float64[ndarray, "3"],
+    high: Float64[ndarray, "3"],
+    size: int,
+    one_may_differ_from: int,
 ) -> Hull | None:
-    spacing = (high - low) / GRID
-    axes = [low[i] + (np.arange(GRID) + 0.5) * spacing[i] for i in range(3)]
+    spacing = (high - low) / size
+    axes = [low[i] + (np.arange(size) + 0.5) * spacing[i] for i in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     num_seen = np.zeros(len(points), dtype=np.int32)
     num_outside = np.zeros(len(points), dtype=np.int32)
@@ -142,15 +164,17 @@ def _carved(
         mask = maximum_filter(view.mask, _footprint(view, spacing, float(np.median(distance[seen]))))
         num_seen += seen
         num_outside += seen & ~mask[row, column]
-    kept = (num_seen >= max(3.0, LEAST_SEEN * len(views))) & (num_outside <= _allowed(num_seen))
+    kept = (num_seen >= max(3.0, LEAST_SEEN * len(views))) & (
+        num_outside <= _allowed(num_seen, one_may_differ_from)
+    )
     if not kept.any():
         return None
     closed = np.zeros(3, dtype=bool)
     return Hull(points=points[kept], spacing=spacing, open_low=closed, open_high=closed)
 
 
-def _allowed(num_seen: Int[ndarray, " points"]) -> Float64[ndarray, " points"]:
-    return np.where(num_seen >= 20, np.maximum(1.0, OUTSIDE_SHARE * num_seen), 0.0)
+def _allowed(num_seen: Int[ndarray, " points"], one_may_differ_from: int) -> Float64[ndarray, " points"]:
+    return np.where(num_seen >= one_may_differ_from, np.maximum(1.0, OUTSIDE_SHARE * num_seen), 0.0)
 
 
 def _footprint(view: Silhouette, spacing: Float64[ndarray, "3"], distance: float) -> int:

@@ -8,6 +8,7 @@
 """
 
 import re
+from collections import Counter
 from pathlib import Path
 
 from lambent_proto.v1 import scene_pb2
@@ -50,6 +51,7 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
     """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
     capture = Capture(name=folder.resolve().name)
     views = sorted(p.name for p in folder.iterdir() if p.is_dir() and _VIEW.match(p.name))
+    _check_numbers(views, problems)
     lights_of = {view: _lights(folder / view) for view in views}
     _choose_lights(folder, capture, lights_of, problems)
     for view in views:
@@ -59,6 +61,20 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
     return capture
 
 
+def _check_numbers(views: list[str], problems: Problems) -> None:
+    """Note folders that name one view twice, such as train_3 and train_003."""
+    first: dict[tuple[str, int], str] = {}
+    for view in views:
+        split, _, number = view.partition("_")
+        other = first.setdefault((split, int(number)), view)
+        if other != view:
+            problems.error(
+                "scene.frame_duplicate",
+                f"{view} and {other} are the same view of the layout; keep one of the two",
+                view,
+            )
+
+
 def _lights(folder: Path) -> set[str]:
     return {p.stem.removeprefix("rgba_") for p in folder.glob("rgba_*.png")}
 
@@ -66,8 +82,8 @@ def _lights(folder: Path) -> set[str]:
 def _choose_lights(
     folder: Path, capture: Capture, lights_of: dict[str, set[str]], problems: Problems
 ) -> None:
-    trained = set().union(*(lights for view, lights in lights_of.items() if view.startswith("train_")))
-    tested = set().union(*(lights for view, lights in lights_of.items() if view.startswith("test_")))
+    trained = _common_lights({v: lights for v, lights in lights_of.items() if v.startswith("train_")})
+    tested = _common_lights({v: lights for v, lights in lights_of.items() if v.startswith("test_")})
     known = {name: i for i, name in enumerate((*TRAIN_LIGHTS, *RELIGHT_LIGHTS))}
     in_order = sorted(trained, key=lambda light: (known.get(light, len(known)), light))
     capture.lights = [light for light in in_order if light not in RELIGHT_LIGHTS] or in_order
@@ -75,6 +91,15 @@ def _choose_lights(
         _read_scene_json(folder, capture, trained, problems)
     others = (tested | trained) - set(capture.lights)
     capture.relight_lights = sorted(others & tested)
+    for view in lights_of:
+        capture.other_files |= {f"{view}/{path.name}" for path in (folder / view).glob("radiance_*")}
+        capture.other_files |= {f"{view}/rgba_{light}.png" for light in trained | tested}
+
+
+def _common_lights(lights_of: dict[str, set[str]]) -> set[str]:
+    """Return the lights that at least half of the views show; others are pictures that got in by mistake."""
+    counts = Counter(light for lights in lights_of.values() for light in lights)
+    return {light for light, count in counts.items() if 2 * count >= len(lights_of)}
 
 
 def _read_scene_json(folder: Path, capture: Capture, trained: set[str], problems: Problems) -> None:
