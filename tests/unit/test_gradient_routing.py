@@ -10,6 +10,7 @@ from flashcache.data.ray_budget import RayBudget
 from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.consistency import UnobservedConfig
 from flashcache.losses.environment import EnvironmentPriorConfig
+from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
@@ -51,6 +52,7 @@ REACHED = {
     "unobserved_irradiance": HEADS,
     "smoothness": {"materials"},
     "clusters": {"materials"},
+    "metalness": {"materials"},
     "grey": {"environment"},
     "white": {"environment"},
     "variation": {"environment"},
@@ -68,6 +70,7 @@ EVERYTHING = {
     "unobserved": UnobservedConfig(weight=0.1),
     "smoothness_weight": 0.1,
     "clusters": ClusterConfig(weight=0.1),
+    "metalness_prior": MetalnessPriorConfig(weight=0.1),
     "grey_weight": 0.1,
     "environment_prior": EnvironmentPriorConfig(white_weight=0.1, variation_weight=0.1),
     "grid_decay": 1.0,
@@ -109,7 +112,7 @@ def sizes(made: StageTwo, term: torch.Tensor) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def reached() -> dict[str, set[str]]:
     made = stage()
-    terms, _, _ = made.losses()
+    terms = made.losses()[0]
     return {name: set(sizes(made, term)) for name, term in terms.items()}
 
 

@@ -73,16 +73,19 @@ def decay_terms(model: InverseModel, config: StageTwoConfig) -> Terms:
     return {"grid_decay": config.grid_decay * grid_decay(grids)}
 
 
-def physical_terms(
-    config: StageTwoConfig, batch: RayBatch, cache: Float[Tensor, "rays 3"], first: Pass, second: Pass
-) -> Terms:
-    """Return the photometric loss of the physically based pictures over black."""
+def physical_loss(
+    config: StageTwoConfig,
+    batch: RayBatch,
+    cache: Float[Tensor, "rays 3"],
+    picture: Float[Tensor, "rays 3"],
+    other: Float[Tensor, "rays 3"],
+) -> Float[Tensor, ""]:
+    """Return the weighted photometric loss of a physical picture over black; `other` is a constant."""
     counted = (batch.coverage > 0.0).to(cache.dtype) * batch.weight
     wanted = batch.colour * batch.coverage[:, None]
-    loss = physical_photometric(wanted, first.picture, second.picture, cache, counted)
-    if config.symmetric:
-        loss = 0.5 * (loss + physical_photometric(wanted, second.picture, first.picture, cache, counted))
-    return {"physical": config.physical_weight * loss}
+    share = 0.5 if config.symmetric else 1.0
+    loss = physical_photometric(wanted, picture, other.detach(), cache, counted)
+    return share * config.physical_weight * loss
 
 
 def consistency_terms(

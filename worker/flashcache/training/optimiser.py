@@ -1,6 +1,6 @@
 """Adam over the parts of a model, each with its own peak rate."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,10 +59,17 @@ def set_rates(optimiser: torch.optim.Adam, factor: float) -> None:
         group["lr"] = group["peak"] * factor
 
 
-def apply_gradients(optimiser: torch.optim.Adam, loss: torch.Tensor) -> bool:
-    """Back-propagate and take a step; returns False, and changes nothing, if a gradient is not finite."""
+def apply_gradients(
+    optimiser: torch.optim.Adam, loss: torch.Tensor, collect: Callable[[], None] | None = None
+) -> bool:
+    """Back-propagate and take a step; returns False, and changes nothing, if a gradient is not finite.
+
+    `collect` adds gradients of its own before the step, while the graph of `loss` is still there.
+    """
     optimiser.zero_grad(set_to_none=False)
-    loss.backward()
+    loss.backward(retain_graph=collect is not None)
+    if collect is not None:
+        collect()
     gradients = [p.grad for group in optimiser.param_groups for p in group["params"] if p.grad is not None]
     # One sum per tensor: a NaN or infinity anywhere makes the total non-finite.
     total = torch.stack([gradient.sum() for gradient in gradients]).sum()

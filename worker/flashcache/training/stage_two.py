@@ -4,6 +4,9 @@ Names: pass A and pass B are two independent estimates of the same pixels; with 
 the squared error would gain the estimator's variance (supplement Eq. 2).
 """
 
+import functools
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -21,7 +24,7 @@ from flashcache.training.joint_losses import (
     environment_terms,
     material_terms,
     metalness_terms,
-    physical_terms,
+    physical_loss,
     secondary_terms,
 )
 from flashcache.training.optimiser import (
@@ -34,6 +37,7 @@ from flashcache.training.optimiser import (
 )
 from flashcache.training.passes import shade
 from flashcache.training.schedule import rate_factor
+from flashcache.training.second_pass import SecondPass, one_thread_each
 from flashcache.training.stage_one import masked_psnr
 from flashcache.training.unobserved import unobserved_terms
 from flashcache.volume.quadrature import composite
@@ -63,6 +67,7 @@ class StageTwo:
         model.nerf.requires_grad_(bool(config.cache_weight))
         model.nerf.proposals.requires_grad_(False)
         self.optimiser = build_optimiser(parameter_groups(parts))
+        self.second = SecondPass(model, config)
         self.errors = None
         if config.budget.error_share:
             self.errors = ErrorMap(config.budget, pixels.inside, len(pixels.pixels))
@@ -77,11 +82,12 @@ class StageTwo:
     def step(self) -> StepRecord:
         """Take one training step."""
         config, step = self.config, self.steps_done
-        terms, picture, batch = self.losses()
-        loss = torch.stack(list(terms.values())).sum()
         factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
         set_rates(self.optimiser, factor)
-        applied = apply_gradients(self.optimiser, loss)
+        with one_thread_each(self.second.parallel and step >= config.warmup_steps):
+            terms, picture, batch, collect = self.losses()
+            loss = torch.stack(list(terms.values())).sum()
+            applied = apply_gradients(self.optimiser, loss, collect)
         self.steps_done += 1
         self.num_skipped += not applied
         return StepRecord(
@@ -93,8 +99,11 @@ class StageTwo:
             skipped=not applied,
         )
 
-    def losses(self) -> tuple[Terms, Tensor, RayBatch]:
-        """Return the weighted losses of the next step by name, its physical picture over black, its batch."""
+    def losses(self) -> tuple[Terms, Tensor, RayBatch, Callable[[], None] | None]:
+        """Return the weighted losses of the next step by name, its physical picture over black, its batch.
+
+        The last result adds the gradients that reach the model through pass B, where it has any.
+        """
         config, model, step = self.config, self.model, self.steps_done
         device = self.pixels.device
         generator = generator_for(self.seed, STAGE, step, "rays", device)
@@ -112,14 +121,21 @@ class StageTwo:
         if config.cache_weight:
             terms |= cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
         terms |= decay_terms(model, config)
+        with_second = step >= config.warmup_steps
+        if with_second:
+            self.second.start(batch, geometry, generator_for(self.seed, STAGE, step, "pass B", device))
         first = shade(model, config, batch, geometry, generator_for(self.seed, STAGE, step, "pass A", device))
-        picture = first.picture
-        if step >= config.warmup_steps:
-            with torch.set_grad_enabled(config.symmetric):
-                other = generator_for(self.seed, STAGE, step, "pass B", device)
-                second = shade(model, config, batch, geometry, other, supervise=False)
-            picture = 0.5 * (first.picture + second.picture.detach())
-            terms |= physical_terms(config, batch, cache, first, second)
+        picture, collect = first.picture, None
+        if with_second:
+            second = self.second.result().picture
+            picture = 0.5 * (first.picture + second.detach())
+            terms["physical"] = physical_loss(config, batch, cache, first.picture, second)
+            if config.symmetric:
+                leaf = second.detach().requires_grad_()
+                other = physical_loss(config, batch, cache, leaf, first.picture)
+                self.second.differentiate(second, *torch.autograd.grad(other, leaf))
+                terms["physical"] = terms["physical"] + other.detach()
+                collect = functools.partial(self.second.collect, geometry)
             if config.cache_weight and config.consistency_weight:
                 points = first.points
                 terms |= consistency_terms(
@@ -140,7 +156,7 @@ class StageTwo:
             model, config, batch, geometry, first, generator, warming_up=step < config.warmup_steps
         )
         terms |= secondary_terms(model, config, first)
-        return terms, picture, batch
+        return terms, picture, batch, collect
 
     def extra_state(self) -> dict[str, Tensor]:
         """Return what a resumed run needs besides model and optimiser."""

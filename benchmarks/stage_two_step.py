@@ -1,0 +1,78 @@
+"""Time a stage-two training step: both passes at once on two cores, against one after the other.
+
+    python benchmarks/stage_two_step.py [--preset fast] [--steps 25] [--quick]
+
+All sides take the same steps of the same preset on a synthetic sphere, in turn in one process: pass B beside
+pass A on one core each, one after the other with two threads inside every operation, and with one. Figures
+are wall-clock seconds, median and range over the steps after two to warm up. At the end the models of the
+first and the last side are compared: they must be equal bit for bit.
+"""
+
+import argparse
+import os
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+import torch
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.space import domain_of
+from flashcache.physical.model import InverseModel
+from flashcache.presets import preset
+from flashcache.training.stage_two import StageTwo
+from support.lit_sphere import lit_sphere
+
+SIDES = {"both at once": (2, 2), "in turn, two threads": (1, 2), "in turn, one thread": (1, 1)}
+"""Threads while the stage is made, which decides how pass B runs, and while it steps."""
+
+
+def new_stage(name: str) -> StageTwo:
+    """Return stage two of a preset past its warm-up, on the synthetic sphere."""
+    scene, config = lit_sphere(num_views=12, side=64), preset(name)
+    domain = domain_of(scene, config.space, config.model.environment)
+    torch.manual_seed(0)
+    pixels = TrainingPixels(scene, config.pixels, torch.device("cpu"))
+    two = replace(config.stage_two, warmup_steps=0)
+    return StageTwo(InverseModel(config.model, domain), pixels, two, seed=0)
+
+
+def main() -> None:
+    """Print the times, their ratios and the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--steps", type=int, default=25)
+    parser.add_argument("--quick", action="store_true", help="preset tiny, three steps")
+    arguments = parser.parse_args()
+    name, steps = ("tiny", 3) if arguments.quick else (arguments.preset, arguments.steps)
+    torch.set_float32_matmul_precision("medium")
+    stages = {}
+    for side, (threads, _) in SIDES.items():
+        torch.set_num_threads(threads)
+        stages[side] = new_stage(name)
+    seconds: dict[str, list[float]] = {side: [] for side in SIDES}
+    for number in range(steps + 2):
+        for side, (_, threads) in SIDES.items():
+            torch.set_num_threads(threads)
+            started = time.perf_counter()
+            stages[side].step()
+            if number >= 2:  # The first steps compile and warm up.
+                seconds[side].append(time.perf_counter() - started)
+    print(f"preset {name}, {steps} steps each, torch {torch.__version__}")
+    first = statistics.median(seconds["both at once"])
+    for side, values in seconds.items():
+        median = statistics.median(values)
+        print(
+            f"{side:22s} {median:.3f} s per step (from {min(values):.3f} to {max(values):.3f}), "
+            f"{median / first:.2f} times the first"
+        )
+    one, last = (stages[side].model.state_dict() for side in ("both at once", "in turn, one thread"))
+    print("equal bit for bit:", all(torch.equal(one[key], last[key]) for key in one))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Pass B beside pass A, on a second core where there is one, with the same result bit for bit.
+
+Pass B works on a twin of the model that shares its values and has gradients of its own: both passes can then
+be computed and differentiated at the same time, and their gradients are added in one fixed order.
+"""
+
+import copy
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from flashcache.caches.nerf_cache import Geometry
+from flashcache.config import StageTwoConfig
+from flashcache.data.ray_batches import RayBatch
+from flashcache.physical.model import InverseModel
+from flashcache.training.passes import Pass, shade
+
+
+def twin_of(model: InverseModel) -> InverseModel:
+    """Return a model that shares all values with `model`, and has parameters and gradients of its own."""
+    twin = copy.deepcopy(model)
+    for own, other in zip(model.parameters(), twin.parameters(), strict=True):
+        other.data = own.data
+    for name, buffer in model.named_buffers():
+        module, _, leaf = name.rpartition(".")
+        setattr(twin.get_submodule(module), leaf, buffer)
+    return twin
+
+
+@contextmanager
+def one_thread_each(active: bool) -> Iterator[None]:
+    """Let operations of this thread use one core while `active`, so that another thread has the other."""
+    before = torch.get_num_threads()
+    if active:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        if active:
+            torch.set_num_threads(before)
+
+
+class SecondPass:
+    """Pass B of every step: `start` it and take its `result`.
+
+    With `symmetric` it also carries gradients: `differentiate` it, then `collect` them. Otherwise it is a
+    constant of the other pass.
+    """
+
+    def __init__(self, model: InverseModel, config: StageTwoConfig) -> None:
+        self.model, self.config = model, config
+        device = next(model.parameters()).device
+        self.parallel = device.type == "cpu" and torch.get_num_threads() > 1
+        self._pool = ThreadPoolExecutor(1, "pass-b", torch.set_num_threads, (1,)) if self.parallel else None
+        self._twin = twin_of(model) if config.symmetric else model
+        self._pairs: list[tuple[nn.Parameter, nn.Parameter]] = []
+        if config.symmetric:
+            self._pairs = list(zip(self._reached(model), self._reached(self._twin), strict=True))
+            for _, other in self._pairs:
+                other.grad = torch.zeros_like(other)
+        self._leaves: list[tuple[str, Tensor]] = []
+        self._job: Future | None = None
+
+    def start(self, batch: RayBatch, geometry: Geometry, generator: torch.Generator) -> None:
+        """Begin the pass; what gradient reaches the normals and weights of `geometry` is collected."""
+        own = geometry._replace(hidden=geometry.hidden.detach())
+        self._leaves = []
+        for name in ("normal", "weights"):
+            value = getattr(geometry, name)
+            leaf = value.detach().requires_grad_(value.requires_grad and self.config.symmetric)
+            self._leaves.append((name, leaf))
+            own = own._replace(**{name: leaf})
+
+        def run() -> Pass:
+            with torch.set_grad_enabled(self.config.symmetric):
+                return shade(self._twin, self.config, batch, own, generator, supervise=False)
+
+        self._job = self._submit(run)
+
+    def result(self) -> Pass:
+        """Return the pass, when it is done."""
+        assert self._job is not None, "start comes first"
+        return self._job.result()
+
+    def differentiate(self, picture: Float[Tensor, "rays 3"], gradient: Float[Tensor, "rays 3"]) -> None:
+        """Begin to carry the gradient of the loss by the pass's picture back to the twin."""
+        self._job = self._submit(lambda: picture.backward(gradient))
+
+    def collect(self, geometry: Geometry) -> None:
+        """Add the twin's gradients to the model's, and carry those of `geometry` back through it."""
+        assert self._job is not None, "differentiate comes first"
+        self._job.result()
+        with torch.no_grad():
+            for own, other in self._pairs:
+                if own.grad is not None and other.grad is not None:
+                    own.grad += other.grad
+                    other.grad.zero_()
+        reached = [(getattr(geometry, name), leaf.grad) for name, leaf in self._leaves]
+        reached = [(value, gradient) for value, gradient in reached if gradient is not None]
+        if reached:
+            torch.autograd.backward(*zip(*reached, strict=True))
+
+    def _submit(self, work: Callable) -> Future:
+        if self._pool is not None:
+            return self._pool.submit(work)
+        done: Future = Future()
+        done.set_result(work())
+        return done
+
+    def _reached(self, model: InverseModel) -> list[nn.Parameter]:
+        """Return the parameters that the picture's gradient can reach, but for those behind the geometry."""
+        parts: list[nn.Module] = [model.materials, model.environment]
+        if self.config.estimator.through_cache:
+            parts += [model.nerf.density, model.nerf.normals, model.nerf.appearance, model.fast]
+        return [parameter for part in parts for parameter in part.parameters() if parameter.requires_grad]
