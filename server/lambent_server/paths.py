@@ -15,6 +15,8 @@ SCENE_SUFFIXES = frozenset(
         ".csv",
         ".exr",
         ".hdr",
+        ".heic",
+        ".heif",
         ".jpeg",
         ".jpg",
         ".json",
@@ -26,6 +28,8 @@ SCENE_SUFFIXES = frozenset(
         ".webp",
     }
 )
+# The cameras of Glossy Synthetic are pickles; the worker reads numbers out of them and runs nothing.
+_CAMERA_PICKLE = re.compile(r"(\d{1,6}-camera|synthetic_split_\d{1,6})\.pkl")
 _FORBIDDEN = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
 _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
 
@@ -67,4 +71,5 @@ def is_scene_file(path: str) -> bool:
     """Return whether a file of this name can belong to a scene."""
     pure = PurePosixPath(path)
     hidden = any(part.startswith(".") or part == "__MACOSX" for part in pure.parts)
-    return pure.suffix.lower() in SCENE_SUFFIXES and not hidden
+    known = pure.suffix.lower() in SCENE_SUFFIXES or _CAMERA_PICKLE.fullmatch(pure.name) is not None
+    return known and not hidden

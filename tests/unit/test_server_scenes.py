@@ -99,6 +99,22 @@ def test_paths_that_clash_on_other_systems_are_refused(api: Api):
         assert problem["errors"][0]["pointer"] == "#/1/path"
 
 
+def test_files_of_every_layout_have_a_place_in_a_scene(api: Api):
+    names = (
+        *("transforms.json", "images/IMG_1.heic", "masks/IMG_1.png", "Lights/013/raw_undistorted/CA1.JPG"),
+        *("sparse/0/cameras.bin", "sparse/0/images.txt", "train_000/rgba_sunset_120.png", "0-depth.png"),
+        *("0-camera.pkl", "angel/127-camera.pkl", "synthetic_split_128.pkl", "a.exr", "b.hdr"),
+    )
+    plan = api.post(f"/v1/scenes/{new_scene(api)}/files:plan", json=plan_of(dict.fromkeys(names, b"a")))
+    assert expect(plan, 200)["unsupported"] == []
+
+
+def test_a_pickle_that_is_no_camera_has_no_place_in_a_scene(api: Api):
+    names = ("camera.pkl", "x-camera.pkl", "0-camera.pkl.pkl", "model-1.pkl", "1-camera.pickle", "a/.pkl")
+    plan = api.post(f"/v1/scenes/{new_scene(api)}/files:plan", json=plan_of(dict.fromkeys(names, b"a")))
+    assert expect(plan, 200)["unsupported"] == sorted(names)
+
+
 def test_a_path_with_two_contents_is_refused(api: Api):
     files = [{"path": "a.png", "size": 1, "sha256": digest * 64} for digest in ("0", "1")]
     answer = api.post(f"/v1/scenes/{new_scene(api)}/files:plan", json=files)
