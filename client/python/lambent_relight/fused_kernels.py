@@ -12,25 +12,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lambent_relight.compiling import COMPILE_OPTIONS
+
 BLOCK = 256
 """Rows that are evaluated together."""
-
-
-def _can_keep_compiled_code() -> bool:
-    """Return whether numba finds a folder for compiled code; a read-only installation may have none."""
-    try:
-        njit(cache=True)(_can_keep_compiled_code)
-    except RuntimeError:
-        return False
-    return True
-
-
-_OPTIONS = {
-    "nogil": True,
-    "cache": _can_keep_compiled_code(),
-    "fastmath": {"contract", "reassoc", "nsz"},
-    "boundscheck": False,
-}
 
 
 def blocks(positions: NDArray[np.float32]) -> Iterator[tuple[slice, NDArray[np.float32], int]]:
@@ -42,7 +27,7 @@ def blocks(positions: NDArray[np.float32]) -> Iterator[tuple[slice, NDArray[np.f
         yield rows, points, rows.stop - start
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def contract_block(points, count, radius):
     """Replace `points` [3, BLOCK] by contracted coordinates (Mip-NeRF 360 Eq. 10, in units of the radius)."""
     one, two = np.float32(1.0), np.float32(2.0)
@@ -53,7 +38,7 @@ def contract_block(points, count, radius):
         points[0, r], points[1, r], points[2, r] = x * scale, y * scale, z * scale
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def _row_of(index, num_rows):
     """Return `index` mod `num_rows`; a division is avoided where it can be, which is nearly everywhere."""
     if index < num_rows:
@@ -63,7 +48,7 @@ def _row_of(index, num_rows):
     return index % num_rows
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def encode_grid(points, count, table, levels, half_extent, output_scale, out):
     """Write trilinear features of `points` [3, BLOCK] to `out` [levels * features, BLOCK].
 
@@ -105,7 +90,7 @@ def encode_grid(points, count, table, levels, half_extent, output_scale, out):
                     out[column + f, r] *= output_scale
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def affine(weights, bias, source, out, relu):
     """Write weights [out, in] times `source` [in, BLOCK] plus bias to `out` [out, BLOCK]."""
     num_out, num_in = weights.shape
@@ -127,7 +112,7 @@ def affine(weights, bias, source, out, relu):
                 target[r] = max(target[r], np.float32(0.0))
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def _power_of_half(f):
     """Return 2^-f for f in [0, 1] (Chebyshev interpolation, error 2e-9)."""
     value = np.float32(0.00010932892473647371)
@@ -139,7 +124,7 @@ def _power_of_half(f):
     return value * f + np.float32(1.0)
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def _log_of_one_plus(t):
     """Return log(1 + t) for t in [0, 1] (Chebyshev interpolation of the quotient by t, error 6e-9)."""
     value = np.float32(-0.0031760570127516985)
@@ -155,7 +140,7 @@ def _log_of_one_plus(t):
     return value * t
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def softplus(values, sharpness):
     """Replace `values` [n, BLOCK] by log(1 + exp(sharpness v)) / sharpness.
 
@@ -178,7 +163,7 @@ def softplus(values, sharpness):
             row[r] = (max(x, np.float32(0.0)) + _log_of_one_plus(t)) / sharpness
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def encode_frequencies(vectors, count, num_frequencies, out, first):
     """Write [v, sin(2^j v).., cos(2^j v)..] of `vectors` [3, BLOCK] to rows `first`.. of `out`."""
     for axis in range(3):
@@ -193,7 +178,7 @@ def encode_frequencies(vectors, count, num_frequencies, out, first):
                 out[cosines, r] = math.cos(vectors[axis, r] * factor)
 
 
-@njit(**_OPTIONS)
+@njit(**COMPILE_OPTIONS)
 def place_samples(raw, count, num_samples, near, far, power, premultiplier, opacity, distance, first):
     """Write opacity and expected distance of a block to rows `first`.. of the outputs.
 

@@ -157,11 +157,11 @@ def rotation(bands: int, matrix: Array) -> Rotation:
     """Return the action of the rotation `matrix` [3, 3] on coefficients: f'(d) = f(matrix^T d).
 
     Band by band the basis at a fixed set of directions determines the block: B(R^T d) = B(d) block for every
-    direction d, solved by least squares, exact to rounding. Raises SettingError unless `matrix` is a rotation.
+    direction d, solved by least squares, exact to rounding. Raises SettingError for another matrix.
     """
     turn = np.asarray(matrix, np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
-        raise SettingError("relight.rotation", "the matrix is not a rotation", "give an orthonormal 3 x 3 one")
+        raise SettingError("relight.rotation", "the matrix is no rotation", "give an orthonormal 3 x 3 one")
     if np.linalg.det(turn) < 0.0:
         raise SettingError("relight.rotation", "the matrix mirrors", "give one with determinant +1")
     points, inverse = _fit_points(_checked(bands))
@@ -183,7 +183,7 @@ def _fit_points(bands: int) -> tuple[NDArray[np.float64], tuple[NDArray[np.float
 
 
 def window(bands: int, width: float) -> NDArray[np.float64]:
-    """Return the Hanning factor of every coefficient, [bands^2]: (1 + cos(pi l / width)) / 2, 0 from l = width.
+    """Return the Hanning factor of every coefficient: (1 + cos(pi l / width)) / 2, 0 from l = width.
 
     Multiplied into a projection it takes ringing from small bright lights, and blurs them. `width` is in
     bands; infinity keeps everything. Source: Sloan, Stupid Spherical Harmonics Tricks (windowing).
@@ -197,7 +197,7 @@ def window(bands: int, width: float) -> NDArray[np.float64]:
 def cosine_factors(bands: int) -> NDArray[np.float64]:
     """Return the factor per coefficient that turns radiance into irradiance, [bands^2].
 
-    The clamped cosine's zonal coefficients times sqrt(4 pi / (2 l + 1)): pi, 2 pi / 3, pi / 4, 0, -pi / 24 ...
+    The clamped cosine's zonal coefficients times sqrt(4 pi / (2 l + 1)): pi, 2 pi / 3, pi / 4, 0, -pi / 24.
     Source: Ramamoorthi and Hanrahan 2001, Eq. 7 and 8.
     """
     factors = []

@@ -7,9 +7,9 @@ values in them and no pixel falls between. No `fastmath`: contraction would brea
 import numpy as np
 from numba import njit
 
-from lambent_relight.fused_kernels import _can_keep_compiled_code
+from lambent_relight.compiling import can_keep_compiled_code
 
-_OPTIONS = {"nogil": True, "cache": _can_keep_compiled_code(), "boundscheck": False}
+_OPTIONS = {"nogil": True, "cache": can_keep_compiled_code(), "boundscheck": False}
 _BEHIND = -1e-6
 """Corners nearer than this to the camera's plane, or behind it, have no place in the picture."""
 
