@@ -139,7 +139,7 @@ def test_the_manifest_describes_the_bundle(context, model):
         assert graph.parity.max_abs_error <= graph.parity.tolerance == 1e-5
         assert graph.parity.num_samples >= 250
     assert {file.role for file in manifest.files} == {
-        *("graph", "weights", "mesh", "environment", "cameras", "preview"),
+        *("graph", "weights", "mesh", "environment", "cameras", "preview", "uncertainty"),
     }
     assert "preview/cache.png" in {file.path for file in manifest.files}
     assert manifest.secondary_rays.origin_offset == model.limits.origin_offset
@@ -154,6 +154,17 @@ def test_the_manifest_describes_the_bundle(context, model):
     assert set(manifest.metrics) == {
         *("psnr_views", "gbuffer_opacity_error", "gbuffer_distance_error", "mesh_faces", "mesh_vertices"),
     }
+
+
+def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(context):
+    export.run(context)
+    found = load_bundle(context.folder).uncertainty()
+    assert found is not None
+    low, high = (np.array(corner) for corner in (found.low, found.high))
+    assert (high - low).max() < 3.0
+    values = found.at(np.random.default_rng(0).uniform(low, high, (50, 3)))
+    assert np.isfinite(values).all()
+    assert values[:, 0].max() <= 1.01
 
 
 def test_every_field_of_the_manifest_is_written_with_its_proto_name(context):

@@ -28,6 +28,7 @@ def subject(**changes: Any) -> Subject:
         "out": Path(),
         "advance": lambda: None,
         "lpips": cast(Any, object()),
+        "uncertainty": cast(Any, object()),
     }
     return Subject(**{**given, **changes})
 
@@ -52,6 +53,7 @@ def test_without_weights_every_group_says_how_to_get_lpips():
         ({"views": SCENE.test}, "albedo_rgb_ratio/psnr_gamma", "albedo"),
         ({"views": SCENE.test}, "normal/mae_all", "normals"),
         ({"held_out": False}, "nvs/psnr", "test views"),
+        ({"uncertainty": None}, "uncertainty/albedo_rank_correlation", "surface"),
         ({"maps": {}}, "relight/psnr", "--environments"),
         ({"maps": {"city": MAP}}, "rgb/night/psnr", "--environments"),
         ({"scene": lit_sphere(2, side=4)}, "relight/psnr", "other light"),

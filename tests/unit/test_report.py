@@ -40,6 +40,8 @@ def page_of(tmp_path, folder, **changes):
     views = scene.test or scene.train
     write_predictions(tmp_path, scene, views)
     for view in views:
+        shape = next(iter(view.images.values())).shape[:2]
+        save_array(tmp_path / "pred" / view.name / "uncertainty.npy", np.full((*shape, 5), 0.2))
         error = np.full((*next(iter(view.images.values())).shape[:2], 3), 0.02)
         for light in (*scene.lights, *scene.relight_lights):
             save_array(tmp_path / "pred" / view.name / f"rgba_{light}_stderr.npy", error)
@@ -84,6 +86,10 @@ def test_every_kind_of_picture_is_shown_beside_its_truth(tmp_path):
         "true roughness",
         "metalness",
         "true metalness",
+        "uncertainty of albedo",
+        "of it, owed to the light",
+        "uncertainty of perceptual roughness",
+        "photographs that see it",
         "truth, studio_small_05",
         "relit, studio_small_05",
         "relit, direct light only",

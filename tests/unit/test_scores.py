@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from lambent_worker.report.maps import object_mask
 from lambent_worker.report.predictions import save_array
 from lambent_worker.report.request import evenly_spaced
-from lambent_worker.report.scores import Ruling, albedo_ratios, object_mask, score
+from lambent_worker.report.scores import Ruling, albedo_ratios, score
 from lambent_worker.run_folder import write_json
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
@@ -156,6 +157,46 @@ def test_on_openillumination_nothing_outside_the_mask_counts(scored, tmp_path):
     before, after = figures(out, scene, **rules), figures(tmp_path / "out", scene, **rules)
     assert after["relight/psnr"].value == before["relight/psnr"].value
     assert figures(tmp_path / "out", scene)["relight/psnr"].value < before["relight/psnr"].value - 1.0
+
+
+def with_uncertainty(out, tmp_path, scene, change):
+    """Return figures of predictions whose stated uncertainty is `change` of their actual error."""
+    copied = tmp_path / "out"
+    shutil.copytree(out, copied)
+    ratio = albedo_ratios(out, scene.test)[0]
+    generator = np.random.default_rng(2)
+    for view in scene.test:
+        albedo = np.load(copied / "pred" / view.name / "albedo.npy")[..., :3].astype(np.float64)
+        wanted = np.clip(view.truth["albedo"][..., :3], 1e-3, 1.0)
+        error = np.abs(np.log(np.clip(albedo * ratio, 1e-3, 1.0) / wanted)).mean(axis=-1)
+        stated = np.zeros((*error.shape, 5))
+        stated[..., 0] = change(error, generator) + 1e-6
+        save_array(copied / "pred" / view.name / "uncertainty.npy", stated)
+    return figures(copied, scene)
+
+
+def test_an_uncertainty_in_the_order_of_the_errors_has_rank_correlation_one(scored, tmp_path):
+    _, _, out, scene = scored
+    found = with_uncertainty(out, tmp_path, scene, lambda error, _: error**3)
+    assert found["uncertainty/albedo_rank_correlation"].value == pytest.approx(1.0)
+
+
+def test_an_uncertainty_that_knows_nothing_has_rank_correlation_zero(scored, tmp_path):
+    _, _, out, scene = scored
+    found = with_uncertainty(out, tmp_path, scene, lambda error, generator: generator.random(error.shape))
+    # Standard error of a rank correlation of n independent pairs: 1 / sqrt(n - 1), over views and pixels.
+    pixels = sum(int((view.truth["albedo"][..., 3] > 0.99).sum()) for view in scene.test)
+    assert abs(found["uncertainty/albedo_rank_correlation"].value) < 5.0 / (pixels - 1) ** 0.5
+
+
+def test_the_calibration_is_the_size_of_errors_in_units_of_the_prediction(scored, tmp_path):
+    _, _, out, scene = scored
+    half, same = (
+        with_uncertainty(out, tmp_path / str(size), scene, lambda error, _, s=size: np.full_like(error, s))
+        for size in (0.05, 0.1)
+    )
+    name = "uncertainty/albedo_calibration"
+    assert half[name].value == pytest.approx(2.0 * same[name].value, rel=1e-3)
 
 
 def test_a_scene_without_truth_still_has_its_pictures_scored(tmp_path):

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 from flashcache.data.scene import Scene
 from flashcache.evaluation.lpips import load_lpips
+from flashcache.physical.model import InverseModel
 from jaxtyping import Float32
 from lambent_proto.v1 import evaluation_pb2, scene_pb2
 from lambent_relight.environments import load_environment
 from lambent_relight.errors import RelightError
+from lambent_relight.uncertainty import UncertaintyGrid
 from numpy import ndarray
 
 from lambent_worker.errors import UsageError
@@ -18,6 +20,7 @@ from lambent_worker.pipeline import StepContext, scene_hash
 from lambent_worker.report import protocol
 from lambent_worker.report.evaluate import evaluate
 from lambent_worker.report.request import EvaluationRequest, Subject, rule_of
+from lambent_worker.report.run_uncertainty import kept_uncertainty, uncertainty_of_run
 from lambent_worker.reporter import Reporter
 from lambent_worker.run_folder import digest, done_inputs, read_record, stage_seconds, write_json
 from lambent_worker.scenes.detect import describe_scene
@@ -25,7 +28,7 @@ from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.steps.evaluate import evaluated_views, with_progress
 from lambent_worker.steps.ingest import read_manifest
-from lambent_worker.steps.training import load_trained
+from lambent_worker.steps.training import load_trained, read_scene
 from lambent_worker.training_run import open_run, step_context
 
 MAP_SUFFIXES = (".hdr", ".exr")
@@ -59,8 +62,9 @@ def evaluate_run(
     lpips = load_lpips(request.lpips_weights) if request.lpips_weights else None
     _prepare_out(out, digest(trained, settings, [float(image.sum()) for _, image in sorted(maps.items())]))
     views, held_out = evaluated_views(scene, request.num_views)
+    model = load_trained(context, _trained_scene(context), "joint")
     subject = Subject(
-        model=load_trained(context, _trained_scene(context), "joint"),
+        model=model,
         scene=scene,
         views=views,
         held_out=held_out,
@@ -72,6 +76,7 @@ def evaluate_run(
         rule=rule_of(run.config.stage_two, request.shadows),
         dataset=manifest.layout,
         lpips=lpips,
+        uncertainty=_uncertainty(context, model),
     )
     report = evaluate(
         with_progress(subject, context), preset=run.config.preset, seconds=stage_seconds(run_dir)
@@ -133,6 +138,14 @@ def _trained_scene(context: StepContext) -> Scene:
     manifest = read_manifest(context)
     del manifest.frames[:]
     return load_scene(context.scene_dir, manifest, max_side=ANY_SIZE)
+
+
+def _uncertainty(context: StepContext, model: InverseModel) -> UncertaintyGrid | None:
+    """Return the uncertainty of the run's materials; None where it was not kept and its capture is gone."""
+    kept = kept_uncertainty(context.run_dir)
+    if kept is not None or not context.scene_dir.is_dir():
+        return kept
+    return uncertainty_of_run(context, model, read_scene(context))
 
 
 def _prepare_out(out: Path, inputs: str) -> None:

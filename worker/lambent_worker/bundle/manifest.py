@@ -17,7 +17,7 @@ from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.parity import TOLERANCE, ParityResult
 from lambent_worker.messages import message_to_dict
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 
 # Media type and role by folder and suffix.
 _KINDS = {
@@ -27,6 +27,7 @@ _KINDS = {
     ("env", ".exr"): ("image/x-exr", "environment"),
     ("", ".json"): ("application/json", "cameras"),
     ("preview", ".png"): ("image/png", "preview"),
+    ("uncertainty", ".npy"): ("application/octet-stream", "uncertainty"),
 }
 
 

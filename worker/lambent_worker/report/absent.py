@@ -24,6 +24,11 @@ def absent_metrics(subject: Subject, found: Iterable[str]) -> list[evaluation_pb
     reasons |= _relighting(subject)
     if dataset_of(subject.dataset) == "openillumination" and len(subject.scene.lights) > 1:
         reasons["nvs/psnr"] = "on OpenIllumination novel views count from a run in one light"
+    if subject.uncertainty is None:
+        reasons["uncertainty/albedo_rank_correlation"] = (
+            "the uncertainty of materials was not measured: the preset leaves it out, the model has no "
+            "surface, or the capture it was trained on is gone"
+        )
     if subject.lpips is None:
         groups = {name.split("/")[0] for name in names if name.count("/") == 1 and name.endswith("/ssim")}
         reasons |= {f"{group}/lpips": LPIPS_REASON for group in sorted(groups)}

@@ -11,11 +11,12 @@ from numpy import ndarray
 from lambent_worker.messages import message_to_dict
 from lambent_worker.report import figures, protocol
 from lambent_worker.report.absent import absent_metrics
+from lambent_worker.report.maps import load
 from lambent_worker.report.page import write_page
-from lambent_worker.report.predictions import encoded, predict_relit, predict_surfaces
+from lambent_worker.report.predictions import encoded, predict_relit, predict_surfaces, predict_uncertainty
 from lambent_worker.report.published import object_group, published_scene
 from lambent_worker.report.request import UNSCALED_VIEWS, Subject
-from lambent_worker.report.scores import Ruling, albedo_ratios, load, score
+from lambent_worker.report.scores import Ruling, albedo_ratios, score
 from lambent_worker.run_folder import write_json
 
 SCHEMA_VERSION = "1.1"
@@ -30,6 +31,7 @@ def evaluate(
     Pictures that are there already are kept: the caller clears the folder when they would differ.
     """
     predict_surfaces(subject)
+    predict_uncertainty(subject)
     ratios = albedo_ratios(subject.out, subject.views)
     median = np.ones(3) if ratios is None else ratios[0]
     predict_relit(subject, (float(median[0]), float(median[1]), float(median[2])))

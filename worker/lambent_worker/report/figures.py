@@ -14,6 +14,10 @@ ERROR_SCALE = 0.25
 """Difference in encoded values that is drawn in the brightest colour."""
 NOISE_SCALE = 0.05
 """Standard error in encoded values that is drawn in the brightest colour."""
+RELATIVE_SCALE = 0.6
+"""Relative standard deviation of albedo that is drawn in the brightest colour."""
+MATERIAL_SCALE = 0.3
+"""Standard deviation of metalness and roughness that is drawn in the brightest colour."""
 
 # Dark violet over red to pale yellow: equal steps look equally large, also in grey.
 _HEAT = np.array(

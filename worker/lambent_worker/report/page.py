@@ -10,13 +10,14 @@ from flashcache.evaluation import metrics
 from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from lambent_proto.v1 import evaluation_pb2
+from lambent_relight.uncertainty import CHANNELS
 from numpy import ndarray
 
 from lambent_worker.report import figures
+from lambent_worker.report.maps import load
 from lambent_worker.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded
 from lambent_worker.report.published import METRICS
 from lambent_worker.report.request import evenly_spaced
-from lambent_worker.report.scores import load
 
 MAX_VIEWS = 6
 """Views shown as pictures; the tables cover all."""
@@ -29,6 +30,7 @@ GROUPS = (
     ("Albedo", ("albedo",)),
     ("Shape", ("normal", "distance")),
     ("Materials", ("roughness", "metallic")),
+    ("Uncertainty of materials", ("uncertainty",)),
     (SINGLE_LIGHTS, ("rgb",)),
 )
 
@@ -65,6 +67,8 @@ def write_page(
         rows=rows,
         error_scale=figures.ERROR_SCALE,
         noise_scale=figures.NOISE_SCALE,
+        relative_scale=figures.RELATIVE_SCALE,
+        material_scale=figures.MATERIAL_SCALE,
     )
     path.write_text(page, encoding="utf-8")
 
@@ -110,6 +114,7 @@ def view_figures(
     """Return the pictures of one view, in the lines in which they are shown."""
     lines = [_light_line(out, view, light) for light in scene.lights]
     lines.append(_surface_line(out, view, ratio))
+    lines.append(_uncertainty_line(out, view))
     lines += [_relit_line(out, view, light) for light in scene.relight_lights]
     return [[Figure(title, figures.data_uri(values)) for title, values in line] for line in lines if line]
 
@@ -161,6 +166,30 @@ def _with_error(
     if truth is None:
         return [(title, shown)]
     return [(title, shown), (f"error, {title}", figures.error_map(shown, truth))]
+
+
+def _uncertainty_line(out: Path, view: View) -> list[tuple[str, Picture]]:
+    """Return how uncertain the materials are, as heat, white where nothing is."""
+    values = load(out, "pred", view, "uncertainty")
+    albedo = load(out, "pred", view, "albedo")
+    if values is None or albedo is None:
+        return []
+    alpha = albedo[..., 3:]
+    scales = {
+        "albedo": figures.RELATIVE_SCALE,
+        "albedo_from_light": figures.RELATIVE_SCALE,
+        "metalness": figures.MATERIAL_SCALE,
+        "perceptual_roughness": figures.MATERIAL_SCALE,
+        "views": max(1.0, float(values[..., CHANNELS.index("views")].max())),
+    }
+    titles = {"albedo_from_light": "of it, owed to the light", "views": "photographs that see it"}
+    return [
+        (
+            titles.get(name, f"uncertainty of {name.replace('_', ' ')}"),
+            figures.heat(values[..., number] / scales[name]) * alpha + (1.0 - alpha),
+        )
+        for number, name in enumerate(CHANNELS)
+    ]
 
 
 def _surface_line(out: Path, view: View, ratio: Float[ndarray, "3"] | None) -> list[tuple[str, Picture]]:

@@ -9,6 +9,7 @@ pred_unscaled/<view>/rgba_<light>.npy relit without the albedo ratio, a few view
 <name>_stderr.npy                     beside every Monte Carlo picture: its standard error, linear radiance
                                       [H, W, 3]
 <name>.exr                            on request: linear radiance times alpha, alpha, and the standard error
+pred/<view>/uncertainty.npy           how uncertain the materials are [H, W, 5]: docs/reference/protocol.md
 noise/<view>.json                     mean standard error of each Monte Carlo picture, linear radiance
 """
 
@@ -26,6 +27,7 @@ from lambent_relight.exr import write_exr
 from numpy import ndarray
 
 from lambent_worker.report.request import UNSCALED_VIEWS, Subject, evenly_spaced
+from lambent_worker.report.uncertainty import uncertainty_map
 from lambent_worker.run_folder import write_json
 
 CACHE_FOLDER = "pred_cache"
@@ -84,6 +86,18 @@ def predict_relit(subject: Subject, ratio: tuple[float, float, float]) -> None:
                     )
                     _save_picture(subject, view.name, f"{kind}/{light}", path, picture)
                 subject.advance()
+
+
+def predict_uncertainty(subject: Subject) -> None:
+    """Write the uncertainty of materials where the pixels of each view meet the surface."""
+    if subject.uncertainty is None:
+        return
+    for view in subject.views:
+        folder = subject.out / "pred" / view.name
+        if not (folder / "uncertainty.npy").is_file():
+            distance = np.load(folder / "distance.npy", allow_pickle=False)
+            found = uncertainty_map(subject.model, subject.uncertainty, view.camera, distance)
+            save_array(folder / "uncertainty.npy", found)
 
 
 def num_pictures(subject: Subject) -> int:

@@ -11,6 +11,7 @@ from flashcache.evaluation.lpips import Lpips
 from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float32
+from lambent_relight.uncertainty import UncertaintyGrid
 from numpy import ndarray
 
 from lambent_worker.errors import UsageError
@@ -64,6 +65,8 @@ class Subject:
     dataset: str = ""
     """Layout of the capture; some data sets have rules of their own."""
     lpips: Lpips | None = None
+    uncertainty: UncertaintyGrid | None = None
+    """How well the photographs determine the materials, where it was measured."""
 
 
 def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:

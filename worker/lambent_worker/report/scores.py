@@ -8,9 +8,10 @@ import numpy as np
 from flashcache.data.scene import Scene, View
 from flashcache.evaluation import metrics
 from flashcache.evaluation.lpips import Lpips
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
+from lambent_worker.report.maps import load, object_mask
 from lambent_worker.report.predictions import (
     CACHE_FOLDER,
     DIRECT_FOLDER,
@@ -22,15 +23,10 @@ from lambent_worker.report.predictions import (
 from lambent_worker.report.published import dataset_of
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.report.table import Table
+from lambent_worker.report.uncertainty_scores import score_uncertainty
 
 RATIO_VIEWS = 20
 INTERIOR_ALPHA = 0.99
-
-
-def load(out: Path, folder: str, view: View, name: str) -> Float[ndarray, "height width channels"] | None:
-    """Return a predicted map as float64, or None where it was not rendered."""
-    path = out / folder / view.name / f"{name}.npy"
-    return np.load(path, allow_pickle=False).astype(np.float64) if path.is_file() else None
 
 
 def albedo_ratios(out: Path, views: Sequence[View]) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
@@ -93,6 +89,7 @@ def score(out: Path, scene: Scene, views: Sequence[View], ruling: Ruling) -> Tab
         _score_pictures(table, out, scene, view, ruling)
         if ratios is not None:
             _score_albedo(table, out, view, *ratios, ruling.lpips)
+            score_uncertainty(table, out, view, ratios[0])
         _score_normals(table, out, view)
         _score_scalars(table, out, view)
     return table
@@ -221,14 +218,6 @@ def _score_scalars(table: Table, out: Path, view: View) -> None:
         inside = (truth[..., 0] > 0.0) & mask
         if inside.any():
             table.add("distance/mean_abs", float(np.abs(predicted - truth)[inside].mean()))
-
-
-def object_mask(view: View) -> Bool[ndarray, "height width"]:
-    """Return where the object is: alpha above 0 in the first map that has one."""
-    for kind in ("albedo", "normal"):
-        if kind in view.truth:
-            return view.truth[kind][..., 3] > 0.0
-    return next(iter(view.images.values()))[..., 3] > 0.0
 
 
 def _unit(normal: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width 3"]:

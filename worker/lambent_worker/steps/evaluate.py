@@ -8,6 +8,7 @@ from lambent_worker.pipeline import StepContext
 from lambent_worker.report.evaluate import evaluate, preview_sheet
 from lambent_worker.report.predictions import num_pictures
 from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced, rule_of
+from lambent_worker.report.run_uncertainty import keep_uncertainty, uncertainty_of_run
 from lambent_worker.run_folder import stage_seconds
 from lambent_worker.steps.ingest import read_manifest
 from lambent_worker.steps.training import load_trained, read_scene
@@ -24,8 +25,12 @@ def run(context: StepContext) -> None:
         max_side=context.config.max_side,
     )
     views, held_out = evaluated_views(scene, settings.num_views)
+    model = load_trained(context, scene, "joint")
+    uncertainty = uncertainty_of_run(context, model, scene)
+    if uncertainty is not None:
+        keep_uncertainty(context.run_dir, uncertainty)
     subject = Subject(
-        model=load_trained(context, scene, "joint"),
+        model=model,
         scene=scene,
         views=views,
         held_out=held_out,
@@ -36,6 +41,7 @@ def run(context: StepContext) -> None:
         advance=lambda: None,
         rule=rule_of(context.config.stage_two),
         dataset=read_manifest(context).layout,
+        uncertainty=uncertainty,
     )
     subject = with_progress(subject, context)
     report = evaluate(subject, preset=context.config.preset, seconds=stage_seconds(context.run_dir))

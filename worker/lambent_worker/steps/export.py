@@ -17,7 +17,9 @@ from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import measure, relight_camera
 from lambent_worker.bundle.mesh import extract_mesh, occupied_box
 from lambent_worker.bundle.parity import ParityResult
+from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.pipeline import StepContext, scene_hash
+from lambent_worker.report.run_uncertainty import uncertainty_of_run
 from lambent_worker.run_folder import read_record, step_folder
 from lambent_worker.steps.training import load_trained, read_scene
 
@@ -87,6 +89,9 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
     manifest.metrics.update(measure(model, rule, views, scene.lights[0], folder / "preview"))
     manifest.metrics["mesh_faces"] = len(mesh.faces)
     manifest.metrics["mesh_vertices"] = len(mesh.vertices)
+    uncertainty = uncertainty_of_run(context, model, scene)
+    if uncertainty is not None:
+        write_uncertainty(folder, manifest, uncertainty)
     for picture in sorted((context.run_dir / "previews").glob("*.png")):
         shutil.copyfile(picture, folder / "preview" / picture.name)
     files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())

@@ -1,0 +1,162 @@
+"""Where the photographs leave materials open: measured at points of the surface, kept as a grid.
+
+docs/discussion/uncertainty.md says what the values mean.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from flashcache.data.scene import Camera, Scene, View
+from flashcache.evaluation.ambiguity import Elimination, Priors, eliminate, material_uncertainty
+from flashcache.evaluation.gbuffer import cache_picture, camera_rays
+from flashcache.evaluation.monte_carlo import RenderRule
+from flashcache.evaluation.radiance_derivatives import Noise, linear_model
+from flashcache.evaluation.surface_points import (
+    SurfacePoints,
+    join,
+    outer_points,
+    photographed_points,
+    seen_points,
+)
+from flashcache.physical.model import InverseModel
+from flashcache.randomness import generator_for
+from jaxtyping import Float, Float32
+from lambent_relight.uncertainty import UncertaintyGrid
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+PRIORS = Priors()
+NUM_POINTS = 1000
+FEWEST_POINTS = 16
+"""Below this there is no surface to speak of."""
+NUM_CAMERAS = 12
+"""Training cameras whose pixels choose points."""
+NOISE_VIEWS = 3
+NOISE_PIXELS = 1000
+SMALLEST_NOISE = 1.0 / 255.0
+GRID_CELLS = 40
+"""Cells along the longest side of the box around the points."""
+NEIGHBOURS = 4
+CHUNK_POINTS = 32
+MANY_VIEWS = 1e4
+"""Bound on the number of photographs, which float16 holds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPoints:
+    """Surface points and what is known about each, in the order of `lambent_relight.uncertainty.CHANNELS`."""
+
+    positions: Float32[ndarray, "points 3"]
+    values: Float32[ndarray, "points channels"]
+
+
+def measure_uncertainty(
+    model: InverseModel,
+    scene: Scene,
+    *,
+    seed: int,
+    rule: RenderRule,
+    num_points: int = NUM_POINTS,
+    priors: Priors = PRIORS,
+) -> UncertaintyGrid | None:
+    """Return how well the training photographs of `scene` determine the materials of `model`.
+
+    Half of the points lie where photographs look, half anywhere on the outer surface. None where the model
+    has hardly any surface.
+    """
+    device = next(model.parameters()).device
+    generator = generator_for(seed, "uncertainty", 0, "points", device)
+    cameras = [view.camera for view in _spread(scene.train, NUM_CAMERAS)]
+    shown = photographed_points(model, cameras, num_points // 2, generator)
+    points = join([shown, outer_points(model, num_points - len(shown.positions), generator)])
+    if len(points.positions) < FEWEST_POINTS:
+        return None
+    noise = Noise(absolute=residual(model, scene, seed))
+    return grid_of(measure_points(model, points, scene, noise=noise, rule=rule, priors=priors, seed=seed))
+
+
+@torch.no_grad()
+def measure_points(
+    model: InverseModel,
+    points: SurfacePoints,
+    scene: Scene,
+    *,
+    noise: Noise,
+    rule: RenderRule,
+    priors: Priors,
+    seed: int,
+) -> MeasuredPoints:
+    """Return the uncertainty at given surface points."""
+    device = points.positions.device
+    generator = generator_for(seed, "uncertainty", 1, "photographs", device)
+    source = model.fast_source() if rule.shadow_cache == "fast" else model.nerf_source(None)
+    seen, num_views = seen_points(model, points, scene, source, generator)
+    parts = [
+        eliminate(linear_model(model, seen.select(slice(start, start + CHUNK_POINTS)), source, noise), priors)
+        for start in range(0, len(points.positions), CHUNK_POINTS)
+    ]
+    found = material_uncertainty(Elimination.join(parts), priors)
+    columns = [
+        found.albedo.square().mean(dim=1).sqrt(),
+        found.albedo_from_light.square().mean(dim=1).sqrt(),
+        found.metalness,
+        found.perceptual_roughness,
+        num_views.clamp_max(MANY_VIEWS),
+    ]
+    values = torch.stack(columns, dim=1).float().cpu().numpy()
+    return MeasuredPoints(points.positions.float().cpu().numpy(), values)
+
+
+def residual(model: InverseModel, scene: Scene, seed: int) -> float:
+    """Return the root mean square error of the NeRF cache on photographed pixels of the object.
+
+    Linear radiance, clipped at white like photographs, at least one step of 8 bits: what a photograph and a
+    model of this quality may differ by. 1 where no pixel is opaque in both.
+    """
+    device = next(model.parameters()).device
+    generator = np.random.default_rng(seed)
+    light = scene.lights[0]
+    errors = []
+    for view in _spread([view for view in scene.train if light in view.images], NOISE_VIEWS):
+        image = view.images[light].reshape(-1, 4)
+        opaque = np.flatnonzero(image[:, 3] > 0.99)
+        index = generator.permutation(opaque)[:NOISE_PIXELS]
+        rays = camera_rays(model, view.camera, device).select(torch.from_numpy(index).to(device))
+        radiance, opacity = cache_picture(model, rays, 0)
+        found = radiance.cpu().numpy()[opacity.cpu().numpy() > 0.5]
+        wanted = image[index][opacity.cpu().numpy() > 0.5, :3]
+        errors.append(np.square(np.clip(found, 0.0, 1.0) - np.clip(wanted, 0.0, 1.0)).reshape(-1))
+    everything = np.concatenate(errors)
+    return max(SMALLEST_NOISE, float(np.sqrt(everything.mean()))) if everything.size else 1.0
+
+
+def grid_of(points: MeasuredPoints, cells: int = GRID_CELLS) -> UncertaintyGrid:
+    """Return values at points as a grid: means of the nearest points by inverse squared distance."""
+    low, high = points.positions.min(axis=0).astype(np.float64), points.positions.max(axis=0)
+    margin = max(0.02 * float((high - low).max()), 1e-3)
+    low, high = low - margin, high + margin
+    counts = np.maximum(1, np.round(cells * (high - low) / (high - low).max())).astype(int)
+    axes = [low[k] + (np.arange(counts[k]) + 0.5) * (high[k] - low[k]) / counts[k] for k in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = min(NEIGHBOURS, len(points.positions))
+    distance, index = cKDTree(points.positions).query(centres, k=[*range(1, near + 1)])
+    weight = 1.0 / (distance**2 + (0.1 * margin) ** 2)
+    weight /= weight.sum(axis=1, keepdims=True)
+    values = (weight[..., None] * points.values[index]).sum(axis=1)
+    return UncertaintyGrid(low, high, values.reshape(*counts, -1).astype(np.float32))
+
+
+def uncertainty_map(
+    model: InverseModel, grid: UncertaintyGrid, camera: Camera, distance: Float[ndarray, "height width 1"]
+) -> Float32[ndarray, "height width channels"]:
+    """Return the grid's values at `distance` along the rays of a camera; zero where the distance is."""
+    directions = camera_rays(model, camera, torch.device("cpu")).directions.numpy()
+    positions = camera.position + distance * directions.reshape(camera.height, camera.width, 3)
+    return np.where(distance > 0.0, grid.at(positions), 0.0).astype(np.float32)
+
+
+def _spread(views: Sequence[View], count: int) -> Sequence[View]:
+    """Return at most `count` of the views at equal strides."""
+    return views[:: max(1, len(views) // count)][:count]

@@ -1,0 +1,44 @@
+"""Says how far the predicted uncertainty of albedo can be trusted, where the true albedo is known."""
+
+from pathlib import Path
+
+import numpy as np
+from flashcache.data.scene import View
+from jaxtyping import Float
+from lambent_relight.uncertainty import CHANNELS
+from numpy import ndarray
+from scipy.stats import spearmanr
+
+from lambent_worker.report.maps import load
+from lambent_worker.report.table import Table
+
+FEWEST_PIXELS = 50
+DARKEST = 1e-3
+"""Albedo below this is compared as this: a relative error of nothing means nothing."""
+INTERIOR_ALPHA = 0.99
+
+
+def score_uncertainty(table: Table, out: Path, view: View, ratio: Float[ndarray, "3"]) -> None:
+    """Note how predicted and actual relative errors of albedo go together on the object's inner pixels.
+
+    `albedo_rank_correlation` is Spearman's, 1 where pixels that are said to be less certain are always more
+    wrong. `albedo_calibration` is the root mean square of actual over predicted error: 1 where the sizes are
+    right, larger where the prediction is too sure.
+    """
+    uncertainty = load(out, "pred", view, "uncertainty")
+    predicted = load(out, "pred", view, "albedo")
+    if uncertainty is None or predicted is None or "albedo" not in view.truth:
+        return
+    truth = view.truth["albedo"].astype(np.float64)
+    width = uncertainty[..., CHANNELS.index("albedo")]
+    inside = (truth[..., 3] > INTERIOR_ALPHA) & (width > 0.0)
+    if inside.sum() < FEWEST_PIXELS:
+        return
+    scaled = np.clip(predicted[..., :3] * ratio, DARKEST, 1.0)
+    error = np.abs(np.log(scaled / np.clip(truth[..., :3], DARKEST, 1.0)))[inside]
+    width = width[inside]
+    if np.ptp(width) > 0.0 and np.ptp(error) > 0.0:
+        correlation = spearmanr(width, error.mean(axis=-1)).statistic
+        table.add("uncertainty/albedo_rank_correlation", float(correlation))
+    scores = error / width[:, None]
+    table.add("uncertainty/albedo_calibration", float(np.sqrt(np.square(scores).mean())))
