@@ -6,10 +6,11 @@ import pytest
 import torch
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.ray_budget import RayBudget
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import PRESETS, preset, tiny
-from flashcache.training.checkpoint import CheckpointState, load_checkpoint, save_checkpoint
+from flashcache.training.checkpoint import CheckpointState, load_checkpoint, load_extra, save_checkpoint
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 from support.lit_sphere import lit_sphere
@@ -71,6 +72,36 @@ def test_resuming_equals_not_stopping_bit_for_bit(kind, tmp_path):
 
     expected, found = weights_of(whole), weights_of(second)
     assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+def test_resuming_with_a_map_of_errors_equals_not_stopping(tmp_path):
+    config = small(6, 6)
+    two = replace(config.stage_two, budget=RayBudget(error_share=0.5, block=8))
+    config = replace(config, stage_two=two)
+    whole = stage_of("joint", config)
+    while not whole.finished:
+        whole.step()
+
+    first = stage_of("joint", config)
+    for _ in range(3):
+        first.step()
+    state = CheckpointState(stage="joint", step=3, seed=0, config_sha256="x")
+    save_checkpoint(tmp_path / "step_3", first.model, first.optimiser, state, first.extra_state())
+    second = stage_of("joint", config)
+    second.steps_done = load_checkpoint(tmp_path / "step_3", second.model, second.optimiser).step
+    second.restore_extra_state(load_extra(tmp_path / "step_3"))
+    while not second.finished:
+        second.step()
+    expected, found = weights_of(whole), weights_of(second)
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert torch.equal(whole.errors.error, second.errors.error)
+
+
+def test_a_checkpoint_without_extra_state_has_none(tmp_path):
+    stage = stage_of("cache", small())
+    state = CheckpointState(stage="cache", step=0, seed=0, config_sha256="x")
+    save_checkpoint(tmp_path / "step_0", stage.model, None, state)
+    assert load_extra(tmp_path / "step_0") == {}
 
 
 @pytest.mark.parametrize("kind", ["cache", "joint"])

@@ -1,12 +1,14 @@
 """Checkpoints: tensors in safetensors, everything else in JSON; nothing is ever unpickled.
 
 A checkpoint is a folder: `model.safetensors`, `optimiser.safetensors` (absent once training of the
-stage is over) and `state.json`. It is complete or not there: it is written aside and renamed.
+stage is over), `extra.safetensors` where a stage keeps more than these, and `state.json`. It is complete or
+not there: it is written aside and renamed.
 """
 
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -36,9 +38,15 @@ class CheckpointState:
 
 
 def save_checkpoint(
-    folder: Path, model: nn.Module, optimiser: torch.optim.Optimizer | None, state: CheckpointState
+    folder: Path,
+    model: nn.Module,
+    optimiser: torch.optim.Optimizer | None,
+    state: CheckpointState,
+    extra: Mapping[str, torch.Tensor] | None = None,
 ) -> Path:
     """Write a checkpoint to `folder`, replacing what was there, and return the folder.
+
+    `extra` is what else the stage needs to go on; see `load_extra`.
 
     It is built next to its place, flushed to disk and renamed, so that a kill leaves the old or the new one.
     """
@@ -49,6 +57,9 @@ def save_checkpoint(
     save_file(tensors, temporary / "model.safetensors")
     if optimiser is not None:
         save_file(_moments(optimiser), temporary / "optimiser.safetensors")
+    if extra:
+        kept = {name: value.detach().cpu().contiguous() for name, value in extra.items()}
+        save_file(kept, temporary / "extra.safetensors")
     (temporary / "state.json").write_text(json.dumps(asdict(state), indent=1))
     for path in temporary.iterdir():
         _flush(path)
@@ -83,6 +94,19 @@ def load_checkpoint(
     if optimiser is not None:
         _restore_moments(optimiser, load_file(folder / "optimiser.safetensors"))
     return state
+
+
+def load_extra(folder: Path) -> dict[str, torch.Tensor]:
+    """Return what else a checkpoint's stage kept; empty where it kept nothing."""
+    path = folder / "extra.safetensors"
+    if not path.is_file():
+        return {}
+    try:
+        return load_file(path)
+    except (OSError, ValueError) as error:
+        raise TrainingError(
+            f"checkpoint {folder} cannot be read ({error}); delete it to start the stage again"
+        ) from error
 
 
 def latest_checkpoint(folder: Path) -> Path | None:

@@ -16,6 +16,7 @@ from flashcache.training.checkpoint import (
     checkpoint_folder,
     latest_checkpoint,
     load_checkpoint,
+    load_extra,
     prune_checkpoints,
     save_checkpoint,
 )
@@ -123,6 +124,7 @@ def _resume(context: StepContext, stage: StageOne | StageTwo, fingerprint: str) 
     while (folder := latest_checkpoint(context.folder)) is not None:
         try:
             state = load_checkpoint(folder, stage.model, stage.optimiser)
+            extra = load_extra(folder)
         except TrainingError as error:
             context.reporter.log("checkpoint.unreadable", folder=folder.name, reason=str(error))
             _discard(folder)
@@ -133,6 +135,8 @@ def _resume(context: StepContext, stage: StageOne | StageTwo, fingerprint: str) 
                 f"use another output folder, or the settings it was made with"
             )
         stage.steps_done, stage.num_skipped = state.step, state.num_skipped
+        if isinstance(stage, StageTwo):
+            stage.restore_extra_state(extra)
         context.reporter.log("checkpoint.resumed", stage=context.stage, step=state.step)
         return state.seconds
     return 0.0
@@ -148,7 +152,8 @@ def _save(context: StepContext, stage: StageOne | StageTwo, fingerprint: str, se
         seconds=seconds,
     )
     folder = checkpoint_folder(context.folder, stage.steps_done)
-    save_checkpoint(folder, stage.model, stage.optimiser, state)
+    extra = stage.extra_state() if isinstance(stage, StageTwo) else None
+    save_checkpoint(folder, stage.model, stage.optimiser, state, extra)
     prune_checkpoints(context.folder, keep=2)
     context.reporter.checkpoint(context.stage, stage.steps_done, folder)
     if isinstance(stage, StageTwo):
