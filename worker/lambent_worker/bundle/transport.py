@@ -1,0 +1,195 @@
+"""Light transport of a whole surface: shadows, openness of the sky, and light from surface to surface.
+
+The transfer of a texel is the vector T with irradiance = T . l for a light with spherical-harmonic
+coefficients l. Direct transfer is that of an open sky, which is known exactly, minus what the rays find
+blocked: an unshadowed texel has no noise at all. Source: docs/method.md (relighting), Sloan et al. 2002
+(Precomputed Radiance Transfer).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from lambent_relight import harmonics
+from lambent_relight.transport import Transport, coarse_blocks
+from numpy import ndarray
+
+from lambent_worker.bundle.transport_bounce import Reflectors, indirect_transfer
+from lambent_worker.bundle.transport_rays import (
+    CELL,
+    Occlusion,
+    RayConfig,
+    SecondaryRays,
+    cast,
+    direction_sets,
+)
+from lambent_worker.bundle.transport_smoothing import smoothing
+from lambent_worker.errors import WorkerError
+
+TIERS = {"full": (7, 4, True), "lite": (5, 3, False)}
+"""Bands of direct transfer and of visibility, and whether there are shadow bits."""
+INDIRECT_BANDS = 3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TransportConfig:
+    """What is baked."""
+
+    tier: str = "full"
+    """"full" or "lite"; everything in a lite bundle is a part of the full one."""
+    num_bounces: int = 4
+    """How often light may go from surface to surface."""
+    rays: RayConfig = field(default_factory=RayConfig)
+
+    def __post_init__(self) -> None:
+        if self.tier not in TIERS or self.num_bounces < 1:
+            raise WorkerError(
+                "export.transport",
+                f"tier {self.tier!r} with {self.num_bounces} bounces: expected one of {', '.join(TIERS)}, "
+                "and at least one bounce; change the export's settings",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BakedSurface:
+    """The covered texels of an atlas, in the order of `texel_index`."""
+
+    size: int
+    texel_index: Int[ndarray, " texels"]
+    positions: Float[ndarray, "texels 3"]
+    normals: Float[ndarray, "texels 3"]
+
+
+def bake_transport(
+    surface: BakedSurface,
+    reflectors: Reflectors,
+    secondary: SecondaryRays,
+    *,
+    origin_offset: float,
+    config: TransportConfig,
+    store: Path,
+    advance: Callable[[float], None] = lambda share: None,
+) -> tuple[Transport, dict[str, float]]:
+    """Return the transport of `surface`, and figures about how it was made.
+
+    `reflectors` are the materials of the texels; `store` keeps finished rays, so that an interrupted bake
+    goes on where it was. `advance` is called with the finished share of the rays.
+    """
+    bands, visibility_bands, with_bits = TIERS[config.tier]
+    coarse, parent = coarse_blocks(surface.size, surface.texel_index)
+    seen = cast(
+        surface.positions,
+        surface.normals,
+        _sets(surface),
+        coarse,
+        secondary,
+        origin_offset=origin_offset,
+        config=config.rays,
+        store=store,
+        advance=advance,
+    )
+    directions = direction_sets(config.rays)
+    smooth = smoothing(surface.positions, surface.normals)
+    blocked = smooth @ _blocked_transfer(seen, surface.normals, directions, bands)
+    direct = _open_transfer(surface.normals, bands) - blocked
+    visibility = -(smooth @ _blocked_sky(seen, surface.normals, directions, visibility_bands))
+    visibility[:, 0] += np.sqrt(4.0 * np.pi)
+    indirect = indirect_transfer(
+        surface.positions,
+        surface.normals,
+        reflectors,
+        seen,
+        directions,
+        coarse,
+        parent,
+        direct[:, : INDIRECT_BANDS**2],
+        visibility,
+        origin_offset=origin_offset,
+        num_bounces=config.num_bounces,
+    )
+    around = smoothing(surface.positions[coarse], surface.normals[coarse])
+    indirect = np.stack([(around @ indirect[:, :, channel].T).T for channel in range(3)], axis=1)
+    transport = Transport(
+        surface.size,
+        surface.texel_index.astype(np.int32),
+        np.ascontiguousarray(direct.T, np.float32),
+        np.ascontiguousarray(visibility.T, np.float32),
+        np.ascontiguousarray(indirect, np.float32),
+        _shadow_bits(seen) if with_bits else None,
+        _material(surface, reflectors),
+    )
+    figures = {
+        "transport_rays_per_texel": seen.num_rays / len(surface.positions),
+        "transport_blocked_share": float(blocked[:, 0].mean() / (0.5 * np.sqrt(np.pi))),
+    }
+    return transport, figures
+
+
+def _sets(surface: BakedSurface) -> Int[ndarray, " texels"]:
+    """Return the set of every texel: a 4 x 4 pattern over the atlas, far sets beside each other."""
+    row, column = np.divmod(surface.texel_index.astype(np.int64), surface.size)
+    pattern = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
+    return pattern[row % 4, column % 4]
+
+
+def _open_transfer(normals: Float[ndarray, "texels 3"], bands: int) -> Float[ndarray, "texels _"]:
+    """Return the transfer of texels with nothing around them: the clamped cosine's harmonics."""
+    return (harmonics.basis(normals, bands) * harmonics.cosine_factors(bands)).astype(np.float32)
+
+
+def _blocked_transfer(
+    seen: Occlusion,
+    normals: Float[ndarray, "texels 3"],
+    directions: Float[ndarray, "sets directions 3"],
+    bands: int,
+) -> Float[ndarray, "texels _"]:
+    """Return the transfer that is missing: the sum over directions of opacity times cosine times basis."""
+    result = np.zeros((len(normals), bands**2), np.float32)
+    for index, way in enumerate(directions):
+        texels = seen.in_set(index)
+        weight = seen.opacity[texels] * np.maximum(normals[texels] @ way.T, 0.0)
+        result[texels] = weight @ (harmonics.basis(way, bands) * (CELL / 255.0)).astype(np.float32)
+    return result
+
+
+def _blocked_sky(
+    seen: Occlusion,
+    normals: Float[ndarray, "texels 3"],
+    directions: Float[ndarray, "sets directions 3"],
+    bands: int,
+) -> Float[ndarray, "texels _"]:
+    """Return the harmonics of opacity, continued below the horizon as its mirror image."""
+    result = np.zeros((len(normals), bands**2), np.float32)
+    for index, way in enumerate(directions):
+        texels = seen.in_set(index)
+        opacity = seen.opacity[texels]
+        weight = opacity.astype(np.float32) * np.float32(CELL / 255.0)
+        result[texels] = weight @ harmonics.basis(way, bands).astype(np.float32)
+        row, column = np.nonzero(opacity > 12)
+        facing = normals[texels[row]]
+        below = way[column] - 2.0 * np.einsum("ni,ni->n", way[column], facing)[:, None] * facing
+        mirrored = harmonics.basis(below, bands) * weight[row, column][:, None]
+        sums = [np.bincount(row, mirrored[:, k], len(texels)) for k in range(bands**2)]
+        result[texels] += np.stack(sums, axis=1).astype(np.float32)
+    return result
+
+
+def _shadow_bits(seen: Occlusion) -> UInt8[ndarray, "texels _"]:
+    """Return one bit per direction, set where more light passes than is held back, or below the horizon.
+
+    A settled texel asked half of the directions; the others are as free as those, which `cast` filled in.
+    """
+    return np.packbits(seen.opacity < 128, axis=1, bitorder="little")
+
+
+def _material(surface: BakedSurface, reflectors: Reflectors) -> Float[ndarray, "8 texels"]:
+    """Return what texels are made of, as planes."""
+    columns = (
+        reflectors.albedo,
+        reflectors.perceptual_roughness,
+        reflectors.metalness,
+        surface.normals,
+    )
+    return np.ascontiguousarray(np.concatenate(columns, axis=1).T, np.float32)

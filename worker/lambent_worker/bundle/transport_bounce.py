@@ -1,0 +1,148 @@
+"""Light that reaches a texel by way of other surfaces, under any environment.
+
+A blocked ray ends at a hit point, whose outgoing radiance is linear in the light: its diffuse part by the
+irradiance transfer of the nearest texel, its specular part by the environment seen in the mirror direction,
+smoothed by the lobe and weakened by what stands there; the rest of the lobe sees the mean of what surrounds
+the hit point. Gathering this over all rays, again and again, gives every further bounce: direct -> gather ->
+iterate. Source: docs/method.md (relighting); Sloan et al. 2002 (interreflections).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float, Int
+from lambent_relight import harmonics
+from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.split_sum import split_sum
+from lambent_relight.transport_lobes import factors_at, ggx_bands, per_coefficient
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from lambent_worker.bundle.transport_rays import CELL, Occlusion
+
+_LEAST_BLOCKED = 0.05
+"""Share of the hemisphere that is taken to surround a hit point at least."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflectors:
+    """Materials of texels."""
+
+    albedo: Float[ndarray, "texels 3"]
+    perceptual_roughness: Float[ndarray, "texels 1"]
+    metalness: Float[ndarray, "texels 1"]
+
+    def diffuse(self) -> Float[ndarray, "texels 3"]:
+        """Return the diffuse albedo."""
+        return (1.0 - self.metalness) * self.albedo
+
+    def base_reflectance(self) -> Float[ndarray, "texels 3"]:
+        """Return F0."""
+        return self.metalness * self.albedo + (1.0 - self.metalness) * DIELECTRIC_F0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hits:
+    """Blocked rays that were followed."""
+
+    receiver: Int[ndarray, " hits"]
+    """Coarse texel the ray left from."""
+    texel: Int[ndarray, " hits"]
+    """Texel nearest to its end."""
+    weight: Float[ndarray, " hits"]
+    """Opacity times cosine times solid angle."""
+    direction: Float[ndarray, "hits 3"]
+
+
+def indirect_transfer(
+    positions: Float[ndarray, "texels 3"],
+    normals: Float[ndarray, "texels 3"],
+    reflectors: Reflectors,
+    seen: Occlusion,
+    directions: Float[ndarray, "sets directions 3"],
+    coarse: Int[ndarray, " coarse"],
+    parent: Int[ndarray, " texels"],
+    direct: Float[ndarray, "texels coefficients"],
+    visibility: Float[ndarray, "texels _"],
+    *,
+    origin_offset: float,
+    num_bounces: int,
+) -> Float[ndarray, "coefficients coarse 3"]:
+    """Return the indirect transfer of the texels `coarse`; texel t lies in the block `parent[t]`.
+
+    `direct` and `visibility` are per texel, coefficients last.
+    """
+    hits = _hits(positions, normals, seen, directions, coarse, origin_offset)
+    size = (len(coarse), len(positions))
+    gather = scipy.sparse.csr_array((hits.weight, (hits.receiver, hits.texel)), shape=size)
+    mirrored, surrounded = _specular(hits, normals, reflectors, visibility, direct, len(coarse))
+    diffuse = (reflectors.diffuse() / np.pi).astype(np.float32)
+    result = np.zeros((direct.shape[1], len(coarse), 3), np.float32)
+    for _ in range(num_bounces):
+        for channel in range(3):
+            arriving = result[:, :, channel].T[parent]
+            total = gather @ (diffuse[:, channel : channel + 1] * (direct + arriving))
+            total += mirrored[:, :, channel] + surrounded[channel] @ arriving
+            result[:, :, channel] = total.T
+    return result
+
+
+def _hits(
+    positions: Float[ndarray, "texels 3"],
+    normals: Float[ndarray, "texels 3"],
+    seen: Occlusion,
+    directions: Float[ndarray, "sets directions 3"],
+    coarse: Int[ndarray, " coarse"],
+    origin_offset: float,
+) -> _Hits:
+    """Return the rays of the coarse texels that end at a surface, and where."""
+    receiver, column = np.nonzero(seen.distance > 0.0)
+    texel = coarse[receiver]
+    way = directions[seen.set_of_texel[texel], column]
+    cosine = np.einsum("ni,ni->n", way, normals[texel])
+    # A wholly blocked texel asked half of its directions; each then stands for two.
+    stored = np.bincount(receiver, minlength=len(coarse))
+    blocked = (seen.opacity[coarse] > 12).sum(axis=1)
+    width = (CELL * np.maximum(blocked / np.maximum(stored, 1), 1.0))[receiver]
+    origin = positions[texel] + origin_offset * normals[texel]
+    ends = origin + seen.distance[receiver, column].astype(np.float32)[:, None] * way
+    _, nearest = cKDTree(positions).query(ends, workers=-1)
+    weight = seen.opacity[texel, column] / 255.0 * np.maximum(cosine, 0.0) * width
+    return _Hits(receiver, nearest, weight.astype(np.float32), way)
+
+
+def _specular(
+    hits: _Hits,
+    normals: Float[ndarray, "texels 3"],
+    reflectors: Reflectors,
+    visibility: Float[ndarray, "texels _"],
+    direct: Float[ndarray, "texels coefficients"],
+    num_coarse: int,
+) -> tuple[Float[ndarray, "coarse coefficients 3"], list[scipy.sparse.csr_array]]:
+    """Return what arrives by mirroring the environment, and, per channel, the surroundings' irradiance."""
+    normal, roughness = normals[hits.texel], reflectors.perceptual_roughness[hits.texel]
+    out = -hits.direction
+    cosine = np.einsum("ni,ni->n", out, normal)
+    mirror = 2.0 * cosine[:, None] * normal - out
+    scale, bias = split_sum(np.clip(cosine, 0.0, 1.0), roughness[:, 0])
+    reflectance = reflectors.base_reflectance()[hits.texel] * scale[:, None] + bias[:, None]
+    reflectance *= (cosine > 0.0)[:, None]
+    bands = max(visibility.shape[1], direct.shape[1])
+    bands = round(bands**0.5)
+    lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
+    basis = harmonics.basis(mirror, bands) * lobe
+    free = np.einsum("nk,nk->n", basis[:, : visibility.shape[1]], visibility[hits.texel]).clip(0.0, 1.0)
+    count = direct.shape[1]
+    mirrored = np.empty((num_coarse, count, 3), np.float32)
+    surrounded = []
+    blocked = 1.0 - direct[hits.texel, 0] / (0.5 * np.sqrt(np.pi))
+    shape = (num_coarse, len(normals))
+    for channel in range(3):
+        weight = hits.weight * reflectance[:, channel]
+        for k in range(count):
+            mirrored[:, k, channel] = np.bincount(hits.receiver, weight * free * basis[:, k], num_coarse)
+        rest = weight * (1.0 - free) / (np.pi * np.maximum(blocked, _LEAST_BLOCKED))
+        places = (hits.receiver, hits.texel)
+        surrounded.append(scipy.sparse.csr_array((rest.astype(np.float32), places), shape=shape))
+    return mirrored, surrounded

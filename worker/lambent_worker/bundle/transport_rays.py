@@ -1,0 +1,150 @@
+"""What is free and what is in the way around every texel: rays of the fast cache in stratified directions.
+
+Every texel asks the directions of one of 16 sets, those above its horizon. All sets are the same 256 evenly
+spread directions, each moved inside its own share of the sphere, so that neighbouring texels ask between each
+other's directions. Half of the directions are asked first; a texel that they find wholly free or wholly
+blocked is settled, only the others ask the second half. Source: supplement 2.1 (the fast cache's opacity).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from lambent_relight.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
+from numpy import ndarray
+
+NUM_SETS = 16
+CELL = 4.0 * np.pi / NUM_SHADOW_DIRECTIONS
+"""Solid angle of one direction, sr."""
+NOT_STORED = -1.0
+
+
+class SecondaryRays(Protocol):
+    """The fast cache: rays [ray, 3] to opacity and distance [ray, 1] each."""
+
+    def __call__(
+        self, origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
+    ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
+        """Return what rays from offset surface points see."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RayConfig:
+    """How many rays are spent on a texel."""
+
+    texels_per_chunk: int = 2048
+    """Texels that are asked about and stored at once."""
+    settled: float = 0.05
+    """Opacities below this, or above one minus this, in all asked directions settle a texel."""
+    jitter: float = 0.9
+    """How far directions may move, as a share of the radius of their cell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Occlusion:
+    """Opacity in every direction of a texel's set; 0 below the horizon."""
+
+    opacity: UInt8[ndarray, "texels directions"]
+    """Times 255."""
+    distance: Float[ndarray, "coarse directions"]
+    """For the texels that stand for a coarse one, scene units; NOT_STORED where nothing was asked or hit."""
+    set_of_texel: Int[ndarray, " texels"]
+    num_rays: int
+
+    def in_set(self, index: int) -> Int[ndarray, " some"]:
+        """Return the texels that asked the directions of one set."""
+        return np.flatnonzero(self.set_of_texel == index)
+
+
+def direction_sets(config: RayConfig) -> Float[ndarray, "sets directions 3"]:
+    """Return the directions of every set; deterministic."""
+    centre = shadow_directions()
+    rng = np.random.default_rng(20_240_611)
+    helper = np.where(np.abs(centre[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    tangent = np.cross(centre, helper)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    bitangent = np.cross(centre, tangent)
+    # The radius of a disc as large as a cell; one direction's moves are stratified over the sets.
+    radius = config.jitter * np.sqrt(CELL / np.pi)
+    order = np.argsort(rng.random((NUM_SHADOW_DIRECTIONS, NUM_SETS)), axis=1).T
+    distance = radius * np.sqrt((order + rng.random(order.shape)) / NUM_SETS)[..., None]
+    angle = (2.0 * np.pi * (order * 0.618034 + rng.random(order.shape) / NUM_SETS))[..., None]
+    moved = centre + distance * (np.cos(angle) * tangent + np.sin(angle) * bitangent)
+    return (moved / np.linalg.norm(moved, axis=-1, keepdims=True)).astype(np.float32)
+
+
+def cast(
+    positions: Float[ndarray, "texels 3"],
+    normals: Float[ndarray, "texels 3"],
+    set_of_texel: Int[ndarray, " texels"],
+    coarse: Int[ndarray, " coarse"],
+    secondary: SecondaryRays,
+    *,
+    origin_offset: float,
+    config: RayConfig,
+    store: Path,
+    advance: Callable[[float], None] = lambda share: None,
+) -> Occlusion:
+    """Return what the rays of all texels find; `coarse` are the texels whose distances are kept.
+
+    Finished chunks lie in `store` and are not asked for again; the folder must belong to this surface and
+    model. `advance` is called with the finished share and may raise to stop.
+    """
+    sets = direction_sets(config)
+    keeps_distance = np.zeros(len(positions), bool)
+    keeps_distance[coarse] = True
+    store.mkdir(parents=True, exist_ok=True)
+    opacities, distances, num_rays = [], [], 0
+    for start in range(0, len(positions), config.texels_per_chunk):
+        part = slice(start, start + config.texels_per_chunk)
+        path = store / f"{start:08d}.npz"
+        if not path.exists():
+            found = _cast_chunk(
+                positions[part], normals[part], sets[set_of_texel[part]], secondary, origin_offset, config
+            )
+            partial = path.with_name(f".partial-{path.name}")
+            np.savez(partial, opacity=found[0], distance=found[1][keeps_distance[part]], num_rays=found[2])
+            partial.rename(path)
+        with np.load(path) as chunk:
+            opacities.append(chunk["opacity"])
+            distances.append(chunk["distance"])
+            num_rays += int(chunk["num_rays"])
+        advance(min(1.0, (start + config.texels_per_chunk) / len(positions)))
+    return Occlusion(np.concatenate(opacities), np.concatenate(distances), set_of_texel, num_rays)
+
+
+def _cast_chunk(
+    positions: Float[ndarray, "texels 3"],
+    normals: Float[ndarray, "texels 3"],
+    directions: Float[ndarray, "texels directions 3"],
+    secondary: SecondaryRays,
+    origin_offset: float,
+    config: RayConfig,
+) -> tuple[UInt8[ndarray, "texels directions"], Float[ndarray, "texels directions"], int]:
+    above = np.einsum("tdi,ti->td", directions, normals) > 0.0
+    opacity = np.zeros(above.shape, np.uint8)
+    distance = np.full(above.shape, NOT_STORED, np.float16)
+    origins = positions + np.float32(origin_offset) * normals
+    num_rays = 0
+
+    def ask(wanted: ndarray) -> None:
+        nonlocal num_rays
+        texel, direction = np.nonzero(wanted)
+        seen, far = secondary(origins[texel], directions[texel, direction])
+        opacity[texel, direction] = np.round(255.0 * np.clip(seen[:, 0], 0.0, 1.0))
+        distance[texel, direction] = np.where(seen[:, 0] > config.settled, far[:, 0], NOT_STORED)
+        num_rays += len(texel)
+
+    first = above.copy()
+    first[:, 1::2] = False
+    ask(first)
+    limit = round(255 * config.settled)
+    free = np.where(first, opacity, 0).max(axis=1) <= limit
+    blocked = np.where(first, opacity, 255).min(axis=1) >= 255 - limit
+    second = above & ~first & ~(free | blocked)[:, None]
+    ask(second)
+    opacity[(above & ~first) & blocked[:, None]] = 255
+    return opacity, distance, num_rays
