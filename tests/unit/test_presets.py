@@ -48,6 +48,8 @@ def test_the_papers_presets_leave_our_departures_off(name: str):
     assert config.stage_two.fast_by_half
     assert config.stage_two.estimator.through_cache == 1e-4
     assert config.model.nerf.normal_floor < 1e-3
+    assert config.model.nerf.appearance.architecture == "fast_like"
+    assert config.model.nerf.reflected == config.model.fast
 
 
 @pytest.mark.parametrize("name", PAPER)

@@ -233,7 +233,7 @@ def test_stage_one_learns_the_sphere():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PRESETS if name not in ("tiny", "fast")])
-def test_every_large_preset_takes_a_step_of_both_stages(name):
+def test_every_large_preset_takes_steps_of_both_stages(name):
     config = preset(name)
     share = 64 if name.startswith("paper") else 16
     config = replace(
@@ -247,6 +247,7 @@ def test_every_large_preset_takes_a_step_of_both_stages(name):
         StageOne(model, pixels, config.stage_one, seed=0),
         StageTwo(model, pixels, config.stage_two, seed=0),
     ):
-        record = stage.step()
-        assert not record.skipped
+        for _ in range(3 if name.startswith("paper") else 1):
+            record = stage.step()
+            assert not record.skipped
         assert all(torch.isfinite(value).all() for value in model.state_dict().values())

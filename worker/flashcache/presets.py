@@ -192,7 +192,7 @@ def tiny() -> Config:
             material_rates=Rates(grid=2e-2, network=5e-3),
             environment_rate=1e-2,
         ),
-        evaluation=EvaluationConfig(num_views=2, num_repeats=1, num_directions=16),
+        evaluation=EvaluationConfig(num_views=2, num_repeats=1, num_directions=16, uncertainty_points=150),
         export=ExportConfig(gbuffer_samples=64, mesh_resolution=48, environment_height=32),
         checkpoint_steps=50,
     )
@@ -217,7 +217,7 @@ def standard() -> Config:
     """The paper's sizes with fewer rays and steps, meant for one GPU with 24 GB; not run on one yet."""
     paper = paper_tensoir()
     base = fast()
-    appearance = replace(paper.model.nerf.appearance, bottleneck=64, reflection_width=64)
+    appearance = replace(paper.model.nerf.appearance, architecture="ide", bottleneck=64, reflection_width=64)
     nerf = replace(
         paper.model.nerf,
         density=replace(paper.model.nerf.density, softplus_beta=10.0),

@@ -34,29 +34,27 @@ def _model(half_extent: float = 1.0) -> ModelConfig:
     def density(finest: int, features: int) -> DensityConfig:
         return DensityConfig(grid=_grid(finest, features, half_extent), softplus_beta=None)
 
+    along_rays = FastCacheConfig(
+        distance_grid=_grid(256, half_extent=half_extent), feature_grid=_grid(256, half_extent=2.0)
+    )
     nerf = NerfCacheConfig(
         proposals=(density(512, 1), density(1024, 1)),
         density=density(2048, 4),
-        appearance=AppearanceConfig(grid=_grid(half_extent=half_extent)),
+        appearance=AppearanceConfig(architecture="fast_like", grid=_grid(half_extent=half_extent)),
+        reflected=along_rays,
         normal_floor=3.5e-4,
         exponent=0.4,
     )
     return ModelConfig(
         nerf=nerf,
-        fast=FastCacheConfig(
-            distance_grid=_grid(256, half_extent=half_extent), feature_grid=_grid(256, half_extent=2.0)
-        ),
+        fast=along_rays,
         materials=MaterialConfig(grid=_grid(half_extent=half_extent)),
         light_sampler=LightSamplerConfig(grid=_grid(half_extent=half_extent)),
     )
 
 
 def paper_tensoir() -> Config:
-    """The supplement's settings for TensoIR-synthetic.
-
-    Differs from the paper: the cache's specular branch is the network on an integrated directional encoding
-    of the authors' public code, not the copy of the fast cache that supplement 2.2 describes.
-    """
+    """The supplement's settings for TensoIR-synthetic."""
     return Config(
         preset="paper_tensoir",
         space=SpaceConfig(contraction_radius=2.0, primary=(2.0, 6.0), secondary=(0.05, 2.0), fast_radius=2.0),
