@@ -69,16 +69,17 @@ def in_world(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"])
 def settle(manifest: scene_pb2.SceneManifest) -> None:
     """Move the middle of the box to the origin and bring the box to the ordinary size, where it is far off.
 
-    Afterwards the contraction of space begins at the box, or at the ball that the cameras suggest. Units that
-    the capture fixes with its box are kept.
+    A scene that was moved already is brought there exactly. Afterwards the contraction of space begins at the
+    box, or at the ball that the cameras suggest. Units that the capture fixes with its box are kept.
     """
     low, high = np.array(manifest.bounds.minimum), np.array(manifest.bounds.maximum)
     middle, half = 0.5 * (low + high), float(0.5 * (high - low).max())
     matrix = np.eye(4)
     ordinary = ORDINARY_REACH.get(manifest.bounds_from, half)
-    if not 1.0 / KEPT_RATIO <= half / ordinary <= KEPT_RATIO:
+    is_moved = bool(manifest.world_from_capture)
+    if is_moved or not 1.0 / KEPT_RATIO <= half / ordinary <= KEPT_RATIO:
         matrix[:3, :3] *= ordinary / half
-    if np.linalg.norm(middle) > KEPT_OFFSET * half:
+    if is_moved or np.linalg.norm(middle) > KEPT_OFFSET * half:
         matrix[:3, 3] = -(matrix[:3, :3] @ middle)
     if not np.array_equal(matrix, np.eye(4)):
         move(manifest, matrix)
