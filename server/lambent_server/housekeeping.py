@@ -13,6 +13,7 @@ from lambent_server.database.schema import (
     events,
     garbage,
     idempotency_keys,
+    scene_figures,
     scene_files,
     scenes,
     sessions,
@@ -22,6 +23,7 @@ from lambent_server.services import Services
 
 _REFERENCES: tuple[Table, ...] = (
     scene_files,
+    scene_figures,
     checkpoint_files,
     artifacts,
     bundle_files,

@@ -89,12 +89,64 @@ class SceneReport(Shown):
     num_test_frames: int
 
 
+class PictureFigures(Shown):
+    """Mirrors lambent_proto.v1.PictureFigures."""
+
+    light: str
+    path: str
+    clipped_share: float
+    sharpness: float
+    exposure_ev: float
+    exposure_jump_ev: float
+
+
+class ViewFigures(Shown):
+    """Mirrors lambent_proto.v1.ViewFigures."""
+
+    name: str
+    split: Literal["", "train", "test"]
+    azimuth_deg: float
+    elevation_deg: float
+    distance: float
+    mask_share: float
+    border_share: float
+    unexplained_share: float
+    missed_share: float
+    carved_share: float
+    hole_share: float
+    speck_share: float
+    num_specks: int
+    moved_share: float
+    mismatch_ev: float
+    pictures: list[PictureFigures]
+
+
+class CaptureFigures(Shown):
+    """Mirrors lambent_proto.v1.CaptureFigures."""
+
+    schema_version: str
+    num_train_views: int
+    gap_deg: float
+    upper_gap_deg: float
+    upper_gap_azimuth_deg: float
+    upper_gap_elevation_deg: float
+    lowest_elevation_deg: float
+    highest_elevation_deg: float
+    has_masks: bool
+    has_hull: bool
+    outside_box_share: float
+    exposure_range_ev: float
+    views: list[ViewFigures]
+
+
 class SceneReportAnswer(SceneReport):
     """The report together with the state it led to; `checked` is false before anything was looked at."""
 
     scene_id: str
     state: SceneState
     checked: bool
+    figures: CaptureFigures | None
+    """What was measured; null where nothing could be, or nothing was looked at yet."""
 
 
 class NewJob(Given):

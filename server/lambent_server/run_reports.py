@@ -3,7 +3,7 @@
 from typing import Any
 
 from google.protobuf.json_format import MessageToJson, Parse, ParseError
-from lambent_proto.v1 import bundle_pb2, job_pb2, scene_pb2, worker_pb2
+from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
 from sqlalchemy import Connection
 
 from lambent_server.checkpoint_rows import drop_checkpoint
@@ -23,6 +23,7 @@ from lambent_server.mirror import enum_text, to_rest
 from lambent_server.outcomes import Failure, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.problems import Problem, invalid
+from lambent_server.scene_figures import store_figures
 from lambent_server.settings import Settings
 from lambent_server.store import BlobStore, find_blob
 
@@ -116,8 +117,9 @@ def _plain(text: str) -> str:
     return text.replace("\0", "")
 
 
-def store_scene_report(connection: Connection, job: Job, report: scene_pb2.SceneReport) -> None:
-    """Store what was found out about the scene and whether jobs may use it."""
+def store_scene_report(connection: Connection, job: Job, request: worker_pb2.ReportSceneRequest) -> None:
+    """Store what was found out about the scene, what was measured on it, and whether jobs may use it."""
+    report = request.report
     scene = find(connection, owner(job), scenes, job["scene_id"], lock=True)
     if scene is None or scene["state"] not in ("uploaded", "ready"):
         return
@@ -133,6 +135,8 @@ def store_scene_report(connection: Connection, job: Job, report: scene_pb2.Scene
     statement = change(owner(job), scenes).where(scenes.c.id == scene["id"])
     state = "ready" if report.usable else "rejected"
     connection.execute(statement.values(report=fresh, layout=report.layout or None, state=state))
+    figures = request.figures if request.HasField("figures") else None
+    store_figures(connection, owner(job), scene["id"], figures, request.page_sha256)
 
 
 def store_failure(

@@ -15,6 +15,7 @@ from lambent_server.job_rows import FINAL
 from lambent_server.messages import Scene
 from lambent_server.paths import check_path, folded, is_scene_file
 from lambent_server.problems import Detail, Problem, conflict, not_found
+from lambent_server.scene_figures import forget_figures
 from lambent_server.settings import Settings
 from lambent_server.store import touch
 
@@ -206,4 +207,5 @@ def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
     if job_id is not None:
         raise conflict("scene_in_use", f"job {job_id} works on this scene; cancel it first")
     _forget_files(connection, tenant, scene["id"])
+    forget_figures(connection, tenant, scene["id"])
     connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))

@@ -151,7 +151,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         """Store what was found out about the scene."""
 
         def act(connection: Connection, job: Job) -> Message:
-            run_reports.store_scene_report(connection, job, request.report)
+            run_reports.store_scene_report(connection, job, request)
             return worker_pb2.ReportSceneResponse()
 
         return self._answer(context, request.fence, act)

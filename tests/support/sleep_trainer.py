@@ -14,6 +14,7 @@ from pathlib import Path
 
 from google.protobuf.json_format import MessageToJson
 from lambent_proto.v1 import bundle_pb2, scene_pb2
+from lambent_worker.check_result import CaptureCheck
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.run import Task, work
 from lambent_worker.supervisor import supervise
@@ -105,7 +106,7 @@ def write_result(task: Task, num_steps: int) -> Path:
     return bundle
 
 
-def check(scene_dir: Path) -> scene_pb2.SceneReport:
+def check(scene_dir: Path) -> CaptureCheck:
     """Accept every scene but one with a file called reject.txt."""
     if (scene_dir / "reject.txt").exists():
         finding = scene_pb2.Finding(
@@ -114,8 +115,9 @@ def check(scene_dir: Path) -> scene_pb2.SceneReport:
             message="mend reject.txt",
             subject="reject.txt",
         )
-        return scene_pb2.SceneReport(usable=False, findings=[finding])
-    return scene_pb2.SceneReport(usable=True, layout="nerf_blender", num_train_frames=3, num_test_frames=1)
+        return CaptureCheck(report=scene_pb2.SceneReport(usable=False, findings=[finding]))
+    report = scene_pb2.SceneReport(usable=True, layout="nerf_blender", num_train_frames=3, num_test_frames=1)
+    return CaptureCheck(report=report)
 
 
 if __name__ == "__main__":

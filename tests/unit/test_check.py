@@ -4,10 +4,11 @@ import resource
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from lambent_worker import check
 from lambent_worker.errors import UsageError
-from support.captures import write_tensoir
+from support.captures import save, write_tensoir
 from support.hostile_files import huge_exr, huge_png
 
 pytestmark = pytest.mark.slow
@@ -22,6 +23,18 @@ def test_the_child_reports_what_looking_in_this_process_would(tmp_path):
     assert not report.usable
     assert {finding.code for finding in report.findings} == {"scene.image_not_a_picture"}
     assert report.layout == "tensoir_synthetic"
+
+
+def test_a_capture_that_can_be_used_is_measured_with_masks_from_a_folder(tmp_path):
+    folder = write_tensoir(tmp_path / "scene")
+    mask = np.zeros((12, 12), dtype=np.uint8)
+    mask[3:9, 3:6] = 255
+    for path in folder.iterdir():
+        save(tmp_path / "masks" / f"{path.name}.png", mask)
+    checked = check.check_capture(folder, masks=tmp_path / "masks")
+    assert checked.report.usable
+    assert checked.figures.views[0].mask_share == pytest.approx(18 / 144)
+    assert len(checked.thumbnails) == 7
 
 
 def test_this_process_keeps_its_own_limits(tmp_path):

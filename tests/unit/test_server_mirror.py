@@ -8,7 +8,7 @@ from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lambent_proto.v1 import bundle_pb2, evaluation_pb2, job_pb2, scene_pb2
+from lambent_proto.v1 import bundle_pb2, capture_pb2, evaluation_pb2, job_pb2, scene_pb2
 from lambent_server import messages
 from lambent_server.mirror import enum_number, enum_text, from_rest, to_rest
 
@@ -17,6 +17,9 @@ MIRRORED = [
     (job_pb2.Event, messages.Event),
     (scene_pb2.Finding, messages.Finding),
     (scene_pb2.SceneReport, messages.SceneReport),
+    (capture_pb2.PictureFigures, messages.PictureFigures),
+    (capture_pb2.ViewFigures, messages.ViewFigures),
+    (capture_pb2.CaptureFigures, messages.CaptureFigures),
 ]
 ALL = [
     *(message for message, _ in MIRRORED),

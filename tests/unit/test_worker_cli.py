@@ -10,7 +10,7 @@ import pytest
 import typer
 from flashcache.errors import ConfigError, TrainingError
 from lambent_proto.v1 import scene_pb2
-from lambent_worker import cli
+from lambent_worker import check_cli, cli
 from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
 from support.captures import write_tensoir
 from typer.testing import CliRunner
@@ -25,7 +25,7 @@ def call(command, *arguments):
 
 
 def test_check_of_a_good_scene_ends_with_zero(tmp_path):
-    result = call(cli.check, write_tensoir(tmp_path))
+    result = call(check_cli.check, write_tensoir(tmp_path))
     assert result.exit_code == 0
     assert "can be used: tensoir_synthetic, 5 training and 2 test views" in result.stdout
 
@@ -33,7 +33,7 @@ def test_check_of_a_good_scene_ends_with_zero(tmp_path):
 def test_check_of_a_bad_scene_ends_with_four_and_says_why(tmp_path):
     folder = write_tensoir(tmp_path)
     (folder / "train_000" / "metadata.json").unlink()
-    result = call(cli.check, folder)
+    result = call(check_cli.check, folder)
     assert result.exit_code == 4
     assert "error: scene.camera_missing" in result.stdout
     assert "Traceback" not in result.output
@@ -42,15 +42,26 @@ def test_check_of_a_bad_scene_ends_with_four_and_says_why(tmp_path):
 def test_check_writes_the_report_as_json(tmp_path):
     folder = write_tensoir(tmp_path)
     (folder / "train_000" / "metadata.json").unlink()
-    result = call(cli.check, folder, "--json")
+    result = call(check_cli.check, folder, "--json")
     report = json.loads(result.stdout)
     assert result.exit_code == 4
     assert report["usable"] is False
     assert report["findings"][0]["subject"] == "train_000"
+    assert report["figures"] is None
+
+
+def test_check_writes_figures_and_a_page_where_it_is_told_to(tmp_path):
+    result = call(check_cli.check, write_tensoir(tmp_path / "scene"), "-o", tmp_path / "out")
+    assert result.exit_code == 0
+    record = json.loads((tmp_path / "out" / "capture.json").read_text())
+    assert [view["name"] for view in record["figures"]["views"]][:2] == ["test_000", "test_001"]
+    page = (tmp_path / "out" / "capture.html").read_text()
+    assert page.count("data:image/jpeg;base64,") == 7
+    assert "scene.views_few" in page
 
 
 def test_an_unknown_layout_ends_with_two(tmp_path):
-    result = call(cli.check, write_tensoir(tmp_path), "--layout", "colmap")
+    result = call(check_cli.check, write_tensoir(tmp_path), "--layout", "polaroids")
     assert result.exit_code == 2
     assert "scene.layout_unknown" in result.stderr
 
@@ -78,7 +89,7 @@ def test_each_kind_of_error_has_its_exit_code(error, code, text):
     def command() -> None:
         raise error
 
-    result = call(cli._reporting_errors(command))
+    result = call(cli.reporting_errors(command))
     assert result.exit_code == code
     assert text in result.stderr
 
@@ -87,7 +98,7 @@ def test_errors_are_json_objects_where_json_was_asked_for():
     def command(as_json: cli.Json = False) -> None:
         raise SceneRefusedError(REFUSED)
 
-    result = call(cli._reporting_errors(command), "--json")
+    result = call(cli.reporting_errors(command), "--json")
     fault = json.loads(result.stdout)["error"]
     assert result.exit_code == 4
     assert fault["code"] == "scene.refused"
@@ -98,7 +109,7 @@ def test_a_mistake_of_ours_keeps_its_traceback():
     def command() -> None:
         raise ZeroDivisionError
 
-    result = call(cli._reporting_errors(command))
+    result = call(cli.reporting_errors(command))
     assert isinstance(result.exception, ZeroDivisionError)
 
 
@@ -125,6 +136,9 @@ def test_the_first_signal_asks_to_stop_and_the_second_ends_at_once(number):
 
 
 def test_loading_the_commands_imports_no_torch():
-    script = "import sys, lambent_worker.cli; print([m for m in ('torch', 'numpy') if m in sys.modules])"
+    script = (
+        "import sys, lambent_worker.cli, lambent_worker.check_cli; "
+        "print([m for m in ('torch', 'numpy') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

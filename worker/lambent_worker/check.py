@@ -6,13 +6,16 @@ that makes it die is named, left out, and the rest is checked without it.
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from google.protobuf import json_format
-from lambent_proto.v1 import scene_pb2
+from lambent_proto.v1 import capture_pb2, scene_pb2
 
+from lambent_worker.check_result import CaptureCheck
 from lambent_worker.errors import UsageError
 from lambent_worker.scenes.detect import LAYOUTS
 from lambent_worker.scenes.problems import Problems
@@ -22,13 +25,20 @@ MAX_CPU_S = 600
 MAX_WALL_S = 900
 MAX_DEATHS = 5
 """Files that may kill the child before the check gives up."""
+MAX_THUMBNAIL_CHARACTERS = 64 * 1024
+_BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
 
 def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneReport:
-    """Return what is wrong with the capture in `folder`: every problem, at most 100.
+    """Return what is wrong with the capture in `folder`: every problem, at most 100."""
+    return check_capture(folder, layout).report
 
-    `layout` forces a layout instead of detecting it; an unknown name is a `UsageError`. Nothing a capture
-    holds makes this function raise.
+
+def check_capture(folder: Path, layout: str | None = None, masks: Path | None = None) -> CaptureCheck:
+    """Return what is wrong with the capture in `folder`, and what was measured on it where it can be used.
+
+    `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures; an
+    unknown layout is a `UsageError`. Nothing a capture holds makes this function raise.
     """
     if layout is not None and layout not in LAYOUTS:
         raise UsageError(
@@ -37,10 +47,10 @@ def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneRepor
         )
     killers: list[str] = []
     for _ in range(MAX_DEATHS):
-        report, reading = _run_child(folder, layout, killers)
-        if report is not None:
-            return report
-        if reading is None or reading in killers:
+        check, reading = _run_child(folder, layout, masks, killers)
+        if check is not None:
+            return check
+        if not reading or reading in killers:
             break
         killers.append(reading)
     problems = Problems()
@@ -50,16 +60,18 @@ def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneRepor
         + (f" while reading {', '.join(killers)}" if killers else "")
         + "; reduce the number or the size of the files",
     )
-    return scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
+    report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
+    return CaptureCheck(report=report)
 
 
 def _run_child(
-    folder: Path, layout: str | None, killers: list[str]
-) -> tuple[scene_pb2.SceneReport | None, str | None]:
-    """Return the child's report, or None and the file it was reading when it died."""
+    folder: Path, layout: str | None, masks: Path | None, killers: list[str]
+) -> tuple[CaptureCheck | None, str | None]:
+    """Return what the child found, or None and the file it was reading when it died."""
     task = {
         "folder": str(folder.resolve()),
         "layout": layout,
+        "masks": None if masks is None else str(masks.resolve()),
         "killers": killers,
         "memory_bytes": MAX_MEMORY_BYTES,
         "cpu_s": MAX_CPU_S,
@@ -78,11 +90,24 @@ def _run_child(
         output = child.stdout
     except subprocess.TimeoutExpired as expired:
         output = (expired.stdout or b"").decode(errors="replace")
-    reading = None
+    reading, figures, thumbnails = None, None, {}
     for line in output.splitlines():
         kind, _, rest = line.partition(" ")
         if kind == "report":
-            return json_format.Parse(rest, scene_pb2.SceneReport()), None
+            report = json_format.Parse(rest, scene_pb2.SceneReport())
+            return CaptureCheck(report=report, figures=figures, thumbnails=thumbnails), None
+        if kind == "figures":
+            figures = json_format.Parse(rest, capture_pb2.CaptureFigures())
+        if kind == "thumbnail":
+            thumbnails |= _thumbnail(json.loads(rest))
         if kind == "reading":
             reading = json.loads(rest)
     return None, reading
+
+
+def _thumbnail(value: dict[str, Any]) -> dict[str, str]:
+    """Return a thumbnail by its frame, if it is what it should be: the child has read files of strangers."""
+    name, data = value.get("name"), value.get("jpeg")
+    if not isinstance(name, str) or not isinstance(data, str):
+        return {}
+    return {name: data} if len(data) <= MAX_THUMBNAIL_CHARACTERS and _BASE64.fullmatch(data) else {}

@@ -1,13 +1,17 @@
 """The child process of `check`: reads a task on standard input, writes lines to standard output.
 
-Lines are `reading "path"` before each file is decoded, and at the end `report {SceneReport as ProtoJSON}`.
+Lines are `reading "path"` before each file is decoded; where the capture can be used `figures {CaptureFigures
+as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end `report {SceneReport}`.
 """
 
 import json
 import resource
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lambent_proto.v1 import scene_pb2
 
 
 def limit_resources(memory_bytes: int, cpu_s: int) -> None:
@@ -22,15 +26,46 @@ def main() -> None:
     """Check the folder that the task on standard input names."""
     task: dict[str, Any] = json.load(sys.stdin)
     limit_resources(task["memory_bytes"], task["cpu_s"])
-    from google.protobuf import json_format
-
     from lambent_worker.scenes.inspect import inspect_scene
 
-    def announce(path: str) -> None:
-        print("reading", json.dumps(path), flush=True)
+    folder, layout = Path(task["folder"]), task["layout"]
+    masks = None if task["masks"] is None else Path(task["masks"])
+    report = inspect_scene(folder, layout, frozenset(task["killers"]), announce, masks)
+    if report.usable:
+        measure(folder, layout, masks, report)
+    tell("report", message_to_dict(report))
 
-    report = inspect_scene(Path(task["folder"]), task["layout"], frozenset(task["killers"]), announce)
-    print("report", json.dumps(json_format.MessageToDict(report)), flush=True)
+
+def tell(kind: str, value: object) -> None:
+    """Write one line of the answer."""
+    print(kind, json.dumps(value), flush=True)
+
+
+def announce(path: str) -> None:
+    """Say which file is read next; nothing where none is."""
+    tell("reading", path)
+
+
+def measure(folder: Path, layout: str | None, masks: Path | None, report: "scene_pb2.SceneReport") -> None:
+    """Measure a capture that can be used, tell its figures, and add to `report` what they mean."""
+    from lambent_worker.capture_qa.limits import CaptureLimits
+    from lambent_worker.capture_qa.review import review
+    from lambent_worker.scenes.detect import collect_scene
+    from lambent_worker.scenes.problems import Problems
+
+    manifest = collect_scene(folder, layout, Problems(), masks)
+    assert manifest is not None, "a usable capture can be described"
+    examination = review(folder, manifest, report, CaptureLimits(), announce)
+    tell("figures", message_to_dict(examination.figures))
+    for name, jpeg in examination.thumbnails.items():
+        tell("thumbnail", {"name": name, "jpeg": jpeg})
+
+
+def message_to_dict(message: Any) -> dict[str, Any]:
+    """Return a message as ProtoJSON."""
+    from google.protobuf import json_format
+
+    return json_format.MessageToDict(message)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The commands that need no server: train, evaluate, export, check. Torch is imported only when they run."""
+"""The commands that need no server: train, evaluate, export. Torch is imported only when they run."""
 
 import functools
 import json
@@ -17,7 +17,7 @@ Layout = Annotated[str, typer.Option(help="Read the folder as this layout instea
 Device = Annotated[str, typer.Option(help="cpu, cuda, or cuda:N; by default what the run has, else cpu.")]
 
 
-def _reporting_errors(command: Callable[..., None]) -> Callable[..., None]:
+def reporting_errors(command: Callable[..., None]) -> Callable[..., None]:
     """Turn our errors into a message and the command line's exit codes; anything else stays a traceback."""
 
     @functools.wraps(command)
@@ -73,35 +73,7 @@ def _stopping_on_signals(request_stop: Callable[[], None]) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-@_reporting_errors
-def check(
-    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
-    layout: Layout = "",
-    as_json: Json = False,
-) -> None:
-    """Say what is wrong with a capture before any training; exit code 4 if it cannot be used."""
-    from lambent_proto.v1 import scene_pb2
-
-    from lambent_worker.check import check_scene
-    from lambent_worker.messages import message_to_dict
-
-    report = check_scene(scene_dir, layout or None)
-    if as_json:
-        typer.echo(json.dumps(message_to_dict(report)))
-    else:
-        for finding in report.findings:
-            kind = "error" if finding.severity == scene_pb2.SEVERITY_ERROR else "note"
-            typer.echo(f"{kind}: {finding.code}: {finding.message}")
-        verdict = "can be used" if report.usable else "cannot be used"
-        typer.echo(
-            f'"{scene_dir}" {verdict}: {report.layout or "no known layout"}, '
-            f"{report.num_train_frames} training and {report.num_test_frames} test views"
-        )
-    if not report.usable:
-        raise typer.Exit(4)
-
-
-@_reporting_errors
+@reporting_errors
 def train(
     scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
@@ -164,7 +136,7 @@ def train(
         typer.echo(f"report: {out / 'evaluation' / 'report.html'}")
 
 
-@_reporting_errors
+@reporting_errors
 def evaluate(
     run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
     scene_dir: Annotated[Path, typer.Argument(help="The capture, or another one of the same object.")],
@@ -216,7 +188,7 @@ def evaluate(
         typer.echo(f"report: {out / 'report.html'}")
 
 
-@_reporting_errors
+@reporting_errors
 def export(
     run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Bundle folder; must not exist yet.")],

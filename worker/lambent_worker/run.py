@@ -14,6 +14,7 @@ from pathlib import Path
 from flashcache.errors import ConfigError, TrainingError
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 
+from lambent_worker.check_result import CaptureCheck
 from lambent_worker.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
 from lambent_worker.reporter import Reporter
@@ -37,7 +38,7 @@ class Task:
 
 Pipeline = Callable[[Task], Path | None]
 """Does the work and returns the folder of the bundle, or None where it makes none."""
-Check = Callable[[Path], scene_pb2.SceneReport]
+Check = Callable[[Path], CaptureCheck]
 
 
 def train(task: Task) -> Path | None:
@@ -60,11 +61,11 @@ def train(task: Task) -> Path | None:
     return step_folder(task.run_dir, "export")
 
 
-def check(scene_dir: Path) -> scene_pb2.SceneReport:
-    """Return what is wrong with the scene."""
-    from lambent_worker.check import check_scene
+def check(scene_dir: Path) -> CaptureCheck:
+    """Return what is wrong with the scene, and what was measured on it."""
+    from lambent_worker.check import check_capture
 
-    return check_scene(scene_dir)
+    return check_capture(scene_dir)
 
 
 def work(pipeline: Pipeline = train, check: Check = check) -> int:
@@ -151,9 +152,9 @@ def _do(
     identity = connection.identity
     scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
     if start.check_scene or start.spec.kind == "check":
-        report = check(scene_dir)
-        request = worker_pb2.ReportSceneRequest(fence=identity.fence, report=report)
-        connection.call(connection.stub.ReportScene, request)
+        checked = check(scene_dir)
+        report = checked.report
+        _report_scene(connection, start.scene_name, checked)
         for finding in report.findings:
             error = finding.severity == scene_pb2.SEVERITY_ERROR
             reporter.finding(finding.code, finding.message, subject=finding.subject, error=error)
@@ -174,6 +175,23 @@ def _do(
     if reporter.broken is not None:
         raise reporter.broken
     return bundle
+
+
+def _report_scene(connection: Connection, name: str, checked: CaptureCheck) -> None:
+    """Tell the server what was found out about the scene, with a page where there is something to see."""
+    identity = connection.identity
+    page_sha256 = ""
+    if checked.figures is not None:
+        from lambent_worker.capture_qa.limits import CaptureLimits
+        from lambent_worker.capture_qa.page import build_page
+
+        path = identity.work_dir / "capture.html"
+        path.write_text(build_page(name, checked, CaptureLimits()), encoding="utf-8")
+        page_sha256 = connection.put_file(path, "text/html").sha256
+    request = worker_pb2.ReportSceneRequest(
+        fence=identity.fence, report=checked.report, figures=checked.figures, page_sha256=page_sha256
+    )
+    connection.call(connection.stub.ReportScene, request)
 
 
 def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent: Path) -> Path:

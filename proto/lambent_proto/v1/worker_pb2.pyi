@@ -1,3 +1,4 @@
+from lambent_proto.v1 import capture_pb2 as _capture_pb2
 from lambent_proto.v1 import job_pb2 as _job_pb2
 from lambent_proto.v1 import scene_pb2 as _scene_pb2
 from google.protobuf.internal import containers as _containers
@@ -144,12 +145,16 @@ class ReportResponse(_message.Message):
     def __init__(self, stop: _Optional[bool] = ...) -> None: ...
 
 class ReportSceneRequest(_message.Message):
-    __slots__ = ("fence", "report")
+    __slots__ = ("fence", "report", "figures", "page_sha256")
     FENCE_FIELD_NUMBER: _ClassVar[int]
     REPORT_FIELD_NUMBER: _ClassVar[int]
+    FIGURES_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
     fence: Fence
     report: _scene_pb2.SceneReport
-    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., report: _Optional[_Union[_scene_pb2.SceneReport, _Mapping]] = ...) -> None: ...
+    figures: _capture_pb2.CaptureFigures
+    page_sha256: str
+    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., report: _Optional[_Union[_scene_pb2.SceneReport, _Mapping]] = ..., figures: _Optional[_Union[_capture_pb2.CaptureFigures, _Mapping]] = ..., page_sha256: _Optional[str] = ...) -> None: ...
 
 class ReportSceneResponse(_message.Message):
     __slots__ = ()

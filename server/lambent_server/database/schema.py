@@ -98,6 +98,18 @@ scene_files = Table(
     Index(None, "sha256"),
 )
 
+scene_figures = Table(
+    "scene_figures",
+    metadata,
+    Column("scene_id", Text, primary_key=True),
+    _text("tenant_id"),
+    # CaptureFigures as REST shows them
+    Column("figures", JSON, nullable=False),
+    # The page that shows them; "" where there is none
+    _text("sha256"),
+    Index(None, "sha256"),
+)
+
 jobs = Table(
     "jobs",
     metadata,

@@ -1,11 +1,12 @@
 """Scenes: plan, send what is missing, commit; or one archive."""
 
+import re
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from anyio import to_thread
-from fastapi import APIRouter, Body, Request, Response
+from fastapi import APIRouter, Body, Query, Request, Response
 
 from lambent_server import scene_rows
 from lambent_server.archives import unpack
@@ -14,6 +15,7 @@ from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.messages import NewScene, Plan, PlannedFile, Scene, SceneReportAnswer
 from lambent_server.problems import Problem, invalid
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, binary_body, problems
+from lambent_server.scene_figures import find_figures
 from lambent_server.scene_rows import SceneFile
 from lambent_server.services import Services
 from lambent_server.uploads import Upload, received
@@ -154,20 +156,73 @@ def delete_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Respon
     return Response(status_code=204)
 
 
-@router.get("/v1/scenes/{scene_id:id}/report", responses=problems(404))
-def get_scene_report(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> SceneReportAnswer:
-    """Return what was found out about a scene, with what to mend."""
+_PAGE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The report; as a page where that is asked for.",
+        "content": {"text/html": {"schema": {"type": "string"}}},
+    }
+}
+
+
+@router.get(
+    "/v1/scenes/{scene_id:id}/report",
+    response_model=SceneReportAnswer,
+    responses={**problems(404, 422), **_PAGE},
+)
+def get_scene_report(
+    services: ServicesOf,
+    tenant: TenantOf,
+    scene_id: Id,
+    request: Request,
+    response: Response,
+    as_: Annotated[Literal["json", "html"] | None, Query(alias="format")] = None,
+) -> Any:
+    """Return what was found out about a scene, with what to mend and what was measured.
+
+    `format=html`, or an Accept header that prefers text/html, asks for a page with thumbnails.
+    """
     with services.database.read() as connection:
         scene = scene_rows.require_scene(connection, tenant, scene_id)
-    return report_of(scene)
+        figures = find_figures(connection, tenant, scene_id)
+    if as_ == "html" or (as_ is None and prefers_html(request.headers.get("accept", ""))):
+        return _page_of(services, scene, figures)
+    response.headers["vary"] = "accept"
+    return report_of(scene, figures)
 
 
-def report_of(scene: Any) -> SceneReportAnswer:
-    """Return the report of a scene's row."""
+def _page_of(services: Services, scene: Any, figures: Any) -> Response:
+    if figures is None or not figures["sha256"]:
+        raise Problem(
+            404,
+            "report_page_not_found",
+            f"scene {scene['id']} has no page: it is {scene['state']}, and pages are made of scenes that "
+            "were looked at and can be used; ask for format=json",
+        )
+    page = services.store.read_all(figures["sha256"])
+    # A page made of what strangers have sent: no scripts, nothing from outside, no share in this site.
+    policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+    headers = {"content-security-policy": policy, "vary": "accept", "cache-control": "private, no-cache"}
+    return Response(page, media_type="text/html; charset=utf-8", headers=headers)
+
+
+def prefers_html(accept: str) -> bool:
+    """Return whether an Accept header names text/html and wants nothing of JSON's more (RFC 9110, 12.5.1)."""
+    weights: dict[str, float] = {}
+    for item in accept.split(","):
+        kind, *parameters = (part.strip().lower() for part in item.split(";"))
+        quality = next((part[2:] for part in parameters if part.startswith("q=")), "1")
+        weights[kind] = float(quality) if re.fullmatch(r"[01](\.\d{0,3})?", quality) else 0.0
+    others = (weights.get(kind, 0.0) for kind in ("application/json", "application/*", "*/*"))
+    return weights.get("text/html", 0.0) > next((weight for weight in others if weight), 0.0)
+
+
+def report_of(scene: Any, figures: Any) -> SceneReportAnswer:
+    """Return the report of a scene's row and that of its figures."""
     empty = {"usable": False, "layout": "", "findings": [], "num_train_frames": 0, "num_test_frames": 0}
     return SceneReportAnswer(
         scene_id=scene["id"],
         state=scene["state"],
         checked=scene["state"] in ("ready", "rejected"),
+        figures=None if figures is None else figures["figures"],
         **(scene["report"] or empty),
     )

@@ -1,0 +1,55 @@
+"""What a run has measured on a scene, and its page: kept beside the scene, replaced by the next look."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from lambent_proto.v1 import capture_pb2
+from sqlalchemy import Connection
+
+from lambent_server.database.schema import scene_figures
+from lambent_server.database.tenancy import Tenant, add, remove, rows
+from lambent_server.garbage import discard
+from lambent_server.mirror import to_rest
+from lambent_server.problems import Problem
+from lambent_server.store import find_blob
+
+Row = Mapping[str, Any]
+
+
+def find_figures(connection: Connection, tenant: Tenant, scene_id: str) -> Row | None:
+    """Return the row of a scene's figures, or None where nothing was measured."""
+    statement = rows(tenant, scene_figures).where(scene_figures.c.scene_id == scene_id)
+    row = connection.execute(statement).mappings().one_or_none()
+    return None if row is None else dict(row)
+
+
+def forget_figures(connection: Connection, tenant: Tenant, scene_id: str) -> None:
+    """Remove what was measured, and let go of the page."""
+    row = find_figures(connection, tenant, scene_id)
+    if row is None:
+        return
+    if row["sha256"]:
+        discard(connection, tenant, row["sha256"])
+    connection.execute(remove(tenant, scene_figures).where(scene_figures.c.scene_id == scene_id))
+
+
+def store_figures(
+    connection: Connection,
+    tenant: Tenant,
+    scene_id: str,
+    figures: capture_pb2.CaptureFigures | None,
+    page_sha256: str,
+) -> None:
+    """Replace what was measured on a scene; `page_sha256` names a blob, or is empty without a page."""
+    forget_figures(connection, tenant, scene_id)
+    if figures is None:
+        return
+    if page_sha256 and find_blob(connection, tenant, page_sha256) is None:
+        raise Problem(422, "blob_missing", f"page: blob {page_sha256} was never uploaded")
+    shown = to_rest(figures)
+    try:
+        json.dumps(shown, allow_nan=False)
+    except ValueError as error:
+        raise Problem(422, "figures_not_finite", "figures hold NaN or infinity, which JSON cannot") from error
+    connection.execute(add(tenant, scene_figures, scene_id=scene_id, figures=shown, sha256=page_sha256))

@@ -1,0 +1,212 @@
+"""Reads the pictures of a capture once, small, and measures what a single picture can tell."""
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from lambent_proto.v1 import scene_pb2
+from lambent_relight.images import linear_from_srgb, srgb_from_linear
+from numpy import ndarray
+from PIL import Image
+from scipy import ndimage
+
+from lambent_worker.capture_qa.limits import CaptureLimits
+from lambent_worker.capture_qa.picture_camera import PictureCamera
+from lambent_worker.scenes.float_pictures import FLOAT_SUFFIXES
+from lambent_worker.scenes.pictures import opened, read_coverage, read_pixels
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+_RIM = 3
+"""Pixels left out along the outline when sharpness is measured: the outline is the mask's, not the lens's."""
+_LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PictureObservation:
+    """What one photograph tells by itself."""
+
+    light: str
+    path: str
+    clipped_share: float
+    """Share of the object's pixels at the end of the scale; 0 for linear pictures."""
+    detail: float
+    """Fine over coarse contrast on the object; the unit means nothing, only ratios do. 0 where unknown."""
+    luminance: Float32[ndarray, "height width"]
+    """Linear, in the exposure of the first frame, at silhouette size."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """What is known of a frame once its pictures have been read."""
+
+    frame: scene_pb2.Frame
+    camera: PictureCamera
+    """In pixels at silhouette size."""
+    coverage: Float32[ndarray, "height width"]
+    """Share of each pixel that the object covers, at silhouette size."""
+    pictures: tuple[PictureObservation, ...]
+    thumbnail: str
+    """JPEG, base64."""
+
+    @property
+    def mask(self) -> Bool[ndarray, "height width"]:
+        """Return the silhouette."""
+        return self.coverage >= 0.5
+
+    @property
+    def has_mask(self) -> bool:
+        """Return whether anything in the picture is not the object."""
+        return bool((self.coverage < 0.5).any())
+
+
+def observe(
+    folder: Path,
+    manifest: scene_pb2.SceneManifest,
+    limits: CaptureLimits,
+    announce: Callable[[str], None] = lambda path: None,
+) -> list[Observation]:
+    """Return what the frames with photographs in training lights show, in the order of `manifest`.
+
+    `announce` is called with the path of each file before it is decoded. Raises `PictureError` for one that
+    cannot be read.
+    """
+    observations = []
+    for frame in manifest.frames:
+        images = [image for image in frame.images if image.light in manifest.lights]
+        if images:
+            observations.append(_observe_frame(folder, frame, images, limits, announce))
+    return observations
+
+
+def _observe_frame(
+    folder: Path,
+    frame: scene_pb2.Frame,
+    images: list[scene_pb2.Image],
+    limits: CaptureLimits,
+    announce: Callable[[str], None],
+) -> Observation:
+    camera = PictureCamera.of_frame(frame)
+    size = fitted((camera.width, camera.height), limits.silhouette_side)
+    mask = None
+    if frame.mask:
+        announce(frame.mask)
+        mask = read_coverage(folder / frame.mask, frame.mask_encoding)
+    pictures, coverage, thumbnail = [], np.ones((size[1], size[0]), dtype=np.float32), ""
+    for image in images:
+        announce(image.path)
+        encoded, alpha, is_linear = read_small(folder / image.path, limits.detail_side)
+        if mask is not None:
+            alpha = np.minimum(alpha, resized(mask, (alpha.shape[1], alpha.shape[0])))
+        inside = alpha > 0.98
+        colours = encoded if is_linear else _LINEAR[encoded]
+        light = (colours @ LUMINANCE) * np.float32(frame.exposure or 1.0)
+        clipped = not is_linear and inside.any()
+        small = resized(alpha, size)
+        pictures.append(
+            PictureObservation(
+                light=image.light,
+                path=image.path,
+                clipped_share=float((encoded.max(axis=-1)[inside] >= limits.clipped_level).mean())
+                if clipped
+                else 0.0,
+                detail=fine_contrast(srgb_from_linear(light).astype(np.float32), alpha),
+                luminance=resized(light * alpha, size) / np.maximum(small, 1e-6),
+            )
+        )
+        if not thumbnail:
+            coverage = small
+            thumbnail = thumbnail_of(encoded, alpha, is_linear=is_linear, side=limits.thumbnail_side)
+    return Observation(
+        frame=frame,
+        camera=camera.resized(*size),
+        coverage=coverage,
+        pictures=tuple(pictures),
+        thumbnail=thumbnail,
+    )
+
+
+def fitted(size: tuple[int, int], side: int) -> tuple[int, int]:
+    """Return `size` (width, height) reduced so that the longer side is at most `side` pixels."""
+    longest = max(size)
+    if longest <= side:
+        return size
+    return max(1, round(size[0] * side / longest)), max(1, round(size[1] * side / longest))
+
+
+def resized(
+    values: Float32[ndarray, "height width"], size: tuple[int, int]
+) -> Float32[ndarray, "rows columns"]:
+    """Return the values averaged over the pixels of a picture of `size` (width, height)."""
+    if (values.shape[1], values.shape[0]) == size:
+        return values
+    image = Image.fromarray(np.ascontiguousarray(values, dtype=np.float32))
+    return np.asarray(image.resize(size, Image.Resampling.BOX))
+
+
+def read_small(
+    path: Path, side: int
+) -> tuple[UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"], ndarray, bool]:
+    """Return a picture with its longer side near `side`, its alpha in 0..1, and whether it is linear.
+
+    8-bit pictures keep their encoding and are averaged in it, which is exact enough for a look.
+    """
+    if path.suffix.lower() in FLOAT_SUFFIXES:
+        pixels = read_pixels(path)
+        colours = pixels[..., :3] if pixels.shape[-1] >= 3 else np.repeat(pixels[..., :1], 3, axis=-1)
+        alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(pixels.shape[:2], dtype=np.float32)
+        size = fitted((pixels.shape[1], pixels.shape[0]), side)
+        planes = [resized(colours[..., channel], size) for channel in range(3)]
+        return np.stack(planes, axis=-1), resized(np.clip(alpha, 0.0, 1.0), size), True
+    with opened(path) as image:
+        size = fitted(image.size, side)
+        # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
+        image.draft(None, size)
+        # Pillow would clip 16-bit grey instead of scaling it.
+        plain = Image.fromarray(read_pixels(path)[..., 0]) if image.mode.startswith("I") else image
+        plain = plain if plain.mode in ("RGB", "RGBA") else plain.convert("RGBA")
+        small = plain.resize(size, Image.Resampling.BOX, reducing_gap=2.0) if plain.size != size else plain
+        pixels = np.asarray(small)
+    opaque = np.ones(pixels.shape[:2], dtype=np.float32)
+    alpha = pixels[..., 3].astype(np.float32) / 255.0 if pixels.shape[-1] == 4 else opaque
+    return np.ascontiguousarray(pixels[..., :3]), alpha, False
+
+
+def fine_contrast(values: Float[ndarray, "height width"], alpha: Float[ndarray, "height width"]) -> float:
+    """Return how much of the contrast on the object lies in its finest details, whatever it shows.
+
+    The standard deviation of details of about one pixel, over that of details of about three: blur takes the
+    first away and leaves the second. 0 where the object is too small or has no contrast at all.
+    """
+    inside = ndimage.binary_erosion(alpha > 0.98, iterations=_RIM, border_value=1)
+    if inside.sum() < 64:
+        return 0.0
+    # Outside of the object its mean, so that the outline makes no edge.
+    filled = np.where(alpha > 0.5, values, values[inside].mean()).astype(np.float32)
+    fine = filled - ndimage.gaussian_filter(filled, 0.7)
+    coarse = ndimage.gaussian_filter(filled, 1.4) - ndimage.gaussian_filter(filled, 2.8)
+    spread = float(coarse[inside].std())
+    return float(fine[inside].std()) / spread if spread > 1e-4 else 0.0
+
+
+def thumbnail_of(
+    pixels: UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"],
+    alpha: Float32[ndarray, "height width"],
+    *,
+    is_linear: bool,
+    side: int,
+) -> str:
+    """Return a small JPEG over grey with the outline of the mask in magenta, base64."""
+    encoded = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if is_linear else pixels
+    over = encoded * alpha[..., None] + 176.0 * (1.0 - alpha[..., None])
+    size = fitted((alpha.shape[1], alpha.shape[0]), side)
+    image = Image.fromarray(np.round(over).astype(np.uint8)).resize(size, Image.Resampling.BOX)
+    mask = resized(alpha, size) >= 0.5
+    shown = np.array(image)
+    shown[mask & ~ndimage.binary_erosion(mask, border_value=1)] = (230, 0, 160)
+    buffer = io.BytesIO()
+    Image.fromarray(shown).save(buffer, "JPEG", quality=75)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")

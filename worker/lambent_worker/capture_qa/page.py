@@ -1,0 +1,100 @@
+"""Builds the page that shows a capture before any training: findings, thumbnails, the sphere of views."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from lambent_proto.v1 import capture_pb2, scene_pb2
+
+from lambent_worker.capture_qa.limits import CaptureLimits
+from lambent_worker.capture_qa.plot import plot_views
+from lambent_worker.check_result import CaptureCheck
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A number under a thumbnail."""
+
+    label: str
+    text: str
+    is_bad: bool = False
+
+
+def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
+    """Return a page that needs nothing beside it: no script, no style sheet, no picture file.
+
+    Everything that came with the capture, such as names of frames, is escaped.
+    """
+    report, thumbnails = checked.report, checked.thumbnails
+    figures = checked.figures or capture_pb2.CaptureFigures()
+    complaints = _by_view(report, figures)
+    cards = [
+        {
+            "view": view,
+            "uri": _data_uri(thumbnails.get(view.name, "")),
+            "split": "training" if view.split == scene_pb2.SPLIT_TRAIN else "test",
+            "figures": _figures(view, figures, limits),
+            "codes": sorted(complaints.get(view.name, set())),
+        }
+        for view in sorted(figures.views, key=lambda view: -len(complaints.get(view.name, set())))
+    ]
+    environment = Environment(
+        loader=PackageLoader("lambent_worker.capture_qa", "."), autoescape=True, undefined=StrictUndefined
+    )
+    return environment.get_template("page.html.j2").render(
+        name=name,
+        report=report,
+        figures=figures,
+        error=scene_pb2.SEVERITY_ERROR,
+        cards=cards,
+        plot=plot_views(figures, flagged={view for view, codes in complaints.items() if codes}),
+    )
+
+
+def write_capture_report(folder: Path, page: str, record: str) -> None:
+    """Write `capture.html` and `capture.json` into `folder`, made if it does not exist."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "capture.html").write_text(page, encoding="utf-8")
+    (folder / "capture.json").write_text(record, encoding="utf-8")
+
+
+def _by_view(report: scene_pb2.SceneReport, figures: capture_pb2.CaptureFigures) -> dict[str, set[str]]:
+    """Return the codes of the findings about each view, whether they name the frame or its file."""
+    owner = {view.name: view.name for view in figures.views}
+    owner |= {picture.path: view.name for view in figures.views for picture in view.pictures}
+    found: dict[str, set[str]] = {}
+    for finding in report.findings:
+        if finding.subject in owner:
+            found.setdefault(owner[finding.subject], set()).add(finding.code)
+    return found
+
+
+def _data_uri(base64_jpeg: str) -> str:
+    return f"data:image/jpeg;base64,{base64_jpeg}" if base64_jpeg else ""
+
+
+def _figures(
+    view: capture_pb2.ViewFigures, figures: capture_pb2.CaptureFigures, limits: CaptureLimits
+) -> list[Figure]:
+    clipped = max((picture.clipped_share for picture in view.pictures), default=0.0)
+    sharpness = min((picture.sharpness for picture in view.pictures if picture.sharpness), default=0.0)
+    jump = max((picture.exposure_jump_ev for picture in view.pictures), key=abs, default=0.0)
+    rows = [
+        Figure("sharpness", f"{sharpness:.2f}", 0.0 < sharpness < limits.sharpness),
+        Figure("clipped", f"{100.0 * clipped:.1f} %", clipped > limits.clipped_share),
+    ]
+    if figures.has_hull:
+        rows += [
+            Figure("exposure", f"{jump:+.2f} EV", abs(jump) > limits.exposure_ev),
+            Figure(
+                "unexplained",
+                f"{100.0 * view.unexplained_share:.1f} %",
+                view.unexplained_share > limits.unexplained_share,
+            ),
+            Figure(
+                "cut away",
+                f"{100.0 * max(view.carved_share, view.hole_share):.1f} %",
+                max(view.carved_share, view.hole_share) > limits.missing_share,
+            ),
+        ]
+    return rows

@@ -1,0 +1,75 @@
+"""Draws the sphere of views as SVG, seen from above and from below."""
+
+import math
+from collections.abc import Set
+from xml.sax.saxutils import quoteattr
+
+from lambent_proto.v1 import capture_pb2, scene_pb2
+
+_RADIUS = 130.0
+_MARGIN = 24.0
+
+
+def plot_views(figures: capture_pb2.CaptureFigures, flagged: Set[str]) -> str:
+    """Return two discs as SVG: directions above the horizon (left) and below it (right).
+
+    The middle is straight above or below the object, the rim the horizon, +x to the right. Training views are
+    filled, test views hollow, those in `flagged` red; the shaded cap above the horizon is the largest without
+    a training view.
+    """
+    size = 2.0 * (_RADIUS + _MARGIN)
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * size:.0f} {size:.0f}" role="img" '
+        'aria-label="directions from which the object was photographed">'
+    ]
+    for place, title in ((0, "from above"), (1, "from below")):
+        parts.append(f'<g transform="translate({place * size + size / 2:.0f} {size / 2:.0f})">')
+        parts += [f'<circle class="grid" r="{_RADIUS * (90 - each) / 90:.1f}"/>' for each in (0, 30, 60)]
+        parts.append(f'<text y="{_RADIUS + 18:.0f}">{title}</text>')
+        if place == 0:
+            parts.append(_cap(figures))
+        parts += [_dot(view, flagged) for view in figures.views if (view.elevation_deg < 0.0) == bool(place)]
+        parts.append("</g>")
+    return "".join([*parts, "</svg>"])
+
+
+def on_disc(azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
+    """Return where a direction lies on its disc; the distance from the middle grows with the angle."""
+    radius = _RADIUS * (90.0 - abs(elevation_deg)) / 90.0
+    azimuth = math.radians(azimuth_deg)
+    return radius * math.cos(azimuth), -radius * math.sin(azimuth)
+
+
+def _dot(view: capture_pb2.ViewFigures, flagged: Set[str]) -> str:
+    x, y = on_disc(view.azimuth_deg, view.elevation_deg)
+    kind = "train" if view.split == scene_pb2.SPLIT_TRAIN else "test"
+    bad = " bad" if view.name in flagged else ""
+    title = f"<title>{_text(view.name)}</title>"
+    return f'<circle class="{kind}{bad}" cx="{x:.1f}" cy="{y:.1f}" r="4">{title}</circle>'
+
+
+def _cap(figures: capture_pb2.CaptureFigures) -> str:
+    """Return the outline of the largest gap, cut off at the horizon."""
+    if figures.upper_gap_deg <= 0.0:
+        return ""
+    polar, azimuth = (
+        math.radians(90.0 - figures.upper_gap_elevation_deg),
+        math.radians(figures.upper_gap_azimuth_deg),
+    )
+    opening = math.radians(min(figures.upper_gap_deg, 179.0))
+    corners = []
+    for step in range(72):
+        turn = 2.0 * math.pi * step / 72
+        # A point on the rim of the cap: tilt by its opening, then turn its middle to where it is.
+        x, y, z = math.sin(opening) * math.cos(turn), math.sin(opening) * math.sin(turn), math.cos(opening)
+        x, z = x * math.cos(polar) + z * math.sin(polar), -x * math.sin(polar) + z * math.cos(polar)
+        x, y = x * math.cos(azimuth) - y * math.sin(azimuth), x * math.sin(azimuth) + y * math.cos(azimuth)
+        column, row = on_disc(
+            math.degrees(math.atan2(y, x)), max(math.degrees(math.asin(max(-1.0, min(1.0, z)))), 0.0)
+        )
+        corners.append(f"{column:.1f},{row:.1f}")
+    return f'<polygon class="gap" points={quoteattr(" ".join(corners))}/>'
+
+
+def _text(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -1,0 +1,42 @@
+"""The look at a capture that is known to be usable: measures it, and adds to its report what that means."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.capture_qa.examine import Examination, examine_capture
+from lambent_worker.capture_qa.findings import note_findings
+from lambent_worker.capture_qa.limits import CaptureLimits
+from lambent_worker.scenes.problems import MAX_FINDINGS, Problems
+
+# What the first look says of single silhouettes is said better, or taken back, once all of them are compared.
+COARSE_CODES = frozenset({"scene.mask_disagrees"})
+
+
+def review(
+    folder: Path,
+    manifest: scene_pb2.SceneManifest,
+    report: scene_pb2.SceneReport,
+    limits: CaptureLimits,
+    announce: Callable[[str], None] = lambda path: None,
+) -> Examination:
+    """Return what was measured on the capture, after adding to `report` what will hurt.
+
+    `announce` is called with the path of each file before it is decoded, and with "" once none is.
+    """
+    examination = examine_capture(folder, manifest, limits, announce)
+    figures = examination.figures
+    problems = Problems()
+    note_findings(figures, limits, problems, box_is_stated=manifest.bounds_from != "cameras")
+    known = {finding.code for finding in report.findings}
+    kept = [finding for finding in report.findings if not (figures.has_hull and finding.code in COARSE_CODES)]
+    fresh = [
+        finding
+        for finding in problems.findings()
+        # Whether masks and poses agree at all is settled by the first look.
+        if finding.code != "scene.poses_inconsistent" or "scene.silhouettes_disagree" not in known
+    ]
+    del report.findings[:]
+    report.findings.extend([*kept, *fresh][:MAX_FINDINGS])
+    return examination
