@@ -7,7 +7,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 import torch
-from flashcache.config import ExportConfig
+from flashcache.config import EvaluationConfig, ExportConfig
 from flashcache.data.scene import Camera, Scene, View
 from flashcache.export import reference
 from flashcache.presets import tiny
@@ -64,7 +64,7 @@ def scene() -> Scene:
     return Scene(
         name="ball",
         lights=LIGHTS,
-        train=(),
+        train=tuple(views),
         test=tuple(views),
         bounds_min=(-BOUND,) * 3,
         bounds_max=(BOUND,) * 3,
@@ -87,7 +87,9 @@ def context(tmp_path, model, monkeypatch):
     monkeypatch.setattr(bundle_graphs, "PARITY_ROWS", 256)
     (tmp_path / "scene").mkdir()
     config = replace(
-        tiny(), export=ExportConfig(gbuffer_samples=32, mesh_resolution=24, environment_height=8)
+        tiny(),
+        evaluation=EvaluationConfig(uncertainty_points=60),
+        export=ExportConfig(gbuffer_samples=32, mesh_resolution=24, environment_height=8),
     )
     made = StepContext(
         run_dir=tmp_path / "run",

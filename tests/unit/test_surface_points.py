@@ -44,6 +44,11 @@ def test_photographed_points_lie_on_the_surface_that_faces_the_cameras(model):
     assert (found.positions @ towards).min() > 0.0
 
 
+def test_cameras_that_look_away_show_no_points(model):
+    away = replace(CAMERAS[0], camera_to_world=CAMERAS[0].camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    assert len(photographed_points(model, [away], 10, generator()).positions) == 0
+
+
 def test_outer_points_cover_the_surface_evenly(model):
     found = outer_points(model, 200, generator())
     assert len(found.positions) == 200

@@ -116,6 +116,15 @@ def test_the_noise_of_photographs_is_at_least_a_step_of_eight_bits(model):
     assert residual(model, ABOVE, seed=0) >= 1.0 / 255.0
 
 
+def test_photographs_of_nothing_are_not_trusted(model):
+    blank = tuple(replace(view, images={"sky": np.zeros((16, 16, 4), np.float32)}) for view in ABOVE.train)
+    assert residual(model, replace(ABOVE, train=blank), seed=0) == 1.0
+
+
+def test_without_training_photographs_there_is_nothing_to_measure(model):
+    assert measure_uncertainty(model, replace(ABOVE, train=()), seed=0, rule=RULE) is None
+
+
 def test_a_grid_passes_through_its_points():
     generator = np.random.default_rng(0)
     positions = generator.uniform(-1.0, 1.0, (300, 3)).astype(np.float32)

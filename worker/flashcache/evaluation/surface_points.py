@@ -56,11 +56,13 @@ def photographed_points(
     for camera in cameras:
         rays = camera_rays(model, camera, device)
         rays = rays.select(rays.far > rays.near)
+        if not len(rays):
+            continue
         # Most pixels miss the object: several times as many rays as points, then as many as were wanted.
         index = torch.randint(len(rays), (8 * count // len(cameras) + 1,), generator=generator, device=device)
         found = first_hits(model, rays.select(index))
         parts.append(_some(found, count // len(cameras) + 1, generator))
-    return _some(join(parts), count, generator)
+    return _some(join(parts), count, generator) if parts else _nothing(device)
 
 
 def outer_points(model: InverseModel, count: int, generator: torch.Generator) -> SurfacePoints:
@@ -164,6 +166,11 @@ def _some(points: SurfacePoints, count: int, generator: torch.Generator) -> Surf
     """Return at most `count` of the points, chosen at random."""
     order = torch.randperm(len(points.positions), generator=generator, device=points.positions.device)
     return SurfacePoints(points.positions[order[:count]], points.normal[order[:count]])
+
+
+def _nothing(device: torch.device) -> SurfacePoints:
+    empty = torch.zeros(0, 3, device=device)
+    return SurfacePoints(empty, empty)
 
 
 def join(parts: Sequence[SurfacePoints]) -> SurfacePoints:

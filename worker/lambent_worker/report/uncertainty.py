@@ -63,9 +63,11 @@ def measure_uncertainty(
 ) -> UncertaintyGrid | None:
     """Return how well the training photographs of `scene` determine the materials of `model`.
 
-    Half of the points lie where photographs look, half anywhere on the outer surface. None where the model
-    has hardly any surface.
+    Half of the points lie where photographs look, half anywhere on the outer surface. None where there are no
+    training photographs, or the model has hardly any surface.
     """
+    if not scene.train:
+        return None
     device = next(model.parameters()).device
     generator = generator_for(seed, "uncertainty", 0, "points", device)
     cameras = [view.camera for view in _spread(scene.train, NUM_CAMERAS)]
@@ -122,13 +124,15 @@ def residual(model: InverseModel, scene: Scene, seed: int) -> float:
     for view in _spread([view for view in scene.train if light in view.images], NOISE_VIEWS):
         image = view.images[light].reshape(-1, 4)
         opaque = np.flatnonzero(image[:, 3] > 0.99)
+        if not len(opaque):
+            continue
         index = generator.permutation(opaque)[:NOISE_PIXELS]
         rays = camera_rays(model, view.camera, device).select(torch.from_numpy(index).to(device))
         radiance, opacity = cache_picture(model, rays, 0)
         found = radiance.cpu().numpy()[opacity.cpu().numpy() > 0.5]
         wanted = image[index][opacity.cpu().numpy() > 0.5, :3]
         errors.append(np.square(np.clip(found, 0.0, 1.0) - np.clip(wanted, 0.0, 1.0)).reshape(-1))
-    everything = np.concatenate(errors)
+    everything = np.concatenate([np.zeros(0), *errors])
     return max(SMALLEST_NOISE, float(np.sqrt(everything.mean()))) if everything.size else 1.0
 
 
