@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/bundle.proto.
  */
 export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKKBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSLgoJdHJhbnNwb3J0GBQgASgLMhsubGFtYmVudF9wcm90by52MS5UcmFuc3BvcnQaLgoMTWV0cmljc0VudHJ5EgsKA2tleRgBIAEoCRINCgV2YWx1ZRgCIAEoAToCOAEiVAoJR2VuZXJhdG9yEgwKBG5hbWUYASABKAkSDwoHdmVyc2lvbhgCIAEoCRIUCgxnaXRfcmV2aXNpb24YAyABKAkSEgoKdHJhaW5fc3RlcBgEIAEoDSJsCgVXb3JsZBIPCgd1cF9heGlzGAEgASgJEhIKCmhhbmRlZG5lc3MYAiABKAkSDAoEdW5pdBgDIAEoCRIeChZlbnZpcm9ubWVudF9jb252ZW50aW9uGAQgASgJEhAKCHJhZGlhbmNlGAUgASgJIkEKDVNlY29uZGFyeVJheXMSFQoNb3JpZ2luX29mZnNldBgBIAEoARIMCgRuZWFyGAIgASgBEgsKA2ZhchgDIAEoASJgCgpCdW5kbGVGaWxlEgwKBHBhdGgYASABKAkSEgoKc2l6ZV9ieXRlcxgCIAEoARIOCgZzaGEyNTYYAyABKAkSEgoKbWVkaWFfdHlwZRgEIAEoCRIMCgRyb2xlGAUgASgJIlwKBUdyYXBoEgwKBG5hbWUYASABKAkSDAoEcGF0aBgCIAEoCRINCgVsaWdodBgDIAEoCRIoCgZwYXJpdHkYBCABKAsyGC5sYW1iZW50X3Byb3RvLnYxLlBhcml0eSJUCgtVbmNlcnRhaW50eRIMCgRwYXRoGAEgASgJEiUKA2JveBgCIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEhAKCGNoYW5uZWxzGAMgAygJIrwBCglUcmFuc3BvcnQSDAoEdGllchgBIAEoCRIMCgRzaXplGAIgASgNEhIKCm51bV90ZXhlbHMYAyABKA0SEwoLdGV4ZWxzX3BhdGgYBCABKAkSMQoGcGxhbmVzGAUgAygLMiEubGFtYmVudF9wcm90by52MS5UcmFuc3BvcnRQbGFuZXMSGAoQc2hhZG93X2JpdHNfcGF0aBgGIAEoCRIdChVudW1fc2hhZG93X2RpcmVjdGlvbnMYByABKA0igwEKD1RyYW5zcG9ydFBsYW5lcxIMCgRuYW1lGAEgASgJEgwKBHBhdGgYAiABKAkSDQoFYmFuZHMYAyABKA0SEAoIY2hhbm5lbHMYBCABKA0SEgoKbnVtX3RleGVscxgFIAEoDRIOCgZzY2FsZXMYBiADKAESDwoHb2Zmc2V0cxgHIAMoASJHCgZQYXJpdHkSFQoNbWF4X2Fic19lcnJvchgBIAEoARIRCgl0b2xlcmFuY2UYAiABKAESEwoLbnVtX3NhbXBsZXMYAyABKA0ikgEKBEdyaWQSDAoEbmFtZRgBIAEoCRIOCgZ0ZW5zb3IYAiABKAkSFAoMbnVtX2ZlYXR1cmVzGAMgASgNEhMKC2hhbGZfZXh0ZW50GAQgASgBEhQKDG91dHB1dF9zY2FsZRgFIAEoARIrCgZsZXZlbHMYBiADKAsyGy5sYW1iZW50X3Byb3RvLnYxLkdyaWRMZXZlbCJwCglHcmlkTGV2ZWwSEgoKcmVzb2x1dGlvbhgBIAEoDRIRCglmaXJzdF9yb3cYAiABKA0SEAoIbnVtX3Jvd3MYAyABKA0SFAoMbXVsdGlwbGllcl95GAQgASgNEhQKDG11bHRpcGxpZXJfehgFIAEoDSJjCgtUZW5zb3JFbnRyeRIMCgRuYW1lGAEgASgJEg0KBWR0eXBlGAIgASgJEg0KBXNoYXBlGAMgAygNEhQKDG9mZnNldF9ieXRlcxgEIAEoARISCgpzaXplX2J5dGVzGAUgASgBYgZwcm90bzM", [file_lambent_proto_v1_scene]);
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKyBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSJgoFYXRsYXMYEyABKAsyFy5sYW1iZW50X3Byb3RvLnYxLkF0bGFzEi4KCXRyYW5zcG9ydBgUIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0Gi4KDE1ldHJpY3NFbnRyeRILCgNrZXkYASABKAkSDQoFdmFsdWUYAiABKAE6AjgBIlQKCUdlbmVyYXRvchIMCgRuYW1lGAEgASgJEg8KB3ZlcnNpb24YAiABKAkSFAoMZ2l0X3JldmlzaW9uGAMgASgJEhIKCnRyYWluX3N0ZXAYBCABKA0ibAoFV29ybGQSDwoHdXBfYXhpcxgBIAEoCRISCgpoYW5kZWRuZXNzGAIgASgJEgwKBHVuaXQYAyABKAkSHgoWZW52aXJvbm1lbnRfY29udmVudGlvbhgEIAEoCRIQCghyYWRpYW5jZRgFIAEoCSI9CgVBdGxhcxIMCgRzaXplGAEgASgNEhIKCm51bV90ZXhlbHMYAiABKA0SEgoKdGV4ZWxfc2l6ZRgDIAEoASJBCg1TZWNvbmRhcnlSYXlzEhUKDW9yaWdpbl9vZmZzZXQYASABKAESDAoEbmVhchgCIAEoARILCgNmYXIYAyABKAEiYAoKQnVuZGxlRmlsZRIMCgRwYXRoGAEgASgJEhIKCnNpemVfYnl0ZXMYAiABKAESDgoGc2hhMjU2GAMgASgJEhIKCm1lZGlhX3R5cGUYBCABKAkSDAoEcm9sZRgFIAEoCSJcCgVHcmFwaBIMCgRuYW1lGAEgASgJEgwKBHBhdGgYAiABKAkSDQoFbGlnaHQYAyABKAkSKAoGcGFyaXR5GAQgASgLMhgubGFtYmVudF9wcm90by52MS5QYXJpdHkiVAoLVW5jZXJ0YWludHkSDAoEcGF0aBgBIAEoCRIlCgNib3gYAiABKAsyGC5sYW1iZW50X3Byb3RvLnYxLkJvdW5kcxIQCghjaGFubmVscxgDIAMoCSK8AQoJVHJhbnNwb3J0EgwKBHRpZXIYASABKAkSDAoEc2l6ZRgCIAEoDRISCgpudW1fdGV4ZWxzGAMgASgNEhMKC3RleGVsc19wYXRoGAQgASgJEjEKBnBsYW5lcxgFIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0UGxhbmVzEhgKEHNoYWRvd19iaXRzX3BhdGgYBiABKAkSHQoVbnVtX3NoYWRvd19kaXJlY3Rpb25zGAcgASgNIoMBCg9UcmFuc3BvcnRQbGFuZXMSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWJhbmRzGAMgASgNEhAKCGNoYW5uZWxzGAQgASgNEhIKCm51bV90ZXhlbHMYBSABKA0SDgoGc2NhbGVzGAYgAygBEg8KB29mZnNldHMYByADKAEiRwoGUGFyaXR5EhUKDW1heF9hYnNfZXJyb3IYASABKAESEQoJdG9sZXJhbmNlGAIgASgBEhMKC251bV9zYW1wbGVzGAMgASgNIpIBCgRHcmlkEgwKBG5hbWUYASABKAkSDgoGdGVuc29yGAIgASgJEhQKDG51bV9mZWF0dXJlcxgDIAEoDRITCgtoYWxmX2V4dGVudBgEIAEoARIUCgxvdXRwdXRfc2NhbGUYBSABKAESKwoGbGV2ZWxzGAYgAygLMhsubGFtYmVudF9wcm90by52MS5HcmlkTGV2ZWwicAoJR3JpZExldmVsEhIKCnJlc29sdXRpb24YASABKA0SEQoJZmlyc3Rfcm93GAIgASgNEhAKCG51bV9yb3dzGAMgASgNEhQKDG11bHRpcGxpZXJfeRgEIAEoDRIUCgxtdWx0aXBsaWVyX3oYBSABKA0iYwoLVGVuc29yRW50cnkSDAoEbmFtZRgBIAEoCRINCgVkdHlwZRgCIAEoCRINCgVzaGFwZRgDIAMoDRIUCgxvZmZzZXRfYnl0ZXMYBCABKAESEgoKc2l6ZV9ieXRlcxgFIAEoAWIGcHJvdG8z", [file_lambent_proto_v1_scene]);
 
 /**
  * manifest.json of a bundle.
@@ -131,6 +131,13 @@ export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
   uncertainty?: Uncertainty | undefined;
 
   /**
+   * The texture atlas of mesh/asset.glb; absent in bundles before 1.1.
+   *
+   * @generated from field: lambent_proto.v1.Atlas atlas = 19;
+   */
+  atlas?: Atlas | undefined;
+
+  /**
    * Baked light transport; absent in bundles before 1.1.
    *
    * @generated from field: lambent_proto.v1.Transport transport = 20;
@@ -223,6 +230,41 @@ export const WorldSchema: GenMessage<World> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_bundle, 2);
 
 /**
+ * The square texture atlas of the mesh: u to the right, v down from the top row.
+ *
+ * @generated from message lambent_proto.v1.Atlas
+ */
+export type Atlas = Message<"lambent_proto.v1.Atlas"> & {
+  /**
+   * Texels along each side.
+   *
+   * @generated from field: uint32 size = 1;
+   */
+  size: number;
+
+  /**
+   * Texels whose centre lies in a chart.
+   *
+   * @generated from field: uint32 num_texels = 2;
+   */
+  numTexels: number;
+
+  /**
+   * Root of the mean area of a covered texel on the surface, scene units.
+   *
+   * @generated from field: double texel_size = 3;
+   */
+  texelSize: number;
+};
+
+/**
+ * Describes the message lambent_proto.v1.Atlas.
+ * Use `create(AtlasSchema)` to create a new message.
+ */
+export const AtlasSchema: GenMessage<Atlas> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_bundle, 3);
+
+/**
  * How rays leave a surface point to ask for visibility, distance and radiance.
  *
  * @generated from message lambent_proto.v1.SecondaryRays
@@ -251,7 +293,7 @@ export type SecondaryRays = Message<"lambent_proto.v1.SecondaryRays"> & {
  * Use `create(SecondaryRaysSchema)` to create a new message.
  */
 export const SecondaryRaysSchema: GenMessage<SecondaryRays> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 3);
+  messageDesc(file_lambent_proto_v1_bundle, 4);
 
 /**
  * @generated from message lambent_proto.v1.BundleFile
@@ -292,7 +334,7 @@ export type BundleFile = Message<"lambent_proto.v1.BundleFile"> & {
  * Use `create(BundleFileSchema)` to create a new message.
  */
 export const BundleFileSchema: GenMessage<BundleFile> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 4);
+  messageDesc(file_lambent_proto_v1_bundle, 5);
 
 /**
  * @generated from message lambent_proto.v1.Graph
@@ -330,7 +372,7 @@ export type Graph = Message<"lambent_proto.v1.Graph"> & {
  * Use `create(GraphSchema)` to create a new message.
  */
 export const GraphSchema: GenMessage<Graph> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 5);
+  messageDesc(file_lambent_proto_v1_bundle, 6);
 
 /**
  * A grid of cell values over a box: value (i, j, k) belongs to the centre of a cell.
@@ -365,7 +407,7 @@ export type Uncertainty = Message<"lambent_proto.v1.Uncertainty"> & {
  * Use `create(UncertaintySchema)` to create a new message.
  */
 export const UncertaintySchema: GenMessage<Uncertainty> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 6);
+  messageDesc(file_lambent_proto_v1_bundle, 7);
 
 /**
  * How light travels over the object, in texels (docs/reference/bundle-format.md).
@@ -424,7 +466,7 @@ export type Transport = Message<"lambent_proto.v1.Transport"> & {
  * Use `create(TransportSchema)` to create a new message.
  */
 export const TransportSchema: GenMessage<Transport> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 7);
+  messageDesc(file_lambent_proto_v1_bundle, 8);
 
 /**
  * Planes of texels, one signed byte each: value = offset + scale * byte.
@@ -477,7 +519,7 @@ export type TransportPlanes = Message<"lambent_proto.v1.TransportPlanes"> & {
  * Use `create(TransportPlanesSchema)` to create a new message.
  */
 export const TransportPlanesSchema: GenMessage<TransportPlanes> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 8);
+  messageDesc(file_lambent_proto_v1_bundle, 9);
 
 /**
  * @generated from message lambent_proto.v1.Parity
@@ -504,7 +546,7 @@ export type Parity = Message<"lambent_proto.v1.Parity"> & {
  * Use `create(ParitySchema)` to create a new message.
  */
 export const ParitySchema: GenMessage<Parity> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 9);
+  messageDesc(file_lambent_proto_v1_bundle, 10);
 
 /**
  * A multi-resolution feature grid with the additive lattice hash.
@@ -552,7 +594,7 @@ export type Grid = Message<"lambent_proto.v1.Grid"> & {
  * Use `create(GridSchema)` to create a new message.
  */
 export const GridSchema: GenMessage<Grid> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 10);
+  messageDesc(file_lambent_proto_v1_bundle, 11);
 
 /**
  * @generated from message lambent_proto.v1.GridLevel
@@ -593,7 +635,7 @@ export type GridLevel = Message<"lambent_proto.v1.GridLevel"> & {
  * Use `create(GridLevelSchema)` to create a new message.
  */
 export const GridLevelSchema: GenMessage<GridLevel> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 11);
+  messageDesc(file_lambent_proto_v1_bundle, 12);
 
 /**
  * @generated from message lambent_proto.v1.TensorEntry
@@ -632,5 +674,5 @@ export type TensorEntry = Message<"lambent_proto.v1.TensorEntry"> & {
  * Use `create(TensorEntrySchema)` to create a new message.
  */
 export const TensorEntrySchema: GenMessage<TensorEntry> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 12);
+  messageDesc(file_lambent_proto_v1_bundle, 13);
 
