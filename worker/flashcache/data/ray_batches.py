@@ -45,6 +45,17 @@ class RayBatch:
     def __len__(self) -> int:
         return len(self.rays)
 
+    def part(self, which: slice) -> "RayBatch":
+        """Return some of the rays."""
+        return RayBatch(
+            self.rays.select(which),
+            self.colour[which],
+            self.coverage[which],
+            self.light_index[which],
+            self.pixel[which],
+            self.weight[which],
+        )
+
     def over(self, background: Float[Tensor, "*rays 3"]) -> Float[Tensor, "rays 3"]:
         """Return the photograph composited over `background` in linear light."""
         coverage = self.coverage[:, None]

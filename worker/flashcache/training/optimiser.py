@@ -70,6 +70,11 @@ def apply_gradients(
     loss.backward(retain_graph=collect is not None)
     if collect is not None:
         collect()
+    return take_step(optimiser)
+
+
+def take_step(optimiser: torch.optim.Adam) -> bool:
+    """Take a step with the present gradients; returns False, and changes nothing, if one is not finite."""
     gradients = [p.grad for group in optimiser.param_groups for p in group["params"] if p.grad is not None]
     # One sum per tensor: a NaN or infinity anywhere makes the total non-finite.
     total = torch.stack([gradient.sum() for gradient in gradients]).sum()

@@ -13,15 +13,16 @@ from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
 from flashcache.losses.proposal import distortion, interlevel
-from flashcache.losses.shape import ShapePriorConfig, flatness, recession, tangent_steps
+from flashcache.losses.shape import flatness, recession, tangent_steps
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
+from flashcache.training.halves import Halves
 from flashcache.training.optimiser import (
     StepRecord,
-    apply_gradients,
     build_optimiser,
     parameter_groups,
     set_rates,
+    take_step,
 )
 from flashcache.training.schedule import proposal_exponent, ramp, rate_factor
 from flashcache.volume.proposal_sampling import midpoints
@@ -38,6 +39,7 @@ class StageOne:
     ) -> None:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         self.optimiser = build_optimiser(parameter_groups([(model.nerf, config.rates)]))
+        self.halves = Halves(model)
         scene = pixels.scene
         self.half_diagonal = 0.5 * math.dist(scene.bounds_min, scene.bounds_max)
         self.steps_done = 0
@@ -51,18 +53,45 @@ class StageOne:
     def step(self) -> StepRecord:
         """Take one training step."""
         config, step = self.config, self.steps_done
-        fraction = step / config.num_steps
         generator = generator_for(self.seed, STAGE, step, "rays", self.pixels.device)
         batch = self.pixels.draw(config.num_rays, generator)
+        set_rates(
+            self.optimiser,
+            rate_factor(step, config.num_steps, config.warmup_steps, config.final_rate, 0.0),
+        )
+        self.optimiser.zero_grad(set_to_none=False)
+        found = self.halves.differentiate(lambda model, half: self._losses(model, batch, half))
+        applied = take_step(self.optimiser)
+        self.steps_done += 1
+        self.num_skipped += not applied
+        terms = {name: sum(half[name] for half, _ in found) / len(found) for name in found[0][0]}
+        return StepRecord(
+            step=self.steps_done,
+            num_steps=config.num_steps,
+            loss=sum(terms.values()),
+            psnr=masked_psnr(torch.cat([picture for _, picture in found]), batch),
+            terms=terms,
+            skipped=not applied,
+        )
+
+    def _losses(
+        self, model: InverseModel, batch: RayBatch, half: int
+    ) -> tuple[Tensor, tuple[dict[str, float], Tensor]]:
+        """Return the loss of one half of a batch, its terms, and its premultiplied picture."""
+        config, step = self.config, self.steps_done
+        fraction = step / config.num_steps
+        generator = generator_for(self.seed, STAGE, step, f"half {half}", self.pixels.device)
+        share = len(batch) // self.halves.count
+        batch = batch.part(slice(half * share, None if half else share)) if self.halves.count > 1 else batch
         normal_weight = self._normal_weight(fraction)
         with_normals = normal_weight > 0.0 and step % config.normal_every == 0
-        geometry = self.model.nerf.trace(
+        geometry = model.nerf.trace(
             batch.rays,
             exponent=proposal_exponent(fraction, config.proposal_exponent),
             generator=generator,
             num_derived=round(config.normal_rays * len(batch)) if with_normals else 0,
         )
-        terms, picture = self._picture_terms(batch, geometry, fraction, generator)
+        terms, picture = self._picture_terms(model, batch, geometry, fraction, generator)
         terms |= proposal_terms(geometry, config.interlevel_weight, config.interlevel_blur)
         terms |= shape_terms(
             batch,
@@ -73,33 +102,24 @@ class StageOne:
             orientation_derived=config.orientation_derived,
             distortion_weight=config.distortion_weight if fraction >= config.distortion_from else 0.0,
         )
-        terms |= self._shape_prior_terms(batch, geometry, fraction, generator)
+        terms |= self._shape_prior_terms(model, batch, geometry, fraction, generator)
         if config.grid_decay:
-            densities = (*self.model.nerf.proposals, self.model.nerf.density)
+            densities = (*model.nerf.proposals, model.nerf.density)
             terms["grid_decay"] = config.grid_decay * grid_decay(density.grid for density in densities)
         loss = torch.stack(list(terms.values())).sum()
-        set_rates(
-            self.optimiser,
-            rate_factor(step, config.num_steps, config.warmup_steps, config.final_rate, 0.0),
-        )
-        applied = apply_gradients(self.optimiser, loss)
-        self.steps_done += 1
-        self.num_skipped += not applied
-        return StepRecord(
-            step=self.steps_done,
-            num_steps=config.num_steps,
-            loss=float(loss.detach()),
-            psnr=masked_psnr(picture.detach(), batch),
-            terms={name: float(value.detach()) for name, value in terms.items()},
-            skipped=not applied,
-        )
+        return loss, ({name: float(value.detach()) for name, value in terms.items()}, picture.detach())
 
     def _picture_terms(
-        self, batch: RayBatch, geometry: Geometry, fraction: float, generator: torch.Generator
+        self,
+        model: InverseModel,
+        batch: RayBatch,
+        geometry: Geometry,
+        fraction: float,
+        generator: torch.Generator,
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Return the losses on the picture, and the premultiplied picture itself."""
         config = self.config
-        appearance = self.model.nerf.outgoing(
+        appearance = model.nerf.outgoing(
             geometry,
             batch.rays.directions,
             batch.light_index,
@@ -123,7 +143,12 @@ class StageOne:
         return terms, picture
 
     def _shape_prior_terms(
-        self, batch: RayBatch, geometry: Geometry, fraction: float, generator: torch.Generator
+        self,
+        model: InverseModel,
+        batch: RayBatch,
+        geometry: Geometry,
+        fraction: float,
+        generator: torch.Generator,
     ) -> dict[str, Tensor]:
         """Return the priors on shape that have a weight now (decision 0014)."""
         config, terms = self.config.shape_prior, {}
@@ -137,14 +162,15 @@ class StageOne:
         rise = ramp(fraction, *self.config.normal_ramp)
         if config.flatness_weight and rise > 0.0:
             terms["flatness"] = (
-                config.flatness_weight * rise * self._flatness(batch, geometry, config, generator)
+                config.flatness_weight * rise * self._flatness(model, batch, geometry, generator)
             )
         return terms
 
     def _flatness(
-        self, batch: RayBatch, geometry: Geometry, config: ShapePriorConfig, generator: torch.Generator
+        self, model: InverseModel, batch: RayBatch, geometry: Geometry, generator: torch.Generator
     ) -> Tensor:
-        count = min(config.flatness_rays, len(batch))
+        config = self.config.shape_prior
+        count = min(config.flatness_rays // self.halves.count, len(batch))
         weights = geometry.weights[:count].detach()
         u = torch.rand(count, 1, generator=generator, device=weights.device)
         row = weights.shape[-1] * torch.arange(count, device=weights.device)
@@ -153,7 +179,7 @@ class StageOne:
         nearby = geometry.samples.positions.reshape(-1, 3)[index] + tangent_steps(
             normal, config.flatness_step * self.half_diagonal, generator
         )
-        moved = self.model.nerf.normals(nearby, self.model.nerf.density(nearby).hidden)
+        moved = model.nerf.normals(nearby, model.nerf.density(nearby).hidden)
         seen = weights.sum(dim=-1) * (batch.coverage[:count] > 0.5)
         return flatness(normal, moved, seen)
 
