@@ -1,0 +1,204 @@
+"""COLMAP models in text and binary are the same scene, and damage is named."""
+
+import struct
+
+import numpy as np
+import pytest
+from lambent_worker.scenes.colmap_model import ModelError, read_cameras, read_images
+from lambent_worker.scenes.detect import collect_scene, describe_scene
+from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.world import in_world, world_matrix
+from support.layouts import NUM_VIEWS, SIDE, ColmapBinaryFolder, ColmapTextFolder
+
+
+def model_file(capture, name):
+    return capture.folder / "sparse" / "0" / name
+
+
+def only(folder):
+    report = inspect_scene(folder)
+    assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
+    return report.findings[0]
+
+
+def test_text_and_binary_describe_the_same_frames(tmp_path):
+    text = describe_scene(ColmapTextFolder(tmp_path / "text").folder)
+    binary = describe_scene(ColmapBinaryFolder(tmp_path / "binary").folder)
+    assert [frame.name for frame in text.frames] == [frame.name for frame in binary.frames]
+    in_world(binary, world_matrix(text))  # the last digits may decide whether a scene is moved
+    for one, other in zip(text.frames, binary.frames, strict=True):
+        np.testing.assert_allclose(one.camera.camera_to_world, other.camera.camera_to_world, atol=1e-9)
+
+
+@pytest.mark.parametrize("place", ["sparse", "colmap/sparse/0"])
+def test_the_model_may_lie_in_other_usual_places(tmp_path, place):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    target = capture.folder / place
+    (capture.folder / "sparse" / "0").rename(capture.folder / "model")
+    (capture.folder / "sparse").rmdir()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    (capture.folder / "model").rename(target)
+    assert len(describe_scene(capture.folder).frames) == NUM_VIEWS
+
+
+# Model, parameters, and where a point at (0.2, -0.1) over depth is seen.
+MODELS = {
+    "SIMPLE_PINHOLE": ("48 21 19", (48 * 0.2 + 21, 48 * -0.1 + 19)),
+    "PINHOLE": ("48 50 21 19", (48 * 0.2 + 21, 50 * -0.1 + 19)),
+    "SIMPLE_RADIAL": ("48 20 20 0.1", (48 * 0.2 * 1.005 + 20, 48 * -0.1 * 1.005 + 20)),
+    "RADIAL": ("48 20 20 0.1 0.2", (48 * 0.2 * 1.0055 + 20, 48 * -0.1 * 1.0055 + 20)),
+    "OPENCV": (
+        "48 50 20 20 0.1 0.2 0.01 0.02",
+        (
+            48 * (0.2 * 1.0055 + 2 * 0.01 * -0.02 + 0.02 * (0.05 + 0.08)) + 20,
+            50 * (-0.1 * 1.0055 + 0.01 * (0.05 + 0.02) + 2 * 0.02 * -0.02) + 20,
+        ),
+    ),
+    "FULL_OPENCV": (
+        "48 50 20 20 0.1 0.2 0 0 0 0.1 0.2 0",
+        (48 * 0.2 + 20, 50 * -0.1 + 20),  # numerator and denominator are equal
+    ),
+}
+
+
+@pytest.mark.parametrize(("model", "parameters", "expected"), [(k, *v) for k, v in MODELS.items()])
+def test_every_perspective_model_is_understood(tmp_path, model, parameters, expected):
+    from lambent_worker.scenes.lens import distorted
+
+    capture = ColmapTextFolder(tmp_path / "scene")
+    model_file(capture, "cameras.txt").write_text(f"1 {model} {SIDE} {SIDE} {parameters}\n")
+    problems = Problems()
+    manifest = collect_scene(capture.folder, None, problems)
+    assert problems.usable
+    camera = manifest.frames[0].camera
+    if camera.HasField("lens"):
+        lens = camera.lens
+        x, y = distorted(np.array(0.2), np.array(-0.1), np.array(lens.distortion))
+    else:
+        lens, x, y = camera, 0.2, -0.1
+    seen = (lens.focal_x * x + lens.centre_x, lens.focal_y * y + lens.centre_y)
+    assert seen == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "model", ["OPENCV_FISHEYE", "FOV", "THIN_PRISM_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "NEW"]
+)
+def test_a_model_that_no_pinhole_can_stand_in_for_is_refused(tmp_path, model):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    count = {"OPENCV_FISHEYE": 8, "FOV": 5, "THIN_PRISM_FISHEYE": 12, "SIMPLE_RADIAL_FISHEYE": 4, "NEW": 3}[
+        model
+    ]
+    model_file(capture, "cameras.txt").write_text(f"1 {model} {SIDE} {SIDE} {' '.join(['20'] * count)}\n")
+    report = inspect_scene(capture.folder)
+    assert {finding.code for finding in report.findings} == {"scene.lens_unsupported"}
+    assert "image_undistorter" in report.findings[0].message
+    assert model in report.findings[0].message
+
+
+DAMAGE = {
+    "images.txt": [
+        ("1 0.5 0.5 0.5 0.5 0 0\n\n", "no image"),
+        ("# Number of images: 2\n1 1 0 0 0 0 0 4 1 a.png\n\n", "announces 2 images and holds 1"),
+        ("1 1 0 0 0 0 0 4 one a.png\n\n", "line 1"),
+        ("1 x 0 0 0 0 0 4 1 a.png\n\n", "line 1"),
+    ],
+    "cameras.txt": [
+        ("1 PINHOLE 40\n", "no camera"),
+        ("1 PINHOLE 40 40 1 2\n", "2 parameters, 4 are needed"),
+        ("1 PINHOLE 0 40 1 1 0 0\n", "0 x 40"),
+        ("1 PINHOLE 4 4 1 1 2 2\n1 PINHOLE 4 4 1 1 2 2\n", "again"),
+        ("# Number of cameras: 3\n1 PINHOLE 4 4 1 1 2 2\n", "announces 3 cameras"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"), [(name, *case) for name, cases in DAMAGE.items() for case in cases]
+)
+def test_a_damaged_text_file_is_named_with_its_fault(tmp_path, name, text, reason):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    model_file(capture, name).write_text(text)
+    finding = only(capture.folder)
+    assert finding.code == "scene.metadata_unreadable"
+    assert finding.subject == f"sparse/0/{name}"
+    assert reason in finding.message
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[:-3],
+        lambda data: data[:10],
+        lambda data: b"",
+        lambda data: data + b"\0",
+        lambda data: struct.pack("<Q", 2**60) + data[8:],
+        lambda data: struct.pack("<Q", 0) + data[8:],
+    ],
+    ids=["cut", "cut early", "empty", "longer", "huge count", "zero count"],
+)
+def test_a_damaged_binary_file_is_named(tmp_path, name, damage):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    path = model_file(capture, name)
+    path.write_bytes(damage(path.read_bytes()))
+    finding = only(capture.folder)
+    assert finding.code == "scene.metadata_unreadable"
+    assert finding.subject == f"sparse/0/{name}"
+
+
+def test_every_possible_cut_of_a_binary_model_is_refused(tmp_path):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    for name, read in (("cameras.bin", read_cameras), ("images.bin", read_images)):
+        data = model_file(capture, name).read_bytes()
+        for length in range(0, len(data), 23):
+            (tmp_path / name).write_bytes(data[:length])
+            with pytest.raises(ModelError):
+                read(tmp_path / name)
+
+
+def test_an_image_of_an_unknown_camera_is_named(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    path = model_file(capture, "images.txt")
+    path.write_text(path.read_text().replace("1 IMG_0003.png", "7 IMG_0003.png"))
+    finding = only(capture.folder)
+    assert finding.code == "scene.camera_missing"
+    assert "camera 7" in finding.message
+    assert finding.subject == "images/IMG_0003.png"
+
+
+def test_a_name_that_leads_out_of_the_folder_is_refused(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    path = model_file(capture, "images.txt")
+    path.write_text(path.read_text().replace(" IMG_0003.png", " ../IMG_0003.png"))
+    assert {finding.code for finding in inspect_scene(capture.folder).findings} == {"scene.path_unsafe"}
+
+
+def test_half_a_model_is_an_error_that_names_the_other_half(tmp_path):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    model_file(capture, "cameras.bin").unlink()
+    finding = only(capture.folder)
+    assert (finding.code, finding.subject) == ("scene.file_missing", "sparse/0/cameras.bin")
+
+
+def test_a_folder_of_masks_must_have_one_for_every_photograph(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    capture.mask(3).unlink()
+    finding = only(capture.folder)
+    assert (finding.code, finding.subject) == ("scene.file_missing", "masks/IMG_0003.png.png")
+
+
+def test_masks_may_be_named_by_the_stem(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    for index in range(NUM_VIEWS):
+        capture.mask(index).rename(capture.folder / "masks" / f"IMG_{index:04d}.png")
+    assert not inspect_scene(capture.folder).findings
+
+
+def test_reduced_photographs_scale_the_lens(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    text = model_file(capture, "cameras.txt").read_text()
+    double = f"1 PINHOLE {2 * SIDE} {2 * SIDE} {2 * 48} {2 * 48} {SIDE} {SIDE}"
+    model_file(capture, "cameras.txt").write_text(text.splitlines()[0] + "\n" + double + "\n")
+    camera = describe_scene(capture.folder).frames[0].camera
+    assert (camera.width, camera.focal_x, camera.centre_x) == (SIDE, 48.0, SIDE / 2)
