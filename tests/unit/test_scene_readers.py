@@ -14,7 +14,9 @@ from support.captures import (
     REFERENCES,
     SIDE,
     edit_frame,
+    photograph,
     read_transforms,
+    save,
     write_blender,
     write_tensoir,
     write_transforms,
@@ -159,7 +161,7 @@ def test_a_light_that_is_not_there_or_named_twice_is_a_usage_error(wanted):
 
 
 def test_an_unknown_layout_is_a_usage_error_that_lists_the_known_ones(tmp_path):
-    with pytest.raises(UsageError, match="tensoir_synthetic, .*nerf_blender, nerfstudio, colmap"):
+    with pytest.raises(UsageError, match=r"tensoir_synthetic, .*nerf_blender, nerfstudio, colmap"):
         describe_scene(write_blender(tmp_path), "polaroid")
 
 
@@ -180,4 +182,74 @@ def test_a_light_that_scene_json_names_but_nobody_photographed_is_reported(tmp_p
     folder = write_tensoir(tmp_path)
     (folder / "scene.json").write_text(json.dumps({"train_env": "sunset", "rotations": ["000"]}))
     with pytest.raises(SceneRefusedError, match="sunset_000"):
+        describe_scene(folder)
+
+
+GENERAL = ("sunset", "snow", "courtyard")
+ROTATED = ("sunset_000", "sunset_120", "sunset_240")
+RELIT = ("bridge", "city", "fireplace", "forest", "night")
+
+
+def test_all_eleven_lights_of_the_published_scenes_are_sorted_into_training_and_relighting(tmp_path):
+    write_tensoir(tmp_path, lights=(*GENERAL, *ROTATED, *RELIT), relight=())
+    manifest = describe_scene(tmp_path)
+    assert list(manifest.lights) == ["sunset", *ROTATED, "snow", "courtyard"]
+    assert list(manifest.relight_lights) == list(RELIT)
+    for names_of in (GENERAL, ROTATED):
+        chosen = select_lights(manifest, names_of)
+        frames = {frame.name: [image.light for image in frame.images] for frame in chosen.frames}
+        assert frames["train_000"] == sorted(names_of, key=list(manifest.lights).index)
+        assert set(frames["test_000"]) == {*names_of, *RELIT}
+
+
+def test_rotated_lights_of_any_environment_need_no_scene_json(tmp_path):
+    write_tensoir(tmp_path, lights=("studio_small_000", "studio_small_120", "studio_small_240"))
+    assert list(describe_scene(tmp_path).lights) == [
+        "studio_small_000",
+        "studio_small_120",
+        "studio_small_240",
+    ]
+
+
+def test_a_light_that_most_views_lack_is_a_stray_picture_and_no_light(tmp_path):
+    folder = write_tensoir(tmp_path, lights=("sunset",))
+    shutil.copy(folder / "train_001" / "rgba_sunset.png", folder / "train_001" / "rgba_dusk.png")
+    shutil.copy(folder / "test_001" / "rgba_city.png", folder / "test_001" / "rgba_dawn.png")
+    for view in ("test_002", "test_003"):
+        shutil.copytree(folder / "test_000", folder / view)
+    manifest = describe_scene(folder)
+    assert list(manifest.lights) == ["sunset"]
+    assert list(manifest.relight_lights) == ["city"]
+
+
+def test_radiance_that_the_renderer_left_beside_the_pictures_is_no_stray_picture():
+    from lambent_worker.scenes.inspect import inspect_scene
+
+    assert not inspect_scene(SCENES / "tensoir_synthetic").findings
+
+
+def test_validation_pictures_beside_a_test_split_are_no_stray_pictures(tmp_path):
+    from lambent_worker.scenes.inspect import inspect_scene
+
+    folder = write_blender(tmp_path, num_train=9)
+    transforms = read_transforms(folder, "test")
+    save(folder / "test" / "v_0.png", photograph(77))
+    transforms["frames"] = [{**transforms["frames"][0], "file_path": "./test/v_0"}]
+    write_transforms(folder, "val", transforms)
+    assert not inspect_scene(folder).findings
+
+
+def test_frames_that_end_in_one_name_are_told_apart_or_refused(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.webp", photograph(50))
+    edit_frame(folder, 1, file_path="./train/r_0.webp")
+    with pytest.raises(SceneRefusedError, match="frame_duplicate"):
+        describe_scene(folder)
+
+
+def test_a_name_that_stands_twice_in_a_json_object_is_refused(tmp_path):
+    folder = write_blender(tmp_path)
+    path = folder / "transforms_train.json"
+    path.write_text(path.read_text().replace('"camera_angle_x"', '"camera_angle_x": 0.5, "camera_angle_x"'))
+    with pytest.raises(SceneRefusedError, match="key_duplicate"):
         describe_scene(folder)
