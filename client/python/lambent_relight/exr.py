@@ -12,6 +12,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from lambent_relight.errors import EnvironmentFileError
+from lambent_relight.picture_rows import PictureRows
 
 REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Red, green, blue and white of linear Rec. 709, CIE x and y each."""
@@ -21,8 +22,8 @@ def _unusable(code: str, path: Path, what: str, advice: str) -> EnvironmentFileE
     return EnvironmentFileError(code, f'"{path.name}" {what}', advice)
 
 
-def read_exr_rgb(path: Path, *, max_pixels: int) -> NDArray[np.float32]:
-    """Return the R, G, B channels as linear float32 [height, width, 3], row 0 at the top.
+def read_exr_rgb(path: Path, *, max_pixels: int) -> PictureRows:
+    """Return the R, G, B channels as rows of linear float32, row 0 at the top.
 
     Half and float channels are read, from the first part that has all three; alpha is ignored (EXR
     colours are already multiplied by it). Raises EnvironmentFileError for a damaged file, one without
@@ -48,7 +49,11 @@ def read_exr_rgb(path: Path, *, max_pixels: int) -> NDArray[np.float32]:
         raise _unusable(
             "environment.exr_channels", path, "stores colour as integers", "save it as half or float"
         )
-    return np.stack([plane.astype(np.float32) for plane in planes], axis=-1)
+
+    def rows(part: slice) -> NDArray[np.float32]:
+        return np.stack([plane[part].astype(np.float32) for plane in planes], axis=-1)
+
+    return PictureRows(height, width, rows)
 
 
 def _damaged(path: Path) -> EnvironmentFileError:

@@ -175,7 +175,8 @@ def _lobe_table(cell_mass: NDArray[np.float64], directions: NDArray[np.float64])
     rows = []
     for lobe in tables:
         # A floor keeps every lit cell possible, whatever the axis' place inside its bin.
-        weight = cell_mass * (lobe + _FLOOR_SHARE * lobe.mean(axis=1, keepdims=True))
+        # The last term is for maps of a few pixels, whose cells may all lie outside a narrow lobe.
+        weight = cell_mass * (lobe + _FLOOR_SHARE * lobe.mean(axis=1, keepdims=True) + 1e-12)
         rows.append(weight / weight.sum(axis=1, keepdims=True))
     return np.concatenate(rows)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.errors import EnvironmentFileError
+from lambent_relight.picture_rows import PictureRows
 
 _MAX_HEADER_BYTES = 1 << 16
 _RESOLUTION = re.compile(rb"^([-+])Y (\d{1,7}) ([-+])X (\d{1,7})$")
@@ -22,8 +23,8 @@ def _damaged(path: Path, what: str) -> EnvironmentFileError:
     )
 
 
-def read_rgbe(path: Path, *, max_pixels: int) -> NDArray[np.float32]:
-    """Return the picture as linear float32 [height, width, 3], row 0 at the top.
+def read_rgbe(path: Path, *, max_pixels: int) -> PictureRows:
+    """Return the picture as rows of linear float32, row 0 at the top.
 
     Values are divided by the header's EXPOSURE (their product when there are several) and COLORCORR.
     Raises EnvironmentFileError for a damaged or truncated file, XYZ colours, rotated scan orders, and
@@ -49,9 +50,14 @@ def read_rgbe(path: Path, *, max_pixels: int) -> NDArray[np.float32]:
         pixels = pixels[::-1]
     if match[3] == b"-":
         pixels = pixels[:, ::-1]
-    factor = np.ldexp(np.float32(1.0), pixels[..., 3].astype(np.int32) - 136)
-    factor[pixels[..., 3] == 0] = 0.0
-    return pixels[..., :3] * factor[..., None] / scale
+
+    def rows(part: slice) -> NDArray[np.float32]:
+        chosen = pixels[part]
+        factor = np.ldexp(np.float32(1.0), chosen[..., 3].astype(np.int32) - 136)
+        factor[chosen[..., 3] == 0] = 0.0
+        return chosen[..., :3] * factor[..., None] / scale
+
+    return PictureRows(height, width, rows)
 
 
 def _read_header(path: Path, data: bytes) -> tuple[int, NDArray[np.float32]]:

@@ -5,7 +5,14 @@ from typing import Annotated
 
 import typer
 from lambent_relight import load_cameras
+from lambent_relight.environment_axes import OURS
 
+from lambent.cli.environment_options import (
+    EnvAxesOption,
+    MendEnvOption,
+    SunClampOption,
+    environment_input,
+)
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import (
     Look,
@@ -48,6 +55,9 @@ def relight(
         int, typer.Option(help="Rays per pixel along each side, at the object.", min=1, max=8)
     ] = 2,
     size: Annotated[int, typer.Option(help="Side of turntable pictures, pixels; 0: as photographed.")] = 0,
+    env_axes: EnvAxesOption = OURS,
+    sun_clamp: SunClampOption = 0.0,
+    mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render a bundle under other environments: DIR/<map>/<camera>.png (sRGB) and .exr (linear).
@@ -59,6 +69,7 @@ def relight(
         raise UsageProblemError(
             "cli.cameras", "one of --cameras and --turntable is needed", "for a first look: --turntable 8"
         )
+    light = environment_input(env_axes, sun_clamp, mend_env)
     names = [path.stem for path in env]
     if len(set(names)) != len(names):
         raise UsageProblemError("cli.same_names", f"two maps are called the same: {names}", "rename one")
@@ -80,5 +91,6 @@ def relight(
             background=background,
             indirect=indirect,
             antialias=antialias,
+            light=light,
         )
         render_shots(renderer, shots, look, output_folder, Output(as_json))

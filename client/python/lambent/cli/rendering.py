@@ -7,7 +7,7 @@ import statistics
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,11 @@ from lambent_relight import (
     RelightError,
     Renderer,
     load_bundle,
-    load_environment,
     turntable,
     write_picture_exr,
     write_png,
 )
+from lambent_relight.environment_input import EnvironmentInput, OpenedEnvironment, open_environment
 
 from lambent.cli.output import Output, format_duration
 from lambent.errors import LambentError, UsageProblemError
@@ -51,6 +51,7 @@ class Look:
     background: str
     indirect: bool
     antialias: int
+    light: EnvironmentInput = field(default_factory=EnvironmentInput)
 
 
 @contextmanager
@@ -118,7 +119,7 @@ def render_shots(
     check_choice("--background", look.background, tuple(BACKGROUNDS))
     index = folder / "pictures.json"
     records = _read_records(index)
-    environments: dict[Path, Any] = {}
+    environments: dict[Path, OpenedEnvironment] = {}
     began, num_made = time.monotonic(), 0
     with _PictureBar(len(shots), output) as bar:
         for number, shot in enumerate(shots):
@@ -128,10 +129,11 @@ def render_shots(
                 bar.done(number, shot.name, "kept")
                 continue
             if shot.environment not in environments:
-                environments[shot.environment] = _load(shot.environment, output)
+                environments[shot.environment] = _load(shot.environment, look.light, output)
+            opened = environments[shot.environment]
             picture = renderer.render(
                 shot.camera,
-                environments[shot.environment],
+                opened.environment,
                 rotate_deg=shot.rotate_deg,
                 quality=look.quality,
                 num_samples=look.num_samples,
@@ -157,6 +159,7 @@ def render_shots(
                 "rotate_deg": shot.rotate_deg,
                 "num_samples": picture.num_samples,
                 "mean_standard_error": float(picture.standard_error.mean()),
+                "environment_notes": opened.notes(shot.environment.name),
             }
             _write_records(index, records)
             bar.done(number, shot.name, "made")
@@ -166,11 +169,11 @@ def render_shots(
     output.result(text, {"path": str(folder), "made": num_made, "pictures": wanted})
 
 
-def _load(path: Path, output: Output) -> Any:
-    environment = load_environment(path)
-    if environment.cleaning:
-        output.note(f"warning: unusable values in {path.name} were mended: {environment.cleaning}")
-    return environment
+def _load(path: Path, light: EnvironmentInput, output: Output) -> OpenedEnvironment:
+    opened = open_environment(path, light)
+    for note in opened.notes(path.name):
+        output.note(note)
+    return opened
 
 
 def _key(renderer: Renderer, shot: Shot, look: Look) -> str:

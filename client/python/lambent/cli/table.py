@@ -90,6 +90,12 @@ ENTRIES = (
         target="lambent.cli.turntable:turntable",
     ),
     Entry(
+        name="probe",
+        panel=_PICTURES,
+        summary="Look at an environment map: chrome ball, grey ball, brightest lights, energy.",
+        target="lambent.cli.probe:probe",
+    ),
+    Entry(
         name="check",
         panel=_LOCAL,
         summary="Look at a scene folder before any training, and say what to mend.",

@@ -1,0 +1,32 @@
+"""Options that say how an environment map is to be understood, the same in every command."""
+
+from typing import Annotated
+
+import typer
+from lambent_relight.environment_axes import QUARTER_TURNS
+from lambent_relight.environment_input import EnvironmentInput
+
+from lambent.errors import UsageProblemError
+
+EnvAxesOption = Annotated[
+    str, typer.Option("--env-axes", metavar="NAME", help=f"The maps' layout: {', '.join(QUARTER_TURNS)}.")
+]
+SunClampOption = Annotated[
+    float, typer.Option("--sun-clamp", metavar="L", help="Limit radiance to L and report the loss; 0: keep.")
+]
+MendEnvOption = Annotated[
+    bool, typer.Option("--mend-env", help="Replace NaN, negative and infinite values instead of refusing.")
+]
+
+
+def environment_input(env_axes: str, sun_clamp: float, mend_env: bool) -> EnvironmentInput:
+    """Return the options as one value; raises `cli.bad_choice` for one that cannot be meant."""
+    if env_axes not in QUARTER_TURNS:
+        raise UsageProblemError(
+            "cli.bad_choice", f"--env-axes {env_axes!r}", f"use one of {', '.join(QUARTER_TURNS)}"
+        )
+    if not 0.0 <= sun_clamp < float("inf"):
+        raise UsageProblemError(
+            "cli.bad_choice", f"--sun-clamp {sun_clamp}", "give a positive radiance, or 0"
+        )
+    return EnvironmentInput(axes=env_axes, mend=mend_env, sun_clamp=sun_clamp)
