@@ -170,7 +170,7 @@ def test_settings_out_of_range_are_refused(renderer, arguments, code):
     assert caught.value.code == code
 
 
-@pytest.mark.parametrize("quality", ["preview", "baked", "best"])
-def test_qualities_that_do_not_exist_yet_are_refused(renderer, quality):
-    with pytest.raises(UnsupportedQuality, match=quality):
+@pytest.mark.parametrize(("quality", "reason"), [("preview", "baked"), ("baked", "baked"), ("best", "best")])
+def test_qualities_that_a_bundle_does_not_have_are_refused(renderer, quality, reason):
+    with pytest.raises(UnsupportedQuality, match=reason):
         renderer.render(CAMERA, SKY, quality=quality)

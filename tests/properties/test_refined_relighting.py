@@ -8,6 +8,7 @@ import pytest
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle import load_bundle
 from lambent_relight.cameras import Camera, look_at
+from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import Environment, environment_from_array
 from lambent_relight.graphs import OnnxCaches, PointMaterials, PrimaryHits, SecondaryHits
 from lambent_relight.light_sampling import LightSampler
@@ -79,7 +80,7 @@ def relit(
     """Return independent estimates [count, 3] of the light that leaves `position` towards `viewer`."""
     radiance = outgoing_radiance(
         surface_points(scene, position, viewer, count),
-        Scene(open_caches(scene), scene.origin_offset, np.ones(3, np.float32)),
+        Scene(open_caches(scene), scene.origin_offset, MaterialEdit()),
         Light(environment, LightSampler(environment)),
         num_samples=num_samples,
         seed=seed,
@@ -182,7 +183,7 @@ def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches):
     points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), count)
     radiance = outgoing_radiance(
         points,
-        Scene(caches(scene), scene.origin_offset, np.ones(3, np.float32)),
+        Scene(caches(scene), scene.origin_offset, MaterialEdit()),
         Light(environment, LightSampler(environment)),
         num_samples=16,
         seed=1,
@@ -224,7 +225,7 @@ def veiled(opacity: float, *, seed: int, count: int = 3000):
     veil = Veil(opacity)
     points = surface_points(SHADED, (0.0, 0.0, 0.0), (1.0, -2.0, 1.5), count)
     light = Light(even_sky(), LightSampler(even_sky()))
-    scene = Scene(veil, 0.0, np.ones(3, np.float32))
+    scene = Scene(veil, 0.0, MaterialEdit())
     return veil, outgoing_radiance(points, scene, light, num_samples=4, seed=seed, indirect=True)
 
 

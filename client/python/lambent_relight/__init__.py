@@ -6,6 +6,7 @@
 
 from lambent_relight.bundle import Bundle, load_bundle
 from lambent_relight.cameras import Camera, cameras_json, load_cameras, look_at, turntable
+from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import (
     Cleaning,
     Environment,
@@ -33,6 +34,7 @@ __all__ = [
     "Cleaning",
     "Environment",
     "EnvironmentFileError",
+    "MaterialEdit",
     "RelightError",
     "RelitPicture",
     "Renderer",

@@ -4,12 +4,14 @@ PNG: sRGB-encoded 8 bit, straight alpha. EXR: linear Rec. 709 with stated primar
 by alpha as the format demands. Source: docs/reference/conventions.md (colour).
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
+from lambent_relight.aovs import ATTRIBUTES, exr_channels
 from lambent_relight.exr import write_exr
 from lambent_relight.picture import RelitPicture
 
@@ -41,28 +43,17 @@ def write_png(path: Path | str, picture: RelitPicture) -> None:
 
 
 def write_picture_exr(
-    path: Path | str, picture: RelitPicture, *, half: bool = True, passes: bool = True
+    path: Path | str,
+    picture: RelitPicture,
+    *,
+    half: bool = True,
+    passes: bool = True,
+    attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write a picture as linear EXR with channels R, G, B (times alpha) and A.
 
-    With `passes` also direct, indirect, standard_error (times coverage), albedo (R, G, B each),
-    normal (X, Y, Z), perceptual_roughness, metalness (V), and Z, the distance from the camera along the ray.
+    With `passes` also every pass of `lambent_relight.aovs`, as layers. `attributes` are written into the
+    header beside what it says of colour, normals and depth.
     """
-    channels: dict[str, NDArray[np.floating]] = {}
-
-    def layer(name: str, image: NDArray[np.floating], letters: str) -> None:
-        for index, letter in enumerate(letters):
-            channels[f"{name}.{letter}" if name else letter] = image[..., index]
-
-    layer("", picture.rgb * picture.opacity, "RGB")
-    layer("", picture.opacity, "A")
-    if passes:
-        for name in ("direct", "indirect"):
-            layer(name, getattr(picture, name) * picture.coverage, "RGB")
-        layer("standard_error", picture.standard_error * picture.opacity, "RGB")
-        layer("albedo", picture.albedo, "RGB")
-        layer("normal", picture.normal, "XYZ")
-        layer("perceptual_roughness", picture.perceptual_roughness, "V")
-        layer("metalness", picture.metalness, "V")
-        layer("", picture.distance, "Z")
-    write_exr(Path(path), channels, half=half)
+    header = {**ATTRIBUTES, **(attributes or {})}
+    write_exr(Path(path), exr_channels(picture, passes=passes), half=half, attributes=header)

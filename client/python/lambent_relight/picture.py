@@ -22,8 +22,13 @@ class RelitPicture:
     """Part of `rgb` that comes straight from the environment; without background, straight alpha."""
     indirect: Image
     """Part of `rgb` that was reflected once before, [height, width, 3]; without background."""
+    diffuse: Image
+    """Part of `rgb` that the diffuse lobe reflects; `diffuse` + `specular` = `direct` + `indirect`."""
+    specular: Image
+    visibility: Image
+    """Share of the cosine-weighted hemisphere that nothing blocks, [height, width, 1]."""
     albedo: Image
-    """Base colour used, after the albedo ratio, [height, width, 3]."""
+    """Base colour used, after edits, [height, width, 3]."""
     normal: Image
     """Unit world normals, [height, width, 3]; zero on the background."""
     perceptual_roughness: Image
@@ -33,7 +38,7 @@ class RelitPicture:
     coverage: Image
     """Coverage by the object in [0, 1], [height, width, 1], whatever the background."""
     num_samples: int
-    """Light directions behind every fully covered pixel."""
+    """Light directions behind every fully covered pixel; 0 where the light is not sampled."""
 
     def exposed(self, exposure_ev: float) -> "RelitPicture":
         """Return the picture with its radiance multiplied by 2^`exposure_ev`."""
@@ -44,4 +49,6 @@ class RelitPicture:
             standard_error=self.standard_error * factor,
             direct=self.direct * factor,
             indirect=self.indirect * factor,
+            diffuse=self.diffuse * factor,
+            specular=self.specular * factor,
         )

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import materials_from_roughness
+from lambent_relight.brdf import cosine_pdf, materials_from_roughness
 from lambent_relight.directions import normalise
+from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import Environment
 from lambent_relight.graphs import SurfaceCaches
 from lambent_relight.light_sampling import LightSampler
@@ -44,8 +45,8 @@ class Scene:
     caches: SurfaceCaches
     origin_offset: float
     """Secondary rays start this far along the normal, scene units."""
-    albedo_ratio: NDArray[np.float32]
-    """Factor on every albedo, [3]."""
+    edit: MaterialEdit
+    """What differs from the bundle's material."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,10 @@ class Radiance:
 
     direct: NDArray[np.float32]
     indirect: NDArray[np.float32]
+    specular: NDArray[np.float32]
+    """The specular lobe's part of `direct` + `indirect`."""
+    visibility: NDArray[np.float32]
+    """Cosine-weighted share of free directions, three times the same."""
     standard_error: NDArray[np.float32]
     """Of `direct` + `indirect`."""
     num_samples: int
@@ -86,55 +91,54 @@ def outgoing_radiance(
     """
     num_passes, per_pass = split_samples(num_samples)
     num_points = len(points.position)
-    sums = np.zeros((3, num_points, 3))
+    sums = np.zeros((5, num_points, 3))
     chunk = max(1, RAYS_PER_CHUNK // per_pass)
     starts = range(0, num_points, chunk)
     for pass_index in range(num_passes):
         for chunk_index, start in enumerate(starts):
             rng = np.random.default_rng([seed, pass_index, chunk_index])
             part = slice(start, start + chunk)
-            direct, bounced = _one_pass(points[part], scene, light, per_pass, rng, indirect)
-            sums[0, part] += direct
-            sums[1, part] += bounced
-            sums[2, part] += (direct.astype(np.float64) + bounced) ** 2
+            found = _one_pass(points[part], scene, light, per_pass, rng, indirect)
+            sums[:4, part] += found
+            sums[4, part] += (found[0].astype(np.float64) + found[1]) ** 2
             if progress is not None:
                 progress((pass_index + (chunk_index + 1) / len(starts)) / num_passes)
     means = sums / num_passes
-    variance = np.maximum(means[2] - (means[0] + means[1]) ** 2, 0.0) / (num_passes - 1)
-    return Radiance(
-        means[0].astype(np.float32),
-        means[1].astype(np.float32),
-        np.sqrt(variance).astype(np.float32),
-        num_passes * per_pass,
-    )
+    variance = np.maximum(means[4] - (means[0] + means[1]) ** 2, 0.0) / (num_passes - 1)
+    single = means[:4].astype(np.float32)
+    return Radiance(*single, np.sqrt(variance).astype(np.float32), num_passes * per_pass)
 
 
 def _one_pass(
     points: SurfacePoints, scene: Scene, light: Light, per_pass: int, rng: np.random.Generator, indirect: bool
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return direct and once-reflected radiance of points [point, 3], from `per_pass` directions each."""
+) -> NDArray[np.float32]:
+    """Return means over `per_pass` directions of points [point, 3], [4, point, 3].
+
+    Direct radiance, once-reflected radiance, the specular part of both, and the free share.
+    """
     count = len(points.position)
     u = _even_uniforms(count, per_pass, rng).reshape(-1, 3)
     rays = points.repeat(per_pass)
     shares = np.repeat(whole_shares(strategy_shares(points.materials), per_pass), per_pass, axis=0)
     drawn = draw_directions(rays, light.sampler, u, shares)
-    weight = drawn.weight
     active = drawn.active
     origin = rays.position[active] + np.float32(scene.origin_offset) * rays.normal[active]
     direction = drawn.omega_i[active]
     seen = scene.caches.secondary(origin, direction)
-    direct = np.zeros_like(weight)
-    direct[active] = weight[active] * (1.0 - seen.opacity) * light.environment.lookup(direction)
-    bounced = np.zeros_like(weight)
+    arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
+    bouncing = np.zeros_like(arriving)
     if indirect:
         # Following a hit with probability a, at full weight, has the mean of following all at weight a.
         hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
         position = origin[hit] + seen.distance[hit] * direction[hit]
-        bounced[active[hit]] = weight[active[hit]] * hit_radiance(
-            position, -direction[hit], scene, light, rng.random((len(hit), 3))
-        )
-    shape = (count, per_pass, 3)
-    return direct.reshape(shape).mean(axis=1), bounced.reshape(shape).mean(axis=1)
+        bouncing[hit] = hit_radiance(position, -direction[hit], scene, light, rng.random((len(hit), 3)))
+    result = np.zeros((4, count * per_pass, 3), np.float32)
+    weight = drawn.weight[active]
+    result[0, active], result[1, active] = weight * arriving, weight * bouncing
+    result[2, active] = drawn.specular[active] * (arriving + bouncing)
+    cosine = cosine_pdf(direction, rays.normal[active]) / drawn.pdf_solid_angle[active]
+    result[3, active] = cosine * (1.0 - seen.opacity)
+    return result.reshape(4, count, per_pass, 3).mean(axis=2)
 
 
 def _even_uniforms(count: int, per_pass: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -175,8 +179,8 @@ def hit_radiance(
 
 
 def surface_at(position: NDArray[np.float32], omega_o: NDArray[np.float32], scene: Scene) -> SurfacePoints:
-    """Return the surface at points [point, 3], with the albedo ratio applied."""
+    """Return the surface at points [point, 3], with the edit applied."""
     found = scene.caches.material(position)
-    albedo = np.clip(found.albedo * scene.albedo_ratio, 0.0, 1.0)
-    materials = materials_from_roughness(albedo, found.perceptual_roughness, found.metalness)
+    albedo, roughness = scene.edit.apply(found.albedo, found.perceptual_roughness)
+    materials = materials_from_roughness(albedo, roughness, found.metalness)
     return SurfacePoints(position, normalise(found.normal), omega_o, materials)

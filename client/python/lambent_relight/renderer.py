@@ -5,7 +5,8 @@ picture = render(load_bundle("cow.relight"), camera, load_environment("sky.exr")
 
 import logging
 from collections.abc import Callable
-from typing import Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle import Bundle
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import normalise
+from lambent_relight.directions import normalise, rotate_about_z
+from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import Environment
 from lambent_relight.errors import SettingError, UnsupportedQuality
 from lambent_relight.graphs import OnnxCaches, PrimaryHits, SurfaceCaches
@@ -23,9 +25,14 @@ from lambent_relight.refined import Light, Scene, outgoing_radiance
 from lambent_relight.scattering import SurfacePoints
 from lambent_relight.views import View, look
 
+if TYPE_CHECKING:
+    from lambent_relight.baked_renderer import BakedRenderer
+
 Background = Literal["transparent", "environment"] | tuple[float, float, float]
 
 Reader = Literal["auto", "fused", "onnx"]
+
+QUALITIES = ("preview", "baked", "refined")
 
 _LOG = logging.getLogger("lambent_relight")
 _KEPT_RAYS = 3_000_000
@@ -47,6 +54,7 @@ class Renderer:
         self.caches: SurfaceCaches = _open_caches(bundle, num_threads, reader)
         self._views: dict[tuple[bytes, int], View] = {}
         self._light: tuple[Environment, Light] | None = None
+        self._baked: BakedRenderer | None = None
 
     def gbuffer(self, camera: Camera) -> PrimaryHits:
         """Return what the rays through the middles of `camera`'s pixels see, [height * width, n] each."""
@@ -80,31 +88,85 @@ class Renderer:
         antialias: int = 2,
         albedo_ratio: NDArray[np.floating] | None = None,
         background: Background = "transparent",
+        edit: MaterialEdit | None = None,
+        object_rotate_deg: float = 0.0,
         progress: Callable[[float], None] | None = None,
     ) -> RelitPicture:
         """Return the bundle's object as `camera` sees it in the light of `environment`; see `render`."""
-        if quality != "refined":
+        if quality not in QUALITIES:
             raise UnsupportedQuality(
-                "relight.quality_unsupported", f"quality {quality!r} does not exist yet", 'use "refined"'
+                "relight.quality_unsupported",
+                f"there is no quality {quality!r}",
+                f"use one of {', '.join(QUALITIES)}",
             )
         if num_samples < 2:
             raise SettingError("relight.num_samples", f"{num_samples} samples", "use at least 2")
         if not 1 <= antialias <= _MAX_ANTIALIAS:
             raise SettingError("relight.antialias", f"antialias {antialias}", f"use 1 to {_MAX_ANTIALIAS}")
-        ratio = _checked_ratio(self.bundle, albedo_ratio)
-        light = self._prepared(environment.rotated(rotate_deg) if rotate_deg else environment)
+        edit = _combined(self.bundle, edit or MaterialEdit(), albedo_ratio)
+        turned = environment.rotated(rotate_deg) if rotate_deg else environment
+        if object_rotate_deg:
+            # Turning the object is turning everything else the other way.
+            turned = turned.rotated(-object_rotate_deg)
+            camera = _turned_camera(camera, -object_rotate_deg)
+        if quality == "refined":
+            picture = self._refined(camera, turned, edit, num_samples, seed, indirect, antialias, progress)
+        else:
+            picture = self.baked().render(
+                camera,
+                turned,
+                preview=quality == "preview",
+                antialias=antialias,
+                indirect=indirect,
+                edit=edit,
+            )
+            if progress is not None:
+                progress(1.0)
+        if object_rotate_deg:
+            picture = replace(picture, normal=rotate_about_z(picture.normal, object_rotate_deg))
+        if background == "transparent":
+            return picture
+        behind = _background(background, turned, camera.rays()[1]).reshape(picture.rgb.shape)
+        return replace(
+            picture,
+            rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * behind,
+            standard_error=picture.coverage * picture.standard_error,
+            opacity=np.ones_like(picture.coverage),
+        )
+
+    def baked(self) -> "BakedRenderer":
+        """Return what renders `preview` and `baked`; raises UnsupportedQuality without baked transport."""
+        # Compiled code takes a second to import, which refined relighting through graphs does not pay.
+        from lambent_relight.baked_renderer import BakedRenderer
+
+        if self._baked is None:
+            self._baked = BakedRenderer(self.bundle, self.caches)
+        return self._baked
+
+    def _refined(
+        self,
+        camera: Camera,
+        environment: Environment,
+        edit: MaterialEdit,
+        num_samples: int,
+        seed: int,
+        indirect: bool,
+        antialias: int,
+        progress: Callable[[float], None] | None,
+    ) -> RelitPicture:
+        light = self._prepared(environment)
         view = self.view(camera, antialias)
         seen = view.hits
-        albedo = np.clip(seen.albedo * ratio, 0.0, 1.0)
+        albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
         points = SurfacePoints(
             view.origin + seen.distance * view.direction,
             seen.normal,
             -view.direction,
-            materials_from_roughness(albedo, seen.perceptual_roughness, seen.metalness),
+            materials_from_roughness(albedo, roughness, seen.metalness),
         )
         radiance = outgoing_radiance(
             points,
-            Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, ratio),
+            Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit),
             light,
             num_samples=max(2, -(-num_samples // antialias**2)),
             seed=seed,
@@ -113,21 +175,19 @@ class Renderer:
         )
         coverage = view.coverage()
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
-        rgb, error = direct + bounced, view.error_of_mean(radiance.standard_error)
-        opacity = coverage
-        if background != "transparent":
-            behind = _background(background, light.environment, camera.rays()[1]).reshape(rgb.shape)
-            rgb, error = coverage * rgb + (1.0 - coverage) * behind, coverage * error
-            opacity = np.ones_like(coverage)
+        specular = view.mean(radiance.specular)
         return RelitPicture(
-            rgb=rgb,
-            opacity=opacity,
-            standard_error=error,
+            rgb=direct + bounced,
+            opacity=coverage,
+            standard_error=view.error_of_mean(radiance.standard_error),
             direct=direct,
             indirect=bounced,
+            diffuse=direct + bounced - specular,
+            specular=specular,
+            visibility=view.mean(radiance.visibility[:, :1]),
             albedo=view.mean(albedo),
             normal=normalise(view.mean(seen.normal)),
-            perceptual_roughness=view.mean(seen.perceptual_roughness),
+            perceptual_roughness=view.mean(roughness),
             metalness=view.mean(seen.metalness),
             distance=view.mean(seen.distance),
             coverage=coverage,
@@ -152,14 +212,23 @@ def _open_caches(bundle: Bundle, num_threads: int | None, reader: Reader) -> Sur
         return OnnxCaches(bundle, num_threads=num_threads)
 
 
-def _checked_ratio(bundle: Bundle, ratio: NDArray[np.floating] | None) -> NDArray[np.float32]:
-    values = np.asarray(bundle.manifest.albedo_scale_rgb if ratio is None else ratio, np.float32)
-    values = np.broadcast_to(values, (3,)) if values.shape in ((), (1,), (3,)) else values
-    if values.shape != (3,) or not (np.isfinite(values).all() and (values > 0).all()):
+def _combined(bundle: Bundle, edit: MaterialEdit, ratio: NDArray[np.floating] | None) -> MaterialEdit:
+    """Return `edit` with its gain times the albedo ratio, by default the manifest's."""
+    values = np.asarray(bundle.manifest.albedo_scale_rgb if ratio is None else ratio, np.float64)
+    if values.shape not in ((), (1,), (3,)):
         raise SettingError(
             "relight.albedo_ratio", f"albedo ratio {ratio}", "give one or three positive numbers"
         )
-    return values
+    gain = np.broadcast_to(values, (3,)) * np.asarray(edit.albedo_gain)
+    return replace(edit, albedo_gain=tuple(float(value) for value in gain))
+
+
+def _turned_camera(camera: Camera, degrees: float) -> Camera:
+    """Return `camera` carried around the z axis by +`degrees`."""
+    angle = np.radians(degrees)
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return replace(camera, camera_to_world=turn @ camera.camera_to_world)
 
 
 def _background(
@@ -191,6 +260,8 @@ def render(
     antialias: int = 2,
     albedo_ratio: NDArray[np.floating] | None = None,
     background: Background = "transparent",
+    edit: MaterialEdit | None = None,
+    object_rotate_deg: float = 0.0,
     progress: Callable[[float], None] | None = None,
 ) -> RelitPicture:
     """Return the bundle's object as `camera` sees it in the light of `environment`.
@@ -199,11 +270,13 @@ def render(
     covered pixel, shared by `antialias` x `antialias` rays (two directions each at least); `indirect` adds
     light that was reflected once before. `albedo_ratio` (one or three factors on the stored albedo, result
     clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background` is "transparent",
-    "environment" or a linear colour. `progress` is called with the finished fraction. Equal seeds give equal
-    pictures.
+    "environment" or a linear colour. `edit` changes the material, `object_rotate_deg` turns the object, not
+    its light, about +z. `quality` is "refined" (Monte Carlo), or "baked" or "preview" (from baked transport,
+    without noise; `num_samples` and `seed` have no effect). `progress` is called with
+    the finished fraction. Equal seeds give equal pictures.
 
     Opens the bundle's graphs anew: to render many pictures, make one `Renderer`. Raises SettingError,
-    UnsupportedQuality (every quality but "refined") or BundleError.
+    UnsupportedQuality (no such quality, or no baked transport) or BundleError.
     """
     return Renderer(bundle).render(
         camera,
@@ -216,5 +289,7 @@ def render(
         antialias=antialias,
         albedo_ratio=albedo_ratio,
         background=background,
+        edit=edit,
+        object_rotate_deg=object_rotate_deg,
         progress=progress,
     )

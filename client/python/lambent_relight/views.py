@@ -61,7 +61,7 @@ def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
     pixel = np.arange(len(origin))
     if antialias > 1:
         covered = (hits.opacity[:, 0] > MIN_OPACITY).reshape(camera.height, camera.width)
-        pixel, sub_ray = _rays_of_pixels(np.flatnonzero(_grown(covered)), camera, antialias)
+        pixel, sub_ray = rays_of_pixels(np.flatnonzero(grown(covered)), camera, antialias)
         origin, direction = camera.resized(camera.width * antialias, camera.height * antialias).rays()
         origin, direction = origin[sub_ray], direction[sub_ray]
         hits = caches.gbuffer(origin, direction)
@@ -70,7 +70,7 @@ def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
     return View(camera, antialias**2, pixel[seen], origin[seen], direction[seen], kept)
 
 
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return `mask` [height, width] with the eight neighbours of every set pixel."""
     rows = mask.copy()
     rows[1:] |= mask[:-1]
@@ -81,7 +81,7 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return grown
 
 
-def _rays_of_pixels(
+def rays_of_pixels(
     pixels: NDArray[np.intp], camera: Camera, antialias: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return pixel and ray number (in a camera with `antialias` times the pixels) of all rays of `pixels`."""

@@ -1,0 +1,111 @@
+"""Qualities `preview` and `baked`: relighting from baked transport, one matrix product per light.
+
+    diffuse  = (1 - m) albedo / pi (E_direct + E_indirect)
+    specular = (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings)
+
+E is the texels' irradiance; s in [0, 1] is how much of the lobe is free, from the visibility's harmonics
+smoothed by the lobe; what is not free sees the mean radiance of what stands around. `preview` keeps three
+bands, has no indirect light, and takes s from the openness alone. Source: docs/reference/conventions.md.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight import baked_kernels, harmonics
+from lambent_relight.baked_light import PREVIEW_BANDS, BakedLight, texel_bounce, texel_irradiance
+from lambent_relight.baked_scene import BakedScene
+from lambent_relight.baked_view import BakedView
+from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.directions import dot
+from lambent_relight.edits import MaterialEdit
+from lambent_relight.split_sum import split_sum
+from lambent_relight.transport_lobes import factors_at, ggx_bands, per_coefficient
+
+
+@dataclass(frozen=True, eq=False)
+class Lobes:
+    """What the reflection of a view's pixels needs, whatever the light; [pixel, n] each."""
+
+    albedo: NDArray[np.float32]
+    perceptual_roughness: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+    """Diffuse albedo over pi, [pixel, 3]."""
+    free: NDArray[np.float32]
+    """Specular reflectance times the free part of the lobe, [pixel, 3]."""
+    surrounded: NDArray[np.float32]
+    """Specular reflectance times the rest, times the factor to mean radiance, [pixel, 3]."""
+    mirror: NDArray[np.float32]
+    """Direction of mirror reflection, [pixel, 3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BakedRadiance:
+    """Outgoing radiance of a view's pixels by path, [pixel, 3] each."""
+
+    diffuse_direct: NDArray[np.float32]
+    diffuse_indirect: NDArray[np.float32]
+    specular_direct: NDArray[np.float32]
+    specular_indirect: NDArray[np.float32]
+
+
+def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
+    """Return how the pixels of a view reflect, with `edit` applied."""
+    albedo, roughness = edit.apply(view.albedo, view.perceptual_roughness)
+    cosine = dot(view.normal, view.omega_o)
+    mirror = (2.0 * cosine * view.normal - view.omega_o).astype(np.float32)
+    scale, bias = split_sum(cosine[:, 0], roughness[:, 0])
+    f0 = view.metalness * albedo + (1.0 - view.metalness) * np.float32(DIELECTRIC_F0)
+    reflectance = f0 * scale[:, None] + bias[:, None]
+    if preview:
+        free = view.openness
+    else:
+        bands = round(view.visibility.shape[1] ** 0.5)
+        lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
+        basis = harmonics.basis(mirror, bands) * lobe
+        free = np.clip(np.einsum("nk,nk->n", basis, view.visibility), 0.0, 1.0)[:, None]
+    return Lobes(
+        albedo,
+        roughness,
+        ((1.0 - view.metalness) * albedo / np.float32(np.pi)).astype(np.float32),
+        (reflectance * free).astype(np.float32),
+        (reflectance * (1.0 - free) * view.surroundings).astype(np.float32),
+        mirror,
+    )
+
+
+def shade(
+    scene: BakedScene,
+    view: BakedView,
+    lobes: Lobes,
+    light: BakedLight,
+    *,
+    preview: bool,
+    indirect: bool,
+    bounce_gain: NDArray[np.float32],
+    compiled: bool = True,
+) -> BakedRadiance:
+    """Return what the pixels of `view` send to the camera under `light`.
+
+    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before. `compiled`
+    gathers the pixels' means by compiled code; without, by numpy, with the same result but for rounding.
+    """
+    bands = PREVIEW_BANDS if preview else round(len(scene.transport.direct) ** 0.5)
+    straight = texel_irradiance(scene, light, bands)
+    if indirect and not preview:
+        bounced = texel_bounce(scene, light) * bounce_gain
+    else:
+        bounced = np.zeros_like(straight)
+    prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
+    if compiled:
+        means = baked_kernels.pixel_means(view.texel, view.first, straight, bounced)
+    else:
+        means = view.mean(np.concatenate([straight, bounced], axis=1))
+    arriving, bounce = np.maximum(means[:, :3], 0.0), np.maximum(means[:, 3:], 0.0)
+    return BakedRadiance(
+        diffuse_direct=lobes.diffuse * arriving,
+        diffuse_indirect=lobes.diffuse * bounce,
+        specular_direct=lobes.free * prefiltered,
+        specular_indirect=lobes.surrounded * bounce,
+    )

@@ -1,0 +1,116 @@
+"""An environment as `preview` and `baked` need it, and the irradiance it gives to every texel.
+
+The light is kept as harmonics of what is left after a few dominant lights were taken out, those lights, and
+prefiltered levels of the whole map for the specular lobe. Turning it turns coefficients and directions;
+nothing is filtered again. Source: docs/reference/conventions.md.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight import harmonics
+from lambent_relight.baked_scene import BakedScene
+from lambent_relight.directions import rotate_about_z
+from lambent_relight.dominant_lights import split
+from lambent_relight.environments import Environment
+from lambent_relight.prefilter import Prefiltered, prefilter
+from lambent_relight.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
+
+PREVIEW_BANDS = 3
+MAX_DOMINANT = 4
+_NEIGHBOURS = 6
+"""Stored directions that decide whether a light is visible."""
+
+
+@dataclass(frozen=True, eq=False)
+class BakedLight:
+    """One environment, prepared."""
+
+    prefiltered: Prefiltered
+    coefficients: NDArray[np.float64]
+    """Harmonics of the light without `directions`, [bands^2, 3]."""
+    directions: NDArray[np.float32]
+    """Towards the dominant lights, [light, 3]."""
+    irradiance: NDArray[np.float32]
+    """Of a surface that faces the light, [light, 3]."""
+
+    def rotated(self, degrees: float) -> "BakedLight":
+        """Return the same light turned by a further +`degrees` about +z."""
+        return BakedLight(
+            self.prefiltered.rotated(degrees),
+            harmonics.rotate_z(self.coefficients, degrees),
+            rotate_about_z(self.directions, degrees),
+            self.irradiance,
+        )
+
+
+def prepare_light(environment: Environment, bands: int, dominant_lights: int) -> BakedLight:
+    """Return `environment` for transport of `bands` bands, with up to `dominant_lights` split off."""
+    lights = split(environment, dominant_lights)
+    return BakedLight(
+        prefilter(environment),
+        harmonics.project(lights.residual, bands),
+        lights.directions,
+        lights.radiance_solid_angle,
+    )
+
+
+def texel_irradiance(scene: BakedScene, light: BakedLight, bands: int) -> NDArray[np.float32]:
+    """Return what arrives straight from the light at every texel, [texel, 3], not clipped at zero.
+
+    `bands` may be fewer than there are: a smoother, cheaper answer.
+    """
+    planes = scene.transport.direct[: bands**2]
+    coefficients = light.coefficients[: len(planes)].T.astype(np.float32)
+    result = np.ascontiguousarray((coefficients @ planes[: coefficients.shape[1]]).T)
+    for direction, irradiance in zip(light.directions, light.irradiance, strict=True):
+        cosine = np.maximum(scene.normal @ direction, np.float32(0.0))
+        cosine[cosine > 0.0] *= free_share(scene, direction, np.flatnonzero(cosine > 0.0))
+        result += cosine[:, None] * irradiance
+    return result
+
+
+def texel_bounce(scene: BakedScene, light: BakedLight) -> NDArray[np.float32]:
+    """Return what arrives by way of other surfaces at every texel, [texel, 3].
+
+    Dominant lights take part through their harmonics: what they light up is not in their shadow.
+    """
+    planes = scene.transport.indirect
+    bands = round(len(planes) ** 0.5)
+    coefficients = light.coefficients[: bands**2].copy()
+    if len(light.directions):
+        coefficients += harmonics.basis(light.directions, bands).T @ light.irradiance
+    coarse = np.einsum("kc,kct->tc", coefficients.astype(np.float32), planes)
+    return coarse[scene.transport.coarse_of_texel]
+
+
+def free_share(
+    scene: BakedScene, direction: NDArray[np.float32], texels: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    """Return how much of a light in `direction` reaches `texels`, in [0, 1].
+
+    A weighted mean over the bits of the nearest stored directions, which gives a shadow a border as soft as
+    they are apart.
+    """
+    bits = scene.transport.shadow_bits
+    assert bits is not None, "lights are split off only where there are shadow bits"
+    near, weight = shadow_weights(direction)
+    result = np.zeros(len(texels), np.float32)
+    for index, share in zip(near, weight, strict=True):
+        result += np.float32(share) * ((bits[texels, index // 8] >> np.uint8(index % 8)) & 1)
+    return result
+
+
+def shadow_weights(direction: NDArray[np.floating]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the nearest stored directions and their weights, which sum to one."""
+    cosine = shadow_directions() @ np.asarray(direction, np.float64)
+    near = np.argsort(-cosine)[:_NEIGHBOURS]
+    # Gaussian as wide as a cell; the last neighbour's weight is taken from all, so that none jumps in.
+    sharpness = NUM_SHADOW_DIRECTIONS / 4.0
+    weight = np.exp(sharpness * (cosine[near] - cosine[near[0]]))
+    weight -= weight[-1]
+    if weight.sum() <= 0.0:
+        weight = np.ones(_NEIGHBOURS)
+    return near, weight / weight.sum()

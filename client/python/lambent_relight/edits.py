@@ -1,0 +1,61 @@
+"""Changing an object's material while relighting it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.errors import SettingError
+
+Gain = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MaterialEdit:
+    """What differs from the bundle's material, everywhere on the object."""
+
+    albedo_gain: Gain = (1.0, 1.0, 1.0)
+    """Factor on the albedo, per channel; the result is clipped to [0, 1]."""
+    roughness_scale: float = 1.0
+    """Factor on perceptual roughness; the result is clipped to [0, 1]."""
+    albedo: Gain | None = None
+    """Linear albedo instead of the bundle's, before the gain; None keeps it."""
+
+    def __post_init__(self) -> None:
+        gain = np.asarray(self.albedo_gain, np.float64)
+        if gain.shape != (3,) or not (np.isfinite(gain).all() and (gain > 0.0).all()):
+            raise SettingError(
+                "relight.albedo_ratio",
+                f"albedo ratio {self.albedo_gain}",
+                "give one or three positive numbers",
+            )
+        if not (np.isfinite(self.roughness_scale) and self.roughness_scale >= 0.0):
+            raise SettingError(
+                "relight.roughness_scale", f"roughness scale {self.roughness_scale}", "give a number from 0"
+            )
+        if self.albedo is not None:
+            colour = np.asarray(self.albedo, np.float64)
+            if colour.shape != (3,) or not ((colour >= 0.0) & (colour <= 1.0)).all():
+                raise SettingError(
+                    "relight.albedo", f"albedo {self.albedo}", "give three linear values from 0 to 1"
+                )
+
+    def apply(
+        self, albedo: NDArray[np.floating], perceptual_roughness: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return albedo [n, 3] and perceptual roughness [n, 1] as changed."""
+        base = albedo if self.albedo is None else np.broadcast_to(np.float32(self.albedo), albedo.shape)
+        changed = np.clip(base * np.asarray(self.albedo_gain, np.float32), 0.0, 1.0)
+        roughness = np.clip(perceptual_roughness * np.float32(self.roughness_scale), 0.0, 1.0)
+        return changed.astype(np.float32), roughness.astype(np.float32)
+
+    def bounce_gain(self, mean_albedo: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return what light that was reflected once before is multiplied by, [3].
+
+        Baked indirect light holds the albedo it was baked with; a change of it is applied in the mean.
+        `mean_albedo` [3] is the object's.
+        """
+        if self.albedo is None:
+            return np.asarray(self.albedo_gain, np.float32)
+        changed = np.clip(np.asarray(self.albedo, np.float64) * self.albedo_gain, 0.0, 1.0)
+        return (changed / np.maximum(mean_albedo, 1e-3)).astype(np.float32)

@@ -1,0 +1,192 @@
+"""Qualities `preview` and `baked`, from a bundle on disk to pictures."""
+
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+from lambent_relight import (
+    BundleError,
+    MaterialEdit,
+    Renderer,
+    environment_from_array,
+    load_bundle,
+    turntable,
+    write_picture_exr,
+)
+from lambent_relight.images import srgb_from_linear
+from lambent_relight.transport import read_transport
+from support.baked_bundle import write_baked_bundle
+
+CAMERA = turntable(1, radius=4.0, elevation_deg=35.0, width=40, height=40)[0]
+
+
+def sky(seed=0, sun=0.0):
+    radiance = np.random.default_rng(seed).uniform(0.2, 1.0, (4, 8, 3)).repeat(8, 0).repeat(8, 1)
+    radiance[9:11, 20:22] += sun
+    return environment_from_array(radiance)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_baked_bundle(tmp_path_factory.mktemp("baked") / "boxes.relight")
+
+
+@pytest.fixture(scope="module")
+def renderer(folder):
+    return Renderer(load_bundle(folder), num_threads=1, reader="onnx")
+
+
+def decibels(a, b):
+    shown = [srgb_from_linear(p.rgb) * p.opacity + 1.0 - p.opacity for p in (a, b)]
+    return -10.0 * np.log10(np.mean((shown[0] - shown[1]) ** 2))
+
+
+@pytest.fixture(scope="module")
+def refined(renderer):
+    return renderer.render(CAMERA, sky(), num_samples=256)
+
+
+def test_baked_pictures_are_close_to_refined_ones_and_closer_than_previews(renderer, refined):
+    baked = renderer.render(CAMERA, sky(), quality="baked")
+    preview = renderer.render(CAMERA, sky(), quality="preview")
+    assert decibels(baked, refined) > 34.0
+    assert 24.0 < decibels(preview, refined) < decibels(baked, refined) - 1.0
+
+
+def test_passes_add_up_in_every_quality(renderer, refined):
+    for picture in (refined, renderer.render(CAMERA, sky(), quality="baked")):
+        whole = picture.direct + picture.indirect
+        np.testing.assert_allclose(picture.diffuse + picture.specular, whole, atol=1e-5)
+        np.testing.assert_allclose(picture.rgb, whole, atol=1e-5)
+        assert picture.visibility.min() >= 0.0
+        inside = picture.coverage[..., 0] > 0.99
+        assert 0.5 < picture.visibility[inside].mean() < 1.0
+
+
+def test_openness_of_baked_pictures_is_what_refined_ones_count(renderer, refined):
+    baked = renderer.render(CAMERA, sky(), quality="baked")
+    inside = (baked.coverage[..., 0] > 0.99) & (refined.coverage[..., 0] > 0.99)
+    assert np.abs(baked.visibility - refined.visibility)[inside].mean() < 0.03
+
+
+def test_indirect_light_brings_baked_pictures_closer(renderer, refined):
+    with_bounces = renderer.render(CAMERA, sky(), quality="baked")
+    without = renderer.render(CAMERA, sky(), quality="baked", indirect=False)
+    assert np.abs(without.indirect).max() == 0.0
+    assert decibels(with_bounces, refined) > decibels(without, refined) + 1.0
+    ratio = with_bounces.indirect.sum() / refined.indirect.sum()
+    # The refined picture's light was reflected once before, the baked one's up to four times.
+    assert 1.02 < ratio < 1.4
+
+
+def test_baked_relighting_is_linear_in_the_light(renderer):
+    # Without dominant lights, whose choice depends on the whole map.
+    baked = renderer.baked()
+    arguments = {"preview": False, "antialias": 2, "indirect": True, "edit": MaterialEdit()}
+    a, b = sky(1), sky(2)
+    both = environment_from_array(0.5 * a.radiance + 2.0 * b.radiance)
+    one, other, mixed = (baked.render(CAMERA, light, **arguments).rgb for light in (a, b, both))
+    np.testing.assert_allclose(mixed, 0.5 * one + 2.0 * other, rtol=1e-5, atol=1e-5 * mixed.max())
+
+
+def test_turning_the_light_equals_a_turned_map(renderer):
+    light = sky(3)
+    # 90 degrees are a quarter of the map's columns.
+    turned = environment_from_array(np.roll(light.radiance, -16, axis=1))
+    expected = renderer.render(CAMERA, turned, quality="baked").rgb
+    found = renderer.render(CAMERA, light, quality="baked", rotate_deg=90.0).rgb
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-4)
+
+
+def test_turning_the_object_is_turning_camera_and_light_the_other_way(renderer):
+    light = sky(4)
+    cameras = turntable(4, radius=4.0, elevation_deg=35.0, width=40, height=40)
+    # The boxes look the same from all four sides: only the light differs.
+    turned = renderer.render(cameras[0], light, quality="baked", object_rotate_deg=90.0)
+    still = renderer.render(cameras[0], light, quality="baked")
+    np.testing.assert_allclose(turned.coverage, still.coverage, atol=1e-3)
+    assert decibels(turned, still) > 34.0
+    np.testing.assert_allclose(turned.normal, still.normal, atol=0.05)
+
+
+def test_a_sun_is_split_off_and_its_shadow_is_where_the_traced_one_is(renderer):
+    sunny = sky(0, sun=300.0)
+    light = renderer.baked().light(sunny, 4)
+    assert len(light.directions) == 1
+    truth = renderer.render(CAMERA, sunny, num_samples=256)
+    baked = renderer.render(CAMERA, sunny, quality="baked")
+    # The same light, in harmonics alone.
+    transport = renderer.baked().scene.transport
+    bits, renderer.baked().scene.transport.__dict__["shadow_bits"] = transport.shadow_bits, None
+    try:
+        smooth = renderer.render(CAMERA, sunny, quality="baked")
+    finally:
+        renderer.baked().scene.transport.__dict__["shadow_bits"] = bits
+    assert decibels(baked, truth) > decibels(smooth, truth) + 0.5
+
+
+def test_compiled_and_plain_arrays_agree(renderer):
+    arguments = {"preview": False, "antialias": 2, "indirect": True, "edit": MaterialEdit()}
+    compiled = renderer.baked().render(CAMERA, sky(), **arguments)
+    plain = renderer.baked().render(CAMERA, sky(), **arguments, compiled=False)
+    np.testing.assert_allclose(compiled.rgb, plain.rgb, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("quality", ["preview", "baked", "refined"])
+def test_material_edits_act_in_every_quality(renderer, quality):
+    settings = {"quality": quality, "num_samples": 16}
+    plain = renderer.render(CAMERA, sky(), **settings)
+    red = renderer.render(CAMERA, sky(), **settings, edit=MaterialEdit(albedo_gain=(1.2, 0.5, 0.5)))
+    inside = plain.coverage[..., 0] > 0.99
+    np.testing.assert_allclose(red.albedo[inside][:, 1], 0.5 * plain.albedo[inside][:, 1], rtol=1e-4)
+    assert red.rgb[inside][:, 1].mean() < 0.75 * plain.rgb[inside][:, 1].mean()
+    white = renderer.render(CAMERA, sky(), **settings, edit=MaterialEdit(albedo=(0.9, 0.9, 0.9)))
+    np.testing.assert_allclose(white.albedo[inside], 0.9, atol=1e-5)
+    glossy = renderer.render(CAMERA, sky(), **settings, edit=MaterialEdit(roughness_scale=0.5))
+    halved = 0.5 * plain.perceptual_roughness[inside]
+    np.testing.assert_allclose(glossy.perceptual_roughness[inside], halved, atol=1e-3)
+
+
+def test_exr_layers_hold_every_pass(renderer, tmp_path):
+    picture = renderer.render(CAMERA, sky(), quality="baked")
+    write_picture_exr(tmp_path / "p.exr", picture, attributes={"lambent:quality": "baked"})
+    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    assert part.header["lambent:quality"] == "baked"
+    assert part.header["colorInteropID"] == "lin_rec709_scene"
+    layers = {name.rpartition(".")[0] for name in part.channels}
+    assert layers >= {"direct", "indirect", "diffuse", "specular", "visibility", "albedo", "normal"}
+
+
+def test_a_lite_bundle_is_smaller_and_still_close(tmp_path, folder, refined):
+    lite = write_baked_bundle(tmp_path / "lite.relight", tier="lite")
+    picture = Renderer(load_bundle(lite), num_threads=1, reader="onnx").render(CAMERA, sky(), quality="baked")
+    assert decibels(picture, refined) > 31.0
+    sizes = [sum(f.stat().st_size for f in (p / "transport").iterdir()) for p in (lite, folder)]
+    assert sizes[0] < 0.6 * sizes[1]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda t: t["planes"][0]["scales"].pop(),
+        lambda t: t["planes"][0].update(bands=6),
+        lambda t: t["planes"][1].update(name="direct"),
+        lambda t: t.update(size=100_000),
+        lambda t: t.update(num_texels=t["num_texels"] + 1),
+        lambda t: t.update(num_shadow_directions=255),
+        lambda t: t["planes"][2].update(bands=9),
+    ],
+)
+def test_transport_that_does_not_fit_its_files_is_refused(folder, tmp_path, damage):
+    copy = tmp_path / "bad.relight"
+    copy.mkdir()
+    for path in folder.rglob("*"):
+        if path.is_file():
+            (copy / path.relative_to(folder)).parent.mkdir(exist_ok=True)
+            (copy / path.relative_to(folder)).write_bytes(path.read_bytes())
+    manifest = json.loads((copy / "manifest.json").read_text())
+    damage(manifest["transport"])
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match=r"bundle\.transport_invalid"):
+        read_transport(load_bundle(copy))
