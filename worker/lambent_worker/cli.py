@@ -95,14 +95,26 @@ def train(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
     ] = None,
     resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only print steps, rays and the memory they would take.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Train on a capture and write a relightable bundle; run again to go on after a stop."""
     from lambent_worker.process import prepare
 
     prepare()
-    from lambent_worker.training_run import prepare_run
+    from lambent_worker.training_run import config_for, prepare_run
 
+    overrides = {"model.environment.lights": "rotated"} if rotated else {}
+    overrides |= parse_settings(settings or [])
+    if dry_run:
+        from lambent_worker.dry_run import as_text, plan
+
+        num_lights = max(1, len([name for name in light.split(",") if name]))
+        found = plan(config_for(preset, overrides), num_lights=num_lights, device=device)
+        typer.echo(json.dumps(found) if as_json else as_text(found))
+        return
     run = prepare_run(
         scene_dir,
         out,
@@ -111,8 +123,7 @@ def train(
         layout=layout,
         seed=seed,
         device=device,
-        overrides=({"model.environment.lights": "rotated"} if rotated else {})
-        | parse_settings(settings or []),
+        overrides=overrides,
         resume=resume,
         known_lights=known_light or (),
     )

@@ -5,6 +5,8 @@ variable LAMBENT_KERNELS=reference, read once at import, sends everything to the
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -19,6 +21,17 @@ from flashcache.kernels.layout import GridLayout
 _CHOICE = os.environ.get("LAMBENT_KERNELS", "auto")
 if _CHOICE not in ("auto", "reference"):
     raise ConfigError(f'LAMBENT_KERNELS must be "auto" or "reference", got "{_CHOICE}"')
+
+
+@contextmanager
+def using(choice: str) -> Iterator[None]:
+    """Answer all calls as LAMBENT_KERNELS=`choice` would, for comparisons in one process."""
+    global _CHOICE
+    before, _CHOICE = _CHOICE, choice
+    try:
+        yield
+    finally:
+        _CHOICE = before
 
 
 def encode(

@@ -24,6 +24,9 @@ from flashcache.training.stage_one import shape_terms
 
 Terms = dict[str, Tensor]
 
+GREY_DIRECTIONS = 256
+"""Random directions in which the environment is compared with grey."""
+
 
 def covered(batch: RayBatch, points: ShadingPoints) -> Float[Tensor, " points"]:
     """Return one for shaded points whose pixel shows the object, else zero."""
@@ -187,9 +190,9 @@ def environment_terms(model: InverseModel, config: StageTwoConfig, generator: to
     if not len(learned):
         return {}
     if config.grey_weight:
-        directions = torch.randn(256, 3, generator=generator, device=device)
+        directions = torch.randn(GREY_DIRECTIONS, 3, generator=generator, device=device)
         directions = torch.nn.functional.normalize(directions, dim=-1)
-        index = learned[torch.randint(len(learned), (256,), generator=generator, device=device)]
+        index = learned[torch.randint(len(learned), (GREY_DIRECTIONS,), generator=generator, device=device)]
         terms["grey"] = config.grey_weight * grey_prior(environment(directions, index))
     if prior.white_weight or prior.variation_weight:
         images = [environment.picture(prior.rows, light) for light in environment.learned]

@@ -1,0 +1,107 @@
+"""The estimate of memory agrees with what a step really allocates, counted by other means."""
+
+import types
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.space import domain_of
+from flashcache.kernels import cpu
+from flashcache.memory import AllocationMeter, estimate
+from flashcache.physical.model import InverseModel
+from flashcache.presets import tiny
+from flashcache.training.stage_one import StageOne
+from flashcache.training.stage_two import StageTwo
+from support.lit_sphere import lit_sphere
+from torch.profiler import ProfilerActivity, profile
+
+SCENE = lit_sphere(num_views=4)
+
+
+class _TorchAllocates(types.ModuleType):
+    """numpy, except that empty arrays are tensors, which the profiler sees."""
+
+    def __getattr__(self, name: str):
+        return getattr(np, name)
+
+    def empty(self, shape, dtype) -> np.ndarray:
+        assert dtype is np.float32
+        return torch.empty(shape).numpy()
+
+
+def profiled_peak(step) -> int:
+    """Return the largest sum of allocations minus frees during a step, from torch's profiler."""
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
+        step()
+    events = [event for event in record.profiler.kineto_results.events() if event.name() == "[memory]"]
+    now = largest = 0
+    for event in sorted(events, key=lambda event: event.start_ns()):
+        now += event.nbytes()
+        largest = max(largest, now)
+    return largest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_the_estimate_is_within_thirty_percent_of_the_peak_of_a_larger_step(monkeypatch, symmetric):
+    monkeypatch.setattr(cpu, "np", _TorchAllocates("np"))
+    config = tiny()
+    two = replace(config.stage_two, num_rays=512, symmetric=symmetric, warmup_steps=0, normal_every=1)
+    config = replace(config, stage_one=replace(config.stage_one, num_rays=2048), stage_two=two)
+    one, joint = estimate(config)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    model = InverseModel(config.model, domain_of(SCENE, config.space, config.model.environment))
+    pixels = TrainingPixels(SCENE, config.pixels, torch.device("cpu"))
+    for expected, stage in (
+        (one, StageOne(model, pixels, replace(config.stage_one, normal_every=1), seed=0)),
+        (joint, StageTwo(model, pixels, two, seed=0)),
+    ):
+        stage.steps_done = round(0.9 * stage.config.num_steps)
+        stage.step()
+        assert profiled_peak(stage.step) == pytest.approx(expected.activations, rel=0.3)
+    torch.set_num_threads(threads)
+
+
+def test_parameters_gradients_and_moments_are_counted_exactly():
+    config = tiny()
+    model = InverseModel(config.model, domain_of(SCENE, config.space, config.model.environment))
+    sizes = {name: 4 * p.numel() for name, p in model.named_parameters()}
+    one, two = estimate(config)
+    assert one.parameters == two.parameters == sum(sizes.values())
+    nerf = sum(size for name, size in sizes.items() if name.startswith("nerf."))
+    proposals = sum(size for name, size in sizes.items() if name.startswith("nerf.proposals"))
+    assert (one.gradients, one.moments) == (nerf, 2 * nerf)
+    assert two.gradients == one.parameters - proposals
+    assert one.total == one.parameters + one.gradients + one.moments + one.activations
+
+
+@pytest.mark.slow
+def test_estimating_leaves_random_numbers_and_threads_as_they_were():
+    before, threads = torch.get_rng_state(), torch.get_num_threads()
+    estimate(tiny(), num_lights=2, device="cuda")
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.get_num_threads() == threads
+
+
+@pytest.mark.slow
+def test_more_rays_need_proportionally_more_memory():
+    config = tiny()
+    double = replace(config, stage_one=replace(config.stage_one, num_rays=2 * config.stage_one.num_rays))
+    assert estimate(double)[0].activations == pytest.approx(2 * estimate(config)[0].activations, rel=0.05)
+
+
+def test_the_meter_counts_what_is_alive_at_once():
+    fixed = torch.ones(1000)
+    with AllocationMeter([fixed]) as meter:
+        first = fixed * 2.0
+        del first
+        second = fixed + 1.0
+        third = second.view(10, 100) + 1.0
+    assert meter.peak == 2 * 4000
+    assert meter.now == 2 * 4000
+    del second, third
+    assert meter.now == 0

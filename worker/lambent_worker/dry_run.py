@@ -1,0 +1,47 @@
+"""What a run would be: steps, rays and memory, without training or writing anything."""
+
+from typing import Any
+
+from flashcache.config import Config
+from flashcache.memory import estimate
+
+GIB = 2**30
+
+
+def plan(config: Config, *, num_lights: int, device: str) -> dict[str, Any]:
+    """Return the sizes of both stages of a run; memory in bytes."""
+    stages = {}
+    for found in estimate(config, num_lights=num_lights, device=device or "cpu"):
+        settings = config.stage_one if found.stage == "cache" else config.stage_two
+        stages[found.stage] = {
+            "num_steps": settings.num_steps,
+            "num_rays": settings.num_rays,
+            "parameters_bytes": found.parameters,
+            "gradients_bytes": found.gradients,
+            "moments_bytes": found.moments,
+            "activations_bytes": found.activations,
+            "total_bytes": found.total,
+        }
+        num_parameters = found.num_parameters
+    return {
+        "preset": config.preset,
+        "device": device or "cpu",
+        "num_parameters": num_parameters,
+        "stages": stages,
+    }
+
+
+def as_text(plan: dict[str, Any]) -> str:
+    """Return a plan as lines for people."""
+    lines = [f"preset {plan['preset']} on {plan['device']}: {plan['num_parameters'] / 1e6:.1f} M parameters"]
+    header = ("stage", "steps", "rays", "parameters", "gradients", "moments", "activations", "total [GiB]")
+    lines.append("  ".join(f"{name:>11s}" for name in header))
+    for name, stage in plan["stages"].items():
+        sizes = [
+            stage[f"{kind}_bytes"] / GIB
+            for kind in ("parameters", "gradients", "moments", "activations", "total")
+        ]
+        cells = [name, f"{stage['num_steps']}", f"{stage['num_rays']}", *(f"{size:.2f}" for size in sizes)]
+        lines.append("  ".join(f"{cell:>11s}" for cell in cells))
+    lines.append("estimated from steps of a few rays; the photographs and the libraries come on top")
+    return "\n".join(lines)
