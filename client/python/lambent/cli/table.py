@@ -106,4 +106,10 @@ ENTRIES = (
     Entry(
         name="export", panel=_LOCAL, summary="Write the relightable bundle of a trained run.", extra="worker"
     ),
+    Entry(
+        name="benchmark",
+        panel=_LOCAL,
+        summary="Train and evaluate scenes x seeds x ablations, and print the paper's tables.",
+        extra="worker",
+    ),
 )

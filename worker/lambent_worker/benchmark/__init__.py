@@ -1,0 +1,1 @@
+"""Runs of scenes x seeds x ablations, and the tables made of them."""

@@ -1,0 +1,116 @@
+"""A whole benchmark: plan, run, put together, write the tables."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lambent_worker.benchmark.plan import Cell, EvaluationOrder, Variant, plan
+from lambent_worker.benchmark.results import average_rows, differences, finished, scene_rows
+from lambent_worker.benchmark.runner import Task, run_tasks, tasks_of
+from lambent_worker.benchmark.suite import Setting, SuiteScene
+from lambent_worker.benchmark.tables import ABLATION_COLUMNS, Content, as_csv, as_json, markdown
+from lambent_worker.console import format_duration
+from lambent_worker.errors import UsageError
+from lambent_worker.run_folder import locked, read_record, write_json
+
+MARKER = "benchmark.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a benchmark ended with."""
+
+    markdown: str
+    failed: tuple[str, ...]
+    """Titles of the processes that failed, with where their log is."""
+
+
+def run_benchmark(
+    scenes: Sequence[SuiteScene],
+    variants: Sequence[Variant],
+    seeds: Sequence[int],
+    settings: Sequence[Setting] | None,
+    *,
+    out: Path,
+    preset: str,
+    overrides: Mapping[str, str],
+    evaluation: EvaluationOrder,
+    jobs: int,
+    devices: Sequence[str],
+    tell: Callable[[str], None],
+) -> Outcome:
+    """Compute what is missing and write `table.md`, `table.csv` and `table.json` into `out`.
+
+    Called again after a kill it goes on: finished cells are kept by the hash of their inputs, others continue
+    from their checkpoints. Raises `UsageError` where `out` holds something else, and `Stopped` on Ctrl-C.
+    """
+    cells = plan(scenes, variants, seeds, settings, preset=preset, overrides=overrides, evaluation=evaluation)
+    _check_folder(out)
+    with locked(out):
+        write_json(out / MARKER, {"preset": preset, "cells": [cell.name for cell in cells]})
+        tasks = tasks_of(cells, out)
+        failed = run_tasks(tasks, jobs=jobs, devices=devices, event=_narrator(tell, len(tasks)))
+        lines = tuple(f"{task.title}: see {task.folder / 'log.txt'}" for task in failed)
+        text = write_tables(cells, out, preset, lines, evaluation)
+    return Outcome(text, lines)
+
+
+def write_tables(
+    cells: Sequence[Cell], out: Path, preset: str, failed: Sequence[str], evaluation: EvaluationOrder
+) -> str:
+    """Write the tables of the cells that are done, and return them as Markdown."""
+    results = finished(cells, out)
+    rows = scene_rows(results)
+    content = Content(
+        preset=preset,
+        rows=rows,
+        averages=average_rows(rows),
+        differences=differences(results, [name for _, name in ABLATION_COLUMNS]),
+        failed=failed,
+        notes=_notes(cells, out, evaluation),
+    )
+    text = markdown(content)
+    for name, written in (("md", text), ("csv", as_csv(content)), ("json", as_json(content))):
+        partial = out / f"table.{name}.tmp"
+        partial.write_text(written, encoding="utf-8")
+        partial.replace(out / f"table.{name}")
+    return text
+
+
+def _notes(cells: Sequence[Cell], out: Path, evaluation: EvaluationOrder) -> tuple[str, ...]:
+    views = f"{evaluation.views} test views" if evaluation.views else "all test views"
+    notes = [f"Evaluated on {views}, {evaluation.directions} secondary rays x {evaluation.repeats} repeats."]
+    if not evaluation.environments:
+        notes.append("Not relit: no environment maps were given or found in the suite.")
+    if not evaluation.lpips_weights:
+        notes.append("LPIPS is absent: it needs network weights (--lpips-weights FILE).")
+    revisions = {
+        str(record["git_revision"])[:10]
+        for cell in cells
+        if (record := read_record(out / "cells" / cell.name / "result.json")).get("git_revision")
+    }
+    if len(revisions) > 1:
+        notes.append(f"The runs were made by several revisions of the code: {', '.join(sorted(revisions))}.")
+    return tuple(notes)
+
+
+def _check_folder(out: Path) -> None:
+    if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / MARKER).is_file())):
+        raise UsageError(
+            "benchmark.folder_not_empty", f'"{out}" holds something else; choose another folder with -o'
+        )
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def _narrator(tell: Callable[[str], None], total: int) -> Callable[[str, Task, float], None]:
+    """Return what tells of every process in one line, with how many are done."""
+    done = 0
+
+    def event(what: str, task: Task, seconds: float) -> None:
+        nonlocal done
+        done += what in ("finished", "failed", "reused")
+        took = f" after {format_duration(seconds)}" if what in ("finished", "failed") else ""
+        more = f"; see {task.folder / 'log.txt'}" if what == "failed" else ""
+        tell(f"[{done}/{total}] {task.title}: {what}{took}{more}")
+
+    return event

@@ -1,0 +1,159 @@
+"""`python -m lambent_worker.benchmark.cell KIND FOLDER DEVICE STAGE_ONE` computes a part of a benchmark.
+
+KIND is "stage-one" or "cell"; FOLDER holds cell.json, DEVICE is torch's, STAGE_ONE the run folder of the
+stage one to start from. Everything it writes lies in FOLDER, and it goes on from what is there.
+"""
+
+import ctypes
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lambent_worker.process import prepare
+
+if TYPE_CHECKING:
+    from lambent_worker.benchmark.plan import Cell
+    from lambent_worker.reporter import Reporter
+
+_PARENT_DIED = 1
+RUN, REPORT, RESULT, ORDER = "run", "report", "result.json", "cell.json"
+SHARED = ("scene", "cache")
+SHARED_STEPS = ("ingest", "cache")
+
+
+def main(arguments: list[str]) -> int:
+    """Return the exit code of the command line."""
+    prepare()
+    _end_with_parent()
+    from lambent_worker.benchmark.plan import cell_from_json
+    from lambent_worker.console import ConsoleReporter
+    from lambent_worker.errors import WorkerError
+
+    kind, folder, device, stage_one = arguments[0], Path(arguments[1]), arguments[2], Path(arguments[3])
+    cell = cell_from_json((folder / ORDER).read_text(encoding="utf-8"))
+    with ConsoleReporter(folder) as reporter:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: reporter.request_stop())
+        try:
+            if kind == "stage-one":
+                train_stage_one(cell, folder, device, reporter)
+            else:
+                compute(cell, folder, device, stage_one, reporter)
+        except WorkerError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return error.exit_code
+    return 0
+
+
+def train_stage_one(cell: "Cell", folder: Path, device: str, reporter: "Reporter") -> None:
+    """Train what all ablations of a scene and seed start from."""
+    from lambent_worker.pipeline import run_pipeline
+    from lambent_worker.training_run import config_for
+
+    config = config_for(cell.preset, cell.base_overrides)
+    run_pipeline(
+        Path(cell.scene_dir),
+        folder / RUN,
+        config,
+        cell.seed,
+        device,
+        reporter,
+        SHARED_STEPS,
+        lights=cell.lights,
+        layout=cell.layout,
+    )
+
+
+def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: "Reporter") -> None:
+    """Train stage two from a shared stage one, evaluate, and write `result.json` last."""
+    from lambent_worker.bundle.manifest import git_revision
+    from lambent_worker.evaluation_run import evaluate_run
+    from lambent_worker.messages import message_to_dict
+    from lambent_worker.pipeline import run_pipeline
+    from lambent_worker.report.request import EvaluationRequest, as_shadows
+    from lambent_worker.run_folder import stage_seconds, write_json
+    from lambent_worker.training_run import prepare_run
+
+    scene_dir, run_dir = Path(cell.scene_dir), folder / RUN
+    if run_dir.exists() and not (run_dir / "run.json").exists():
+        shutil.rmtree(run_dir)
+    run = prepare_run(
+        scene_dir,
+        run_dir,
+        preset=cell.preset,
+        lights=cell.lights,
+        layout=cell.layout,
+        seed=cell.seed,
+        device=device,
+        overrides=cell.overrides,
+        resume=False,
+    )
+    adopt(stage_one, run_dir)
+    run_pipeline(
+        scene_dir,
+        run_dir,
+        run.config,
+        run.seed,
+        device,
+        reporter,
+        ("ingest", "cache", "joint"),
+        lights=run.lights,
+        layout=run.layout,
+    )
+    order = cell.evaluation
+    request = EvaluationRequest(
+        num_views=order.views,
+        num_repeats=order.repeats,
+        num_directions=order.directions,
+        environments=Path(order.environments) if order.environments else None,
+        max_side=order.max_side,
+        shadows=as_shadows(order.shadows),
+        lpips_weights=tuple(Path(path) for path in order.lpips_weights),
+        exr=order.exr,
+    )
+    report = evaluate_run(run_dir, scene_dir, folder / REPORT, request, device=device, reporter=reporter)
+    result = {
+        "inputs": cell.inputs,
+        "git_revision": git_revision(),
+        "seconds": stage_seconds(run_dir),
+        "report": message_to_dict(report),
+    }
+    write_json(folder / RESULT, result)
+
+
+def adopt(stage_one: Path, run_dir: Path) -> None:
+    """Let a run start from another run's stage one, by links to its files; a copy where links cannot be."""
+    if (run_dir / "steps" / "cache.done.json").exists():
+        return
+    for name in SHARED:
+        shutil.rmtree(run_dir / name, ignore_errors=True)
+        shutil.copytree(stage_one / name, run_dir / name, copy_function=_link)
+    (run_dir / "steps").mkdir(exist_ok=True)
+    for step in SHARED_STEPS:
+        for kind in ("inputs", "done"):
+            shutil.copyfile(
+                stage_one / "steps" / f"{step}.{kind}.json", run_dir / "steps" / f"{step}.{kind}.json"
+            )
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
+
+
+def _end_with_parent() -> None:
+    """Let the kernel ask this process to end when the one that started it is gone (Linux)."""
+    if sys.platform.startswith("linux"):
+        parent = os.getppid()
+        ctypes.CDLL(None).prctl(_PARENT_DIED, signal.SIGTERM)
+        if os.getppid() != parent:
+            sys.exit(1)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,216 @@
+"""What has to be computed: a cell per scene, lights, seed and ablation, named by what it is made from."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from flashcache.ablations import ABLATIONS, ablation_settings
+from flashcache.config import Config, with_overrides
+from flashcache.presets_paper import SCENES
+
+from lambent_worker.benchmark.suite import Setting, SuiteScene
+from lambent_worker.errors import UsageError
+from lambent_worker.pipeline import input_hashes, step_inputs
+from lambent_worker.report import protocol
+from lambent_worker.report.published import published_rows, published_scene
+from lambent_worker.run_folder import digest
+from lambent_worker.training_run import config_for
+
+FULL = "full"
+GROUPS = {
+    "paper": tuple(row.method for row in published_rows("ablations")),
+    "all": tuple(ABLATIONS),
+}
+"""Names that stand for several ablations."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluationOrder:
+    """How every cell is evaluated; see `EvaluationRequest`."""
+
+    views: int = 0
+    repeats: int = 4
+    directions: int = 64
+    max_side: int = 0
+    shadows: str = "fast"
+    environments: str = ""
+    lpips_weights: tuple[str, ...] = ()
+    exr: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Variant:
+    """An ablation of the catalogue, or settings of the user's under a name."""
+
+    name: str
+    label: str
+    settings: Mapping[str, str] = field(default_factory=dict)
+    """What is changed beside the catalogue's entry."""
+
+    def overrides(self, config: Config) -> dict[str, str]:
+        """Return what differs from `config`, for `with_overrides`."""
+        known = ablation_settings(config, self.name) if self.name in ABLATIONS else {}
+        return {**known, **self.settings}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cell:
+    """One run: everything a process needs to know, as JSON-compatible values."""
+
+    scene: str
+    scene_dir: str
+    layout: str
+    group: str
+    setting: Setting
+    lights: tuple[str, ...]
+    seed: int
+    ablation: str
+    label: str
+    preset: str
+    base_overrides: Mapping[str, str]
+    """Settings of stage one, and of stage two where the ablation does not change them."""
+    overrides: Mapping[str, str]
+    """All settings, those of the ablation included."""
+    evaluation: EvaluationOrder
+    stage_one: str
+    """Hash of everything that stage one depends on."""
+    inputs: str
+    """Hash of everything that the result depends on."""
+
+    @property
+    def name(self) -> str:
+        """Return the name of the cell's folder."""
+        return f"{self.scene}-{self.setting}-s{self.seed}-{self.ablation}-{self.inputs[:10]}"
+
+    @property
+    def stage_one_name(self) -> str:
+        """Return the name of the folder of the stage one that it starts from."""
+        return f"{self.scene}-{self.setting}-s{self.seed}-{self.stage_one[:10]}"
+
+    def to_json(self) -> str:
+        """Return the cell as JSON."""
+        return json.dumps(asdict(self), indent=1)
+
+
+def cell_from_json(text: str) -> Cell:
+    """Return the cell in the JSON that `Cell.to_json` made."""
+    values: dict[str, Any] = json.loads(text)
+    evaluation = values.pop("evaluation")
+    evaluation["lpips_weights"] = tuple(evaluation["lpips_weights"])
+    values["lights"] = tuple(values["lights"])
+    return Cell(**values, evaluation=EvaluationOrder(**evaluation))
+
+
+def parse_variants(items: Sequence[str]) -> tuple[Variant, ...]:
+    """Return the ablations that were asked for, each once, the full method first.
+
+    An item is a name of `flashcache.ablations`, "paper", "all", several with commas, or
+    `NAME:KEY=VALUE;KEY=VALUE` for settings of one's own. Raises `UsageError` for anything else.
+    """
+    found = {FULL: Variant(name=FULL, label=ABLATIONS[FULL].label)}
+    for item in items:
+        if ":" in item:
+            own = _own_variant(item)
+            found[own.name] = own
+            continue
+        for name in item.split(","):
+            members = GROUPS.get(name, (name,))
+            unknown = [member for member in members if member not in ABLATIONS]
+            if unknown:
+                raise UsageError(
+                    "benchmark.ablation_unknown",
+                    f'--ablations "{name}" is none of {", ".join((*GROUPS, *ABLATIONS))}, and no '
+                    "NAME:KEY=VALUE;KEY=VALUE either",
+                )
+            found |= {member: Variant(name=member, label=ABLATIONS[member].label) for member in members}
+    return tuple(found.values())
+
+
+def _own_variant(item: str) -> Variant:
+    name, _, rest = item.partition(":")
+    settings = dict(part.partition("=")[::2] for part in rest.split(";") if part)
+    plain = name.replace("_", "").replace("-", "").isalnum()
+    if not plain or name in ABLATIONS or not settings or not all(settings.values()):
+        raise UsageError(
+            "benchmark.ablation_syntax",
+            f'--ablations "{item}" must look like NAME:stage_two.num_rays=512;stage_two.points=depth, with '
+            "a name that is not taken",
+        )
+    return Variant(name=name, label=f"{name} ({rest})", settings=settings)
+
+
+def plan(
+    scenes: Sequence[SuiteScene],
+    variants: Sequence[Variant],
+    seeds: Sequence[int],
+    settings: Sequence[Setting] | None,
+    *,
+    preset: str,
+    overrides: Mapping[str, str],
+    evaluation: EvaluationOrder,
+) -> list[Cell]:
+    """Return all cells; `settings` None means what the protocol asks for.
+
+    Raises `UsageError` and `ConfigError` for settings that do not exist.
+    """
+    maps = folder_hash(Path(evaluation.environments)) if evaluation.environments else ""
+    cells = []
+    for scene in scenes:
+        own_preset = _preset_for(preset, scene)
+        for setting in settings or scene.settings:
+            lights = scene.lights_of(setting)
+            base = dict(overrides)
+            if setting == "multi" and lights == scene.turned:
+                base = {"model.environment.lights": "rotated", **base}
+            config = config_for(own_preset, base)
+            ingest = input_hashes(scene.folder, config, 0, lights, scene.layout)["ingest"]
+            for variant in variants:
+                changed = variant.overrides(config)
+                ablated = with_overrides(config, changed)
+                for seed in seeds:
+                    stage_one = step_inputs("cache", ingest, ablated, seed)
+                    trained = step_inputs("joint", stage_one, ablated, seed)
+                    looked_at = {
+                        name: value
+                        for name, value in asdict(evaluation).items()
+                        if name not in ("environments", "exr")
+                    }
+                    # Stage one of an ablation is the full method's unless it changes that, too.
+                    shared = step_inputs("cache", ingest, config, seed) == stage_one
+                    cells.append(
+                        Cell(
+                            scene=scene.name,
+                            scene_dir=str(scene.folder.resolve()),
+                            layout=scene.layout,
+                            group=scene.group,
+                            setting=setting,
+                            lights=lights,
+                            seed=seed,
+                            ablation=variant.name,
+                            label=variant.label,
+                            preset=own_preset,
+                            base_overrides=base if shared else {**base, **changed},
+                            overrides={**base, **changed},
+                            evaluation=evaluation,
+                            stage_one=stage_one,
+                            inputs=digest(trained, looked_at, maps, protocol.VERSION, version("lambent")),
+                        )
+                    )
+    return cells
+
+
+def _preset_for(preset: str, scene: SuiteScene) -> str:
+    """Return the preset, with the paper's settings of the scene where it has some."""
+    known = SCENES.get(preset, {})
+    name = next((row.scene for row in published_scene(scene.layout, scene.name)), "")
+    return f"{preset}:{name}" if name in known else preset
+
+
+def folder_hash(folder: Path) -> str:
+    """Return a hash of the names and contents of the files directly in a folder."""
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    return digest([[path.name, sha256(path.read_bytes()).hexdigest()] for path in files])
