@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight import baked_kernels, harmonics
+from lambent_relight import baked_kernels
 from lambent_relight.baked_light import PREVIEW_BANDS, BakedLight, texel_bounce, texel_irradiance
 from lambent_relight.baked_scene import BakedScene
 from lambent_relight.baked_view import BakedView
@@ -21,6 +21,7 @@ from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.directions import dot
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.split_sum import split_sum
+from lambent_relight.transport_kernels import basis_rows
 from lambent_relight.transport_lobes import factors_at, ggx_bands, per_coefficient
 
 
@@ -63,7 +64,7 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
     else:
         bands = round(view.visibility.shape[1] ** 0.5)
         lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
-        basis = harmonics.basis(mirror, bands) * lobe
+        basis = basis_rows(mirror, bands) * lobe
         free = np.clip(np.einsum("nk,nk->n", basis, view.visibility), 0.0, 1.0)[:, None]
     return Lobes(
         albedo,

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from lambent_relight import harmonics
 from lambent_relight.transport import Transport, coarse_blocks
+from lambent_relight.transport_kernels import basis_rows, mirrored_sums
 from numpy import ndarray
 
 from lambent_worker.bundle.transport_bounce import Reflectors, indirect_transfer
@@ -31,6 +32,8 @@ from lambent_worker.errors import WorkerError
 TIERS = {"full": (7, 4, True), "lite": (5, 3, False)}
 """Bands of direct transfer and of visibility, and whether there are shadow bits."""
 INDIRECT_BANDS = 3
+LEAST_OPACITY = 12
+"""Of 255; what is less in the way is left out of the mirrored half of visibility."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -150,7 +153,7 @@ def _blocked_transfer(
     for index, way in enumerate(directions):
         texels = seen.in_set(index)
         weight = seen.opacity[texels] * np.maximum(normals[texels] @ way.T, 0.0)
-        result[texels] = weight @ (harmonics.basis(way, bands) * (CELL / 255.0)).astype(np.float32)
+        result[texels] = weight @ (basis_rows(way, bands) * np.float32(CELL / 255.0))
     return result
 
 
@@ -164,15 +167,12 @@ def _blocked_sky(
     result = np.zeros((len(normals), bands**2), np.float32)
     for index, way in enumerate(directions):
         texels = seen.in_set(index)
-        opacity = seen.opacity[texels]
+        opacity = np.ascontiguousarray(seen.opacity[texels])
         weight = opacity.astype(np.float32) * np.float32(CELL / 255.0)
-        result[texels] = weight @ harmonics.basis(way, bands).astype(np.float32)
-        row, column = np.nonzero(opacity > 12)
-        facing = normals[texels[row]]
-        below = way[column] - 2.0 * np.einsum("ni,ni->n", way[column], facing)[:, None] * facing
-        mirrored = harmonics.basis(below, bands) * weight[row, column][:, None]
-        sums = [np.bincount(row, mirrored[:, k], len(texels)) for k in range(bands**2)]
-        result[texels] += np.stack(sums, axis=1).astype(np.float32)
+        result[texels] = weight @ basis_rows(way, bands)
+        result[texels] += mirrored_sums(
+            opacity, normals[texels], way, bands, least=LEAST_OPACITY, scale=CELL / 255.0
+        )
     return result
 
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
-from lambent_relight import harmonics
 from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.split_sum import split_sum
+from lambent_relight.transport_kernels import NearestPoint, basis_rows
 from lambent_relight.transport_lobes import factors_at, ggx_bands, per_coefficient
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from lambent_worker.bundle.transport_rays import CELL, Occlusion
 
@@ -107,7 +106,7 @@ def _hits(
     width = (CELL * np.maximum(blocked / np.maximum(stored, 1), 1.0))[receiver]
     origin = positions[texel] + origin_offset * normals[texel]
     ends = origin + seen.distance[receiver, column].astype(np.float32)[:, None] * way
-    _, nearest = cKDTree(positions).query(ends, workers=-1)
+    nearest = NearestPoint(positions)(ends)
     weight = seen.opacity[texel, column] / 255.0 * np.maximum(cosine, 0.0) * width
     return _Hits(receiver, nearest, weight.astype(np.float32), way)
 
@@ -131,7 +130,7 @@ def _specular(
     bands = max(visibility.shape[1], direct.shape[1])
     bands = round(bands**0.5)
     lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
-    basis = harmonics.basis(mirror, bands) * lobe
+    basis = basis_rows(mirror, bands) * lobe
     free = np.einsum("nk,nk->n", basis[:, : visibility.shape[1]], visibility[hits.texel]).clip(0.0, 1.0)
     count = direct.shape[1]
     mirrored = np.empty((num_coarse, count, 3), np.float32)
