@@ -7,6 +7,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 import torch
+import trimesh
 from flashcache.config import EvaluationConfig, ExportConfig
 from flashcache.data.scene import Camera, Scene, View
 from flashcache.export import reference
@@ -14,11 +15,13 @@ from flashcache.presets import tiny
 from lambent_relight.bundle import load_bundle
 from lambent_relight.cameras import look_at
 from lambent_relight.graphs import OnnxCaches
+from lambent_relight.images import srgb_from_linear
+from lambent_relight.raster import sample_plane
 from lambent_worker.bundle import graphs as bundle_graphs
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.pipeline import StepContext
 from lambent_worker.steps import export
-from support.sphere_model import BOUND, sphere_model
+from support.sphere_model import BOUND, RADIUS, sphere_model
 
 SIDE = 16
 LIGHTS = ("day", "a night")
@@ -89,7 +92,15 @@ def context(tmp_path, model, monkeypatch):
     config = replace(
         tiny(),
         evaluation=EvaluationConfig(uncertainty_points=60),
-        export=ExportConfig(gbuffer_samples=32, mesh_resolution=24, environment_height=8),
+        export=ExportConfig(
+            gbuffer_samples=32,
+            mesh_resolution=24,
+            max_faces=600,
+            atlas_size=64,
+            occlusion_points=200,
+            occlusion_rays=4,
+            environment_height=8,
+        ),
     )
     made = StepContext(
         run_dir=tmp_path / "run",
@@ -155,7 +166,32 @@ def test_the_manifest_describes_the_bundle(context, model):
     assert sha256(data).hexdigest() in {file.sha256 for file in manifest.files}
     assert set(manifest.metrics) == {
         *("psnr_views", "gbuffer_opacity_error", "gbuffer_distance_error", "mesh_faces", "mesh_vertices"),
+        "mesh_silhouette_iou",
     }
+    assert manifest.metrics["mesh_silhouette_iou"] > 0.7
+    assert manifest.atlas.size == 64
+    assert 0.25 * 64**2 < manifest.atlas.num_texels < 64**2
+
+
+def test_the_meshs_textures_are_the_models_materials_and_visibility(context, model):
+    export.run(context)
+    bundle = load_bundle(context.folder)
+    mesh = trimesh.load_scene(context.folder / "mesh" / "asset.glb").to_mesh()
+    texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"), np.float64) / 255.0
+    # trimesh counts v from the bottom; x of the file is x of the world, its y is z, its z is -y.
+    found = sample_plane(texture, mesh.visual.uv * [1.0, -1.0] + [0.0, 1.0])
+    world = mesh.vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
+    with torch.no_grad():
+        albedo = model.materials(torch.from_numpy(world.astype(np.float32))).albedo.numpy()
+    assert np.median(np.abs(found - srgb_from_linear(albedo))) < 0.06
+    packed = np.asarray(mesh.visual.material.metallicRoughnessTexture.convert("RGB"), np.float64)
+    caches = OnnxCaches(bundle, num_threads=1)
+    origins = np.repeat(world[::40] * 1.02, 64, axis=0).astype(np.float32)
+    outwards = np.random.default_rng(0).normal(size=origins.shape) + 1e-9
+    outwards = outwards / np.linalg.norm(outwards, axis=1, keepdims=True) + origins / RADIUS
+    outwards = (outwards / np.linalg.norm(outwards, axis=1, keepdims=True)).astype(np.float32)
+    free = 1.0 - caches.secondary(origins, outwards).opacity.mean()
+    assert abs(packed[..., 0].mean() / 255.0 - free) < 0.15
 
 
 def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(context):

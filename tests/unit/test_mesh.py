@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from lambent_worker.bundle.mesh import extract_mesh, occupied_box
+from lambent_worker.bundle.mesh import (
+    Mesh,
+    data_resolution,
+    extract_mesh,
+    occupied_box,
+    simplified,
+    without_hidden,
+)
 from lambent_worker.errors import WorkerError
 from support.sphere_model import BOUND, RADIUS, sphere_model
 
@@ -36,12 +43,40 @@ def test_triangles_face_outwards_and_enclose_the_balls_volume(mesh):
     assert signed_volume(mesh) == pytest.approx(4.0 / 3.0 * math.pi * radius**3, rel=0.05)
 
 
-def test_vertices_carry_the_materials_at_their_places(model, mesh):
-    with torch.no_grad():
-        expected = model.materials(torch.from_numpy(mesh.vertices[::50]))
-    assert np.allclose(mesh.albedo[::50], expected.albedo, atol=1e-6)
-    assert np.allclose(mesh.perceptual_roughness[::50] ** 2, expected.alpha, atol=1e-6)
-    assert np.allclose(mesh.metalness[::50], expected.metalness, atol=1e-6)
+def test_a_simplified_ball_keeps_its_volume_and_its_orientation(mesh):
+    few = simplified(mesh, 400)
+    assert 300 < len(few.faces) <= 400
+    assert few.faces.max() == len(few.vertices) - 1
+    assert signed_volume(few) == pytest.approx(signed_volume(mesh), rel=0.03)
+    assert simplified(mesh, 10**6).faces.shape == mesh.faces.shape
+
+
+def test_triangles_without_area_are_dropped(mesh):
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[:1]])
+    flat = np.array([[0, len(mesh.vertices), 1]])
+    found = simplified(Mesh(vertices, np.concatenate([mesh.faces, flat]), mesh.cell), 10**6)
+    assert len(found.faces) == len(mesh.faces)
+    assert len(found.vertices) == len(mesh.vertices)
+
+
+def test_pieces_inside_another_are_left_out(mesh):
+    inner = mesh.vertices * np.float32(0.5)
+    beside = mesh.vertices + np.float32([3.0, 0.0, 0.0])
+    count = len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, inner, beside])
+    faces = np.concatenate([mesh.faces, mesh.faces + count, mesh.faces + 2 * count])
+    kept, triangles = without_hidden(vertices, faces)
+    assert len(triangles) == 2 * len(mesh.faces)
+    assert np.array_equal(kept, np.concatenate([mesh.vertices, beside]))
+
+
+def test_cells_are_no_finer_than_the_density_or_the_photographs_are(model):
+    box = (-0.5,) * 3, (0.5, 0.5, 0.5)
+    # The density of the model has 16 voxels over 2 scene units.
+    assert data_resolution(model, *box, pixel_size=0.0, limit=1000) == 8
+    assert data_resolution(model, (-4.0,) * 3, (4.0,) * 3, pixel_size=0.0, limit=1000) == 64
+    assert data_resolution(model, (-4.0,) * 3, (4.0,) * 3, pixel_size=0.5, limit=1000) == 32
+    assert data_resolution(model, (-4.0,) * 3, (4.0,) * 3, pixel_size=0.0, limit=20) == 20
 
 
 def test_the_occupied_box_encloses_the_ball_with_a_margin(model):

@@ -172,9 +172,24 @@ class ExportConfig:
     gbuffer_samples: int = 128
     """Uniform samples per primary ray in the gbuffer graph."""
     mesh_resolution: int = 128
-    """Cells along the longest side of the scene's box."""
+    """Most cells along the longest side of the object's box."""
+    max_faces: int = 10_000
+    """Triangles of the simplified mesh."""
+    atlas_size: int = 512
+    """Texels along each side of the atlas of textures and light transport."""
+    occlusion_points: int = 12_000
+    """Most texels at which ambient occlusion is measured; others take it from their neighbours."""
+    occlusion_rays: int = 64
+    """Secondary rays per such texel."""
     environment_height: int = 64
     """Rows of the recovered environment; twice as many columns."""
+
+    def __post_init__(self) -> None:
+        if not 16 <= self.atlas_size <= 8192:
+            raise ConfigError(f"export.atlas_size must lie in 16..8192 texels, got {self.atlas_size}")
+        for name, least in (("max_faces", 16), ("occlusion_points", 1), ("occlusion_rays", 1)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"export.{name} must be at least {least}, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

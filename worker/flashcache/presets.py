@@ -193,7 +193,15 @@ def tiny() -> Config:
             environment_rate=1e-2,
         ),
         evaluation=EvaluationConfig(num_views=2, num_repeats=1, num_directions=16, uncertainty_points=150),
-        export=ExportConfig(gbuffer_samples=64, mesh_resolution=48, environment_height=32),
+        export=ExportConfig(
+            gbuffer_samples=64,
+            mesh_resolution=48,
+            max_faces=2000,
+            atlas_size=128,
+            occlusion_points=2000,
+            occlusion_rays=16,
+            environment_height=32,
+        ),
         checkpoint_steps=50,
     )
 

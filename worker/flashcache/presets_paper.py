@@ -70,7 +70,13 @@ def paper_tensoir() -> Config:
             grid_decay=1.0,
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=32),
-        export=ExportConfig(gbuffer_samples=256, mesh_resolution=256, environment_height=128),
+        export=ExportConfig(
+            gbuffer_samples=256,
+            mesh_resolution=256,
+            max_faces=40_000,
+            atlas_size=1024,
+            environment_height=128,
+        ),
     )
 
 

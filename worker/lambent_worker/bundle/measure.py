@@ -14,6 +14,8 @@ from jaxtyping import Float
 from lambent_relight import cameras as relight_cameras
 from numpy import ndarray
 
+from lambent_worker.bundle.surface import AtlasSurface
+from lambent_worker.bundle.surface_files import silhouette_iou
 from lambent_worker.report import figures
 from lambent_worker.report.predictions import encoded
 
@@ -32,7 +34,12 @@ def relight_camera(name: str, camera: Camera) -> relight_cameras.Camera:
 
 
 def measure(
-    model: InverseModel, rule: GbufferRule, views: tuple[View, ...], light: str, folder: Path
+    model: InverseModel,
+    rule: GbufferRule,
+    surface: AtlasSurface,
+    views: tuple[View, ...],
+    light: str,
+    folder: Path,
 ) -> dict[str, float]:
     """Return figures over a few views, and write what the NeRF cache shows of them below `folder`.
 
@@ -41,12 +48,12 @@ def measure(
     one, whose samples proposal networks place.
     """
     shown = views[:: max(1, len(views) // SHOWN_VIEWS)][:SHOWN_VIEWS]
-    found = [_measure_view(model, rule, view, light, folder) for view in shown]
+    found = [_measure_view(model, rule, surface, view, light, folder) for view in shown]
     return {name: float(np.mean([values[name] for values in found])) for name in found[0]}
 
 
 def _measure_view(
-    model: InverseModel, rule: GbufferRule, view: View, light: str, folder: Path
+    model: InverseModel, rule: GbufferRule, surface: AtlasSurface, view: View, light: str, folder: Path
 ) -> dict[str, float]:
     camera, photograph = _reduced(view.camera, view.images[light])
     traced = render_gbuffer(model, camera)
@@ -62,6 +69,7 @@ def _measure_view(
         "psnr_views": float(-10.0 * np.log10(np.mean((seen - wanted) ** 2) + 1e-12)),
         "gbuffer_opacity_error": float(np.abs(exported["opacity"] - opacity).mean()),
         "gbuffer_distance_error": float(np.median(apart)) if apart.size else 0.0,
+        "mesh_silhouette_iou": silhouette_iou(surface, relight_camera(view.name, camera), opacity),
     }
 
 

@@ -3,10 +3,12 @@
 import math
 from dataclasses import dataclass
 
+import fast_simplification
 import numpy as np
 import torch
-from flashcache.export.reference import surface
 from flashcache.physical.model import InverseModel
+from lambent_relight.cameras import Camera, look_at
+from lambent_relight.raster import rasterise
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from skimage.measure import marching_cubes
@@ -32,19 +34,22 @@ FLOATER_VOLUME = FLOATER_AREA**1.5
 CHUNK_POINTS = 65536
 
 
+SEEN_FROM = 14
+"""Places around the object from which a piece must be seen somewhere, or it is inside."""
+SEEN_SIDE = 128
+"""Pixels of those pictures."""
+CELLS_PER_PIXEL = 2.0
+"""Cells across what a pixel of the photographs covers at the object: finer ones would be guessed."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
     """Triangles in world coordinates (z up), counter-clockwise seen from outside."""
 
     vertices: NDArray[np.float32]
-    faces: NDArray[np.uint32]
-    normals: NDArray[np.float32]
-    albedo: NDArray[np.float32]
-    """Linear Rec. 709, per vertex."""
-    perceptual_roughness: NDArray[np.float32]
-    """Per vertex."""
-    metalness: NDArray[np.float32]
-    """Per vertex."""
+    faces: NDArray[np.int32]
+    cell: float
+    """Width of the cells it was found with, scene units."""
 
 
 def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
@@ -64,10 +69,26 @@ def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
     return _corner(np.maximum(first, low)), _corner(np.minimum(last, high))
 
 
+def data_resolution(
+    model: InverseModel, box_min: Corner, box_max: Corner, *, pixel_size: float, limit: int
+) -> int:
+    """Return how many cells along the longest side of a box the trained density can fill with detail.
+
+    Between the centres of its finest voxels density is interpolated, and half a pixel of the photographs
+    (`pixel_size`, scene units at the object; 0: unknown) is the least they can tell apart. At most `limit`.
+    """
+    grid = model.config.nerf.density.grid
+    voxel = 2.0 * grid.half_extent * model.domain.contraction_radius / grid.finest_resolution
+    cell = max(voxel, pixel_size / CELLS_PER_PIXEL)
+    side = max(high - low for low, high in zip(box_min, box_max, strict=True))
+    return max(8, min(limit, math.ceil(side / cell)))
+
+
 def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resolution: int) -> Mesh:
     """Return the surface inside a box, with `resolution` cells along its longest side.
 
-    Raises WorkerError when there is none.
+    Floaters, and pieces that cannot be seen from outside, are left out. Raises WorkerError when there is no
+    surface.
     """
     low, high = np.array(box_min), np.array(box_max)
     depth, cell = _depth_grid(model, low, high, resolution)
@@ -77,17 +98,25 @@ def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resoluti
     # Empty space around the grid closes the surface where matter touches the box.
     field = np.pad(field, 1, constant_values=-math.log(DEPTH_RANGE))
     vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent")
-    vertices, faces = _without_floaters(vertices, faces)
+    vertices, faces = without_hidden(*_without_floaters(vertices, faces))
     vertices = (low + (vertices - 0.5) * cell).astype(np.float32)
-    found = _surface(model, vertices)
-    return Mesh(
-        vertices=vertices,
-        faces=faces.astype(np.uint32),
-        normals=found["normal"],
-        albedo=found["albedo"],
-        perceptual_roughness=found["perceptual_roughness"],
-        metalness=found["metalness"],
-    )
+    return Mesh(vertices, faces.astype(np.int32), cell)
+
+
+def simplified(mesh: Mesh, max_faces: int) -> Mesh:
+    """Return the mesh with at most about `max_faces` triangles, those that change its shape least.
+
+    Quadric error collapse; triangles without area are dropped.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
+    if len(faces) > max_faces:
+        vertices, faces = fast_simplification.simplify(
+            np.ascontiguousarray(vertices), np.ascontiguousarray(faces), target_count=max_faces
+        )
+    a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    vertices, faces = _compact(vertices, faces[area > 1e-6 * mesh.cell**2])
+    return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell)
 
 
 def _level(depth: NDArray[np.float32]) -> float:
@@ -123,23 +152,66 @@ def _without_floaters(
     vertices: NDArray[np.float32], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.integer]]:
     """Return the triangles of the large connected pieces, and the vertices they use."""
+    piece = _piece_of_face(len(vertices), faces)
+    sizes = np.bincount(piece)
+    return _compact(vertices, faces[sizes[piece] >= FLOATER_AREA * sizes.max()])
+
+
+def without_hidden(
+    vertices: NDArray[np.float32], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float32], NDArray[np.integer]]:
+    """Return the triangles of the connected pieces that are seen from some place outside."""
+    piece = _piece_of_face(len(vertices), faces)
+    seen = np.zeros(piece.max() + 1, bool)
+    for camera in _around(vertices):
+        if seen[piece].all():
+            break
+        found = rasterise(vertices, faces, camera)
+        seen[piece[found.face[found.covered]]] = True
+    return _compact(vertices, faces[seen[piece]])
+
+
+def _around(points: NDArray[np.floating]) -> list[Camera]:
+    """Return cameras evenly around `points` (a Fibonacci spiral) that see all of them."""
+    low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+    middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    away = 5.0 * radius
+    cameras = []
+    for k in range(SEEN_FROM):
+        z, azimuth = 1.0 - (2.0 * k + 1.0) / SEEN_FROM, k * math.pi * (3.0 - math.sqrt(5.0))
+        ring = math.sqrt(1.0 - z * z)
+        place = middle + away * np.array([ring * math.cos(azimuth), ring * math.sin(azimuth), z])
+        cameras.append(
+            Camera(
+                name=f"around_{k:03d}",
+                width=SEEN_SIDE,
+                height=SEEN_SIDE,
+                focal_x=0.5 * SEEN_SIDE * math.sqrt(away**2 - radius**2) / radius,
+                focal_y=0.5 * SEEN_SIDE * math.sqrt(away**2 - radius**2) / radius,
+                centre_x=0.5 * SEEN_SIDE,
+                centre_y=0.5 * SEEN_SIDE,
+                camera_to_world=look_at(place, middle),
+            )
+        )
+    return cameras
+
+
+def _piece_of_face(num_vertices: int, faces: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return the connected piece each triangle belongs to."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     joined = sparse.coo_array(
-        (np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(len(vertices), len(vertices))
+        (np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(num_vertices, num_vertices)
     )
     _, piece = sparse.csgraph.connected_components(joined, directed=False)
-    piece_of_face = piece[faces[:, 0]]
-    sizes = np.bincount(piece_of_face)
-    faces = faces[sizes[piece_of_face] >= FLOATER_AREA * sizes.max()]
+    return piece[faces[:, 0]]
+
+
+def _compact(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
+    """Return the triangles with the vertices they use and no others."""
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used], faces.reshape(-1, 3)
-
-
-@torch.no_grad()
-def _surface(model: InverseModel, points: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    device = next(model.parameters()).device
-    parts = [surface(model, torch.from_numpy(chunk).to(device)) for chunk in _chunks(points)]
-    return {name: torch.cat([part[name] for part in parts]).cpu().numpy() for name in parts[0]}
 
 
 def _chunks(points: NDArray[np.float32]) -> list[NDArray[np.float32]]:

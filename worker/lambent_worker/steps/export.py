@@ -11,12 +11,12 @@ from flashcache.training.checkpoint import latest_checkpoint
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environments import write_environment
 
-from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.graphs import write_graphs
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import measure, relight_camera
-from lambent_worker.bundle.mesh import extract_mesh, occupied_box
+from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
+from lambent_worker.bundle.surface_files import write_asset
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.pipeline import StepContext, scene_hash
 from lambent_worker.report.run_uncertainty import uncertainty_of_run
@@ -51,10 +51,6 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
     """Fill `folder`, whose sub-folders exist, with everything a bundle has."""
     settings = context.config.export
     box = occupied_box(model)
-    mesh = extract_mesh(model, *box, settings.mesh_resolution)
-    asset = write_glb(mesh)
-    check_glb(asset, mesh)
-    (folder / "mesh" / "asset.glb").write_bytes(asset)
     _advance(context, 1)
 
     rule = GbufferRule(box_min=box[0], box_max=box[1], num_samples=settings.gbuffer_samples)
@@ -76,9 +72,11 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
             num_samples=result.num_samples,
             num_left_out=result.num_left_out,
         )
-        _advance(context, 3 if "gbuffer" in path else 4)
+        _advance(context, 2 if "gbuffer" in path else 3)
 
     write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
+    surface, _ = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
+    _advance(context, 4)
 
     views = scene.test or scene.train
     (folder / "cameras.json").write_text(_cameras(views), encoding="utf-8")
@@ -86,9 +84,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
         image = model.environment.image(settings.environment_height, index).cpu().numpy()
         write_environment(folder / "env" / f"trained_{light}.exr", image)
     _advance(context, 5)
-    manifest.metrics.update(measure(model, rule, views, scene.lights[0], folder / "preview"))
-    manifest.metrics["mesh_faces"] = len(mesh.faces)
-    manifest.metrics["mesh_vertices"] = len(mesh.vertices)
+    manifest.metrics.update(measure(model, rule, surface, views, scene.lights[0], folder / "preview"))
     uncertainty = uncertainty_of_run(context, model, scene)
     if uncertainty is not None:
         write_uncertainty(folder, manifest, uncertainty)

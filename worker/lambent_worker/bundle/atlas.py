@@ -1,0 +1,121 @@
+"""A mesh cut into charts on a square atlas, with the tangents that normal maps refer to.
+
+u points right and v down from the atlas's top row, as in glTF. Tangent frames are those of MikkTSpace for
+the same mesh with v up, which is what glTF viewers expect: the bitangent points to falling v.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xatlas
+from numpy.typing import NDArray
+
+from lambent_worker.bundle.mesh import Mesh
+from lambent_worker.errors import WorkerError
+
+PADDING = 3
+"""Texels between charts, before the atlas is scaled to its size."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unwrapped:
+    """A mesh whose vertices are split along the seams of its charts."""
+
+    source: NDArray[np.int64]
+    """The vertex of the mesh that each vertex is a copy of."""
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float32]
+
+
+def unwrap(mesh: Mesh, size: int) -> Unwrapped:
+    """Return charts of `mesh` packed into a square of `size` texels; raises WorkerError where that fails."""
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(
+        np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
+    )
+    options = xatlas.PackOptions()
+    options.resolution, options.padding = size, PADDING
+    atlas.generate(pack_options=options)
+    if atlas.atlas_count != 1 or not atlas.chart_count:
+        raise WorkerError(
+            "export.atlas",
+            f"the surface was cut into {atlas.chart_count} charts on {atlas.atlas_count} atlases, "
+            "expected one atlas; raise export.atlas_size or lower export.max_faces",
+        )
+    source, faces, uv = atlas[0]
+    # Coordinates come as shares of each side, of an atlas that need not be square.
+    sides = np.array([atlas.width, atlas.height], np.float64)
+    uv = (uv.astype(np.float64) * sides / sides.max()).clip(0.0, 1.0).astype(np.float32)
+    return Unwrapped(source.astype(np.int64), faces.astype(np.int32), uv)
+
+
+def angle_weighted_normals(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Return unit normals of the vertices: means over their triangles, weighted by the angle there."""
+    corners = np.asarray(vertices, np.float64)[faces]
+    normal = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    total = np.zeros((len(vertices), 3))
+    for k, angle in enumerate(_angles(corners)):
+        np.add.at(total, faces[:, k], angle[:, None] * normal)
+    return unit(total).astype(np.float32)
+
+
+def tangents(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    uv: NDArray[np.floating],
+    normals: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """Return tangent and handedness [vertex, 4]: bitangent = w cross(normal, tangent), towards falling v.
+
+    Per triangle the direction of growing u, projected onto the plane of the vertex's normal, unit, and
+    weighted by the triangle's angle in that plane. Triangles of a vertex that are mirrored otherwise than
+    most of them do not take part; charts have none, but for degenerate ones.
+    Source: Mikkelsen, Simulation of Wrinkled Surfaces Revisited (2008); mikktspace.c.
+    """
+    corners = np.asarray(vertices, np.float64)[faces]
+    places = np.asarray(uv, np.float64)[faces] * [1.0, -1.0]
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    du1, dv1 = (places[:, 1] - places[:, 0]).T
+    du2, dv2 = (places[:, 2] - places[:, 0]).T
+    area = du1 * dv2 - du2 * dv1
+    side = np.where(area >= 0.0, 1.0, -1.0)
+    along = side[:, None] * (dv2[:, None] * edge1 - dv1[:, None] * edge2)
+    votes = np.zeros(len(vertices))
+    for k in range(3):
+        np.add.at(votes, faces[:, k], area)
+    handed = np.where(votes >= 0.0, 1.0, -1.0)
+    total = np.zeros((len(vertices), 3))
+    for k in range(3):
+        vertex = faces[:, k]
+        normal = np.asarray(normals, np.float64)[vertex]
+        arms = [unit(_flattened(corners[:, (k + step) % 3] - corners[:, k], normal)) for step in (1, 2)]
+        angle = np.arccos((arms[0] * arms[1]).sum(-1).clip(-1.0, 1.0))
+        counts = (side == handed[vertex]) & (area != 0.0)
+        np.add.at(total, vertex, (angle * counts)[:, None] * unit(_flattened(along, normal)))
+    empty = np.linalg.norm(total, axis=1) < 1e-9
+    total[empty] = _any_perpendicular(np.asarray(normals, np.float64)[empty])
+    return np.concatenate([unit(total), handed[:, None]], axis=1).astype(np.float32)
+
+
+def unit(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return unit vectors [..., 3]; zero ones stay zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def _flattened(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors - (vectors * normals).sum(-1, keepdims=True) * normals
+
+
+def _angles(corners: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the angles at the three corners of triangles [face, 3, 3]."""
+    found = []
+    for k in range(3):
+        first = unit(corners[:, (k + 1) % 3] - corners[:, k])
+        second = unit(corners[:, (k + 2) % 3] - corners[:, k])
+        found.append(np.arccos((first * second).sum(-1).clip(-1.0, 1.0)))
+    return found
+
+
+def _any_perpendicular(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    axis = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    return np.cross(normals, axis)

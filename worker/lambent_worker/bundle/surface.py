@@ -1,0 +1,145 @@
+"""The surface of a trained model as charts on an atlas: a place and a normal for every covered texel.
+
+The mesh carries the atlas; the places of texels are moved from it to where the trained density is, along
+the normal, so that materials and rays of a bake belong to the surface that was trained.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from flashcache.config import ExportConfig
+from flashcache.physical.model import InverseModel
+from lambent_relight.raster import interpolate, rasterise_uv
+from numpy.typing import NDArray
+
+from lambent_worker.bundle.atlas import angle_weighted_normals, unit, unwrap
+from lambent_worker.bundle.mesh import (
+    Corner,
+    data_resolution,
+    extract_mesh,
+    occupied_box,
+    simplified,
+)
+from lambent_worker.errors import WorkerError
+
+OUTSIDE_CELLS, INSIDE_CELLS = 1.5, 2.5
+"""How far from the mesh, in cells of the marching cubes, the surface is looked for."""
+NUM_PLACES = 16
+"""Places along that stretch at which density is asked."""
+UPRIGHT = 0.2
+"""A learned normal keeps at least about this cosine with the mesh's normal."""
+FAINT = 1e-3
+"""Weight of the place on the mesh itself, so that a ray through empty space stays there."""
+CHUNK_POINTS = 8192
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtlasSurface:
+    """A mesh with an atlas. World coordinates (z up); u right and v down from the atlas's top row."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    """Unit, outwards, per vertex."""
+    size: int
+    """Texels along each side of the atlas."""
+    texel_index: NDArray[np.int32]
+    """Row-major place of each covered texel, ascending."""
+    positions: NDArray[np.float32]
+    """Of covered texels, on the trained surface."""
+    texel_normals: NDArray[np.float32]
+    """Of covered texels, unit, outwards."""
+
+
+def build_surface(
+    model: InverseModel,
+    config: ExportConfig,
+    *,
+    box: tuple[Corner, Corner] | None = None,
+    pixel_size: float = 0.0,
+) -> AtlasSurface:
+    """Return the surface of `model` with an atlas of `config.atlas_size` texels a side.
+
+    `box` is where to look, by default the box around all matter; `pixel_size` is what a pixel of the
+    photographs covers at the object (scene units, 0: unknown). Raises WorkerError where there is no surface.
+    """
+    low, high = box or occupied_box(model)
+    resolution = data_resolution(model, low, high, pixel_size=pixel_size, limit=config.mesh_resolution)
+    mesh = simplified(extract_mesh(model, low, high, resolution), config.max_faces)
+    charts = unwrap(mesh, config.atlas_size)
+    vertices = mesh.vertices[charts.source]
+    plain = angle_weighted_normals(mesh.vertices, mesh.faces)
+    # Copies of a vertex on both sides of a seam must have one normal, or the seam shows.
+    on_surface = settled(model, mesh.vertices, plain, mesh.cell)
+    normals = upright(learned_normals(model, on_surface), plain)[charts.source]
+    found = rasterise_uv(charts.uv, charts.faces, config.atlas_size)
+    index = np.flatnonzero(found.covered).astype(np.int32)
+    if not len(index):
+        raise WorkerError("export.atlas", "no texel is covered by the surface; raise export.atlas_size")
+    outwards = unit(interpolate(found, charts.faces, plain[charts.source]))
+    positions = settled(model, interpolate(found, charts.faces, vertices), outwards, mesh.cell)
+    return AtlasSurface(
+        vertices=vertices,
+        faces=charts.faces,
+        uv=charts.uv,
+        normals=normals,
+        size=config.atlas_size,
+        texel_index=index,
+        positions=positions,
+        texel_normals=upright(learned_normals(model, positions), outwards),
+    )
+
+
+@torch.no_grad()
+def settled(
+    model: InverseModel,
+    positions: NDArray[np.floating],
+    outwards: NDArray[np.floating],
+    cell: float,
+) -> NDArray[np.float32]:
+    """Return the mean place at which a short ray against `outwards` ends in the matter near each point.
+
+    The mean is over the render weights (paper Eq. 3) divided by their sum; a ray that meets next to nothing
+    stays at the point. `cell` is the width of the cells the points were found with, scene units.
+    """
+    device = next(model.parameters()).device
+    length = (OUTSIDE_CELLS + INSIDE_CELLS) * cell
+    inwards = ((torch.arange(NUM_PLACES, device=device) + 0.5) / NUM_PLACES) * length - OUTSIDE_CELLS * cell
+    beside_mesh = FAINT * torch.exp(-2.0 * (inwards / cell).square())
+    parts = []
+    for points, direction in _chunks(device, positions, outwards):
+        places = points[:, None] - inwards[:, None] * direction[:, None]
+        density = model.nerf.density.density(places.reshape(-1, 3)).reshape(len(points), NUM_PLACES)
+        depth = density * (length / NUM_PLACES)
+        before = torch.nn.functional.pad(depth[:, :-1].cumsum(dim=-1), (1, 0))
+        weights = -torch.expm1(-depth) * torch.exp(-before) + beside_mesh
+        shift = (weights * inwards).sum(dim=-1, keepdim=True) / weights.sum(dim=-1, keepdim=True)
+        parts.append(points - shift * direction)
+    return torch.cat(parts).cpu().numpy()
+
+
+@torch.no_grad()
+def learned_normals(model: InverseModel, positions: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return the normals that shade the model at points."""
+    device = next(model.parameters()).device
+    parts = [
+        model.nerf.normals(points, model.nerf.density(points).hidden)
+        for (points,) in _chunks(device, positions)
+    ]
+    return torch.cat(parts).cpu().numpy()
+
+
+def upright(learned: NDArray[np.float32], plain: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return unit learned normals, leaned towards the mesh's where they point away from it or are nothing."""
+    learned = unit(learned)
+    cosine = (learned * plain).sum(-1, keepdims=True)
+    return unit(learned + np.maximum(0.0, UPRIGHT - cosine) * plain).astype(np.float32)
+
+
+def _chunks(device: torch.device, *arrays: NDArray[np.floating]) -> Iterator[tuple[torch.Tensor, ...]]:
+    for start in range(0, len(arrays[0]), CHUNK_POINTS):
+        parts = (np.ascontiguousarray(values[start : start + CHUNK_POINTS], np.float32) for values in arrays)
+        yield tuple(torch.from_numpy(part).to(device) for part in parts)

@@ -1,0 +1,109 @@
+"""The asset of a bundle: a textured mesh made from the trained model and written as glTF."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from flashcache.config import ExportConfig
+from flashcache.data.scene import View
+from flashcache.physical.model import InverseModel
+from lambent_proto.v1 import bundle_pb2
+from lambent_relight import cameras as relight_cameras
+from lambent_relight.archive import open_source
+from lambent_relight.bundle import WEIGHTS_PATH, Bundle
+from lambent_relight.fused import FusedCaches
+from lambent_relight.fused_weights import NotFused
+from lambent_relight.graphs import OnnxCaches, SurfaceCaches
+from lambent_relight.raster import block_means, rasterise
+from numpy.typing import NDArray
+
+from lambent_worker.bundle.glb import check_glb, write_glb
+from lambent_worker.bundle.mesh import Corner
+from lambent_worker.bundle.surface import AtlasSurface, build_surface
+from lambent_worker.bundle.surface_occlusion import bake_occlusion
+from lambent_worker.bundle.textures import TextureSet, bake_materials
+
+ASSET_PATH = "mesh/asset.glb"
+SUPERSAMPLING = 4
+"""Samples of a silhouette along each side of a pixel."""
+
+
+def write_asset(
+    model: InverseModel,
+    config: ExportConfig,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    *,
+    box: tuple[Corner, Corner],
+    views: tuple[View, ...],
+) -> tuple[AtlasSurface, TextureSet]:
+    """Write mesh/asset.glb into `folder`, whose graphs and weights lie there already; note it in `manifest`.
+
+    `views` are the photographs, whose pixels say how much detail there can be. Raises WorkerError where there
+    is no surface or the file is not read back as it was meant.
+    """
+    surface = build_surface(model, config, box=box, pixel_size=pixel_size(views, box))
+    caches = written_caches(manifest, folder)
+    occlusion = bake_occlusion(
+        surface,
+        caches.secondary,
+        origin_offset=model.limits.origin_offset,
+        num_points=config.occlusion_points,
+        num_rays=config.occlusion_rays,
+    )
+    textures = bake_materials(model, surface, occlusion)
+    asset = write_glb(surface, textures, unit=manifest.world.unit)
+    check_glb(asset, surface)
+    (folder / ASSET_PATH).write_bytes(asset)
+    manifest.atlas.size = surface.size
+    manifest.atlas.num_texels = len(surface.texel_index)
+    manifest.atlas.texel_size = texel_size(surface)
+    manifest.metrics["mesh_faces"] = len(surface.faces)
+    manifest.metrics["mesh_vertices"] = len(surface.vertices)
+    return surface, textures
+
+
+def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> SurfaceCaches:
+    """Return the graphs that were just written as clients answer them: compiled, or run by onnxruntime."""
+    listed = bundle_pb2.BundleManifest()
+    listed.CopyFrom(manifest)
+    # Files are listed last, when all are there.
+    listed.files.add(path=WEIGHTS_PATH)
+    bundle = Bundle(path=folder, manifest=listed, source=open_source(folder))
+    try:
+        return FusedCaches(bundle)
+    except NotFused as reason:
+        logging.getLogger(__name__).info("asset.caches_by_onnxruntime: %s", reason)
+        return OnnxCaches(bundle)
+
+
+def pixel_size(views: tuple[View, ...], box: tuple[Corner, Corner]) -> float:
+    """Return what a pixel covers at the middle of `box`, scene units: the median over views, 0 without."""
+    middle = 0.5 * (np.array(box[0]) + np.array(box[1]))
+    sizes = [
+        float(np.linalg.norm(np.asarray(view.camera.camera_to_world)[:3, 3] - middle)) / view.camera.focal_x
+        for view in views
+    ]
+    return float(np.median(sizes)) if sizes else 0.0
+
+
+def texel_size(surface: AtlasSurface) -> float:
+    """Return the root of the mean area of a covered texel on the surface, scene units."""
+    a, b, c = (surface.vertices[surface.faces[:, k]].astype(np.float64) for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    return float(np.sqrt(area / len(surface.texel_index)))
+
+
+def silhouette_iou(
+    surface: AtlasSurface, camera: relight_cameras.Camera, opacity: NDArray[np.floating]
+) -> float:
+    """Return the overlap of the mesh's silhouette with the volume's `opacity` [height, width, 1], 0..1.
+
+    Intersection over union of partial coverage: the sum of the smaller values divided by that of the larger.
+    """
+    height, width = camera.height * SUPERSAMPLING, camera.width * SUPERSAMPLING
+    found = rasterise(surface.vertices, surface.faces, camera.resized(width, height))
+    covered = block_means(found.covered.astype(np.float32), SUPERSAMPLING)
+    seen = np.clip(opacity.reshape(covered.shape), 0.0, 1.0)
+    union = float(np.maximum(covered, seen).sum())
+    return float(np.minimum(covered, seen).sum()) / union if union > 0.0 else 1.0
