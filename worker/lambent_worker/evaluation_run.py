@@ -26,6 +26,7 @@ from lambent_worker.run_folder import digest, done_inputs, read_record, stage_se
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
+from lambent_worker.scenes.world import in_world, world_matrix
 from lambent_worker.steps.evaluate import evaluated_views, with_progress
 from lambent_worker.steps.ingest import read_manifest
 from lambent_worker.steps.training import load_trained, read_scene
@@ -117,7 +118,8 @@ def _scene_to_compare(
 ) -> tuple[Scene, scene_pb2.SceneManifest]:
     """Return the capture with the run's training lights, without the photographs that are not needed."""
     full = describe_scene(scene_dir, context.layout or None)
-    trained_lights = tuple(read_manifest(context).lights)
+    trained = read_manifest(context)
+    trained_lights = tuple(trained.lights)
     missing = [light for light in trained_lights if light not in full.lights]
     if missing:
         raise UsageError(
@@ -126,6 +128,7 @@ def _scene_to_compare(
             "give the capture it was trained on, or another one in the same light",
         )
     manifest = select_lights(full, trained_lights)
+    in_world(manifest, world_matrix(trained))
     if any(frame.split == scene_pb2.SPLIT_TEST for frame in manifest.frames):
         frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST]
         del manifest.frames[:]

@@ -1,0 +1,141 @@
+"""Every layout goes the way of a job: checked in the child process, described, loaded, trained on."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from lambent_worker import evaluation_run
+from lambent_worker.check import check_scene
+from lambent_worker.pipeline import run_pipeline
+from lambent_worker.report.request import EvaluationRequest
+from lambent_worker.scenes.load import load_scene
+from lambent_worker.training_run import prepare_run
+from support.captures import REFERENCES
+from support.layouts import ColmapBinaryFolder
+from support.recording_reporter import RecordingReporter
+
+pytestmark = pytest.mark.slow
+
+LAYOUTS = REFERENCES / "layouts"
+SAMPLES = {
+    "nerf_blender": LAYOUTS / "blender",
+    "nerfstudio": LAYOUTS / "nerfstudio",
+    "colmap": LAYOUTS / "colmap",
+    "openillumination": LAYOUTS / "openillumination",
+    "glossy_synthetic": LAYOUTS / "glossy",
+    "tensoir_synthetic": REFERENCES / "scenes" / "tensoir_synthetic",
+}
+SMALL = {
+    "max_side": "16",
+    "stage_one.num_steps": "6",
+    "stage_two.num_steps": "4",
+    "stage_two.warmup_steps": "2",
+    "evaluation.num_views": "1",
+    "evaluation.num_directions": "8",
+}
+
+
+def prepared(scene, folder, layout):
+    return prepare_run(
+        scene,
+        folder,
+        preset="tiny",
+        lights=(),
+        layout=layout,
+        seed=0,
+        device="cpu",
+        overrides=SMALL,
+        resume=False,
+    )
+
+
+@pytest.mark.parametrize(("layout", "folder"), SAMPLES.items(), ids=SAMPLES)
+def test_a_forced_layout_is_checked_and_described_by_the_first_step(tmp_path, layout, folder):
+    run = prepared(folder, tmp_path / "run", layout)
+    reporter = RecordingReporter()
+    run_pipeline(
+        folder,
+        tmp_path / "run",
+        run.config,
+        0,
+        "cpu",
+        reporter,
+        ("ingest",),
+        lights=run.lights,
+        layout=run.layout,
+    )
+    manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
+    report = json.loads((tmp_path / "run" / "scene" / "report.json").read_text())
+    assert manifest["layout"] == report["layout"] == layout
+    assert report["usable"]
+    assert len(manifest["lights"]) == 1
+    assert len(manifest["frames"]) == report["num_train_frames"] + report["num_test_frames"]
+
+
+def test_the_check_says_the_same_from_its_child_process(tmp_path):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    capture.mask(3).write_text("no picture")
+    (finding,) = check_scene(capture.folder).findings
+    assert (finding.code, finding.subject) == ("scene.image_not_a_picture", "masks/IMG_0003.png.png")
+
+
+def test_a_model_far_from_the_origin_trains_and_is_evaluated_in_the_world_it_was_trained_in(
+    tmp_path, monkeypatch
+):
+    scene = tmp_path / "scene"
+    shutil.copytree(LAYOUTS / "colmap", scene, ignore=shutil.ignore_patterns("sparse_text"))
+    shutil.rmtree(scene / "sparse")
+    shutil.copytree(LAYOUTS / "colmap" / "sparse_text", scene / "sparse")
+    shift(scene / "sparse" / "0" / "images.txt", np.array([100.0, -50.0, 20.0]), 10.0)
+    run = prepared(scene, tmp_path / "run", "")
+    steps = ("ingest", "cache", "joint", "evaluate")
+    run_pipeline(scene, tmp_path / "run", run.config, 0, "cpu", RecordingReporter(), steps)
+    manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
+    world = np.array(manifest["world_from_capture"]).reshape(4, 4)
+    assert np.abs(world[:3, :3] @ [100.0, -50.0, 20.0] + world[:3, 3]).max() < 1.0
+    # Fewer photographs would be settled elsewhere if they were looked at alone.
+    for name in ("train_000", "train_003", "train_006"):
+        remove(scene / "sparse" / "0" / "images.txt", f"{name}.png")
+    seen = []
+    monkeypatch.setattr(
+        evaluation_run,
+        "load_scene",
+        lambda *args, **options: seen.append(args[1]) or load_scene(*args, **options),
+    )
+    request = EvaluationRequest(num_repeats=1, num_directions=8, max_side=16)
+    evaluation_run.evaluate_run(
+        tmp_path / "run", scene, tmp_path / "out", request, device="", reporter=RecordingReporter()
+    )
+    trained = {frame["name"]: frame["camera"]["camera_to_world"] for frame in manifest["frames"]}
+    evaluated = {frame.name: list(frame.camera.camera_to_world) for frame in seen[0].frames}
+    assert evaluated
+    for name, pose in evaluated.items():
+        np.testing.assert_allclose(pose, trained[name], atol=1e-8)
+
+
+def shift(path, offset, scale):
+    """Move and enlarge a model: x' = scale x + offset."""
+    lines = []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if len(words) == 10 and not line.startswith("#") and words[9].endswith(".png"):
+            w, x, y, z = (float(v) for v in words[1:5])
+            turn = np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+                ]
+            )
+            moved = scale * np.array([float(v) for v in words[5:8]]) - turn @ offset
+            line = " ".join([*words[:5], *(f"{v:.12g}" for v in moved), *words[8:]])
+        lines.append(line)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def remove(path, name):
+    """Leave an image out of a model."""
+    lines = path.read_text().splitlines()
+    place = next(i for i, line in enumerate(lines) if line.endswith(f" {name}"))
+    path.write_text("\n".join(lines[:place] + lines[place + 2 :]) + "\n")
