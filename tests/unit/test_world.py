@@ -11,7 +11,7 @@ from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.world import in_world, move, rotation_and_scale, settle, world_matrix
 from scipy.spatial.transform import Rotation
 from support.captures import REFERENCES
-from support.layouts import BALLS, ColmapTextFolder
+from support.layouts import BALLS, ColmapTextFolder, GlossyFolder, OpenIlluminationFolder
 
 OFFSET, SCALE = np.array([50.0, -20.0, 7.0]), 30.0
 
@@ -63,6 +63,17 @@ def test_an_ordinary_capture_keeps_its_coordinates():
     manifest = describe_scene(REFERENCES / "layouts" / "blender")
     assert manifest.bounds_from == "silhouettes"
     assert list(manifest.world_from_capture) == []
+
+
+@pytest.mark.parametrize("layout", [OpenIlluminationFolder, GlossyFolder])
+def test_published_data_keeps_its_coordinates_for_the_presets_that_state_distances_in_them(tmp_path, layout):
+    capture = layout(tmp_path / "scene", offset=np.array([0.1, 0.0, 0.05]), scale=0.1)
+    manifest = describe_scene(capture.folder)
+    assert list(manifest.world_from_capture) == []
+    assert manifest.bounds_from == "silhouettes"
+    assert manifest.contraction_radius == pytest.approx(
+        max(map(abs, (*manifest.bounds.minimum, *manifest.bounds.maximum)))
+    )
 
 
 def tilted(folder, rotation):

@@ -13,6 +13,8 @@ from lambent_worker.scenes.problems import Problems
 
 ORDINARY_REACH = {"cameras": 2.0, "silhouettes": 1.5}
 """Half the longest side of the box that a scene is scaled to, by where the box comes from; scene units."""
+FIXED_WORLDS = ("openillumination", "glossy_synthetic")
+"""Layouts of published data whose coordinates are kept: the presets for them state distances in these."""
 KEPT_RATIO = 2.0
 """A box that is off by less than this factor is left as it is, so that most captures keep their units."""
 KEPT_OFFSET = 0.25
@@ -70,16 +72,18 @@ def settle(manifest: scene_pb2.SceneManifest) -> None:
     """Move the middle of the box to the origin and bring the box to the ordinary size, where it is far off.
 
     A scene that was moved already is brought there exactly. Afterwards the contraction of space begins at the
-    box, or at the ball that the cameras suggest. Units that the capture fixes with its box are kept.
+    box, or at the ball that the cameras suggest. Units that the capture fixes with its box, and the
+    coordinates of `FIXED_WORLDS`, are kept.
     """
     low, high = np.array(manifest.bounds.minimum), np.array(manifest.bounds.maximum)
     middle, half = 0.5 * (low + high), float(0.5 * (high - low).max())
     matrix = np.eye(4)
     ordinary = ORDINARY_REACH.get(manifest.bounds_from, half)
-    is_moved = bool(manifest.world_from_capture)
-    if is_moved or not 1.0 / KEPT_RATIO <= half / ordinary <= KEPT_RATIO:
+    is_fixed = manifest.layout in FIXED_WORLDS
+    is_moved = bool(manifest.world_from_capture) and not is_fixed
+    if is_moved or not (is_fixed or 1.0 / KEPT_RATIO <= half / ordinary <= KEPT_RATIO):
         matrix[:3, :3] *= ordinary / half
-    if is_moved or np.linalg.norm(middle) > KEPT_OFFSET * half:
+    if is_moved or (not is_fixed and np.linalg.norm(middle) > KEPT_OFFSET * half):
         matrix[:3, 3] = -(matrix[:3, :3] @ middle)
     if not np.array_equal(matrix, np.eye(4)):
         move(manifest, matrix)
