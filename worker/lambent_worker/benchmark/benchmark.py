@@ -44,8 +44,8 @@ def run_benchmark(
     Called again after a kill it goes on: finished cells are kept by the hash of their inputs, others continue
     from their checkpoints. Raises `UsageError` where `out` holds something else, and `Stopped` on Ctrl-C.
     """
-    cells = plan(scenes, variants, seeds, settings, preset=preset, overrides=overrides, evaluation=evaluation)
     _check_folder(out)
+    cells = plan(scenes, variants, seeds, settings, preset=preset, overrides=overrides, evaluation=evaluation)
     with locked(out):
         write_json(out / MARKER, {"preset": preset, "cells": [cell.name for cell in cells]})
         tasks = tasks_of(cells, out)

@@ -83,7 +83,7 @@ def _legend(content: Content) -> str:
     ]
     if "views" in over:
         lines.append("Over views it does not know how another seed would have ended: give several --seeds.")
-    return " ".join([*lines, *content.notes])
+    return "\n".join(f"- {line}" for line in (*lines, *content.notes))
 
 
 def _by_scene(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
