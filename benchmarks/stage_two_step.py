@@ -25,6 +25,7 @@ from flashcache.data.space import domain_of
 from flashcache.physical.model import InverseModel
 from flashcache.presets import preset
 from flashcache.training.stage_two import StageTwo
+from lambent_worker.process import prepare
 from support.lit_sphere import lit_sphere
 
 SIDES = {"both at once": (2, 2), "in turn, two threads": (1, 2), "in turn, one thread": (1, 1)}
@@ -49,6 +50,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="preset tiny, three steps")
     arguments = parser.parse_args()
     name, steps = ("tiny", 3) if arguments.quick else (arguments.preset, arguments.steps)
+    prepare()  # As in every job: freed memory is kept, for page faults would cost more than a core gains.
     torch.set_float32_matmul_precision("medium")
     stages = {}
     for side, (threads, _) in SIDES.items():

@@ -1,0 +1,143 @@
+"""What each switch beyond the paper is worth: stage two trained anew for each, from one shared stage one.
+
+    python benchmarks/switches.py SUITE/cowcrate --environments SUITE/envmaps/high_res --preset fast -o OUT
+
+Stage one is trained once per seed. Each switch then gets a run folder of its own with the shared NeRF cache
+in it; its stage two is trained and evaluated, and scored by `tests/references/evaluate.py`. Results are kept
+in OUT/<switch>_<seed>/; a run that is there is not repeated. Seconds are those of stage two alone.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+
+from lambent_worker.console import ConsoleReporter
+from lambent_worker.pipeline import run_pipeline
+from lambent_worker.process import prepare
+from lambent_worker.run_folder import stage_seconds
+from lambent_worker.stage_sharing import adopt_nerf_cache
+from lambent_worker.training_run import Run, prepare_run
+from reference_scores import figures_of
+
+PRIOR = "stage_two.environment_prior"
+SWITCHES: dict[str, dict[str, str]] = {
+    "base": {},
+    "unobserved": {"stage_two.unobserved.weight": "0.1"},
+    "clusters": {"stage_two.clusters.weight": "0.01", "stage_two.smoothness_weight": "0.0"},
+    "white": {f"{PRIOR}.white_weight": "0.05", "stage_two.grey_weight": "0.0"},
+    "texture": {"model.environment.texture_height": "32", "stage_two.environment_rate": "0.04"},
+    "texture-smooth": {
+        "model.environment.texture_height": "32",
+        "stage_two.environment_rate": "0.04",
+        f"{PRIOR}.variation_weight": "0.003",
+        f"{PRIOR}.rows": "32",
+    },
+    "texture-smooth-flat": {
+        "model.environment.texture_height": "32",
+        "stage_two.environment_rate": "0.04",
+        f"{PRIOR}.variation_weight": "0.003",
+        f"{PRIOR}.rows": "32",
+        f"{PRIOR}.pole_aware": "false",
+    },
+    "errors": {"stage_two.budget.error_share": "0.4"},
+    "roulette": {"stage_two.estimator.roulette": "1.0"},
+    "jitter": {"stage_two.secondary_jitter": "true"},
+    "whole-pseudo-albedo": {"stage_two.pseudo_albedo": "radiance"},
+    "cache-gradient": {"stage_two.estimator.through_cache": "1e-4"},
+}
+"""Settings by switch, weights as first guesses; "base" is the preset itself."""
+
+
+def prepared(folder: Path, overrides: dict[str, str], seed: int, arguments: argparse.Namespace) -> Run:
+    """Return the run in `folder`, made with the preset and `overrides` where it is not there yet."""
+    common = dict(item.split("=", 1) for item in arguments.set)
+    return prepare_run(
+        arguments.scene,
+        folder,
+        preset=arguments.preset,
+        lights=(),
+        layout="",
+        seed=seed,
+        device="",
+        overrides=common | overrides,
+        resume=False,
+    )
+
+
+def take_steps(run: Run, folder: Path, *steps: str) -> None:
+    """Take steps of the pipeline in a run folder."""
+    with ConsoleReporter(folder) as reporter:
+        run_pipeline(Path(run.scene), folder, run.config, run.seed, run.device, reporter, steps)
+
+
+def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -> dict[str, float]:
+    """Train stage two of a switch on the shared NeRF cache, evaluate it and return its figures."""
+    folder = arguments.out / f"{name}_{seed}"
+    result = folder / "figures.json"
+    if result.exists():
+        return json.loads(result.read_text())
+    run = prepared(folder / "run", SWITCHES[name], seed, arguments)
+    take_steps(run, folder / "run", "ingest")
+    with ConsoleReporter(folder / "run") as reporter:
+        adopt_nerf_cache(run, folder / "run", shared, reporter)
+    take_steps(run, folder / "run", "ingest", "cache", "joint")
+    scene = arguments.scene
+    evaluate = [*(sys.executable, "-m", "lambent", "evaluate", str(folder / "run"), str(scene))]
+    evaluate += ["--repeats", "1", "--views", str(arguments.views), "-o", str(folder / "report")]
+    if arguments.environments is not None:
+        evaluate += ["--environments", str(arguments.environments)]
+    subprocess.run(evaluate, check=True)
+    figures = figures_of(scene, folder / "report", arguments.views)
+    figures["stage two [s]"] = stage_seconds(folder / "run")["joint"]
+    result.write_text(json.dumps(figures, indent=1))
+    return figures
+
+
+def table(runs: dict[str, list[dict[str, float]]]) -> str:
+    """Return a table: a row per switch, means over seeds, with what changed against "base" in brackets."""
+    rows = list(next(iter(runs.values()))[0])
+    lines = [f"| switch | {' | '.join(rows)} |", f"| --- |{' --- |' * len(rows)}"]
+    for name, found in runs.items():
+        cells = []
+        for row in rows:
+            mean = statistics.fmean(run[row] for run in found)
+            change = ""
+            if name != "base" and "base" in runs:
+                change = f" ({mean - statistics.fmean(run[row] for run in runs['base']):+.2f})"
+            cells.append(f"{mean:.2f}{change}")
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run every switch with every seed and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--environments", type=Path, help="maps of unseen lights; none: no relit pictures")
+    parser.add_argument("--only", nargs="+", choices=list(SWITCHES), help="switches to run, base included")
+    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--views", type=int, default=0, help="test views, evenly spaced; 0 for all")
+    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="settings of all runs")
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    arguments = parser.parse_args()
+    prepare()
+    names = arguments.only or list(SWITCHES)
+    runs: dict[str, list[dict[str, float]]] = {name: [] for name in names}
+    for seed in arguments.seeds:
+        shared = arguments.out / f"stage-one_{seed}"
+        take_steps(prepared(shared, {}, seed, arguments), shared, "ingest", "cache")
+        for name in names:
+            runs[name].append(run_one(name, seed, shared, arguments))
+    print(f"\n{arguments.scene.name}, preset {arguments.preset}, seeds {arguments.seeds}\n")
+    print(table(runs))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""Runs in several lights, in one turned light and in a given one, from the capture to the trained model."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from flashcache.errors import ConfigError
+from flashcache.training.checkpoint import latest_checkpoint
+from lambent_relight.environments import write_environment
+from lambent_worker.errors import UsageError, WorkerError
+from lambent_worker.pipeline import run_pipeline
+from lambent_worker.run_folder import step_folder
+from lambent_worker.stage_sharing import adopt_nerf_cache
+from lambent_worker.steps.training import load_trained, read_scene
+from lambent_worker.training_run import prepare_run, step_context
+from support.captures import REFERENCES
+from support.recording_reporter import RecordingReporter
+
+pytestmark = pytest.mark.slow
+
+SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
+LIGHTS = ("venice_sunset_000", "venice_sunset_120")
+SMALL = {
+    "max_side": "16",
+    "stage_one.num_steps": "3",
+    "stage_one.num_rays": "64",
+    "stage_two.num_steps": "3",
+    "stage_two.num_rays": "32",
+    "stage_two.warmup_steps": "1",
+    "model.environment.known_height": "8",
+}
+STEPS = ("ingest", "cache", "joint")
+
+
+def trained(folder, lights, known=(), steps=STEPS, **settings):
+    """Train a few steps and return the run and the model."""
+    run = prepare_run(
+        SCENE,
+        folder,
+        preset="tiny",
+        lights=lights,
+        layout="",
+        seed=0,
+        device="cpu",
+        overrides=SMALL | settings,
+        resume=False,
+        known_lights=known,
+    )
+    reporter = RecordingReporter()
+    run_pipeline(
+        SCENE, folder, run.config, 0, "cpu", reporter, steps, lights=lights, known_lights=run.known_lights
+    )
+    context = step_context(run, folder, reporter, "joint")
+    if "joint" not in steps:
+        return run, None
+    return run, load_trained(context, read_scene(context), "joint")
+
+
+@pytest.fixture
+def sky(tmp_path):
+    """Return the path of a map that is bright in the east."""
+    image = np.full((8, 16, 3), 0.5, np.float32)
+    image[:, 6:10] = 4.0
+    write_environment(tmp_path / "sky.exr", image, half=False)
+    return tmp_path / "sky.exr"
+
+
+def test_several_lights_have_a_head_each(tmp_path):
+    _, model = trained(tmp_path / "run", LIGHTS)
+    assert model.domain.lights == LIGHTS
+    assert (model.environment.num_lights, model.fast.num_lights) == (2, 2)
+    first, second = (model.environment.image(8, light) for light in (0, 1))
+    assert not torch.allclose(first, second)
+
+
+def test_turned_lights_share_one_environment(tmp_path):
+    _, model = trained(tmp_path / "run", LIGHTS, **{"model.environment.lights": "rotated"})
+    assert model.domain.rotations_deg == (0.0, 120.0)
+    assert (model.environment.num_lights, model.fast.num_lights) == (1, 2)
+    # 120 degrees are a third of the columns, to the left.
+    first, second = (model.environment.image(6, light) for light in (0, 1))
+    torch.testing.assert_close(second, first.roll(-4, dims=1), rtol=1e-4, atol=1e-4)
+
+
+def test_a_given_environment_stays_what_it_is_while_the_rest_learns(tmp_path, sky):
+    _, model = trained(tmp_path / "run", LIGHTS[:1], [str(sky)])
+    sky.unlink()
+    expected = np.full((8, 16, 3), 0.5, np.float32)
+    expected[:, 6:10] = 4.0
+    np.testing.assert_allclose(model.environment.image(8).numpy(), expected, rtol=1e-4)
+    folder = latest_checkpoint(step_folder(tmp_path / "run", "joint"))
+    assert json.loads((folder / "state.json").read_text())["num_skipped"] == 0
+
+
+def test_a_given_light_beside_a_learned_one(tmp_path, sky):
+    _, model = trained(tmp_path / "run", LIGHTS, [f"{LIGHTS[1]}={sky}"])
+    assert model.environment.learned == (0,)
+    assert float(model.environment.image(8, 1).max()) == pytest.approx(4.0, rel=1e-4)
+
+
+def test_a_file_that_could_be_any_lights_is_refused(tmp_path, sky):
+    with pytest.raises(UsageError, match=r"light\.known_unnamed"):
+        trained(tmp_path / "run", LIGHTS, [str(sky)])
+
+
+def test_lights_without_angles_cannot_be_turned(tmp_path):
+    wrong = {"model.environment.lights": "rotated", "model.environment.rotations_deg": "[10]"}
+    with pytest.raises(ConfigError, match="one per light"):
+        trained(tmp_path / "run", LIGHTS, **wrong)
+
+
+def test_a_run_takes_over_the_nerf_cache_of_another_with_another_environment(tmp_path):
+    lights = LIGHTS[:1]
+    trained(tmp_path / "base", lights, steps=STEPS[:2])
+    other = {"model.environment.texture_height": "8"}
+    run, _ = trained(tmp_path / "other", lights, steps=STEPS[:1], **other)
+    reporter = RecordingReporter()
+    for _ in range(2):  # The second time there is nothing to do.
+        adopt_nerf_cache(run, tmp_path / "other", tmp_path / "base", reporter)
+    run_pipeline(SCENE, tmp_path / "other", run.config, 0, "cpu", reporter, STEPS, lights=lights)
+    assert {call["stage"] for call in reporter.named("step.reused")} == {"ingest", "cache"}
+    base = latest_checkpoint(step_folder(tmp_path / "base", "cache"))
+    taken = latest_checkpoint(step_folder(tmp_path / "other", "cache"))
+    tables = [torch_tensors(folder)["nerf.density.grid.table"] for folder in (base, taken)]
+    assert torch.equal(*tables)
+    assert "environment.texture" in torch_tensors(taken)
+
+
+def torch_tensors(folder):
+    from safetensors.torch import load_file
+
+    return load_file(folder / "model.safetensors")
+
+
+def test_a_nerf_cache_that_is_not_there_or_does_not_fit_is_refused(tmp_path):
+    lights = LIGHTS[:1]
+    run, _ = trained(tmp_path / "run", lights, steps=STEPS[:1])
+    reporter = RecordingReporter()
+    with pytest.raises(WorkerError, match=r"run\.no_stage_one"):
+        adopt_nerf_cache(run, tmp_path / "run", tmp_path / "none", reporter)
+    trained(tmp_path / "base", lights, steps=STEPS[:2], **{"model.nerf.density.width": "16"})
+    with pytest.raises(WorkerError, match=r"run\.other_shape"):
+        adopt_nerf_cache(run, tmp_path / "run", tmp_path / "base", reporter)
