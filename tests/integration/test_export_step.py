@@ -152,7 +152,7 @@ def test_the_manifest_describes_the_bundle(context, model):
         assert graph.parity.max_abs_error <= graph.parity.tolerance == 1e-5
         assert graph.parity.num_samples >= 250
     assert {file.role for file in manifest.files} == {
-        *("graph", "weights", "mesh", "environment", "cameras", "preview", "uncertainty"),
+        *("graph", "weights", "mesh", "environment", "cameras", "preview", "uncertainty", "transport"),
     }
     assert "preview/cache.png" in {file.path for file in manifest.files}
     assert manifest.secondary_rays.origin_offset == model.limits.origin_offset

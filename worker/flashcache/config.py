@@ -181,10 +181,20 @@ class ExportConfig:
     """Most texels at which ambient occlusion is measured; others take it from their neighbours."""
     occlusion_rays: int = 64
     """Secondary rays per such texel."""
+    transport_tier: str = "full"
+    """Baked light transport: "full" (49 harmonics, shadow bits), "lite" (25, none) or "none"."""
+    judge_samples: int = 64
+    """Light directions per pixel of refined pictures that baked ones are compared with; 0: none are."""
     environment_height: int = 64
     """Rows of the recovered environment; twice as many columns."""
 
     def __post_init__(self) -> None:
+        if self.transport_tier not in ("full", "lite", "none"):
+            raise ConfigError(
+                f'export.transport_tier must be "full", "lite" or "none", got {self.transport_tier!r}'
+            )
+        if self.judge_samples and self.judge_samples < 2:
+            raise ConfigError(f"export.judge_samples must be 0 or at least 2, got {self.judge_samples}")
         if not 16 <= self.atlas_size <= 8192:
             raise ConfigError(f"export.atlas_size must lie in 16..8192 texels, got {self.atlas_size}")
         for name, least in (("max_faces", 16), ("occlusion_points", 1), ("occlusion_rays", 1)):

@@ -200,6 +200,7 @@ def tiny() -> Config:
             atlas_size=128,
             occlusion_points=2000,
             occlusion_rays=16,
+            judge_samples=8,
             environment_height=32,
         ),
         checkpoint_steps=50,

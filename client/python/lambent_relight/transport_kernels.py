@@ -16,7 +16,7 @@ from lambent_relight.compiling import COMPILE_OPTIONS
 
 @cache
 def _recurrence(bands: int) -> NDArray[np.float32]:
-    """Return the factors of the recurrence in `harmonics.legendre`: diagonal, and two per degree and order."""
+    """Return the factors of the recurrence in `harmonics.legendre`: diagonal, two per degree and order."""
     table = np.zeros((3, bands, bands), np.float32)
     diagonal = math.sqrt(0.25 / math.pi)
     for m in range(bands):
@@ -162,9 +162,9 @@ def _nearest(queries, points, first, home, shape, low, cell, out):
     size_y, size_z = shape[1], shape[2]
     for q in range(queries.shape[0]):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        i = min(max(int(math.floor((x - low[0]) / cell)), 1), shape[0] - 2)
-        j = min(max(int(math.floor((y - low[1]) / cell)), 1), shape[1] - 2)
-        k = min(max(int(math.floor((z - low[2]) / cell)), 1), shape[2] - 2)
+        i = min(max(math.floor((x - low[0]) / cell), 1), shape[0] - 2)
+        j = min(max(math.floor((y - low[1]) / cell), 1), shape[1] - 2)
+        k = min(max(math.floor((z - low[2]) / cell), 1), shape[2] - 2)
         best, found = np.float32(np.inf), -1
         # First around the query, then, where nothing is, around the nearest occupied cell.
         for attempt in range(2):

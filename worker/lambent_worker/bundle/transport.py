@@ -179,7 +179,7 @@ def _blocked_sky(
 def _shadow_bits(seen: Occlusion) -> UInt8[ndarray, "texels _"]:
     """Return one bit per direction, set where more light passes than is held back, or below the horizon.
 
-    A settled texel asked half of the directions; the others are as free as those, which `cast` filled in.
+    A settled texel asked half of the directions; the others are as free as their neighbours.
     """
     return np.packbits(seen.opacity < 128, axis=1, bitorder="little")
 

@@ -2,8 +2,9 @@
 
 Every texel asks the directions of one of 16 sets, those above its horizon. All sets are the same 256 evenly
 spread directions, each moved inside its own share of the sphere, so that neighbouring texels ask between each
-other's directions. Half of the directions are asked first; a texel that they find wholly free or wholly
-blocked is settled, only the others ask the second half. Source: supplement 2.1 (the fast cache's opacity).
+other's directions. Half of the directions are asked first; a texel that they find nearly the same all around
+is settled, and takes each other direction from its nearest neighbour. Only the rest ask the second half.
+Source: supplement 2.1 (the fast cache's opacity).
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from lambent_relight.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
 from numpy import ndarray
 
@@ -37,8 +38,10 @@ class RayConfig:
 
     texels_per_chunk: int = 2048
     """Texels that are asked about and stored at once."""
-    settled: float = 0.05
-    """Opacities below this, or above one minus this, in all asked directions settle a texel."""
+    settled: float = 0.2
+    """Cosine-weighted standard deviation of opacity over the first half that settles a texel."""
+    followed: float = 0.05
+    """Rays with more opacity than this light the texel by what they hit."""
     jitter: float = 0.9
     """How far directions may move, as a share of the radius of their cell."""
 
@@ -124,27 +127,43 @@ def _cast_chunk(
     origin_offset: float,
     config: RayConfig,
 ) -> tuple[UInt8[ndarray, "texels directions"], Float[ndarray, "texels directions"], int]:
-    above = np.einsum("tdi,ti->td", directions, normals) > 0.0
+    cosine = np.einsum("tdi,ti->td", directions, normals)
+    above = cosine > 0.0
     opacity = np.zeros(above.shape, np.uint8)
     distance = np.full(above.shape, NOT_STORED, np.float16)
     origins = positions + np.float32(origin_offset) * normals
     num_rays = 0
 
-    def ask(wanted: ndarray) -> None:
+    def ask(wanted: Bool[ndarray, "texels directions"]) -> None:
         nonlocal num_rays
         texel, direction = np.nonzero(wanted)
         seen, far = secondary(origins[texel], directions[texel, direction])
         opacity[texel, direction] = np.round(255.0 * np.clip(seen[:, 0], 0.0, 1.0))
-        distance[texel, direction] = np.where(seen[:, 0] > config.settled, far[:, 0], NOT_STORED)
+        distance[texel, direction] = np.where(seen[:, 0] > config.followed, far[:, 0], NOT_STORED)
         num_rays += len(texel)
 
     first = above.copy()
     first[:, 1::2] = False
     ask(first)
-    limit = round(255 * config.settled)
-    free = np.where(first, opacity, 0).max(axis=1) <= limit
-    blocked = np.where(first, opacity, 255).min(axis=1) >= 255 - limit
-    second = above & ~first & ~(free | blocked)[:, None]
-    ask(second)
-    opacity[(above & ~first) & blocked[:, None]] = 255
+    settled = _spread(opacity[:, ::2], cosine[:, ::2]) < config.settled
+    ask(above & ~first & ~settled[:, None])
+    rows = np.flatnonzero(settled)
+    opacity[rows] = np.where(above[rows], opacity[rows][:, _nearest_of_first_half()], 0)
     return opacity, distance, num_rays
+
+
+def _spread(
+    opacity: UInt8[ndarray, "texels directions"], cosine: Float[ndarray, "texels directions"]
+) -> Float[ndarray, " texels"]:
+    """Return the standard deviation of opacity over directions above the horizon, weighted by the cosine."""
+    weight = np.maximum(cosine, 0.0)
+    total = np.maximum(weight.sum(axis=1), 1e-6)
+    share = opacity / 255.0
+    mean = (weight * share).sum(axis=1) / total
+    return np.sqrt((weight * (share - mean[:, None]) ** 2).sum(axis=1) / total)
+
+
+def _nearest_of_first_half() -> Int[ndarray, " directions"]:
+    """Return for each direction the nearest one with an even number; for those, themselves."""
+    centre = shadow_directions()
+    return 2 * np.argmax(centre @ centre[::2].T, axis=1)

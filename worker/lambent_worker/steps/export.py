@@ -16,14 +16,17 @@ from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import measure, relight_camera
 from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
-from lambent_worker.bundle.surface_files import write_asset
+from lambent_worker.bundle.surface_files import write_asset, written_caches
+from lambent_worker.bundle.transport import TransportConfig
+from lambent_worker.bundle.transport_files import Bake, write_transport
+from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.pipeline import StepContext, scene_hash
 from lambent_worker.report.run_uncertainty import uncertainty_of_run
 from lambent_worker.run_folder import read_record, step_folder
 from lambent_worker.steps.training import load_trained, read_scene
 
-NUM_PARTS = 6
+NUM_PARTS = 8
 FOLDERS = ("models", "mesh", "env", "preview")
 
 
@@ -77,14 +80,36 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
     write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
     surface, _ = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
     _advance(context, 4)
+    if settings.transport_tier != "none":
+        bake = Bake(
+            config=TransportConfig(tier=settings.transport_tier),
+            store=context.folder.with_name(context.folder.name + ".rays"),
+            advance=lambda share: context.stop_if_asked(),
+        )
+        write_transport(model, written_caches(manifest, folder), surface, manifest, folder, bake)
+    _advance(context, 5)
 
     views = scene.test or scene.train
     (folder / "cameras.json").write_text(_cameras(views), encoding="utf-8")
-    for index, light in enumerate(manifest.train_lights):
-        image = model.environment.image(settings.environment_height, index).cpu().numpy()
+    recovered = {
+        light: model.environment.image(settings.environment_height, index).cpu().numpy()
+        for index, light in enumerate(manifest.train_lights)
+    }
+    for light, image in recovered.items():
         write_environment(folder / "env" / f"trained_{light}.exr", image)
-    _advance(context, 5)
+    _advance(context, 6)
     manifest.metrics.update(measure(model, rule, surface, views, scene.lights[0], folder / "preview"))
+    if settings.transport_tier != "none" and settings.judge_samples:
+        judged = judge_qualities(
+            folder,
+            manifest,
+            [relight_camera(view.name, view.camera) for view in views[:1]],
+            recovered,
+            num_samples=settings.judge_samples,
+            seed=context.seed,
+        )
+        manifest.metrics.update(judged)
+    _advance(context, 7)
     uncertainty = uncertainty_of_run(context, model, scene)
     if uncertainty is not None:
         write_uncertainty(folder, manifest, uncertainty)

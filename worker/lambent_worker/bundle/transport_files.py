@@ -1,0 +1,101 @@
+"""The transport of an exported bundle: baked from the graphs that were just written, stored, and judged."""
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from flashcache.physical.model import InverseModel
+from jaxtyping import Float
+from lambent_proto.v1 import bundle_pb2
+from lambent_relight.graphs import SurfaceCaches
+from lambent_relight.transport import transport_files
+from numpy import ndarray
+
+from lambent_worker.bundle.surface import AtlasSurface
+from lambent_worker.bundle.transport import BakedSurface, TransportConfig, bake_transport
+from lambent_worker.bundle.transport_bounce import Reflectors
+from lambent_worker.bundle.transport_rays import SecondaryRays
+
+_RAYS_ON_DEVICE = 1 << 18
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Bake:
+    """Where a bake works and whom it tells."""
+
+    config: TransportConfig
+    store: Path
+    """Finished rays lie here until the bake is done."""
+    advance: Callable[[float], None]
+    """Called with the finished share; may raise to stop."""
+
+
+def write_transport(
+    model: InverseModel,
+    caches: SurfaceCaches,
+    surface: AtlasSurface,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    bake: Bake,
+) -> None:
+    """Bake the transport of `surface` into `folder`/transport and describe it in `manifest`.
+
+    Rays are answered by `caches`, or by the model itself where it lies on a graphics card.
+    """
+    found = caches.material(surface.positions)
+    reflectors = Reflectors(found.albedo, found.perceptual_roughness, found.metalness)
+    covered = BakedSurface(
+        surface.size, surface.texel_index, surface.positions, surface.texel_normals.astype(np.float32)
+    )
+    digest = hashlib.sha256(repr(bake.config.rays).encode())
+    for array in (covered.positions, covered.normals):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update((folder / "models" / "weights.bin").read_bytes())
+    transport, figures = bake_transport(
+        covered,
+        reflectors,
+        secondary_rays(model, caches),
+        origin_offset=model.limits.origin_offset,
+        config=bake.config,
+        store=bake.store / digest.hexdigest()[:16],
+        advance=bake.advance,
+    )
+    (folder / "transport").mkdir(exist_ok=True)
+    for path, data in transport_files(transport, manifest, tier=bake.config.tier).items():
+        (folder / path).write_bytes(data)
+    manifest.metrics.update(figures)
+    shutil.rmtree(bake.store, ignore_errors=True)
+
+
+def secondary_rays(model: InverseModel, caches: SurfaceCaches) -> SecondaryRays:
+    """Return what answers secondary rays fastest on the model's device."""
+    device = next(model.parameters()).device
+    if device.type == "cpu":
+
+        def compiled(
+            origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
+        ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
+            hits = caches.secondary(origin, direction)
+            return hits.opacity, hits.distance
+
+        return compiled
+
+    @torch.no_grad()
+    def on_device(
+        origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
+    ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
+        parts = []
+        for start in range(0, len(origin), _RAYS_ON_DEVICE):
+            rows = slice(start, start + _RAYS_ON_DEVICE)
+            rays = [torch.from_numpy(np.ascontiguousarray(a[rows])).to(device) for a in (origin, direction)]
+            light = torch.zeros(len(rays[0]), dtype=torch.long, device=device)
+            answer = model.fast(*rays, light)
+            parts.append(torch.stack([answer.opacity, answer.distance], dim=-1))
+        values = torch.cat(parts).float().cpu().numpy()
+        return values[:, :1], values[:, 1:]
+
+    return on_device

@@ -1,0 +1,87 @@
+"""How far pictures from baked transport are from refined ones: figures for the manifest."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from lambent_proto.v1 import bundle_pb2
+from lambent_relight.archive import open_source
+from lambent_relight.bundle import Bundle
+from lambent_relight.cameras import Camera
+from lambent_relight.directions import pixel_directions
+from lambent_relight.environments import Environment, environment_from_array
+from lambent_relight.images import srgb_from_linear
+from lambent_relight.picture import RelitPicture
+from lambent_relight.renderer import Renderer
+from numpy import ndarray
+
+SIDE = 128
+"""Pixels along the longer side of the compared pictures."""
+
+
+def judge_qualities(
+    folder: Path,
+    manifest: bundle_pb2.BundleManifest,
+    cameras: Sequence[Camera],
+    trained: Mapping[str, Float[ndarray, "rows columns 3"]],
+    *,
+    num_samples: int,
+    seed: int,
+) -> dict[str, float]:
+    """Return PSNR [dB] and the largest difference of `baked` and `preview` from `refined`, per light.
+
+    Pictures of `cameras`, sRGB over white, refined ones with `num_samples` light directions per pixel. The
+    bundle lies in `folder`; its manifest may still lack its files.
+    """
+    listed = bundle_pb2.BundleManifest()
+    listed.CopyFrom(manifest)
+    del listed.files[:]
+    for path in folder.rglob("*"):
+        if path.is_file():
+            listed.files.add(path=path.relative_to(folder).as_posix())
+    renderer = Renderer(Bundle(path=folder, manifest=listed, source=open_source(folder)))
+    figures: dict[str, float] = {}
+    small = [_reduced(camera) for camera in cameras]
+    for name, light in judging_lights(trained).items():
+        found = {"baked": [], "preview": []}
+        for camera in small:
+            refined = renderer.render(camera, light, num_samples=num_samples, seed=seed)
+            for quality, values in found.items():
+                values.append(difference(renderer.render(camera, light, quality=quality), refined))
+        for quality, values in found.items():
+            error, worst = np.mean([value[0] for value in values]), max(value[1] for value in values)
+            figures[f"{quality}_psnr_refined_{name}"] = float(-10.0 * np.log10(error + 1e-12))
+            figures[f"{quality}_worst_refined_{name}"] = worst
+    return figures
+
+
+def judging_lights(trained: Mapping[str, Float[ndarray, "rows columns 3"]]) -> dict[str, Environment]:
+    """Return the lights that are compared in: the recovered ones, three soft boxes, and a low sun."""
+    directions = pixel_directions(32, 64)
+
+    def spot(azimuth_deg: float, elevation_deg: float, radius_deg: float) -> Float[ndarray, "rows columns 1"]:
+        azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+        level = np.cos(elevation)
+        axis = np.array([np.cos(azimuth) * level, np.sin(azimuth) * level, np.sin(elevation)])
+        return (directions @ axis > np.cos(np.radians(radius_deg)))[..., None].astype(np.float64)
+
+    boxes = 0.05 + 8.0 * spot(30, 40, 20) + 3.0 * spot(160, 20, 25) + 5.0 * spot(270, 60, 15)
+    sky = (0.3 + 0.3 * np.maximum(directions[..., 2:], 0.0)) * np.array([0.7, 0.9, 1.2])
+    sun = 120.0 * spot(200, 25, 4) * np.array([1.0, 0.8, 0.5])
+    lights = {name: environment_from_array(image) for name, image in trained.items()}
+    lights["soft_boxes"] = environment_from_array(boxes * np.array([1.0, 0.95, 0.9]))
+    lights["low_sun"] = environment_from_array(sky + sun)
+    return lights
+
+
+def difference(a: RelitPicture, b: RelitPicture) -> tuple[float, float]:
+    """Return the mean squared and the largest difference of two pictures, sRGB over white."""
+    shown = [srgb_from_linear(p.rgb) * p.opacity + 1.0 - p.opacity for p in (a, b)]
+    apart = np.abs(shown[0] - shown[1]).astype(np.float64)
+    return float(np.mean(apart**2)), float(apart.max())
+
+
+def _reduced(camera: Camera) -> Camera:
+    factor = min(1.0, SIDE / max(camera.width, camera.height))
+    return camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
