@@ -1,0 +1,258 @@
+/**
+ * Real spherical harmonics, the same as `lambent_relight.harmonics`.
+ *
+ * Orthonormal, no Condon-Shortley sign, index l (l + 1) + m. Coefficients are [bands^2, 3] in one array:
+ * `coefficientsRgb[3 * index + channel]`. Source: docs/reference/conventions.md (spherical harmonics).
+ */
+
+import type { Direction } from "./environment.js";
+import type { EnvironmentMap } from "./environmentMap.js";
+
+/** Nodes and weights of Gauss-Legendre quadrature with eight points on [-1, 1]. */
+const gaussNodes = [
+  -0.9602898564975363, -0.7966664774136267, -0.525532409916329, -0.18343464249564978, 0.18343464249564978,
+  0.525532409916329, 0.7966664774136267, 0.9602898564975363,
+] as const;
+const gaussWeights = [
+  0.10122853629037626, 0.22238103445337448, 0.31370664587788727, 0.3626837833783622, 0.3626837833783622,
+  0.31370664587788727, 0.22238103445337448, 0.10122853629037626,
+] as const;
+
+/** Return Q_lm(z) for l < bands and 0 <= m <= l, at [l * bands + m]; zero where m > l. */
+function legendre(z: number, bands: number): Float64Array {
+  const q = new Float64Array(bands * bands);
+  let diagonal = Math.sqrt(0.25 / Math.PI);
+  for (let m = 0; m < bands; m++) {
+    if (m > 0) diagonal *= Math.sqrt((2 * m + 1) / (2 * m));
+    q[m * bands + m] = diagonal;
+    if (m + 1 < bands) q[(m + 1) * bands + m] = Math.sqrt(2 * m + 3) * z * diagonal;
+    for (let l = m + 2; l < bands; l++) {
+      const scale = Math.sqrt((4 * l * l - 1) / (l * l - m * m));
+      const before = Math.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1));
+      q[l * bands + m] = scale * (z * q[(l - 1) * bands + m]! - before * q[(l - 2) * bands + m]!);
+    }
+  }
+  return q;
+}
+
+/** Return the values of the basis at a unit direction, bands^2 of them. */
+export function basis([x, y, z]: Direction, bands: number): Float64Array {
+  const q = legendre(z, bands);
+  const values = new Float64Array(bands * bands);
+  let [real, imaginary] = [1, 0];
+  for (let m = 0; m < bands; m++) {
+    for (let l = m; l < bands; l++) {
+      const centre = l * (l + 1);
+      const value = q[l * bands + m]!;
+      if (m === 0) {
+        values[centre] = value;
+      } else {
+        values[centre + m] = Math.SQRT2 * value * real;
+        values[centre - m] = Math.SQRT2 * value * imaginary;
+      }
+    }
+    [real, imaginary] = [real * x - imaginary * y, real * y + imaginary * x];
+  }
+  return values;
+}
+
+/** Return the coefficients of the bilinear interpolant of an unturned map, integrated over the sphere. */
+export function project(map: EnvironmentMap, bands: number): Float64Array {
+  const { height, width, radianceRgb } = map;
+  const rows = rowIntegrals(height, bands);
+  const waves = columnIntegrals(width, bands);
+  const coefficientsRgb = new Float64Array(3 * bands * bands);
+  for (let row = 0; row < height; row++) {
+    for (let m = 0; m < bands; m++) {
+      const cosines = [0, 0, 0];
+      const sines = [0, 0, 0];
+      for (let column = 0; column < width; column++) {
+        const start = 3 * (row * width + column);
+        const cosine = waves[2 * (m * width + column)]!;
+        const sine = waves[2 * (m * width + column) + 1]!;
+        for (let channel = 0; channel < 3; channel++) {
+          const value = radianceRgb[start + channel]!;
+          cosines[channel] = cosines[channel]! + value * cosine;
+          sines[channel] = sines[channel]! + value * sine;
+        }
+      }
+      for (let l = m; l < bands; l++) {
+        const weight = (m === 0 ? 1 : Math.SQRT2) * rows[(row * bands + l) * bands + m]!;
+        addScaled(coefficientsRgb, 3 * (l * (l + 1) + m), weight, cosines);
+        if (m > 0) addScaled(coefficientsRgb, 3 * (l * (l + 1) - m), weight, sines);
+      }
+    }
+  }
+  return coefficientsRgb;
+}
+
+function addScaled(target: Float64Array, start: number, scale: number, values: readonly number[]): void {
+  for (let channel = 0; channel < 3; channel++) {
+    target[start + channel] = target[start + channel]! + scale * values[channel]!;
+  }
+}
+
+/** Return (cosine, sine) of m azimuth times the integral of a column's hat, at 2 (m width + column). */
+function columnIntegrals(width: number, bands: number): Float64Array {
+  const waves = new Float64Array(2 * bands * width);
+  for (let m = 0; m < bands; m++) {
+    const half = (Math.PI * m) / width;
+    const hat = ((2 * Math.PI) / width) * (m === 0 ? 1 : (Math.sin(half) / half) ** 2);
+    for (let column = 0; column < width; column++) {
+      const azimuth = Math.PI - (2 * Math.PI * (column + 0.5)) / width;
+      waves[2 * (m * width + column)] = hat * Math.cos(m * azimuth);
+      waves[2 * (m * width + column) + 1] = hat * Math.sin(m * azimuth);
+    }
+  }
+  return waves;
+}
+
+/** Return the integral over the polar angle of every row's hat times Q_lm sin^(m+1), at [(row l) m]. */
+function rowIntegrals(height: number, bands: number): Float64Array {
+  const size = bands * bands;
+  const result = new Float64Array(height * size);
+  const half = (0.5 * Math.PI) / height;
+  for (let halfRow = 0; halfRow < 2 * height; halfRow++) {
+    gaussNodes.forEach((node, index) => {
+      const polar = half * (halfRow + 0.5 * (node + 1));
+      const place = (polar / Math.PI) * height - 0.5;
+      const row = Math.min(Math.max(Math.floor(place), 0), height - 1);
+      const below = row === height - 1 ? 0 : Math.min(Math.max(place - row, 0), 1);
+      const q = legendre(Math.cos(polar), bands);
+      const measure = 0.5 * half * gaussWeights[index]!;
+      for (let l = 0; l < bands; l++) {
+        for (let m = 0; m <= l; m++) {
+          const value = measure * q[l * bands + m]! * Math.sin(polar) ** (m + 1);
+          const slot = row * size + l * bands + m;
+          result[slot] = result[slot]! + value * (1 - below);
+          if (below > 0) result[slot + size] = result[slot + size]! + value * below;
+        }
+      }
+    });
+  }
+  return result;
+}
+
+/** Return the coefficients of the function turned by +degrees about +z. */
+export function rotateZ(coefficientsRgb: ArrayLike<number>, bands: number, degrees: number): Float64Array {
+  const result = Float64Array.from(coefficientsRgb);
+  for (let l = 1; l < bands; l++) {
+    for (let m = 1; m <= l; m++) {
+      const cosine = Math.cos((m * degrees * Math.PI) / 180);
+      const sine = Math.sin((m * degrees * Math.PI) / 180);
+      for (let channel = 0; channel < 3; channel++) {
+        const even = 3 * (l * (l + 1) + m) + channel;
+        const odd = 3 * (l * (l + 1) - m) + channel;
+        result[even] = cosine * coefficientsRgb[even]! - sine * coefficientsRgb[odd]!;
+        result[odd] = sine * coefficientsRgb[even]! + cosine * coefficientsRgb[odd]!;
+      }
+    }
+  }
+  return result;
+}
+
+/** Rows of a rotation matrix. */
+export type Matrix3 = readonly [Direction, Direction, Direction];
+
+/**
+ * Return the coefficients of the function turned by any rotation: f'(d) = f(transpose(matrix) d).
+ *
+ * Band by band, B(transpose(matrix) d) = B(d) block is solved over directions spread over the sphere.
+ */
+export function rotate(coefficientsRgb: ArrayLike<number>, bands: number, matrix: Matrix3): Float64Array {
+  const result = new Float64Array(3 * bands * bands);
+  for (let l = 0; l < bands; l++) {
+    const block = rotationBlock(l, matrix);
+    const size = 2 * l + 1;
+    for (let i = 0; i < size; i++) {
+      for (let j = 0; j < size; j++) {
+        const weight = block[i * size + j]!;
+        for (let channel = 0; channel < 3; channel++) {
+          const index = 3 * (l * l + i) + channel;
+          result[index] = result[index]! + weight * coefficientsRgb[3 * (l * l + j) + channel]!;
+        }
+      }
+    }
+  }
+  return result;
+}
+
+/** Return the [2l + 1, 2l + 1] matrix of a rotation in band l, by least squares over directions. */
+function rotationBlock(l: number, matrix: Matrix3): Float64Array {
+  const size = 2 * l + 1;
+  const count = 4 * (l + 1) ** 2 + 8;
+  const normal = new Float64Array(size * size);
+  const right = new Float64Array(size * size);
+  for (let index = 0; index < count; index++) {
+    const z = 1 - (2 * index + 1) / count;
+    const radius = Math.sqrt(1 - z * z);
+    const azimuth = index * Math.PI * (3 - Math.sqrt(5));
+    const point: Direction = [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
+    const straight = basis(point, l + 1).subarray(l * l);
+    const turned = basis(transposedTimes(matrix, point), l + 1).subarray(l * l);
+    for (let i = 0; i < size; i++) {
+      for (let j = 0; j < size; j++) {
+        normal[i * size + j] = normal[i * size + j]! + straight[i]! * straight[j]!;
+        right[i * size + j] = right[i * size + j]! + straight[i]! * turned[j]!;
+      }
+    }
+  }
+  return solve(normal, right, size);
+}
+
+function transposedTimes(matrix: Matrix3, point: Direction): Direction {
+  const column = (c: 0 | 1 | 2): number =>
+    matrix[0][c] * point[0] + matrix[1][c] * point[1] + matrix[2][c] * point[2];
+  return [column(0), column(1), column(2)];
+}
+
+/** Return X of A X = B for square matrices, by elimination with pivots; both arguments are used up. */
+function solve(a: Float64Array, b: Float64Array, size: number): Float64Array {
+  for (let pivot = 0; pivot < size; pivot++) {
+    let best = pivot;
+    for (let row = pivot + 1; row < size; row++) {
+      if (Math.abs(a[row * size + pivot]!) > Math.abs(a[best * size + pivot]!)) best = row;
+    }
+    for (let column = 0; column < size; column++) {
+      for (const values of [a, b]) {
+        const kept = values[pivot * size + column]!;
+        values[pivot * size + column] = values[best * size + column]!;
+        values[best * size + column] = kept;
+      }
+    }
+    const scale = a[pivot * size + pivot]!;
+    for (let row = 0; row < size; row++) {
+      if (row === pivot) continue;
+      const factor = a[row * size + pivot]! / scale;
+      for (let column = 0; column < size; column++) {
+        a[row * size + column] = a[row * size + column]! - factor * a[pivot * size + column]!;
+        b[row * size + column] = b[row * size + column]! - factor * b[pivot * size + column]!;
+      }
+    }
+  }
+  return b.map((value, index) => value / a[Math.floor(index / size) * (size + 1)]!);
+}
+
+/** Return the Hanning factor of every coefficient: (1 + cos(pi l / width)) / 2, zero from band `width` on. */
+export function windowFactors(bands: number, width: number): Float64Array {
+  return perCoefficient(bands, (l) => (l < width ? 0.5 + 0.5 * Math.cos((Math.PI * l) / width) : 0));
+}
+
+/** Return the factor per coefficient that turns radiance into irradiance. */
+export function cosineFactors(bands: number): Float64Array {
+  return perCoefficient(bands, (l) => {
+    if (l === 1) return (2 * Math.PI) / 3;
+    if (l % 2 === 1) return 0;
+    // l! / (2^l (l/2)!^2), as a product that stays small.
+    let ratio = 1;
+    for (let k = 1; k <= l / 2; k++) ratio *= (2 * k - 1) / (2 * k);
+    const sign = l % 4 === 0 ? -1 : 1;
+    return (sign * 2 * Math.PI * ratio) / ((l + 2) * (l - 1));
+  });
+}
+
+function perCoefficient(bands: number, ofBand: (l: number) => number): Float64Array {
+  const factors = new Float64Array(bands * bands);
+  for (let l = 0; l < bands; l++) factors.fill(ofBand(l), l * l, (l + 1) ** 2);
+  return factors;
+}
