@@ -9,7 +9,8 @@ from lambent_worker.scenes.detect import collect_scene, describe_scene
 from lambent_worker.scenes.inspect import inspect_scene
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.world import in_world, world_matrix
-from support.layouts import NUM_VIEWS, SIDE, ColmapBinaryFolder, ColmapTextFolder
+from support.layouts import ColmapBinaryFolder, ColmapTextFolder
+from support.uneven_object import NUM_VIEWS, SIDE
 
 
 def model_file(capture, name):

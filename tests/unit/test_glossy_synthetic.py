@@ -10,7 +10,8 @@ from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.inspect import inspect_scene
 from lambent_worker.scenes.load import load_scene
-from support.layouts import NUM_VIEWS, GlossyFolder
+from support.layouts import GlossyFolder
+from support.uneven_object import NUM_VIEWS
 
 
 @pytest.fixture

@@ -5,16 +5,8 @@ import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.inspect import inspect_scene
 from support.captures import save
-from support.layouts import (
-    LAYOUT_FOLDERS,
-    NUM_VIEWS,
-    OPENCV,
-    SIDE,
-    BlenderFolder,
-    LayoutFolder,
-    colours,
-    coverage,
-)
+from support.layouts import LAYOUT_FOLDERS, OPENCV, BlenderFolder, LayoutFolder
+from support.uneven_object import NUM_VIEWS, SIDE, colours, coverage
 
 ROLL = np.diag([-1.0, -1.0, 1.0, 1.0])
 QUARTER = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

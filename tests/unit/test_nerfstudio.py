@@ -11,7 +11,8 @@ from lambent_worker.scenes.lens import LensFigures, camera_with_lens, distorted
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.problems import Problems
 from support.captures import save
-from support.layouts import FOCAL, NUM_VIEWS, SIDE, NerfstudioFolder, colours, coverage
+from support.layouts import NerfstudioFolder
+from support.uneven_object import FOCAL, NUM_VIEWS, SIDE, colours, coverage
 
 BARREL = {"k1": -0.5, "k2": 0.2, "p1": 0.002, "p2": -0.001}
 

@@ -9,7 +9,8 @@ from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.inspect import inspect_scene
 from support.captures import save
-from support.layouts import NUM_VIEWS, SIDE, OpenIlluminationFolder, colours
+from support.layouts import OpenIlluminationFolder
+from support.uneven_object import NUM_VIEWS, SIDE, colours
 
 
 @pytest.fixture

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from lambent_worker.scenes.silhouettes import Silhouette, carve, explained, other_convention
-from support.layouts import BALLS, FOCAL, OPENCV, SIDE, coverage, poses
+from support.layouts import OPENCV
+from support.uneven_object import BALLS, FOCAL, SIDE, coverage, poses
 
 SCALED = 2 * SIDE
 

@@ -11,7 +11,8 @@ from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.world import in_world, move, rotation_and_scale, settle, world_matrix
 from scipy.spatial.transform import Rotation
 from support.captures import REFERENCES
-from support.layouts import BALLS, ColmapTextFolder, GlossyFolder, OpenIlluminationFolder
+from support.layouts import ColmapTextFolder, GlossyFolder, OpenIlluminationFolder
+from support.uneven_object import BALLS
 
 OFFSET, SCALE = np.array([50.0, -20.0, 7.0]), 30.0
 
