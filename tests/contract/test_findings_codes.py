@@ -6,8 +6,8 @@ from pathlib import Path
 import lambent_worker
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
-AREAS = "scene|run|config|device|evaluate|export|pipeline|training"
-FILES = {"run.json", "scene.json"}
+AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark"
+FILES = {"run.json", "scene.json", "benchmark.json"}
 
 
 def codes_in_sources():
