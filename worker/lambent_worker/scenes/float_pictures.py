@@ -64,7 +64,8 @@ def _hdr_pixels(path: Path) -> Float32[ndarray, "height width 3"]:
     from lambent_relight.rgbe import read_rgbe
 
     try:
-        return np.ascontiguousarray(read_rgbe(path, max_pixels=MAX_FLOAT_PIXELS), dtype=np.float32)
+        picture = read_rgbe(path, max_pixels=MAX_FLOAT_PIXELS)
+        return np.ascontiguousarray(picture.rows(slice(0, picture.height)), dtype=np.float32)
     except EnvironmentFileError as error:
         said = error.message.removeprefix(f'"{path.name}" ')
         raise PictureError("scene.image_broken", f"cannot be decoded ({said}); export it again") from error
