@@ -97,8 +97,11 @@ def test_what_was_measured_is_in_the_list_of_pictures(bundle, sky, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        (("--turntable", "1", "--quality", "preview"), "cli.bad_choice"),
-        (("--turntable", "1", "--quality", "baked"), "cli.bad_choice"),
+        (("--turntable", "1", "--quality", "best"), "cli.bad_choice"),
+        (("--turntable", "1", "--quality", "baked"), "relight.quality_unsupported"),
+        (("--turntable", "1", "--roughness-scale", "-1"), "relight.roughness_scale"),
+        (("--turntable", "1", "--albedo", "2", "0", "0"), "relight.albedo"),
+        (("--turntable", "1", "--until-stderr", "2"), "relight.until_stderr"),
         (("--turntable", "1", "--background", "pink"), "cli.bad_choice"),
         ((), "cli.cameras"),
         (("--turntable", "1", "--cameras", "x.json"), "cli.cameras"),

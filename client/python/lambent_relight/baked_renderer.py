@@ -4,6 +4,7 @@ import numpy as np
 
 from lambent_relight.baked import Lobes, lobes_of, shade
 from lambent_relight.baked_edges import with_soft_edges
+from lambent_relight.baked_hits import BakedHits, HitFinder
 from lambent_relight.baked_light import MAX_DOMINANT, BakedLight, prepare_light
 from lambent_relight.baked_scene import load_baked_scene
 from lambent_relight.baked_view import BakedView, look_at_surface
@@ -28,6 +29,7 @@ class BakedRenderer:
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
         self._lobes: tuple[object, Lobes] | None = None
+        self._finder: HitFinder | None = None
         self._light: tuple[Environment, int, BakedLight] | None = None
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
@@ -54,6 +56,14 @@ class BakedRenderer:
             self._light = known
         turn = environment.rotate_deg - known[0].rotate_deg
         return known[2].rotated(turn) if turn else known[2]
+
+    def hits(self, environment: Environment, edit: MaterialEdit) -> BakedHits:
+        """Return what hit points of refined relighting send back under `environment`."""
+        if self._finder is None:
+            self._finder = HitFinder(self.scene)
+        can_split = self.scene.transport.shadow_bits is not None
+        light = self.light(environment, MAX_DOMINANT if can_split else 0)
+        return BakedHits(self._finder, light, edit)
 
     def render(
         self,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from lambent_relight.baked_mesh import AtlasMesh, read_mesh
 from lambent_relight.bundle import Bundle
 from lambent_relight.directions import normalise
-from lambent_relight.errors import UnsupportedQuality
-from lambent_relight.raster import nearest_texel
+from lambent_relight.errors import BundleError, UnsupportedQuality
+from lambent_relight.raster import interpolate, nearest_texel, rasterise_uv
 from lambent_relight.transport import Transport, read_transport
 
 _LEAST_BLOCKED = 0.05
@@ -80,3 +80,16 @@ def baked_scene(mesh: AtlasMesh, transport: Transport) -> BakedScene:
         metalness=np.clip(columns[:, 4:5], 0.0, 1.0),
         normal=normalise(columns[:, 5:8]),
     )
+
+
+def texel_positions(mesh: AtlasMesh, transport: Transport) -> NDArray[np.float32]:
+    """Return the world position of every covered texel's centre, on the mesh, [texel, 3].
+
+    A texel that the mesh does not cover takes the position of the nearest one it does cover.
+    """
+    fragments = rasterise_uv(mesh.uv, mesh.faces, transport.size)
+    drawn = np.flatnonzero(fragments.covered.ravel()).astype(np.int32)
+    if len(drawn) == 0:
+        raise BundleError("bundle.mesh_invalid", "mesh/asset.glb covers no texel", "export it again")
+    positions = interpolate(fragments, mesh.faces, mesh.vertices)
+    return positions[nearest_texel(drawn, transport.size).ravel()[transport.texel_index]]

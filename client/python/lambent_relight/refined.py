@@ -5,8 +5,9 @@ Outgoing radiance of a visible point x under a new light L:
     L_o = integral of f(omega_i) [(1 - a) L(omega_i) + a L_hit] cos d omega_i,
 
 with a the fast cache's opacity along omega_i. L_hit is what the hit point, at the fast cache's distance,
-reflects straight from L, with its own material (both lobes) and its own fast-cache visibility. Given
-the graphs, the estimate is unbiased. Source: paper Eq. 1 with the visibility of supplement 2.1;
+sends back: from baked transport, all bounces included (`lambent_relight.baked_hits`), or what it reflects
+straight from L, with its own material (both lobes) and its own fast-cache visibility. The estimate is
+unbiased but for the transport's harmonics. Source: paper Eq. 1 with the visibility of supplement 2.1;
 docs/reference/conventions.md.
 """
 
@@ -47,6 +48,8 @@ class Scene:
     """Secondary rays start this far along the normal, scene units."""
     edit: MaterialEdit
     """What differs from the bundle's material."""
+    hits: Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]] | None = None
+    """Radiance of points [n, 3] towards directions [n, 3]; None: traced once more, see `hit_radiance`."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,20 @@ class Radiance:
     standard_error: NDArray[np.float32]
     """Of `direct` + `indirect`."""
     num_samples: int
+
+    def combined(self, other: "Radiance") -> "Radiance":
+        """Return the mean with an independent estimate, weighted by the number of samples."""
+        total = self.num_samples + other.num_samples
+        a, b = self.num_samples / total, other.num_samples / total
+        names = ("direct", "indirect", "specular", "visibility")
+        means = [np.float32(a) * getattr(self, n) + np.float32(b) * getattr(other, n) for n in names]
+        error = np.sqrt((a * self.standard_error) ** 2 + (b * other.standard_error) ** 2)
+        return Radiance(*means, error.astype(np.float32), total)
+
+    def relative_error(self) -> float:
+        """Return the mean standard error over the mean radiance, of all points and channels."""
+        mean = float((self.direct + self.indirect).mean(dtype=np.float64)) if len(self.direct) else 0.0
+        return float(self.standard_error.mean(dtype=np.float64)) / mean if mean > 0.0 else 0.0
 
 
 def split_samples(num_samples: int) -> tuple[int, int]:
@@ -131,7 +148,10 @@ def _one_pass(
         # Following a hit with probability a, at full weight, has the mean of following all at weight a.
         hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
         position = origin[hit] + seen.distance[hit] * direction[hit]
-        bouncing[hit] = hit_radiance(position, -direction[hit], scene, light, rng.random((len(hit), 3)))
+        if scene.hits is not None:
+            bouncing[hit] = scene.hits(position, -direction[hit])
+        else:
+            bouncing[hit] = hit_radiance(position, -direction[hit], scene, light, rng.random((len(hit), 3)))
     result = np.zeros((4, count * per_pass, 3), np.float32)
     weight = drawn.weight[active]
     result[0, active], result[1, active] = weight * arriving, weight * bouncing

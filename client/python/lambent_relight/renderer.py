@@ -21,7 +21,8 @@ from lambent_relight.errors import SettingError, UnsupportedQuality
 from lambent_relight.graphs import OnnxCaches, PrimaryHits, SurfaceCaches
 from lambent_relight.light_sampling import LightSampler
 from lambent_relight.picture import RelitPicture
-from lambent_relight.refined import Light, Scene, outgoing_radiance
+from lambent_relight.refined import Light, Scene
+from lambent_relight.sampling_plan import Bounces, Sampling, estimated
 from lambent_relight.scattering import SurfacePoints
 from lambent_relight.views import View, look
 
@@ -90,6 +91,8 @@ class Renderer:
         background: Background = "transparent",
         edit: MaterialEdit | None = None,
         object_rotate_deg: float = 0.0,
+        until_stderr: float = 0.0,
+        bounces: Bounces = "auto",
         progress: Callable[[float], None] | None = None,
     ) -> RelitPicture:
         """Return the bundle's object as `camera` sees it in the light of `environment`; see `render`."""
@@ -103,6 +106,8 @@ class Renderer:
             raise SettingError("relight.num_samples", f"{num_samples} samples", "use at least 2")
         if not 1 <= antialias <= _MAX_ANTIALIAS:
             raise SettingError("relight.antialias", f"antialias {antialias}", f"use 1 to {_MAX_ANTIALIAS}")
+        if not 0.0 <= until_stderr < 1.0:
+            raise SettingError("relight.until_stderr", f"standard error {until_stderr}", "use 0 to 1")
         edit = _combined(self.bundle, edit or MaterialEdit(), albedo_ratio)
         turned = environment.rotated(rotate_deg) if rotate_deg else environment
         if object_rotate_deg:
@@ -110,7 +115,8 @@ class Renderer:
             turned = turned.rotated(-object_rotate_deg)
             camera = _turned_camera(camera, -object_rotate_deg)
         if quality == "refined":
-            picture = self._refined(camera, turned, edit, num_samples, seed, indirect, antialias, progress)
+            sampling = Sampling(num_samples, seed, indirect, antialias, until_stderr, bounces)
+            picture = self._refined(camera, turned, edit, sampling, progress)
         else:
             picture = self.baked().render(
                 camera,
@@ -148,14 +154,11 @@ class Renderer:
         camera: Camera,
         environment: Environment,
         edit: MaterialEdit,
-        num_samples: int,
-        seed: int,
-        indirect: bool,
-        antialias: int,
+        sampling: Sampling,
         progress: Callable[[float], None] | None,
     ) -> RelitPicture:
         light = self._prepared(environment)
-        view = self.view(camera, antialias)
+        view = self.view(camera, sampling.antialias)
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
         points = SurfacePoints(
@@ -164,15 +167,10 @@ class Renderer:
             -view.direction,
             materials_from_roughness(albedo, roughness, seen.metalness),
         )
-        radiance = outgoing_radiance(
-            points,
-            Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit),
-            light,
-            num_samples=max(2, -(-num_samples // antialias**2)),
-            seed=seed,
-            indirect=indirect,
-            progress=progress,
-        )
+        many = self.bundle.manifest.HasField("transport") and sampling.bounces == "auto"
+        hits = self.baked().hits(environment, edit) if many and sampling.indirect else None
+        scene = Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit, hits)
+        radiance = estimated(points, scene, light, sampling, progress)
         coverage = view.coverage()
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
         specular = view.mean(radiance.specular)
@@ -191,7 +189,7 @@ class Renderer:
             metalness=view.mean(seen.metalness),
             distance=view.mean(seen.distance),
             coverage=coverage,
-            num_samples=radiance.num_samples * antialias**2,
+            num_samples=radiance.num_samples * sampling.antialias**2,
         )
 
 
@@ -262,6 +260,8 @@ def render(
     background: Background = "transparent",
     edit: MaterialEdit | None = None,
     object_rotate_deg: float = 0.0,
+    until_stderr: float = 0.0,
+    bounces: Bounces = "auto",
     progress: Callable[[float], None] | None = None,
 ) -> RelitPicture:
     """Return the bundle's object as `camera` sees it in the light of `environment`.
@@ -272,7 +272,10 @@ def render(
     clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background` is "transparent",
     "environment" or a linear colour. `edit` changes the material, `object_rotate_deg` turns the object, not
     its light, about +z. `quality` is "refined" (Monte Carlo), or "baked" or "preview" (from baked transport,
-    without noise; `num_samples` and `seed` have no effect). `progress` is called with
+    without noise; `num_samples` and `seed` have no effect). With `until_stderr` above 0, refined pictures go
+    on, `num_samples` at a time and up to 64 times, until their mean standard error is that share of their
+    mean radiance. `bounces` "auto" shades what refined rays hit from baked transport where there is some,
+    all bounces included; "one" traces on once. `progress` is called with
     the finished fraction. Equal seeds give equal pictures.
 
     Opens the bundle's graphs anew: to render many pictures, make one `Renderer`. Raises SettingError,
@@ -291,5 +294,7 @@ def render(
         background=background,
         edit=edit,
         object_rotate_deg=object_rotate_deg,
+        until_stderr=until_stderr,
+        bounces=bounces,
         progress=progress,
     )

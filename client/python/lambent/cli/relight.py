@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from lambent_relight import load_cameras
+from lambent_relight import MaterialEdit, load_cameras
 from lambent_relight.environment_axes import OURS
 
 from lambent.cli.environment_options import (
@@ -25,7 +25,7 @@ from lambent.cli.rendering import (
 )
 from lambent.errors import UsageProblemError
 
-QUALITIES = ("refined",)
+QUALITIES = ("preview", "baked", "refined")
 
 
 def relight(
@@ -44,8 +44,24 @@ def relight(
     exposure_ev: Annotated[
         float, typer.Option(help="Brighten the PNG by this many stops; the EXR stays as it is.")
     ] = 0.0,
-    quality: Annotated[str, typer.Option(help="refined (the only one so far).")] = "refined",
+    quality: Annotated[
+        str, typer.Option(help="preview, baked (both without noise, at once) or refined.")
+    ] = "refined",
     spp: Annotated[int, typer.Option(help="Light directions per pixel.", min=2, max=65536)] = 64,
+    until_stderr: Annotated[
+        float, typer.Option(help="Go on until the standard error is this share of the radiance; 0: do not.")
+    ] = 0.0,
+    albedo_gain: Annotated[
+        tuple[float, float, float], typer.Option(metavar="R G B", help="Factors on the albedo.")
+    ] = (1.0, 1.0, 1.0),
+    albedo: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="R G B", help="Linear albedo instead of the object's own."),
+    ] = None,
+    roughness_scale: Annotated[float, typer.Option(help="Factor on perceptual roughness.")] = 1.0,
+    object_rotate_deg: Annotated[
+        float, typer.Option(help="Turn the object, not its light, by this angle about +z, degrees.")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of every random number.", min=0)] = 0,
     background: Annotated[str, typer.Option(help="transparent, environment or white.")] = "transparent",
     indirect: Annotated[
@@ -91,6 +107,9 @@ def relight(
             background=background,
             indirect=indirect,
             antialias=antialias,
+            until_stderr=until_stderr,
+            edit=MaterialEdit(albedo_gain=albedo_gain, albedo=albedo, roughness_scale=roughness_scale),
+            object_rotate_deg=object_rotate_deg,
             light=light,
         )
         render_shots(renderer, shots, look, output_folder, Output(as_json))

@@ -15,6 +15,7 @@ import numpy as np
 from lambent_relight import (
     BundleError,
     Camera,
+    MaterialEdit,
     RelightError,
     Renderer,
     load_bundle,
@@ -51,6 +52,9 @@ class Look:
     background: str
     indirect: bool
     antialias: int
+    until_stderr: float = 0.0
+    edit: MaterialEdit = field(default_factory=MaterialEdit)
+    object_rotate_deg: float = 0.0
     light: EnvironmentInput = field(default_factory=EnvironmentInput)
 
 
@@ -140,6 +144,9 @@ def render_shots(
                 seed=look.seed,
                 indirect=look.indirect,
                 antialias=look.antialias,
+                until_stderr=look.until_stderr,
+                edit=look.edit,
+                object_rotate_deg=look.object_rotate_deg,
                 background=BACKGROUNDS[look.background],
                 progress=lambda fraction, number=number: bar.move(number + fraction),
             )
