@@ -206,6 +206,21 @@ def test_stage_two_runs_without_the_control_variate(mode):
     assert not record.skipped
 
 
+@pytest.mark.parametrize("kind", ["cache", "joint"])
+def test_both_stages_run_with_cones_for_pixels(kind):
+    config = small()
+    nerf = replace(config.model.nerf, antialias="zipnerf6")
+    lines, cones = (
+        stage_of(kind, replace(config, model=replace(config.model, nerf=some)))
+        for some in (config.model.nerf, nerf)
+    )
+    while not cones.finished:
+        assert not cones.step().skipped
+        lines.step()
+    name = "nerf.density.grid.table" if kind == "cache" else "materials.grid.table"
+    assert not torch.equal(weights_of(cones)[name], weights_of(lines)[name])
+
+
 def test_a_gradient_that_is_not_finite_changes_nothing():
     stage = stage_of("cache", small())
     with torch.no_grad():

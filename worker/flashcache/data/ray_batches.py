@@ -1,6 +1,6 @@
 """Training pixels as batches of rays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from flashcache.data.scene import Scene
 from flashcache.errors import ConfigError, TrainingError
+from flashcache.geometry.cones import pixel_radius
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
 
@@ -130,6 +131,7 @@ class TrainingPixels:
         directions = pixel_directions(columns, rows, self.focal[image], self.centre[image], pose)
         values = self.pixels[index]
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
+        rays = replace(rays, radius=pixel_radius(self.focal[image].mean(dim=-1)))
         weight = torch.ones(len(index), device=self.device) if weight is None else weight
         return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], index, weight)
 

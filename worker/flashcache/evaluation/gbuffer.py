@@ -3,7 +3,7 @@
 Pictures are numpy float32; radiance is linear Rec. 709.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from flashcache.color import perceptual_roughness_from_alpha
 from flashcache.data.scene import Camera
+from flashcache.geometry.cones import pixel_radius
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.physical.model import InverseModel
 from flashcache.volume.proposal_sampling import midpoints
@@ -54,7 +55,8 @@ def camera_rays(model: InverseModel, camera: Camera, device: torch.device) -> Ra
     origins = pose[:3, 3].expand_as(directions)
     domain = model.domain
     low, high = origins.new_tensor(domain.bounds_min), origins.new_tensor(domain.bounds_max)
-    return clip_to_box(origins, directions, low, high, *domain.primary)
+    rays = clip_to_box(origins, directions, low, high, *domain.primary)
+    return replace(rays, radius=pixel_radius(focal.mean()).expand(len(rays)))
 
 
 @torch.no_grad()
@@ -80,7 +82,7 @@ def render_gbuffer(model: InverseModel, camera: Camera, *, light: int = 0) -> GB
 
 def _surface(model: InverseModel, rays: Rays, light: int) -> Float[Tensor, "rays 13"]:
     """Return opacity, distance, normal, albedo, perceptual roughness, metalness and cache colour."""
-    geometry = model.nerf.trace(rays, exponent=1.0, generator=None)
+    geometry = model.nerf.trace(rays, generator=None)
     index = torch.full((len(rays),), light, device=rays.origins.device)
     colour = composite(geometry.weights, model.nerf.outgoing(geometry, rays.directions, index).radiance)
     materials = model.materials(geometry.samples.positions.reshape(-1, 3))
@@ -103,7 +105,7 @@ def cache_picture(
     model: InverseModel, rays: Rays, light: int
 ) -> tuple[Float[Tensor, "rays 3"], Float[Tensor, " rays"]]:
     """Return the NeRF cache's radiance along rays, premultiplied over black, and their opacity."""
-    geometry = model.nerf.trace(rays, exponent=1.0, generator=None)
+    geometry = model.nerf.trace(rays, generator=None)
     index = torch.full((len(rays),), light, device=rays.origins.device)
     found = model.nerf.outgoing(geometry, rays.directions, index)
     return composite(geometry.weights, found.radiance), geometry.opacity

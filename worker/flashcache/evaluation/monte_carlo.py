@@ -119,7 +119,7 @@ def monte_carlo(
     hits = (rays.far > rays.near).nonzero()[:, 0]
     for number, some in enumerate(hits.split(CHUNK_RAYS) if len(hits) else ()):
         generator = generator_for(seed, purpose, number, camera_key(camera), device)
-        geometry = model.nerf.trace(rays.select(some), exponent=1.0, generator=None)
+        geometry = model.nerf.trace(rays.select(some), generator=None)
         opacity[some, 0] = geometry.opacity
         seen = geometry.opacity > OPACITY_FLOOR
         if not bool(seen.any()):

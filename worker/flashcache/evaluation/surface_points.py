@@ -38,7 +38,7 @@ class SurfacePoints:
 @torch.no_grad()
 def first_hits(model: InverseModel, rays: Rays) -> SurfacePoints:
     """Return the points at which half of a ray's light is blocked, for the rays that are mostly blocked."""
-    geometry = model.nerf.trace(rays, exponent=1.0, generator=None)
+    geometry = model.nerf.trace(rays, generator=None)
     weights = geometry.weights
     sample = median_point(weights).index[:, 0]
     flat = sample + weights.shape[1] * torch.arange(len(weights), device=weights.device)

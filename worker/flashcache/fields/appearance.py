@@ -105,12 +105,17 @@ class AppearanceField(nn.Module):
         light_index: Int[Tensor, " points"],
         *,
         with_specular: bool = True,
+        encoded: Float[Tensor, "points features"] | None = None,
     ) -> Appearance:
         """Return the outgoing radiance towards `omega_o`.
 
+        `encoded` replaces the grid's features at `positions` (anti-aliasing).
+
         Without `with_specular` the specular part is zero and costs nothing (the first phase of training).
         """
-        features = torch.cat([hidden, self.grid(contract(positions, self.contraction_radius))], dim=-1)
+        if encoded is None:
+            encoded = self.grid(contract(positions, self.contraction_radius))
+        features = torch.cat([hidden, encoded], dim=-1)
         raw = self.heads(features)
         colours = torch.nn.functional.softplus(
             self._of_light(raw[:, : 6 * self.num_lights], light_index) - 2.0

@@ -189,7 +189,7 @@ class StageTwo:
         generator = generator_for(self.seed, STAGE, self.steps_done, "scale", self.pixels.device)
         with torch.no_grad():
             batch = self.pixels.draw(256, generator)
-            geometry = self.model.nerf.trace(batch.rays, exponent=1.0, generator=None)
+            geometry = self.model.nerf.trace(batch.rays, generator=None)
             albedo = self.model.materials(geometry.samples.positions.reshape(-1, 3)).albedo
             seen = composite(geometry.weights, albedo).sum(dim=0) / geometry.weights.sum().clamp_min(1e-6)
             found = {"albedo_mean": float(seen.mean())}
