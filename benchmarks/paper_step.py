@@ -1,0 +1,286 @@
+"""Take the paper's training steps: time and memory of each stage, and a curve where there is time for one.
+
+    OMP_NUM_THREADS=1 python benchmarks/paper_step.py [SCENE] [--preset paper_tensoir]
+    python benchmarks/paper_step.py SCENE --device cuda [--minutes 10] -o OUT
+
+On a processor the batch is a 64th of the preset's, and a 16th besides, each in a process of its own: memory
+that grows with the batch tells what the whole batch would take. On a GPU the batch is whole. With `--minutes`
+both stages train for that time together, their schedules shortened to it, and OUT gets curve.json and
+curve.png with the PSNR of two test views. Without SCENE a synthetic sphere is photographed.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+import numpy as np
+import torch
+from flashcache.config import Config
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.scene import Scene
+from flashcache.data.space import domain_of, placed
+from flashcache.evaluation.metrics import over_white, psnr
+from flashcache.evaluation.views import render_gbuffer, render_physical
+from flashcache.physical.model import InverseModel
+from flashcache.presets import preset
+from flashcache.training.stage_one import StageOne
+from flashcache.training.stage_two import StageTwo
+from lambent_worker.report.predictions import encoded
+from lambent_worker.report.request import evenly_spaced
+from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.load import load_scene
+from lambent_worker.steps.training import reduced_precision
+
+STAGES = ("one", "two")
+GIB = 2**30
+SHARE_OF_STAGE_ONE = 0.6
+"""Of the time of a curve."""
+POINTS = 8
+"""Of a curve, in each stage."""
+
+
+def read_scene(folder: Path | None, config: Config) -> Scene:
+    """Return a capture at the preset's size under its first light, or the synthetic sphere."""
+    if folder is None:
+        from support.lit_sphere import lit_sphere
+
+        return placed(lit_sphere(num_views=12, side=256), config.space)
+    manifest = describe_scene(folder)
+    scene = load_scene(folder, manifest, max_side=config.max_side, lights=(manifest.lights[0],))
+    return placed(scene, config.space)
+
+
+def new_model(scene: Scene, config: Config, device: torch.device) -> InverseModel:
+    """Return a fresh model."""
+    torch.manual_seed(0)
+    return InverseModel(config.model, domain_of(scene, config.space, config.model.environment)).to(device)
+
+
+def with_share(config: Config, share: int) -> Config:
+    """Return the configuration with batches of one `share`-th of the rays."""
+    return replace(
+        config,
+        stage_one=replace(config.stage_one, num_rays=max(2, config.stage_one.num_rays // share)),
+        stage_two=replace(config.stage_two, num_rays=max(2, config.stage_two.num_rays // share)),
+    )
+
+
+def new_stage(name: str, model: InverseModel, pixels: TrainingPixels, config: Config) -> StageOne | StageTwo:
+    """Return a stage ready for its first step."""
+    if name == "one":
+        return StageOne(model, pixels, config.stage_one, seed=0)
+    return StageTwo(model, pixels, config.stage_two, seed=0)
+
+
+def peak_bytes(device: torch.device) -> int:
+    """Return the largest memory so far: of torch on a GPU, of the whole process elsewhere."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def measure(
+    stage_name: str, scene: Scene, config: Config, device: torch.device, steps: int
+) -> dict[str, Any]:
+    """Return seconds and loss of each step, and the memory behind them in bytes."""
+    model = new_model(scene, config, device)
+    pixels = TrainingPixels(scene, config.pixels, device)
+    stage = new_stage(stage_name, model, pixels, config)
+    before = peak_bytes(device)
+    seconds, losses = [], []
+    for _ in range(steps):
+        started = time.perf_counter()
+        with reduced_precision():
+            losses.append(stage.step().loss)
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        seconds.append(time.perf_counter() - started)
+    trained = sum(one.numel() for group in stage.optimiser.param_groups for one in group["params"])
+    return {
+        "stage": stage_name,
+        "rays": (config.stage_one if stage_name == "one" else config.stage_two).num_rays,
+        "seconds": seconds,
+        "losses": losses,
+        "parameters": sum(one.numel() for one in model.parameters()),
+        "trained": trained,
+        "before": before,
+        "peak": peak_bytes(device),
+        "skipped": stage.num_skipped,
+    }
+
+
+def measure_apart(arguments: argparse.Namespace, stage: str, share: int) -> dict[str, Any]:
+    """Return what `measure` does, from a process of its own: a peak cannot be reset."""
+    command = [sys.executable, __file__, "--preset", arguments.preset, "--steps", str(arguments.steps)]
+    command += ["--share", str(share), "--only", stage]
+    command += [str(arguments.scene)] if arguments.scene else []
+    return json.loads(
+        subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1]
+    )
+
+
+def describe(found: dict[str, Any]) -> str:
+    """Return one line about a measurement."""
+    steps = ", ".join(f"{seconds:.2f}" for seconds in found["seconds"])
+    rest = f"peak {found['peak'] / GIB:.2f} GiB, {found['skipped']} skipped"
+    return f"stage {found['stage']}, {found['rays']} rays: steps of {steps} s, {rest}"
+
+
+def whole_batch_bytes(small: dict[str, Any], large: dict[str, Any], rays: int) -> float:
+    """Return the peak for `rays`, along the line through two measurements."""
+    slope = (large["peak"] - small["peak"]) / (large["rays"] - small["rays"])
+    return small["peak"] + slope * (rays - small["rays"])
+
+
+def on_processor(arguments: argparse.Namespace, config: Config) -> None:
+    """Print steps of two batches, and what the whole batch would take."""
+    for name in STAGES:
+        small, large = (
+            measure_apart(arguments, name, share) for share in (arguments.share, max(1, arguments.share // 4))
+        )
+        print(describe(small), describe(large), sep="\n")
+        rays = (config.stage_one if name == "one" else config.stage_two).num_rays
+        fixed = 4 * (small["parameters"] + 3 * small["trained"])
+        print(
+            f"  {small['parameters'] / 1e6:.1f} M parameters, {small['trained'] / 1e6:.1f} M in training: "
+            f"{fixed / GIB:.2f} GiB with gradients and moments; {rays} rays would take "
+            f"{whole_batch_bytes(small, large, rays) / GIB:.1f} GiB"
+        )
+
+
+def on_gpu(arguments: argparse.Namespace, scene: Scene, config: Config, device: torch.device) -> None:
+    """Print steps of the whole batch."""
+    for name in STAGES:
+        torch.cuda.reset_peak_memory_stats(device)
+        print(describe(measure(name, scene, config, device, arguments.steps)))
+    print(torch.cuda.get_device_name(device))
+
+
+def curve(scene: Scene, config: Config, device: torch.device, minutes: float) -> list[dict[str, Any]]:
+    """Train both stages within `minutes` and return the PSNR of two test views at points in training time.
+
+    The numbers of steps follow from the time of a few steps; all schedules are shares of them.
+    """
+    model = new_model(scene, config, device)
+    pixels = TrainingPixels(scene, config.pixels, device)
+    views = evenly_spaced(scene.test or scene.train, 2)
+    points, spent = [], 0.0
+    for name, share in zip(STAGES, (SHARE_OF_STAGE_ONE, 1.0 - SHARE_OF_STAGE_ONE), strict=True):
+        probe = measure(name, scene, config, device, 6)["seconds"]
+        steps = max(POINTS, round(60.0 * minutes * share / float(np.median(probe[2:]))))
+        stage = new_stage(name, model, pixels, shortened(config, steps))
+        while not stage.finished:
+            started = time.perf_counter()
+            with reduced_precision():
+                stage.step()
+            if device.type == "cuda":
+                torch.cuda.synchronize(device)
+            spent += time.perf_counter() - started
+            if stage.finished or stage.steps_done % max(1, steps // POINTS) == 0:
+                row = {"stage": name, "step": stage.steps_done, "steps": steps, "seconds": round(spent, 2)}
+                points.append(row | figures(model, scene, views, physical=name == "two"))
+                print(json.dumps(points[-1]), flush=True)
+    return points
+
+
+def shortened(config: Config, steps: int) -> Config:
+    """Return the configuration with `steps` in each stage and warm-ups of the same share."""
+    one, two = config.stage_one, config.stage_two
+    return replace(
+        config,
+        stage_one=replace(one, num_steps=steps, warmup_steps=one.warmup_steps * steps // one.num_steps),
+        stage_two=replace(two, num_steps=steps, warmup_steps=two.warmup_steps * steps // two.num_steps),
+    )
+
+
+def figures(model: InverseModel, scene: Scene, views: tuple, *, physical: bool) -> dict[str, float]:
+    """Return the PSNR over white in encoded values of the cache's and the physically based pictures."""
+    light = scene.lights[0]
+    found: dict[str, list[float]] = {"cache [dB]": []}
+    for view in views:
+        image = view.images[light]
+        truth = over_white(encoded(image[..., :3], image[..., 3:]))
+        buffer = render_gbuffer(model, view.camera)
+        straight = buffer.cache_rgb / np.maximum(buffer.opacity, 1e-6)
+        found["cache [dB]"].append(psnr(over_white(encoded(straight, buffer.opacity)), truth))
+        if physical:
+            seen = render_physical(model, view.camera)
+            score = psnr(over_white(encoded(seen.rgb, seen.opacity)), truth)
+            found.setdefault("physically based [dB]", []).append(score)
+    return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def plot(points: list[dict[str, Any]], path: Path, title: str) -> None:
+    """Write the curve as a picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, panel = plt.subplots(figsize=(7, 4), layout="constrained")
+    for name in ("cache [dB]", "physically based [dB]"):
+        known = [(point["seconds"] / 60.0, point[name]) for point in points if name in point]
+        if known:
+            panel.plot(*zip(*known, strict=True), ".-", label=name)
+    panel.set(xlabel="training time [min]", ylabel="PSNR of two test views [dB]", title=title)
+    panel.legend()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Measure steps, or draw a curve."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("scene", type=Path, nargs="?")
+    parser.add_argument("--preset", default="paper_tensoir")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--steps", type=int, default=3)
+    parser.add_argument("--share", type=int, default=0, help="the batch's divisor; 64, on a GPU 1")
+    parser.add_argument("--minutes", type=float, default=0.0, help="train for that long and draw a curve")
+    parser.add_argument("--only", choices=STAGES, help=argparse.SUPPRESS)
+    parser.add_argument("--quick", action="store_true", help="preset tiny, an eighth of the batch")
+    parser.add_argument("-o", "--out", type=Path, default=Path("build/bench/paper_step"))
+    arguments = parser.parse_args()
+    if arguments.quick:
+        arguments.preset, arguments.share = "tiny", 8
+    device = torch.device(arguments.device)
+    if device.type == "cuda" and not torch.cuda.is_available():
+        parser.error("--device cuda: torch finds no GPU")
+    arguments.share = arguments.share or (1 if device.type == "cuda" else 64)
+    whole = preset(arguments.preset)
+    config = with_share(whole, arguments.share)
+    if arguments.only:
+        print(
+            json.dumps(
+                measure(arguments.only, read_scene(arguments.scene, config), config, device, arguments.steps)
+            )
+        )
+        return
+    print(f"preset {arguments.preset}, torch {torch.__version__}, {torch.get_num_threads()} threads")
+    if arguments.minutes:
+        points = curve(read_scene(arguments.scene, config), config, device, arguments.minutes)
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        (arguments.out / "curve.json").write_text(json.dumps(points, indent=1) + "\n")
+        plot(
+            points,
+            arguments.out / "curve.png",
+            f"{arguments.preset}, 1/{arguments.share} of its batch, {device}",
+        )
+    elif device.type == "cuda":
+        on_gpu(arguments, read_scene(arguments.scene, config), config, device)
+    else:
+        on_processor(arguments, whole)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""Test on a trained run whether the control variate is unbiased, pixel by pixel, and draw the scores.
+
+    OMP_NUM_THREADS=1 python benchmarks/unbiasedness.py RUN_DIR [--pixels 256] [-o FOLDER]
+
+Random opaque training pixels are estimated many times the way training does it, once with the control
+variate and once from the fast cache only. Each mean is compared with a reference that asks the NeRF cache
+alone, along directions that no learned part chooses. The difference over its standard error is a pixel's
+z-score. Without bias the scores are standard normal: `chi-square` and `Kolm.-Smirn.` are the probabilities of
+scores at least as odd. Writes unbiasedness.json and unbiasedness.png.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+import numpy as np
+import torch
+from flashcache.caches.nerf_cache import Geometry
+from flashcache.config import StageTwoConfig
+from flashcache.data.ray_batches import RayBatch, TrainingPixels
+from flashcache.data.scene import Scene
+from flashcache.data.space import domain_of
+from flashcache.physical.estimator import DirectionCounts
+from flashcache.physical.model import InverseModel
+from flashcache.presets import tiny
+from flashcache.randomness import generator_for
+from flashcache.training.passes import shade
+from jaxtyping import Float
+from lambent_worker.console import ConsoleReporter
+from lambent_worker.steps.training import load_trained, read_scene
+from lambent_worker.training_run import open_run, step_context
+from numpy import ndarray
+from scipy import stats
+
+POINTS_AT_ONCE = 4
+"""Points per ray in one call; their mean is one estimate."""
+REFERENCE_DIRECTIONS = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """Mean radiance of every pixel over the channels, with its variance."""
+
+    mean: Float[ndarray, " pixels"]
+    variance: Float[ndarray, " pixels"]
+    """Of the mean."""
+    seconds: float
+    """Processor time."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """How the scores of one estimator look."""
+
+    z: list[float]
+    chi_square: float
+    """Probability of a sum of squared scores at least as far from that of the normal distribution."""
+    kolmogorov_smirnov: float
+    """Probability of a distribution of scores at least as far from the normal one."""
+    bias: float
+    """Mean difference over mean radiance."""
+    bias_error: float
+    """Standard error of `bias`."""
+    precision: float
+    """Median standard error of a pixel's difference, relative to its radiance."""
+    seconds: float
+
+
+@torch.no_grad()
+def means(
+    model: InverseModel, config: StageTwoConfig, batch: RayBatch, geometry: Geometry, calls: int, purpose: str
+) -> Means:
+    """Return the mean over independent estimates of the pixels of `batch`."""
+    total, squares = np.zeros(len(batch)), np.zeros(len(batch))
+    began = time.process_time()
+    for call in range(calls):
+        generator = generator_for(0, "benchmark", call, purpose, batch.rays.origins.device)
+        found = shade(model, config, batch, geometry, generator, supervise=False).picture
+        value = found.mean(dim=-1).double().cpu().numpy()
+        total += value
+        squares += value**2
+    mean = total / calls
+    variance = (squares / calls - mean**2).clip(0.0) / (calls - 1)
+    return Means(mean, variance, time.process_time() - began)
+
+
+def verdict(estimate: Means, reference: Means) -> Verdict:
+    """Return what the differences between two independent sets of means say."""
+    difference = estimate.mean - reference.mean
+    variance = estimate.variance + reference.variance
+    z = difference / np.sqrt(variance)
+    above = stats.chi2.sf(np.sum(z**2), len(z))
+    level = float(reference.mean.mean())
+    return Verdict(
+        z=z.tolist(),
+        chi_square=float(2.0 * min(above, 1.0 - above)),
+        kolmogorov_smirnov=float(stats.kstest(z, "norm").pvalue),
+        bias=float(difference.mean()) / level,
+        bias_error=float(np.sqrt(variance.sum())) / len(z) / level,
+        precision=float(np.median(np.sqrt(variance) / np.maximum(reference.mean, 1e-6))),
+        seconds=estimate.seconds,
+    )
+
+
+def trained(run_dir: Path) -> tuple[InverseModel, Scene, StageTwoConfig]:
+    """Return a run's model, its scene, and the settings it was trained with."""
+    run = open_run(run_dir, "cpu")
+    context = step_context(run, run_dir, ConsoleReporter(), "joint")
+    scene = read_scene(context)
+    return load_trained(context, scene, "joint"), scene, run.config.stage_two
+
+
+def untrained() -> tuple[InverseModel, Scene, StageTwoConfig]:
+    """Return a fresh model of preset `tiny` before a synthetic sphere."""
+    from support.lit_sphere import lit_sphere
+
+    config, scene = tiny(), lit_sphere()
+    torch.manual_seed(0)
+    domain = domain_of(scene, config.space, config.model.environment)
+    return InverseModel(config.model, domain), scene, config.stage_two
+
+
+@torch.no_grad()
+def compare(
+    model: InverseModel, scene: Scene, own: StageTwoConfig, *, pixels: int, estimates: int, samples: int
+) -> dict[str, Verdict]:
+    """Return the verdicts on the run's own estimator, and on the same without the correction.
+
+    `estimates` counts shaded points per pixel and estimator, `samples` directions per pixel of the reference.
+    """
+    photographs = TrainingPixels(scene, replace(tiny().pixels, inside_share=1.0), torch.device("cpu"))
+    generator = generator_for(0, "benchmark", 0, "pixels", photographs.device)
+    opaque = (photographs.pixels[:, 3] > 0.99).nonzero()[:, 0]
+    batch = photographs.at(opaque[torch.randperm(len(opaque), generator=generator)[:pixels]])
+    geometry = model.nerf.trace(batch.rays, exponent=own.proposal_exponent, generator=None)
+    base = replace(own, points="categorical", points_per_ray=POINTS_AT_ONCE)
+
+    def variant(**changes: object) -> StageTwoConfig:
+        return replace(base, estimator=replace(base.estimator, **changes))
+
+    exact = DirectionCounts.split(REFERENCE_DIRECTIONS)
+    plain = variant(control_variate="off", sampler="none", exact=exact, stratified=False)
+    calls = max(2, -(-samples // (POINTS_AT_ONCE * REFERENCE_DIRECTIONS)))
+    reference = means(model, plain, batch, geometry, calls, "reference")
+    directions = calls * POINTS_AT_ONCE * REFERENCE_DIRECTIONS
+    print(f"reference: {directions} directions per pixel, {reference.seconds:.0f} s")
+    calls = max(2, estimates // POINTS_AT_ONCE)
+    return {
+        name: verdict(means(model, variant(control_variate=kind), batch, geometry, calls, name), reference)
+        for name, kind in (("control variate", "on"), ("fast cache only", "fast_only"))
+    }
+
+
+def plot(verdicts: dict[str, Verdict], path: Path) -> None:
+    """Write the scores as histograms and as quantiles against those of the normal distribution."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    edges = np.linspace(-8.0, 8.0, 33)
+    middle = np.linspace(-8.0, 8.0, 400)
+    for (name, found), colour in zip(verdicts.items(), ("tab:blue", "tab:orange"), strict=True):
+        z = np.sort(found.z)
+        left.hist(z.clip(-8.0, 8.0), edges, density=True, alpha=0.55, color=colour, label=name)
+        right.plot(stats.norm.ppf((np.arange(len(z)) + 0.5) / len(z)), z, ".", color=colour, label=name)
+    left.plot(middle, stats.norm.pdf(middle), color="black", label="standard normal")
+    right.plot([-3, 3], [-3, 3], color="black", linewidth=1)
+    left.set(xlabel="z-score of a pixel (beyond 8 counted at 8)", ylabel="density")
+    right.set(xlabel="quantile of the standard normal", ylabel="z-score of a pixel (logarithmic beyond 4)")
+    right.set_yscale("symlog", linthresh=4.0)
+    left.legend()
+    right.legend()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Print the verdicts, and write them with the plot."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("run_dir", type=Path, nargs="?")
+    parser.add_argument("--pixels", type=int, default=256)
+    parser.add_argument("--estimates", type=int, default=2048, help="shaded points per pixel and estimator")
+    parser.add_argument("--reference-samples", type=int, default=100_000, help="directions per pixel")
+    parser.add_argument("--quick", action="store_true", help="few pixels; an untrained model without RUN_DIR")
+    parser.add_argument("-o", "--output", type=Path, default=Path("build/bench/unbiasedness"))
+    arguments = parser.parse_args()
+    if arguments.run_dir is None and not arguments.quick:
+        parser.error("RUN_DIR is missing; --quick does without and looks at an untrained model")
+    if arguments.quick:
+        arguments.pixels, arguments.estimates, arguments.reference_samples = 64, 256, 2048
+    model, scene, own = untrained() if arguments.run_dir is None else trained(arguments.run_dir)
+    verdicts = compare(
+        model,
+        scene,
+        own,
+        pixels=arguments.pixels,
+        estimates=arguments.estimates,
+        samples=arguments.reference_samples,
+    )
+    heads = ("chi-square", "Kolm.-Smirn.", "bias", "per pixel", "time [s]")
+    print(f"{'estimator':18}{heads[0]:>12}{heads[1]:>14}{heads[2]:>20}{heads[3]:>11}{heads[4]:>10}")
+    for name, found in verdicts.items():
+        bias = f"{100 * found.bias:+.2f} % +- {100 * found.bias_error:.2f}"
+        print(
+            f"{name:18}{found.chi_square:12.2g}{found.kolmogorov_smirnov:14.2g}{bias:>20}"
+            f"{100 * found.precision:9.2f} %{found.seconds:10.0f}"
+        )
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    plot(verdicts, arguments.output / "unbiasedness.png")
+    values = {name: asdict(found) for name, found in verdicts.items()}
+    (arguments.output / "unbiasedness.json").write_text(json.dumps(values, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
