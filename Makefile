@@ -72,6 +72,12 @@ bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 	$(BIN)/python benchmarks/stage_one_step.py --quick
 	$(BIN)/python benchmarks/estimator_variance.py --quick
 	$(BIN)/python benchmarks/quality.py $(SAMPLE) --environments $(SAMPLE)/envmaps --preset tiny --views 2 -o build/bench
+	$(BIN)/python benchmarks/oracle.py $(SAMPLE) --environments $(SAMPLE)/envmaps --quick -o build/bench/oracle
+	$(BIN)/python benchmarks/unbiasedness.py --quick
+	$(BIN)/python benchmarks/mitsuba_inverse.py build/bench/sample_0/run $(SAMPLE) --environments $(SAMPLE)/envmaps \
+		--quick -o build/bench/mitsuba
+	$(BIN)/python benchmarks/paper_step.py --quick
+	$(BIN)/python benchmarks/long_curve.py $(SAMPLE) --environments $(SAMPLE)/envmaps --quick -o build/bench/curve
 
 schema: setup ## Generate the code of proto/ again
 	$(BIN)/python scripts/schema.py

@@ -133,7 +133,9 @@ def evaluate(
     copy_checkpoint(checkpoint.folder, probe / "joint" / f"step_{checkpoint.step:07d}")
     (probe / "steps").mkdir()
     finish_step(probe, "joint", f"{done_inputs(out / 'run', 'joint')} {checkpoint.name}")
-    relight = ["--environments", str(arguments.environments)] if checkpoint.stage else []
+    relight = []
+    if arguments.environments and checkpoint.stage:
+        relight = ["--environments", str(arguments.environments)]
     options = ["--repeats", "1", "--directions", str(arguments.directions), "--views", str(arguments.views)]
     command = [sys.executable, "-m", "lambent", "evaluate", str(probe), str(scene), "-o", str(report)]
     subprocess.run([*command, *options, *relight], check=True, stdout=subprocess.DEVNULL)
@@ -191,7 +193,7 @@ def main() -> None:
     """Train, evaluate what is kept, and write the curve anew after every point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scene", type=Path)
-    parser.add_argument("--environments", type=Path, required=True)
+    parser.add_argument("--environments", type=Path, help="maps to relight with; without, no figures of that")
     parser.add_argument("--preset", default="long")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="")
