@@ -14,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight import baked_kernels
-from lambent_relight.baked_light import PREVIEW_BANDS, BakedLight, texel_bounce, texel_irradiance
-from lambent_relight.baked_scene import BakedScene
+from lambent_relight.baked_light import (
+    PREVIEW_BANDS,
+    BakedLight,
+    LitTexels,
+    coarse_bounce,
+    texel_irradiance,
+)
 from lambent_relight.baked_view import BakedView
 from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.directions import dot
@@ -77,8 +82,8 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
 
 
 def shade(
-    scene: BakedScene,
     view: BakedView,
+    lit: LitTexels,
     lobes: Lobes,
     light: BakedLight,
     *,
@@ -87,23 +92,26 @@ def shade(
     bounce_gain: NDArray[np.float32],
     compiled: bool = True,
 ) -> BakedRadiance:
-    """Return what the pixels of `view` send to the camera under `light`.
+    """Return what the pixels of `view` send to the camera under `light`; `lit` are its used texels.
 
     `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before. `compiled`
-    gathers the pixels' means by compiled code; without, by numpy, with the same result but for rounding.
+    False keeps to numpy, with the same result but for rounding.
     """
-    bands = PREVIEW_BANDS if preview else round(len(scene.transport.direct) ** 0.5)
-    straight = texel_irradiance(scene, light, bands)
-    if indirect and not preview:
-        bounced = texel_bounce(scene, light) * bounce_gain
-    else:
-        bounced = np.zeros_like(straight)
+    bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
+    straight = texel_irradiance(lit, light, bands)
+    bounced = coarse_bounce(lit, light) * bounce_gain
+    if preview or not indirect:
+        bounced = np.zeros_like(bounced)
     prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
     if compiled:
-        means = baked_kernels.pixel_means(view.texel, view.first, straight, bounced)
-    else:
-        means = view.mean(np.concatenate([straight, bounced], axis=1))
-    arriving, bounce = np.maximum(means[:, :3], 0.0), np.maximum(means[:, 3:], 0.0)
+        parts = baked_kernels.shade_pixels(
+            (view.texel, view.first, lit.coarse),
+            (straight, bounced, prefiltered),
+            (lobes.diffuse, lobes.free, lobes.surrounded),
+        )
+        return BakedRadiance(*parts)
+    arriving = np.maximum(view.mean(straight), 0.0)
+    bounce = np.maximum(view.mean(bounced[lit.coarse]), 0.0)
     return BakedRadiance(
         diffuse_direct=lobes.diffuse * arriving,
         diffuse_indirect=lobes.diffuse * bounce,

@@ -77,4 +77,6 @@ def _taken(view: BakedView, pixel: NDArray[np.intp], source: NDArray[np.intp]) -
             "surroundings",
         )
     }
-    return BakedView(camera=view.camera, pixel=pixel, first=first, texel=view.texel[place], **rows)
+    return BakedView(
+        camera=view.camera, pixel=pixel, first=first, texel=view.texel[place], used=view.used, **rows
+    )

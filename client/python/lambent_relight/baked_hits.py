@@ -7,7 +7,7 @@ The diffuse part comes from the irradiance of the nearest texel, the specular pa
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.baked_light import BakedLight, texel_bounce, texel_irradiance
+from lambent_relight.baked_light import BakedLight, coarse_bounce, lit_texels, texel_irradiance
 from lambent_relight.baked_scene import BakedScene, texel_positions
 from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.directions import dot
@@ -23,6 +23,7 @@ class HitFinder:
     def __init__(self, scene: BakedScene) -> None:
         """Sort the texels of `scene` in space."""
         self.scene = scene
+        self.lit = lit_texels(scene)
         self.nearest = NearestPoint(texel_positions(scene.mesh, scene.transport))
         bands = round(scene.visibility.shape[1] ** 0.5)
         self.lobes = ggx_bands(bands)
@@ -37,8 +38,9 @@ class BakedHits:
         self._finder, self._light = finder, light
         bands = round(len(scene.transport.direct) ** 0.5)
         gain = edit.bounce_gain(scene.albedo.mean(axis=0))
-        bounced = np.maximum(texel_bounce(scene, light) * gain, 0.0)
-        arriving = np.maximum(texel_irradiance(scene, light, bands), 0.0) + bounced
+        lit = finder.lit
+        bounced = np.maximum(coarse_bounce(lit, light) * gain, 0.0)[lit.coarse]
+        arriving = np.maximum(texel_irradiance(lit, light, bands), 0.0) + bounced
         albedo, self._roughness = edit.apply(scene.albedo, scene.perceptual_roughness)
         self._diffuse = (1.0 - scene.metalness) * albedo * arriving / np.float32(np.pi)
         self._f0 = scene.metalness * albedo + (1.0 - scene.metalness) * np.float32(DIELECTRIC_F0)

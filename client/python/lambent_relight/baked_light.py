@@ -57,44 +57,73 @@ def prepare_light(environment: Environment, bands: int, dominant_lights: int) ->
     )
 
 
-def texel_irradiance(scene: BakedScene, light: BakedLight, bands: int) -> NDArray[np.float32]:
+@dataclass(frozen=True, eq=False)
+class LitTexels:
+    """The texels that are asked for, with their transport beside each other."""
+
+    direct: NDArray[np.float32]
+    """[bands^2, texel]."""
+    indirect: NDArray[np.float32]
+    """Of the coarse texels they lie in, channels one after another, [channel, bands^2, coarse]."""
+    coarse: NDArray[np.int32]
+    """Which of those every texel lies in, [texel]."""
+    normal: NDArray[np.float32]
+    shadow_bits: NDArray[np.uint8] | None
+
+
+def lit_texels(scene: BakedScene, texels: NDArray[np.integer] | None = None) -> LitTexels:
+    """Return `texels` (default: all) of a scene."""
+    transport = scene.transport
+    which: NDArray[np.integer] | slice = slice(None) if texels is None else texels
+    blocks, coarse = np.unique(transport.coarse_of_texel[which], return_inverse=True)
+    indirect = np.ascontiguousarray(transport.indirect[:, :, blocks].transpose(1, 0, 2))
+    bits = transport.shadow_bits
+    return LitTexels(
+        np.ascontiguousarray(transport.direct[:, which]),
+        indirect,
+        coarse.astype(np.int32),
+        scene.normal[which],
+        None if bits is None else bits[which],
+    )
+
+
+def texel_irradiance(lit: LitTexels, light: BakedLight, bands: int) -> NDArray[np.float32]:
     """Return what arrives straight from the light at every texel, [texel, 3], not clipped at zero.
 
     `bands` may be fewer than there are: a smoother, cheaper answer.
     """
-    planes = scene.transport.direct[: bands**2]
+    planes = lit.direct[: bands**2]
     coefficients = light.coefficients[: len(planes)].T.astype(np.float32)
     result = np.ascontiguousarray((coefficients @ planes[: coefficients.shape[1]]).T)
     for direction, irradiance in zip(light.directions, light.irradiance, strict=True):
-        cosine = np.maximum(scene.normal @ direction, np.float32(0.0))
-        cosine[cosine > 0.0] *= free_share(scene, direction, np.flatnonzero(cosine > 0.0))
+        cosine = np.maximum(lit.normal @ direction, np.float32(0.0))
+        facing = np.flatnonzero(cosine > 0.0)
+        cosine[facing] *= free_share(lit.shadow_bits, direction, facing)
         result += cosine[:, None] * irradiance
     return result
 
 
-def texel_bounce(scene: BakedScene, light: BakedLight) -> NDArray[np.float32]:
-    """Return what arrives by way of other surfaces at every texel, [texel, 3].
+def coarse_bounce(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
+    """Return what arrives by way of other surfaces at every coarse texel, [coarse, 3].
 
     Dominant lights take part through their harmonics: what they light up is not in their shadow.
     """
-    planes = scene.transport.indirect
-    bands = round(len(planes) ** 0.5)
-    coefficients = light.coefficients[: bands**2].copy()
+    count = lit.indirect.shape[1]
+    coefficients = light.coefficients[:count].copy()
     if len(light.directions):
-        coefficients += harmonics.basis(light.directions, bands).T @ light.irradiance
-    coarse = np.einsum("kc,kct->tc", coefficients.astype(np.float32), planes)
-    return coarse[scene.transport.coarse_of_texel]
+        coefficients += harmonics.basis(light.directions, round(count**0.5)).T @ light.irradiance
+    rows = coefficients.astype(np.float32)
+    return np.stack([rows[:, channel] @ lit.indirect[channel] for channel in range(3)], axis=-1)
 
 
 def free_share(
-    scene: BakedScene, direction: NDArray[np.float32], texels: NDArray[np.intp]
+    bits: NDArray[np.uint8] | None, direction: NDArray[np.float32], texels: NDArray[np.intp]
 ) -> NDArray[np.float32]:
     """Return how much of a light in `direction` reaches `texels`, in [0, 1].
 
     A weighted mean over the bits of the nearest stored directions, which gives a shadow a border as soft as
     they are apart.
     """
-    bits = scene.transport.shadow_bits
     assert bits is not None, "lights are split off only where there are shadow bits"
     near, weight = shadow_weights(direction)
     result = np.zeros(len(texels), np.float32)

@@ -1,11 +1,13 @@
 """Pictures of the qualities `preview` and `baked`; views and the light are remembered between pictures."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from lambent_relight.baked import Lobes, lobes_of, shade
 from lambent_relight.baked_edges import with_soft_edges
 from lambent_relight.baked_hits import BakedHits, HitFinder
-from lambent_relight.baked_light import MAX_DOMINANT, BakedLight, prepare_light
+from lambent_relight.baked_light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
 from lambent_relight.baked_scene import load_baked_scene
 from lambent_relight.baked_view import BakedView, look_at_surface
 from lambent_relight.bundle import Bundle
@@ -28,7 +30,7 @@ class BakedRenderer:
         self.scene = load_baked_scene(bundle)
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
-        self._lobes: tuple[object, Lobes] | None = None
+        self._known: _Prepared | None = None
         self._finder: HitFinder | None = None
         self._light: tuple[Environment, int, BakedLight] | None = None
 
@@ -83,40 +85,74 @@ class BakedRenderer:
         view = self.view(camera, antialias, soft_edges=not preview)
         can_split = self.scene.transport.shadow_bits is not None and not preview
         light = self.light(environment, MAX_DOMINANT if can_split else 0)
-        lobes = self._lobes_of(view, edit, preview=preview)
+        known = self._prepared(view, edit, preview=preview)
         found = shade(
-            self.scene,
             view,
-            lobes,
+            known.lit,
+            known.lobes,
             light,
             preview=preview,
             indirect=indirect,
             bounce_gain=edit.bounce_gain(self.scene.albedo.mean(axis=0)),
             compiled=compiled,
         )
-        direct = found.diffuse_direct + found.specular_direct
-        bounced = found.diffuse_indirect + found.specular_indirect
-        rgb = view.image(direct + bounced)
-        return RelitPicture(
+        direct = view.image(found.diffuse_direct + found.specular_direct)
+        bounced = view.image(found.diffuse_indirect + found.specular_indirect)
+        specular = view.image(found.specular_direct + found.specular_indirect)
+        rgb = direct + bounced
+        return replace(
+            known.still,
             rgb=rgb,
-            opacity=view.image(view.coverage),
-            standard_error=np.zeros_like(rgb),
-            direct=view.image(direct),
-            indirect=view.image(bounced),
-            diffuse=view.image(found.diffuse_direct + found.diffuse_indirect),
-            specular=view.image(found.specular_direct + found.specular_indirect),
-            visibility=view.image(view.openness),
-            albedo=view.image(lobes.albedo),
-            normal=view.image(view.normal),
-            perceptual_roughness=view.image(lobes.perceptual_roughness),
-            metalness=view.image(view.metalness),
-            distance=view.image(view.distance),
-            coverage=view.image(view.coverage),
-            num_samples=0,
+            direct=direct,
+            indirect=bounced,
+            diffuse=rgb - specular,
+            specular=specular,
         )
 
-    def _lobes_of(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
-        key = (id(view), edit, preview)
-        if self._lobes is None or self._lobes[0] != key:
-            self._lobes = (key, lobes_of(view, edit, preview=preview))
-        return self._lobes[1]
+    def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
+        """Return what a view needs of materials and texels; kept for the last view and edit."""
+        known = self._known
+        if known is None or known.view is not view or known.edit != edit or known.preview != preview:
+            lobes = lobes_of(view, edit, preview=preview)
+            same = known is not None and known.view is view
+            lit = known.lit if same and known is not None else lit_texels(self.scene, view.used)
+            known = _Prepared(view, edit, preview, lit, lobes, _still(view, lobes))
+            self._known = known
+        return known
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    view: BakedView
+    edit: MaterialEdit
+    preview: bool
+    lit: LitTexels
+    lobes: Lobes
+    still: RelitPicture
+    """Everything in a picture that does not depend on the light; arrays are shared between pictures."""
+
+
+def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
+    black = np.zeros((view.camera.height, view.camera.width, 3), np.float32)
+    coverage = view.image(view.coverage)
+    still = RelitPicture(
+        rgb=black,
+        opacity=coverage,
+        standard_error=black,
+        direct=black,
+        indirect=black,
+        diffuse=black,
+        specular=black,
+        visibility=view.image(view.openness),
+        albedo=view.image(lobes.albedo),
+        normal=view.image(view.normal),
+        perceptual_roughness=view.image(lobes.perceptual_roughness),
+        metalness=view.image(view.metalness),
+        distance=view.image(view.distance),
+        coverage=coverage,
+        num_samples=0,
+    )
+    for name in ("opacity", "standard_error", "visibility", "albedo", "normal", "metalness", "distance"):
+        getattr(still, name).flags.writeable = False
+    still.perceptual_roughness.flags.writeable = False
+    return still

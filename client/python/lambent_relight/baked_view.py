@@ -26,7 +26,9 @@ class BakedView:
     first: NDArray[np.int64]
     """Where the texels of every pixel begin in `texel`, [pixel + 1]."""
     texel: NDArray[np.int32]
-    """Texels of all fragments, pixel after pixel."""
+    """Texels of all fragments, pixel after pixel, as places in `used`."""
+    used: NDArray[np.int32]
+    """The texels that are seen at all, rising."""
     coverage: NDArray[np.float32]
     """Share of the pixel's fragments that show the surface, [pixel, 1]."""
     distance: NDArray[np.float32]
@@ -47,7 +49,7 @@ class BakedView:
         return len(self.pixel)
 
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the mean of values per texel [texel, n] over the texels of every pixel, [pixel, n]."""
+        """Return the mean of values per used texel [used, n] over the texels of every pixel, [pixel, n]."""
         return _means(values.reshape(len(values), -1)[self.texel], self.first)
 
     def image(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -68,6 +70,7 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     if antialias > 1:
         order = np.argsort(owner, kind="stable")
         owner, texel, depth = owner[order], texel[order], depth[order]
+    used, place = np.unique(texel, return_inverse=True)
     pixel, start = np.unique(owner, return_index=True)
     first = np.append(start, len(owner)).astype(np.int64)
     direction = camera.rays()[1][pixel]
@@ -79,7 +82,8 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
         camera=camera,
         pixel=pixel,
         first=first,
-        texel=texel,
+        texel=place.astype(np.int32),
+        used=used,
         coverage=(np.diff(first)[:, None] / antialias**2).astype(np.float32),
         distance=_means(depth[:, None], first),
         omega_o=omega_o,
