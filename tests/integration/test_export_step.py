@@ -147,6 +147,7 @@ def test_the_manifest_describes_the_bundle(context, model):
         ("material", ""),
         ("fast_cache", "day"),
         ("fast_cache", "a_night"),
+        ("relight", ""),
     ]
     for graph in manifest.graphs:
         assert graph.parity.max_abs_error <= graph.parity.tolerance == 1e-5
@@ -166,7 +167,13 @@ def test_the_manifest_describes_the_bundle(context, model):
     assert sha256(data).hexdigest() in {file.sha256 for file in manifest.files}
     assert set(manifest.metrics) == {
         *("psnr_views", "gbuffer_opacity_error", "gbuffer_distance_error", "mesh_faces", "mesh_vertices"),
-        "mesh_silhouette_iou",
+        *("mesh_silhouette_iou", "transport_rays_per_texel", "transport_blocked_share"),
+        *(
+            f"{quality}_{figure}_refined_{light}"
+            for quality in ("baked", "preview")
+            for figure in ("psnr", "worst")
+            for light in (*manifest.train_lights, "soft_boxes", "low_sun")
+        ),
     }
     assert manifest.metrics["mesh_silhouette_iou"] > 0.7
     assert manifest.atlas.size == 64

@@ -104,6 +104,11 @@ class GraphBuilder:
         self._inputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, [self.row_axis, size]))
         return Value(self, name)
 
+    def fixed_input(self, name: str, shape: Sequence[int]) -> Value:
+        """Add a float32 input that all rows share."""
+        self._inputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, list(shape)))
+        return Value(self, name)
+
     def node(self, operator: str, *inputs: Operand, **attributes: Any) -> Value:
         """Add a node with one output and return that; numbers and arrays become constants."""
         output = f"{operator.lower()}_{len(self._nodes)}"

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import torch
+from flashcache.export.onnx import WeightFile
+from flashcache.export.relight_graph import relight, relight_graph
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
 from lambent_proto.v1 import bundle_pb2
@@ -15,10 +18,14 @@ from lambent_relight.graphs import SurfaceCaches
 from lambent_relight.transport import transport_files
 from numpy import ndarray
 
+from lambent_worker.bundle.graphs import PARITY_ROWS
+from lambent_worker.bundle.manifest import add_graph
+from lambent_worker.bundle.parity import TOLERANCE, ParityResult
 from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.transport import BakedSurface, TransportConfig, bake_transport
 from lambent_worker.bundle.transport_bounce import Reflectors
 from lambent_worker.bundle.transport_rays import SecondaryRays
+from lambent_worker.errors import WorkerError
 
 _RAYS_ON_DEVICE = 1 << 18
 
@@ -99,3 +106,51 @@ def secondary_rays(model: InverseModel, caches: SurfaceCaches) -> SecondaryRays:
         return values[:, :1], values[:, 1:]
 
     return on_device
+
+
+def write_relight_graph(manifest: bundle_pb2.BundleManifest, folder: Path, *, seed: int) -> ParityResult:
+    """Write models/relight.onnx for the transport in `manifest`, once it was compared with numpy.
+
+    Raises WorkerError `export.parity` when the graph differs from the formula by more than 1e-5.
+    """
+    bands = {planes.name: planes.bands for planes in manifest.transport.planes}
+    sizes = (bands["direct"] ** 2, bands["visibility"] ** 2)
+    metadata = {
+        "flashcache.schema": manifest.schema_version,
+        "flashcache.scene_id": manifest.scene_id,
+        "flashcache.frame": "right-handed, z up",
+        "flashcache.radiance": "linear-scene",
+        "producer": f"lambent {manifest.generator.version} {manifest.generator.git_revision}".rstrip(),
+    }
+    data = relight_graph(*sizes, WeightFile(), metadata).SerializeToString(deterministic=True)
+    inputs = _random_pixels(*sizes, seed)
+    session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    (found,) = session.run(["radiance"], inputs)
+    expected = relight(**{name: values.astype(np.float64) for name, values in inputs.items()})
+    error = float((np.abs(found - expected) / np.maximum(1.0, np.abs(expected))).max())
+    if not error <= TOLERANCE:
+        raise WorkerError(
+            "export.parity",
+            f'the graph "models/relight.onnx" differs from its formula by {error:.2e} (allowed: '
+            f"{TOLERANCE:.0e}); the bundle was not written. Report this with the version of onnxruntime "
+            f"({onnxruntime.__version__})",
+        )
+    (folder / "models" / "relight.onnx").write_bytes(data)
+    result = ParityResult(max_abs_error=error, num_samples=len(found), num_left_out=0)
+    add_graph(manifest, "relight", "models/relight.onnx", "", result)
+    return result
+
+
+def _random_pixels(num_direct: int, num_visibility: int, seed: int) -> dict[str, Float[ndarray, "rows _"]]:
+    rng = np.random.default_rng(seed)
+    widths = {
+        "transfer_direct": num_direct,
+        "transfer_indirect": 27,
+        "visibility": num_visibility,
+        "sh_reflect": num_visibility,
+    }
+    inputs = {name: rng.normal(0.0, 0.3, (PARITY_ROWS, width)) for name, width in widths.items()}
+    inputs["light_sh"] = rng.normal(0.0, 1.0, (num_direct, 3))
+    inputs["albedo_diffuse"] = rng.uniform(0.0, 1.0, (PARITY_ROWS, 3))
+    inputs["spec_prefiltered"] = rng.uniform(0.0, 2.0, (PARITY_ROWS, 3))
+    return {name: values.astype(np.float32) for name, values in inputs.items()}

@@ -18,7 +18,7 @@ from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.surface_files import write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
-from lambent_worker.bundle.transport_files import Bake, write_transport
+from lambent_worker.bundle.transport_files import Bake, write_relight_graph, write_transport
 from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.pipeline import StepContext, scene_hash
@@ -75,7 +75,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
             num_samples=result.num_samples,
             num_left_out=result.num_left_out,
         )
-        _advance(context, 2 if "gbuffer" in path else 3)
+        _advance(context, {"models/gbuffer.onnx": 2, "models/relight.onnx": 5}.get(path, 3))
 
     write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
     surface, _ = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
@@ -87,6 +87,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
             advance=lambda share: context.stop_if_asked(),
         )
         write_transport(model, written_caches(manifest, folder), surface, manifest, folder, bake)
+        compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.seed))
     _advance(context, 5)
 
     views = scene.test or scene.train
