@@ -23,7 +23,7 @@ def contracted_width(
 def level_weights(grid: HashGrid, width: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch outputs"]:
     """Return the factor of each feature for blobs of a contracted width: erf(1 / sqrt(8 width^2 n^2)).
 
-    n is the number of voxels per unit of length. Source: Zip-NeRF Eq. 5 and section 2.2.
+    n is the number of voxels per unit of length. Source: Zip-NeRF, downweighting.
     """
     layout = grid.layout
     voxels = width.new_tensor([level.resolution / (2.0 * layout.half_extent) for level in layout.levels])

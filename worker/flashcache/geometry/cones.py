@@ -35,7 +35,7 @@ def cone_points(
     """Return the points that stand for the intervals of `rays`, ray after ray.
 
     Their mean and spread along and across the ray are those of the cone's frustum. A generator turns the
-    pattern of every interval at random. Rays without a radius are lines. Source: Zip-NeRF section 2.1.
+    pattern of every interval at random. Rays without a radius are lines. Source: Zip-NeRF, multisampling.
     """
     start, end = distances[:, :-1, None], distances[:, 1:, None]
     middle, half = 0.5 * (start + end), 0.5 * (end - start)
