@@ -127,3 +127,22 @@ def test_damaged_exif_tells_nothing(tmp_path):
     start = data.index(b"Exif\0\0")
     (tmp_path / "a.jpg").write_bytes(data[: start + 6] + b"\xff" * 40 + data[start + 46 :])
     assert exif_exposure(tmp_path / "a.jpg") is None
+
+
+def test_heic_photographs_are_read_with_their_exposure(tmp_path):
+    import pillow_heif
+
+    pillow_heif.register_heif_opener()
+    folder = camera_capture(tmp_path, [BASE] * 4)
+    for index in range(4):
+        path = folder / "train" / f"r_{index}.jpg"
+        exif = Image.Exif()
+        time = rational(1, 100 * (index + 1))
+        exif.get_ifd(0x8769).update({TIME: time, F_NUMBER: rational(8), ISO: 100})
+        with Image.open(path) as image:
+            image.resize((64, 64)).save(path.with_suffix(".heic"), exif=exif.tobytes(), quality=90)
+        path.unlink()
+    manifest = describe_scene(folder)
+    assert manifest.frames[0].images[0].path == "train/r_0.heic"
+    assert [frame.exposure for frame in manifest.frames] == pytest.approx([1.0, 2.0, 3.0, 4.0])
+    assert load_scene(folder, manifest, max_side=64).train[0].images["capture"].shape == (64, 64, 4)

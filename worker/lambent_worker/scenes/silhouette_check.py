@@ -27,7 +27,7 @@ MIN_VIEWS = 8
 """Fewer silhouettes than this leave too much room to say anything."""
 MISFIT_SHARE = 0.25
 """Share of the frames that may disagree before it is no matter of single frames any more."""
-MARGIN = 0.03
+MARGIN = 0.05
 """Added to each side of the box, as a share of its longest side."""
 
 
@@ -65,19 +65,19 @@ def check_silhouettes(views: list[Silhouette], problems: Problems) -> None:
         return
     # One view may contradict this hull, or each would have carved away what shows that it is wrong.
     lenient = explained(views, carve(views, one_may_differ_from=MIN_VIEWS - 1))
-    usual = float(np.median(lenient))
-    worst = views[int(lenient.argmin())].name
+    worst = views[int(shares.argmin())].name
+    agreed = f'{np.floor(100.0 * np.median(shares)):.0f} % of their area only (worst: frame "{worst}")'
     convention = other_convention(views, better_than=float(lenient.mean()))
     if convention is not None:
         problems.error(
             "scene.axes_wrong",
-            f"projected with these poses the masks agree on {100.0 * usual:.0f} % of their area only (worst: "
-            f'frame "{worst}"), but on all of it when the poses are read {convention.advice}',
+            f"projected with these poses the masks agree on {agreed}, but on all of it when the poses are "
+            f"read {convention.advice}",
             worst,
         )
         return
     misfits = [(view, share) for view, share in zip(views, lenient, strict=True) if share < SINGLE_AGREEMENT]
-    if usual >= AGREEMENT and len(misfits) <= MISFIT_SHARE * len(views):
+    if np.median(lenient) >= AGREEMENT and len(misfits) <= MISFIT_SHARE * len(views):
         for view, share in misfits:
             problems.warning(
                 "scene.mask_disagrees",
@@ -88,8 +88,7 @@ def check_silhouettes(views: list[Silhouette], problems: Problems) -> None:
         return
     problems.warning(
         "scene.silhouettes_disagree",
-        f"projected with these poses the masks agree on {100.0 * usual:.0f} % of their area only (worst: "
-        f'frame "{worst}"); check that masks and poses belong together',
+        f"projected with these poses the masks agree on {agreed}; check that masks and poses belong together",
         worst,
     )
 
