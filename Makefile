@@ -71,6 +71,7 @@ bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 	$(BIN)/python benchmarks/kernels.py --rays 256 --repeats 4
 	$(BIN)/python benchmarks/stage_one_step.py --quick
 	$(BIN)/python benchmarks/estimator_variance.py --quick
+	$(BIN)/python benchmarks/light.py --quick
 	$(BIN)/python benchmarks/quality.py $(SAMPLE) --environments $(SAMPLE)/envmaps --preset tiny --views 2 -o build/bench
 	$(BIN)/python benchmarks/oracle.py $(SAMPLE) --environments $(SAMPLE)/envmaps --quick -o build/bench/oracle
 	$(BIN)/python benchmarks/unbiasedness.py --quick
