@@ -48,12 +48,13 @@ class Lobes:
 
 @dataclass(frozen=True, eq=False)
 class BakedRadiance:
-    """Outgoing radiance of a view's pixels by path, [pixel, 3] each."""
+    """Outgoing radiance by path, as pictures [height, width, 3], black outside the object."""
 
-    diffuse_direct: NDArray[np.float32]
-    diffuse_indirect: NDArray[np.float32]
-    specular_direct: NDArray[np.float32]
-    specular_indirect: NDArray[np.float32]
+    rgb: NDArray[np.float32]
+    direct: NDArray[np.float32]
+    indirect: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+    specular: NDArray[np.float32]
 
 
 def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
@@ -105,16 +106,17 @@ def shade(
     prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
     if compiled:
         parts = baked_kernels.shade_pixels(
-            (view.texel, view.first, lit.coarse),
+            (view.pixel, view.texel, view.first, lit.coarse),
             (straight, bounced, prefiltered),
             (lobes.diffuse, lobes.free, lobes.surrounded),
+            view.camera.height * view.camera.width,
         )
-        return BakedRadiance(*parts)
+        shape = (view.camera.height, view.camera.width, 3)
+        return BakedRadiance(*(part.reshape(shape) for part in parts))
     arriving = np.maximum(view.mean(straight), 0.0)
     bounce = np.maximum(view.mean(bounced[lit.coarse]), 0.0)
-    return BakedRadiance(
-        diffuse_direct=lobes.diffuse * arriving,
-        diffuse_indirect=lobes.diffuse * bounce,
-        specular_direct=lobes.free * prefiltered,
-        specular_indirect=lobes.surrounded * bounce,
-    )
+    mirrored, around = lobes.free * prefiltered, lobes.surrounded * bounce
+    direct = view.image(lobes.diffuse * arriving + mirrored)
+    indirect_part = view.image(lobes.diffuse * bounce + around)
+    rgb, specular = direct + indirect_part, view.image(mirrored + around)
+    return BakedRadiance(rgb, direct, indirect_part, rgb - specular, specular)

@@ -37,7 +37,7 @@ class BakedHits:
         scene = finder.scene
         self._finder, self._light = finder, light
         bands = round(len(scene.transport.direct) ** 0.5)
-        gain = edit.bounce_gain(scene.albedo.mean(axis=0))
+        gain = edit.bounce_gain(scene.mean_albedo)
         lit = finder.lit
         bounced = np.maximum(coarse_bounce(lit, light) * gain, 0.0)[lit.coarse]
         arriving = np.maximum(texel_irradiance(lit, light, bands), 0.0) + bounced

@@ -10,49 +10,42 @@ Rows = NDArray[np.float32]
 
 
 def shade_pixels(
-    places: tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]],
+    places: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]],
     light: tuple[Rows, Rows, Rows],
     lobes: tuple[Rows, Rows, Rows],
-) -> tuple[Rows, Rows, Rows, Rows]:
-    """Return diffuse direct, diffuse indirect, specular direct and specular indirect radiance, [pixel, 3].
+    num_pixels: int,
+) -> tuple[Rows, ...]:
+    """Return the radiance of all `num_pixels` pixels: whole, direct, indirect, diffuse, specular, [pixel, 3].
 
-    `places`: texels of all pixels, where each pixel's begin, the coarse texel of each texel. `light`:
-    irradiance per texel and per coarse texel, prefiltered radiance per pixel. `lobes`: factors per pixel of
-    diffuse, free and surrounded reflection (`lambent_relight.baked.Lobes`).
+    `places`: pixels that show the object, their texels, where each pixel's begin, the coarse texel of each
+    texel. `light`: irradiance per texel and per coarse texel, prefiltered radiance per shown pixel. `lobes`:
+    factors of diffuse, free and surrounded reflection (`lambent_relight.baked.Lobes`).
     """
-    shape = (len(places[1]) - 1, 3)
-    out = tuple(np.empty(shape, np.float32) for _ in range(4))
-    _shade_pixels(*places, *light, *lobes, *out)
-    return out
+    out = np.zeros((5, num_pixels, 3), np.float32)
+    _shade_pixels(*places, *light, *lobes, out)
+    return tuple(out)
 
 
 @njit(**COMPILE_OPTIONS)
-def _shade_pixels(
-    texel, first, coarse, straight, bounced, prefiltered, diffuse, free, around, dd, di, sd, si
-):
+def _shade_pixels(pixel, texel, first, coarse, straight, bounced, prefiltered, diffuse, free, around, out):
     zero = np.float32(0.0)
-    for pixel in range(len(first) - 1):
-        start, end = first[pixel], first[pixel + 1]
-        a0 = a1 = a2 = b0 = b1 = b2 = np.float32(0.0)
-        for place in range(start, end):
-            t = texel[place]
-            c = coarse[t]
-            a0 += straight[t, 0]
-            a1 += straight[t, 1]
-            a2 += straight[t, 2]
-            b0 += bounced[c, 0]
-            b1 += bounced[c, 1]
-            b2 += bounced[c, 2]
+    for number in range(len(pixel)):
+        start, end = first[number], first[number + 1]
         share = np.float32(1.0) / np.float32(end - start)
-        a0, a1, a2 = max(a0 * share, zero), max(a1 * share, zero), max(a2 * share, zero)
-        b0, b1, b2 = max(b0 * share, zero), max(b1 * share, zero), max(b2 * share, zero)
-        dd[pixel, 0], di[pixel, 0] = diffuse[pixel, 0] * a0, diffuse[pixel, 0] * b0
-        dd[pixel, 1], di[pixel, 1] = diffuse[pixel, 1] * a1, diffuse[pixel, 1] * b1
-        dd[pixel, 2], di[pixel, 2] = diffuse[pixel, 2] * a2, diffuse[pixel, 2] * b2
-        si[pixel, 0], si[pixel, 1], si[pixel, 2] = (
-            around[pixel, 0] * b0,
-            around[pixel, 1] * b1,
-            around[pixel, 2] * b2,
-        )
+        p = pixel[number]
         for channel in range(3):
-            sd[pixel, channel] = free[pixel, channel] * prefiltered[pixel, channel]
+            arriving, bounce = np.float32(0.0), np.float32(0.0)
+            for place in range(start, end):
+                t = texel[place]
+                arriving += straight[t, channel]
+                bounce += bounced[coarse[t], channel]
+            arriving, bounce = max(arriving * share, zero), max(bounce * share, zero)
+            mirrored = free[number, channel] * prefiltered[number, channel]
+            surrounding = around[number, channel] * bounce
+            scattered = diffuse[number, channel] * arriving
+            scattered_again = diffuse[number, channel] * bounce
+            out[1, p, channel] = scattered + mirrored
+            out[2, p, channel] = scattered_again + surrounding
+            out[3, p, channel] = scattered + scattered_again
+            out[4, p, channel] = mirrored + surrounding
+            out[0, p, channel] = scattered + scattered_again + mirrored + surrounding

@@ -93,20 +93,16 @@ class BakedRenderer:
             light,
             preview=preview,
             indirect=indirect,
-            bounce_gain=edit.bounce_gain(self.scene.albedo.mean(axis=0)),
+            bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
             compiled=compiled,
         )
-        direct = view.image(found.diffuse_direct + found.specular_direct)
-        bounced = view.image(found.diffuse_indirect + found.specular_indirect)
-        specular = view.image(found.specular_direct + found.specular_indirect)
-        rgb = direct + bounced
         return replace(
             known.still,
-            rgb=rgb,
-            direct=direct,
-            indirect=bounced,
-            diffuse=rgb - specular,
-            specular=specular,
+            rgb=found.rgb,
+            direct=found.direct,
+            indirect=found.indirect,
+            diffuse=found.diffuse,
+            specular=found.specular,
         )
 
     def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":

@@ -37,6 +37,11 @@ class BakedScene:
         return np.clip(self.transport.direct[0] / np.float32(0.5 * np.sqrt(np.pi)), 0.0, 1.0)
 
     @cached_property
+    def mean_albedo(self) -> NDArray[np.float32]:
+        """The object's mean albedo, [3]."""
+        return self.albedo.mean(axis=0)
+
+    @cached_property
     def surroundings(self) -> NDArray[np.float32]:
         """Factor from indirect irradiance to the mean radiance of what stands around, [texel]."""
         return 1.0 / (np.float32(np.pi) * np.maximum(1.0 - self.openness, _LEAST_BLOCKED))

@@ -1,0 +1,135 @@
+"""How long baked relighting takes for a changed or turned light, and how far it is from refined.
+
+    OMP_NUM_THREADS=1 python benchmarks/baked_relighting.py BUNDLE [--environments DIR] [--views 2]
+
+Prints Markdown tables for docs/benchmarks/relighting.md. A camera is seen once before the clock runs: the
+times are those of another light on a known view, in processor time of one thread.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from lambent_relight import (
+    MaterialEdit,
+    Renderer,
+    environment_from_array,
+    load_bundle,
+    load_environment,
+    turntable,
+)
+from lambent_relight.baked_light import coarse_bounce, lit_texels, prepare_light, texel_irradiance
+from lambent_relight.images import srgb_from_linear
+
+REPEATS = 7
+
+
+def milliseconds(function: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Return the shortest time of several calls: on a shared machine the others measure the neighbours."""
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        function()
+        times.append(time.process_time() - began)
+    return 1e3 * min(times)
+
+
+def speed(renderer: Renderer, size: int) -> None:
+    """Print the times of the parts of a picture at `size` x `size` pixels."""
+    known = renderer.bundle.cameras()[0]
+    bounds = renderer.bundle.manifest.bounds
+    target = (np.array(bounds.minimum) + np.array(bounds.maximum)) / 2.0
+    extent = float(np.linalg.norm(np.array(bounds.maximum) - np.array(bounds.minimum)))
+    radius = float(np.linalg.norm(known.camera_to_world[:3, 3] - target))
+    # As close as makes the object fill the picture.
+    view_deg = 2.0 * np.degrees(np.arctan(0.42 * extent / radius))
+    camera = turntable(
+        1,
+        radius=radius,
+        elevation_deg=30.0,
+        target=target.tolist(),
+        width=size,
+        height=size,
+        field_of_view_deg=view_deg,
+    )[0]
+    baked = renderer.baked()
+    environment = environment_from_array(np.random.default_rng(0).uniform(0.0, 1.0, (512, 1024, 3)))
+    arguments = {"preview": False, "antialias": 1, "indirect": True, "edit": MaterialEdit()}
+    began = time.process_time()
+    picture = baked.render(camera, environment, **arguments)
+    first = time.process_time() - began
+    light = baked.light(environment, 4)
+    covered = float((picture.coverage > 0.5).mean())
+    bands = round(len(baked.scene.transport.direct) ** 0.5)
+    lit = lit_texels(baked.scene, baked.view(camera, 1, soft_edges=True).used)
+    turned = iter(range(1, 1000))
+    rows = {
+        "transport product (direct and indirect, the texels in view)": milliseconds(
+            lambda: (texel_irradiance(lit, light, bands), coarse_bounce(lit, light))
+        ),
+        "whole picture, turned light, numpy": milliseconds(
+            lambda: baked.render(camera, environment.rotated(next(turned)), **arguments, compiled=False)
+        ),
+        "whole picture, turned light, compiled": milliseconds(
+            lambda: baked.render(camera, environment.rotated(next(turned)), **arguments)
+        ),
+        "a new 1k map: harmonics, lights, prefiltered levels": milliseconds(
+            lambda: prepare_light(environment, bands, 4), 3
+        ),
+        "a new camera and everything after it, once": 1e3 * first,
+    }
+    print(
+        f"{size} x {size} pixels, {100 * covered:.0f} % covered, {baked.scene.transport.num_texels} texels\n"
+    )
+    print("| | ms |\n| --- | --- |")
+    for name, value in rows.items():
+        print(f"| {name} | {value:.1f} |")
+    began = time.process_time()
+    renderer.render(camera.resized(size // 4, size // 4), environment, num_samples=64, antialias=1)
+    print(f"\nrefined, 64 directions, at a quarter of the side: {time.process_time() - began:.2f} s\n")
+
+
+def likeness(renderer: Renderer, folder: Path, num_views: int, num_samples: int) -> None:
+    """Print PSNR of `preview` and `baked` against `refined` under every map of `folder`."""
+    print("| light | preview [dB] | baked [dB] | baked, direct only [dB] | refined, one bounce [dB] |")
+    print("| --- | --- | --- | --- | --- |")
+    cameras = renderer.bundle.cameras()[:num_views]
+    for path in sorted([*folder.glob("*.hdr"), *folder.glob("*.exr")]):
+        light = load_environment(path)
+        ways = (
+            {"quality": "preview"},
+            {"quality": "baked"},
+            {"quality": "baked", "indirect": False},
+            {"num_samples": num_samples, "bounces": "one", "seed": 1},
+        )
+        errors = np.zeros(len(ways))
+        for camera in cameras:
+            truth = renderer.render(camera, light, num_samples=num_samples)
+            for index, way in enumerate(ways):
+                shown = [
+                    srgb_from_linear(p.rgb) * p.opacity + 1.0 - p.opacity
+                    for p in (truth, renderer.render(camera, light, **way))
+                ]
+                errors[index] += np.mean((shown[0] - shown[1]) ** 2) / len(cameras)
+        print(f"| {path.stem} | " + " | ".join(f"{-10 * np.log10(e):.1f}" for e in errors) + " |", flush=True)
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bundle", type=Path)
+    parser.add_argument("--environments", type=Path)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--views", type=int, default=2)
+    parser.add_argument("--samples", type=int, default=256)
+    chosen = parser.parse_args()
+    renderer = Renderer(load_bundle(chosen.bundle))
+    speed(renderer, chosen.size)
+    if chosen.environments is not None:
+        likeness(renderer, chosen.environments, chosen.views, chosen.samples)
+
+
+if __name__ == "__main__":
+    main()
