@@ -65,6 +65,16 @@ def test_the_six_points_have_the_moments_of_the_frustum(interval, seed):
     assert float(sideways.mean(dim=1).norm(dim=-1).max()) < 0.2 * math.sqrt(across)
 
 
+def test_the_six_points_lie_in_six_directions_around_the_axis():
+    given = rays(1)
+    points = cone_points(given, EDGES[:1, :2]).positions[0] - given.origins
+    t = (points * given.directions).sum(dim=-1, keepdim=True)
+    sideways = torch.nn.functional.normalize(points - t * given.directions, dim=-1)
+    apart = (sideways[:, None] * sideways[None]).sum(dim=-1)
+    # Sixty degrees between neighbours: no other point within that angle.
+    assert float((apart - 2.0 * torch.eye(6)).max()) < math.cos(math.pi / 3.0) + 1e-9
+
+
 def test_rays_without_a_radius_are_lines():
     given = rays(radius=None)
     points = cone_points(given, EDGES)

@@ -13,6 +13,7 @@ from flashcache.losses.environment import EnvironmentPriorConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import tiny
+from flashcache.training.joint_losses import physical_loss
 from flashcache.training.stage_two import StageTwo
 from support.lit_sphere import lit_sphere
 
@@ -173,3 +174,59 @@ def test_drawing_by_error_remembers_where_the_picture_is_wrong():
     other.restore_extra_state(made.extra_state())
     assert torch.equal(other.errors.error, made.errors.error)
     assert stage().extra_state() == {}
+
+
+def terms_of(**settings) -> dict[str, float]:
+    return {name: float(term.detach()) for name, term in stage(**settings).losses()[0].items()}
+
+
+def changed(**settings) -> set[str]:
+    """Return the losses that a setting changes."""
+    usual, other = terms_of(), terms_of(**settings)
+    return {name for name in usual if usual[name] != other.get(name)}
+
+
+def test_counting_halves_alike_changes_the_loss_of_the_fast_cache_only():
+    assert changed(fast_by_half=True) == {"fast"}
+
+
+def test_the_weight_of_derived_normals_changes_the_orientation_loss_only():
+    assert changed(orientation_derived=0.0) == {"orientation"}
+
+
+def test_jitter_of_secondary_rays_reaches_what_comes_from_the_nerf_cache():
+    assert {"physical", "fast", "sampler"} <= changed(secondary_jitter=True)
+
+
+def test_the_radius_of_the_fast_caches_loss_is_the_domains():
+    made, near = stage(), stage()
+    near.model.domain = replace(near.model.domain, fast_radius=1e-3)
+    assert float(made.losses()[0]["fast"].detach()) > 0.0
+    assert float(near.losses()[0]["fast"].detach()) == 0.0
+
+
+def test_the_fast_cache_alone_is_taught_by_the_first_pass_only(monkeypatch):
+    asked = []
+    made = stage(estimator=replace(tiny().stage_two.estimator, control_variate="fast_only"))
+    right = InverseModel.ask_nerf
+
+    def counted(self, rays, generator, **options):
+        asked.append(len(rays))
+        return right(self, rays, generator, **options)
+
+    monkeypatch.setattr(InverseModel, "ask_nerf", counted)
+    made.config = replace(made.config, unobserved=UnobservedConfig())
+    terms = made.losses()[0]
+    assert len(asked) == 1
+    assert {"fast", "sampler"} <= set(terms)
+
+
+def test_two_symmetric_passes_weigh_half_each():
+    made = stage()
+    batch = made.pixels.draw(20, torch.Generator().manual_seed(0))
+    cache, picture, other = torch.rand(3, 20, 3, generator=torch.Generator().manual_seed(1))
+    one, both = (
+        physical_loss(replace(made.config, symmetric=flag), batch, cache, picture, other)
+        for flag in (False, True)
+    )
+    torch.testing.assert_close(both, 0.5 * one)

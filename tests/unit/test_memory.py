@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from flashcache import memory
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.space import domain_of
 from flashcache.kernels import cpu
@@ -105,3 +106,20 @@ def test_the_meter_counts_what_is_alive_at_once():
     assert meter.now == 2 * 4000
     del second, third
     assert meter.now == 0
+
+
+def test_directions_that_were_not_traced_are_added_at_their_own_price(monkeypatch):
+    config = tiny()
+    traced_per_ray, per_ray, per_direction, constant = 5, 1000, 70, 12345
+
+    def peak(self, stage, num_rays, factor=1):
+        traced = factor * traced_per_ray * num_rays if stage == "joint" else 0
+        return constant + per_ray * num_rays + per_direction * traced, traced
+
+    monkeypatch.setattr(memory._Probe, "peak", peak)
+    one, two = estimate(config)
+    assert one.activations == constant + per_ray * config.stage_one.num_rays
+    estimator = config.stage_two.estimator
+    directions = memory.TRACED_SHARE * (estimator.fast.total + estimator.exact.total)
+    rays = config.stage_two.num_rays
+    assert two.activations == round(constant + rays * (per_ray + per_direction * directions))

@@ -4,6 +4,8 @@ import pytest
 from flashcache.caches.environment import EnvironmentConfig
 from flashcache.data.space import SpaceConfig, domain_of, placed, rotations_of
 from flashcache.errors import ConfigError
+from flashcache.physical.model import InverseModel
+from flashcache.presets import tiny
 from support.lit_sphere import lit_sphere
 
 SCENE = lit_sphere(num_views=1, side=4)
@@ -20,7 +22,7 @@ def test_stated_distances_replace_those_of_the_capture():
     found = placed(SCENE, space)
     assert (found.contraction_radius, found.primary, found.secondary) == (2.0, (2.0, 6.0), (0.05, 2.0))
     assert (found.bounds_min, found.lights) == (SCENE.bounds_min, SCENE.lights)
-    domain = domain_of(found, space, EnvironmentConfig())
+    domain = domain_of(SCENE, space, EnvironmentConfig())
     assert (domain.contraction_radius, domain.secondary, domain.fast_radius) == (2.0, (0.05, 2.0), 0.5)
     assert (domain.rotations_deg, domain.known_lights) == ((), ())
 
@@ -45,3 +47,13 @@ def test_a_rotated_light_without_an_angle_is_named():
 def test_impossible_distances_are_refused(settings):
     with pytest.raises(ConfigError, match="space"):
         SpaceConfig(**settings)
+
+
+@pytest.mark.parametrize(
+    ("near", "offset", "expected"), [(0.05, 0.0, 0.01), (0.2, 0.0, 0.04), (0.05, 0.02, 0.02)]
+)
+def test_secondary_rays_start_a_fifth_of_their_near_distance_above_the_surface(near, offset, expected):
+    space = SpaceConfig(secondary=(near, 2.0), origin_offset=offset)
+    model = InverseModel(tiny().model, domain_of(SCENE, space, EnvironmentConfig()))
+    assert model.limits.origin_offset == pytest.approx(expected)
+    assert (model.limits.near, model.limits.far) == (near, 2.0)
