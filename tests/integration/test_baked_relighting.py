@@ -18,6 +18,8 @@ from lambent_relight.images import srgb_from_linear
 from lambent_relight.transport import read_transport
 from support.baked_bundle import write_baked_bundle
 
+pytestmark = pytest.mark.slow
+
 CAMERA = turntable(1, radius=4.0, elevation_deg=35.0, width=40, height=40)[0]
 
 
