@@ -7,6 +7,7 @@ import torch
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.ray_budget import RayBudget
+from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import PRESETS, preset, tiny
@@ -204,6 +205,41 @@ def test_stage_two_runs_without_the_control_variate(mode):
         record = stage.step()
     assert record is not None
     assert not record.skipped
+
+
+def late_terms(**settings) -> dict[str, float]:
+    """Return the losses of stage one at two thirds of the training."""
+    config = small()
+    one = replace(config.stage_one, num_steps=300, normal_every=1, **settings)
+    stage = stage_of("cache", replace(config, stage_one=one))
+    stage.steps_done = 200
+    return dict(stage.step().terms)
+
+
+def test_the_weight_of_derived_normals_changes_the_orientation_loss_of_stage_one_only():
+    usual, other = (
+        late_terms(orientation_weight=0.1),
+        late_terms(orientation_weight=0.1, orientation_derived=0.0),
+    )
+    assert {name for name in usual if usual[name] != other[name]} == {"orientation"}
+    assert other["orientation"] < usual["orientation"]
+
+
+def test_the_normal_loss_follows_its_ramp():
+    ramp = {"normal_start": 0.25, "normal_weight": 1.0}
+    ends = (late_terms(normal_ramp=span, **ramp)["normals"] for span in ((0.8, 0.9), (0.1, 0.2)))
+    before, after = ends
+    middle = late_terms(normal_ramp=(0.5, 2.0 / 3.0 + (2.0 / 3.0 - 0.5)), **ramp)["normals"]
+    assert before == pytest.approx(0.25 * after, rel=1e-5)
+    assert middle == pytest.approx(0.625 * after, rel=1e-5)
+
+
+def test_the_decay_of_stage_one_reaches_proposals_and_density():
+    config = small()
+    stage = stage_of("cache", replace(config, stage_one=replace(config.stage_one, grid_decay=1.0)))
+    densities = (*stage.model.nerf.proposals, stage.model.nerf.density)
+    expected = float(grid_decay(density.grid for density in densities).detach())
+    assert stage.step().terms["grid_decay"] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["cache", "joint"])
