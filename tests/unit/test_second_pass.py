@@ -7,7 +7,7 @@ import torch
 from flashcache.presets import tiny
 from flashcache.training.joint_losses import physical_loss
 from flashcache.training.passes import shade
-from flashcache.training.second_pass import SecondPass, one_thread_each, twin_of
+from flashcache.training.second_pass import SecondPass, half_the_threads, twin_of
 from flashcache.volume.quadrature import composite
 from test_gradient_routing import stage
 
@@ -102,10 +102,10 @@ def test_a_failure_in_the_second_pass_ends_the_step(threads, monkeypatch):
 
 def test_operations_get_their_threads_back(threads):
     threads(2)
-    with one_thread_each(active=True):
+    with half_the_threads(active=True):
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == 2
-    with one_thread_each(active=False):
+    with half_the_threads(active=False):
         assert torch.get_num_threads() == 2
 
 

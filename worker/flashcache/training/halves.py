@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from flashcache.physical.model import InverseModel
-from flashcache.training.second_pass import one_thread_each, twin_of
+from flashcache.training.second_pass import half_of, half_the_threads, twin_of
 
 T = TypeVar("T")
 
@@ -28,7 +28,8 @@ class Halves:
         device = next(model.parameters()).device
         self.count = 2 if device.type == "cpu" and torch.get_num_threads() > 1 else 1
         self._models = [model, twin_of(model)] if self.count > 1 else [model]
-        self._pool = ThreadPoolExecutor(1, "half", torch.set_num_threads, (1,))
+        own = half_of(torch.get_num_threads())
+        self._pool = ThreadPoolExecutor(1, "half", torch.set_num_threads, (own,))
         self._pairs = [
             (own, other)
             for own, other in zip(model.nerf.parameters(), self._models[-1].nerf.parameters(), strict=True)
@@ -51,7 +52,7 @@ class Halves:
 
         if self.count == 1:
             return [work(0)]
-        with one_thread_each(True):
+        with half_the_threads(True):
             job = self._pool.submit(work, 1)
             results = [work(0), job.result()]
         with torch.no_grad():

@@ -31,12 +31,17 @@ def twin_of(model: InverseModel) -> InverseModel:
     return twin
 
 
+def half_of(num_threads: int) -> int:
+    """Return how many threads each of two workers may use."""
+    return max(1, num_threads // 2)
+
+
 @contextmanager
-def one_thread_each(active: bool) -> Iterator[None]:
-    """Let operations of this thread use one core while `active`, so that another thread has the other."""
+def half_the_threads(active: bool) -> Iterator[None]:
+    """Let operations of this thread use half the cores while `active`: another thread has the others."""
     before = torch.get_num_threads()
     if active:
-        torch.set_num_threads(1)
+        torch.set_num_threads(half_of(before))
     try:
         yield
     finally:
@@ -54,8 +59,11 @@ class SecondPass:
     def __init__(self, model: InverseModel, config: StageTwoConfig) -> None:
         self.model, self.config = model, config
         device = next(model.parameters()).device
-        self.parallel = device.type == "cpu" and torch.get_num_threads() > 1
-        self._pool = ThreadPoolExecutor(1, "pass-b", torch.set_num_threads, (1,)) if self.parallel else None
+        threads = torch.get_num_threads()
+        self.parallel = device.type == "cpu" and threads > 1
+        self._pool = None
+        if self.parallel:
+            self._pool = ThreadPoolExecutor(1, "pass-b", torch.set_num_threads, (half_of(threads),))
         self._twin = twin_of(model) if config.symmetric else model
         self._pairs: list[tuple[nn.Parameter, nn.Parameter]] = []
         if config.symmetric:

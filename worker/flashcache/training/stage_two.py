@@ -37,7 +37,7 @@ from flashcache.training.optimiser import (
 )
 from flashcache.training.passes import shade
 from flashcache.training.schedule import rate_factor
-from flashcache.training.second_pass import SecondPass, one_thread_each
+from flashcache.training.second_pass import SecondPass, half_the_threads
 from flashcache.training.stage_one import masked_psnr
 from flashcache.training.unobserved import unobserved_terms
 from flashcache.volume.quadrature import composite
@@ -84,7 +84,7 @@ class StageTwo:
         config, step = self.config, self.steps_done
         factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
         set_rates(self.optimiser, factor)
-        with one_thread_each(self.second.parallel and step >= config.warmup_steps):
+        with half_the_threads(self.second.parallel and step >= config.warmup_steps):
             terms, picture, batch, collect = self.losses()
             loss = torch.stack(list(terms.values())).sum()
             applied = apply_gradients(self.optimiser, loss, collect)
