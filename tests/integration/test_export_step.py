@@ -212,6 +212,15 @@ def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(context):
     assert values[:, 0].max() <= 1.01
 
 
+def test_a_usdz_file_is_written_where_it_is_asked_for(context):
+    pytest.importorskip("pxr.Usd")
+    config = replace(context.config, export=replace(context.config.export, usdz=True))
+    export.run(replace(context, config=config))
+    files = {file.path: file for file in load_bundle(context.folder).manifest.files}
+    assert files["mesh/asset.usdz"].media_type == "model/vnd.usdz+zip"
+    assert files["mesh/asset.usdz"].role == "mesh"
+
+
 def test_every_field_of_the_manifest_is_written_with_its_proto_name(context):
     export.run(context)
     record = json.loads((context.folder / "manifest.json").read_text())

@@ -181,6 +181,8 @@ class ExportConfig:
     """Most texels at which ambient occlusion is measured; others take it from their neighbours."""
     occlusion_rays: int = 64
     """Secondary rays per such texel."""
+    usdz: bool = False
+    """Write mesh/asset.usdz too; needs the package usd-core."""
     transport_tier: str = "full"
     """Baked light transport: "full" (49 harmonics, shadow bits), "lite" (25, none) or "none"."""
     judge_samples: int = 64

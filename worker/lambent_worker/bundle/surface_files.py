@@ -22,8 +22,10 @@ from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_occlusion import bake_occlusion
 from lambent_worker.bundle.textures import TextureSet, bake_materials
+from lambent_worker.bundle.usd import write_usdz
 
 ASSET_PATH = "mesh/asset.glb"
+USDZ_PATH = "mesh/asset.usdz"
 SUPERSAMPLING = 4
 """Samples of a silhouette along each side of a pixel."""
 
@@ -37,7 +39,7 @@ def write_asset(
     box: tuple[Corner, Corner],
     views: tuple[View, ...],
 ) -> tuple[AtlasSurface, TextureSet]:
-    """Write mesh/asset.glb into `folder`, whose graphs and weights lie there already; note it in `manifest`.
+    """Write mesh/asset.glb, and .usdz if asked, into `folder` with its graphs; note them in `manifest`.
 
     `views` are the photographs, whose pixels say how much detail there can be. Raises WorkerError where there
     is no surface or the file is not read back as it was meant.
@@ -55,6 +57,8 @@ def write_asset(
     asset = write_glb(surface, textures, unit=manifest.world.unit)
     check_glb(asset, surface)
     (folder / ASSET_PATH).write_bytes(asset)
+    if config.usdz:
+        write_usdz(folder / USDZ_PATH, surface, textures)
     manifest.atlas.size = surface.size
     manifest.atlas.num_texels = len(surface.texel_index)
     manifest.atlas.texel_size = texel_size(surface)
