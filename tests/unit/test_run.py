@@ -14,7 +14,7 @@ from lambent_worker.connection import Connection, FencedError, Identity, Refused
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.reporting import MAX_PREVIEW_BYTES, ServerReporter, media_type
 from lambent_worker.run import describe_failure, fetch_scene, restore_checkpoints
-from lambent_worker.run_config import adjust, config_of
+from lambent_worker.run_config import adjust, config_of, known_lights_of
 from support.recording_reporter import RecordingReporter
 from support.runs import SECRET, Stage, staged, token
 
@@ -259,3 +259,18 @@ def test_a_wrong_secret_is_an_end_and_not_a_retry(stage: Stage, job: str):
     with pytest.raises(FencedError):
         connection.call(connection.stub.Heartbeat, heartbeat(connection))
     connection.close()
+
+
+def test_an_order_names_environments_among_the_files_of_its_capture(tmp_path):
+    spec = job_pb2.JobSpec(preset="tiny", params={"known_lights": "a=sky.exr, maps/b.hdr"})
+    expected = [f"a={tmp_path / 'sky.exr'}", str(tmp_path / "maps" / "b.hdr")]
+    assert known_lights_of(spec, tmp_path) == expected
+    assert config_of(spec, UNCHANGED)[0].preset == "tiny"
+    assert known_lights_of(job_pb2.JobSpec(preset="tiny"), tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["../sky.exr", "a=/etc/sky.exr"])
+def test_an_environment_outside_the_capture_is_refused(tmp_path, name: str):
+    spec = job_pb2.JobSpec(preset="tiny", params={"known_lights": name})
+    with pytest.raises(ConfigError, match="outside the capture"):
+        known_lights_of(spec, tmp_path)

@@ -43,11 +43,14 @@ Check = Callable[[Path], CaptureCheck]
 
 def train(task: Task) -> Path | None:
     """Run the steps of `lambent_worker.pipeline` and return the bundle's folder."""
+    from lambent_worker.known_lights import keep_known_lights, names_by_content, parse_known_lights
     from lambent_worker.pipeline import run_pipeline
-    from lambent_worker.run_config import config_of
+    from lambent_worker.run_config import config_of, known_lights_of
     from lambent_worker.run_folder import step_folder
 
     config, lights, layout = config_of(task.spec, task.adjustments)
+    known = parse_known_lights(known_lights_of(task.spec, task.scene_dir))
+    keep_known_lights(task.run_dir, known)
     run_pipeline(
         task.scene_dir,
         task.run_dir,
@@ -57,6 +60,7 @@ def train(task: Task) -> Path | None:
         task.reporter,
         lights=lights,
         layout=layout,
+        known_lights=names_by_content(known),
     )
     return step_folder(task.run_dir, "export")
 

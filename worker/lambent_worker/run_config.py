@@ -1,14 +1,17 @@
 """What a job's order means as a configuration."""
 
 from dataclasses import replace
+from pathlib import Path
 
 from flashcache.config import Config, Rates, with_overrides
+from flashcache.errors import ConfigError
 from flashcache.presets import preset as preset_of
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 # Parts of an order that are no settings of the method.
 LIGHTS = "lights"
 LAYOUT = "layout"
+KNOWN_LIGHTS = "known_lights"
 
 
 def config_of(
@@ -19,10 +22,27 @@ def config_of(
     Raises `ConfigError` for an unknown preset or setting.
     """
     base = preset_of(spec.preset)
-    settings = {name: value for name, value in spec.params.items() if name not in (LIGHTS, LAYOUT)}
+    own = (LIGHTS, LAYOUT, KNOWN_LIGHTS)
+    settings = {name: value for name, value in spec.params.items() if name not in own}
     config = adjust(with_overrides(base, settings), adjustments)
     lights = tuple(name.strip() for name in spec.params.get(LIGHTS, "").split(",") if name.strip())
     return config, lights, spec.params.get(LAYOUT, "")
+
+
+def known_lights_of(spec: job_pb2.JobSpec, scene_dir: Path) -> list[str]:
+    """Return the given environments of an order as `--known-light` takes them, with paths on this machine.
+
+    An order names files of its capture: `sky.exr`, or `sunset=a.hdr,snow=b.hdr`. Raises `ConfigError` for one
+    outside the capture.
+    """
+    items = []
+    for item in filter(None, (item.strip() for item in spec.params.get(KNOWN_LIGHTS, "").split(","))):
+        light, equals, name = item.rpartition("=")
+        path = (scene_dir / name).resolve()
+        if not path.is_relative_to(scene_dir.resolve()):
+            raise ConfigError(f'{KNOWN_LIGHTS} "{name}" lies outside the capture; name a file of the capture')
+        items.append(f"{light}{equals}{path}")
+    return items
 
 
 def adjust(config: Config, adjustments: worker_pb2.Adjustments) -> Config:
