@@ -55,6 +55,9 @@ class Settings:
     """How Mitsuba is asked to optimise; found by a few short tries on cowcrate."""
 
     rate: float = 0.02
+    """Of base colour, an Adam step."""
+    lobe_rate: float = 0.005
+    """Of roughness and metalness, which photographs say less about."""
     light_rate: float = 0.03
     smoothness: float = 0.01
     """Weight of the mean absolute difference along the mesh's edges."""
@@ -134,7 +137,8 @@ class Inversion:
             self.optimiser[name] = self.parameters[f"asset.vertex_{name}"]
         # Radiance spans decades: its logarithm is what steps of one size suit.
         self.optimiser["light"] = dr.log(self.parameters[LIGHT])
-        self.optimiser.set_learning_rate({"light": settings.light_rate})
+        rates = {"roughness": settings.lobe_rate, "metallic": settings.lobe_rate}
+        self.optimiser.set_learning_rate({"light": settings.light_rate, **rates})
         self._integrator = mi.load_dict(
             {"type": "prb", "max_depth": settings.bounces + 2, "hide_emitters": True}
         )

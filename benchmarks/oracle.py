@@ -6,8 +6,9 @@ Every test view is shaded from its true distance, normals, albedo, perceptual ro
 the true environment: without shadows, with shadows, with one bounce and with three. Light that comes from the
 object itself is that of a closed surface fused from the true maps (`oracle_geometry.py`), which also shades
 pixels that see more than one surface, at several points. Albedo goes the other way: it is what each kind of
-transport makes of the photograph, all else being true. Figures are those of `tests/references/evaluate.py`.
-Needs the extra `dev` and an LLVM library for ray casting; see `make_sample_scene.py`.
+transport makes of all training photographs together, all else being true. Figures are those of
+`tests/references/evaluate.py`. Needs the extra `dev` and an LLVM library for ray casting; see
+`make_sample_scene.py`.
 """
 
 import argparse
@@ -25,9 +26,13 @@ from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
+from oracle_albedo import AlbedoFit, albedo_map
 from oracle_geometry import fuse
-from oracle_light import ProxySurface, TrueSurface, solve_albedo
+from oracle_light import ProxySurface
+from oracle_views import TrueSurface
 from reference_scores import reference_scores
+
+GRID = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +41,7 @@ class Oracle:
 
     bounces: int | None
     """Reflections on the object before the one that is seen; None leaves shadows out as well."""
-    grid: int = 4
+    grid: int = GRID
     """Points along the side of a pixel that sees several surfaces."""
     share: float = 1.0
     """Share of the directions per pixel."""
@@ -87,24 +92,33 @@ def predict(
     directions: int,
     out: Path,
 ) -> None:
-    """Write the maps of all test views that are not there yet: pictures, and albedo from the photograph."""
+    """Write the pictures of all test views that are not there yet."""
     count = round(directions * oracle.share)
     for number, view in enumerate(scene.test):
         paths = {light: out / view.name / f"rgba_{light}.npy" for light in lights}
         if all(path.is_file() for path in paths.values()):
             continue
         true = TrueSurface(view, surface, oracle.grid)
-        opacity = view.truth["albedo"][..., 3:]
-        first = scene.lights[0]
-        black, white = (
-            true.radiance(lights[first], oracle.bounces, count, number, level) for level in (0.0, 1.0)
-        )
-        photograph = torch.tensor(view.images[first]).flatten(0, 1)[true.pixels, :3]
-        albedo = true.as_map(solve_albedo(photograph, black, white))
-        save_array(out / view.name / "albedo.npy", np.concatenate([albedo, opacity], axis=-1))
         for light, path in paths.items():
             radiance = true.radiance(lights[light], oracle.bounces, count, number)
-            save_array(path, encoded(true.as_map(radiance), opacity))
+            save_array(path, encoded(true.as_map(radiance), view.truth["albedo"][..., 3:]))
+
+
+def fit_albedo(
+    scene: Scene, surface: ProxySurface, light: MapLight, oracle: Oracle, directions: int, out: Path
+) -> None:
+    """Write the albedo that all training photographs together ask for, unless it is there."""
+    paths = [out / view.name / "albedo.npy" for view in scene.test]
+    if all(path.is_file() for path in paths):
+        return
+    fit = AlbedoFit(surface)
+    for number, view in enumerate(scene.train):
+        fit.observe(
+            view, scene.lights[0], light, bounces=oracle.bounces, num_directions=directions, seed=number
+        )
+    albedo = fit.solve()
+    for view, path in zip(scene.test, paths, strict=True):
+        save_array(path, albedo_map(surface, albedo, view, GRID))
 
 
 def measure(folder: Path, arguments: argparse.Namespace) -> dict[str, dict[str, float]]:
@@ -126,6 +140,8 @@ def measure(folder: Path, arguments: argparse.Namespace) -> dict[str, dict[str, 
         out = arguments.out / scene.name / name.replace(", ", "_").replace(" ", "_")
         started = time.perf_counter()
         predict(chosen, surface, lights, oracle, arguments.directions, out)
+        if oracle.share == 1.0:
+            fit_albedo(chosen, surface, lights[scene.lights[0]], oracle, arguments.albedo_directions, out)
         table[name] = reference_scores(folder, out, arguments.views)
         print(f"{name}: {time.perf_counter() - started:.0f} s", flush=True)
     return table
@@ -137,13 +153,15 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--directions", type=int, default=128, help="directions per pixel")
+    parser.add_argument("--albedo-directions", type=int, default=64, help="directions per training pixel")
     parser.add_argument("--resolution", type=int, default=256, help="cells along the longest side of the box")
     parser.add_argument("--views", type=int, default=0, help="test views, evenly spaced; 0 for all")
     parser.add_argument("--quick", action="store_true", help="two views, 16 directions, a coarse surface")
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.directions, arguments.resolution, arguments.views = 64, 96, 2
+        arguments.directions, arguments.albedo_directions = 64, 16
+        arguments.resolution, arguments.views = 96, 2
     figures = {}
     for folder in arguments.scenes:
         table = figures[folder.name] = measure(folder, arguments)
@@ -156,7 +174,7 @@ def main() -> None:
         for name, row in table.items():
             digits = [3 if "SSIM" in title else 2 for title in columns]
             values = zip(columns.values(), digits, strict=True)
-            cells = [f"{row[key]:.{count}f}" for key, count in values]
+            cells = [f"{row[key]:.{count}f}" if key in row else "" for key, count in values]
             print(f"| {name} | " + " | ".join(cells) + " |")
     (arguments.out / "oracle.json").write_text(json.dumps(figures, indent=1) + "\n")
 

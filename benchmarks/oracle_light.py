@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from flashcache.data.scene import View
 from flashcache.evaluation.relighting import BOUNCE_COUNTS, MapLight
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
@@ -23,7 +22,7 @@ from flashcache.physical.incident import (
 )
 from flashcache.physical.shading import ShadingPoints
 from jaxtyping import Bool, Float, Int
-from oracle_geometry import Proxy, pixel_rays, single_surface
+from oracle_geometry import Proxy
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
@@ -47,12 +46,25 @@ class Hits:
     distance: Float[Tensor, " hits"]
     normal: Float[Tensor, "hits 3"]
     materials: Materials
+    corners: Int[Tensor, "hits 3"]
+    """Vertices of the triangle."""
+    shares: Float[Tensor, "hits 3"]
+    """How much each of them counts; the sum is one."""
 
     def select(self, chosen: Bool[Tensor, " hits"]) -> "Hits":
         """Return some of the hits."""
         return Hits(
-            self.index[chosen], self.distance[chosen], self.normal[chosen], _select(self.materials, chosen)
+            self.index[chosen],
+            self.distance[chosen],
+            self.normal[chosen],
+            select(self.materials, chosen),
+            self.corners[chosen],
+            self.shares[chosen],
         )
+
+    def interpolate(self, values: Float[Tensor, "vertices k"]) -> Float[Tensor, "hits k"]:
+        """Return what values of the vertices are at the hits."""
+        return (values[self.corners] * self.shares[..., None]).sum(dim=1)
 
 
 class ProxySurface:
@@ -63,6 +75,7 @@ class ProxySurface:
         import mitsuba as mi
 
         self._mi = mi
+        self.vertices = proxy.vertices
         mesh = mi.Mesh("proxy", len(proxy.vertices), len(proxy.faces))
         buffers = mi.traverse(mesh)
         buffers["vertex_positions"] = proxy.vertices.astype(np.float32).ravel()
@@ -92,11 +105,12 @@ class ProxySurface:
             if not len(index):
                 break
         index, distance, face, uv = (torch.cat(column) for column in zip(*found, strict=True))
-        shares = torch.cat([1.0 - uv.sum(dim=-1, keepdim=True), uv], dim=-1)[..., None]
-        values = (self._maps[self._faces[face]] * shares).sum(dim=1)
+        shares = torch.cat([1.0 - uv.sum(dim=-1, keepdim=True), uv], dim=-1)
+        corners = self._faces[face]
+        values = (self._maps[corners] * shares[..., None]).sum(dim=1)
         normal, albedo, alpha, metalness = values.split([3, 3, 1, 1], dim=-1)
         normal = torch.nn.functional.normalize(normal, dim=-1)
-        return Hits(index, distance, normal, Materials(albedo, alpha, metalness))
+        return Hits(index, distance, normal, Materials(albedo, alpha, metalness), corners, shares)
 
     def _cast(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         mi = self._mi
@@ -155,125 +169,42 @@ def lit(
     ).rgb
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceSamples:
-    """Points to shade, and the covered pixels they belong to."""
+def shade(
+    surface: ProxySurface,
+    points: ShadingPoints,
+    materials: Materials,
+    light: MapLight,
+    *,
+    bounces: int | None,
+    num_directions: int,
+    seed: int,
+) -> Float[Tensor, "points 3"]:
+    """Return the radiance of any number of points; `bounces` None leaves shadows out as well.
 
-    owner: Int[Tensor, " points"]
-    """Position of the pixel among the covered ones."""
-    points: ShadingPoints
-    materials: Materials
-    share: int
-    """Points of one pixel, which share its directions."""
-
-    def select(self, index: Tensor) -> "SurfaceSamples":
-        """Return some of the points."""
-        points = ShadingPoints(*(column[index] for column in self.points))
-        return SurfaceSamples(self.owner[index], points, _select(self.materials, index), self.share)
-
-
-class TrueSurface:
-    """What the covered pixels of a test view see.
-
-    A pixel that sees one surface is shaded at its centre with its own true maps. One that sees several is
-    shaded at a grid of points on the proxy, because its maps are means over different surfaces.
+    Equal seeds draw equal directions, whatever the albedo.
     """
-
-    def __init__(self, view: View, surface: ProxySurface, grid: int) -> None:
-        """Look at `view`; `grid` counts points along the side of a mixed pixel, 1 shades its mean maps."""
-        self.view, self.surface = view, surface
-        truth = {name: torch.tensor(values).flatten(0, 1) for name, values in view.truth.items()}
-        self.pixels = (truth["albedo"][:, 3] > 0.0).nonzero()[:, 0]
-        means = self._means({name: values[self.pixels] for name, values in truth.items()})
-        if grid == 1:
-            self.samples = [means]
-            return
-        clean = torch.tensor(single_surface(view)).flatten()[self.pixels]
-        fine = self._fine(grid, (~clean).nonzero()[:, 0])
-        # A mixed pixel that the proxy misses keeps its means.
-        clean[~clean] = ~torch.isin((~clean).nonzero()[:, 0], fine.owner)
-        self.samples = [means.select(clean.nonzero()[:, 0]), fine]
-
-    def _means(self, seen: dict[str, Tensor]) -> SurfaceSamples:
-        camera = self.view.camera
-        directions = torch.tensor(pixel_rays(camera), dtype=torch.float32).flatten(0, 1)[self.pixels]
-        eye = torch.tensor(camera.position, dtype=torch.float32)
-        normal = torch.nn.functional.normalize(seen["normal"][:, :3], dim=-1)
-        points = _points(eye + seen["distance"] * directions, normal, -directions)
-        alpha = seen["roughness"].clamp(0.01, 1.0).square()
-        materials = Materials(seen["albedo"][:, :3], alpha, seen["metallic"])
-        return SurfaceSamples(torch.arange(len(directions)), points, materials, 1)
-
-    def _fine(self, grid: int, mixed: Tensor) -> SurfaceSamples:
-        camera = self.view.camera
-        finer = camera.resized(grid * camera.width, grid * camera.height)
-        rays = torch.tensor(pixel_rays(finer), dtype=torch.float32)
-        by_pixel = rays.reshape(camera.height, grid, camera.width, grid, 3).transpose(1, 2)
-        directions = by_pixel.reshape(camera.height * camera.width, grid * grid, 3)[self.pixels[mixed]]
-        directions = directions.reshape(-1, 3)
-        owner = mixed.repeat_interleave(grid * grid)
-        eye = torch.tensor(camera.position, dtype=torch.float32)
-        hits = self.surface.first_hits(eye.expand_as(directions), directions)
-        towards = -directions[hits.index]
-        points = _points(eye - hits.distance[:, None] * towards, hits.normal, towards)
-        return SurfaceSamples(owner[hits.index], points, hits.materials, grid * grid)
-
-    def radiance(
-        self,
-        light: MapLight,
-        bounces: int | None,
-        num_directions: int,
-        seed: int,
-        albedo: float | None = None,
-    ) -> Float[Tensor, "pixels 3"]:
-        """Return the mean radiance of every covered pixel; `bounces` None leaves shadows out as well.
-
-        `albedo` replaces the true one at the pixels, but not where light comes from. Equal seeds draw equal
-        directions.
-        """
-        generator = torch.Generator().manual_seed(seed)
-        source = unoccluded if bounces is None else self.surface.source(light, bounces, generator)
-        total, count = torch.zeros(len(self.pixels), 3), torch.zeros(len(self.pixels), 1)
-        for samples in self.samples:
-            quarter = max(1, num_directions // samples.share // 4)
-            counts = DirectionCounts(cosine=quarter, sampler=quarter, specular=2 * quarter)
-            for index in torch.arange(len(samples.owner)).split(max(1, CHUNK_RAYS // (4 * quarter))):
-                some = samples.select(index)
-                materials = some.materials
-                if albedo is not None:
-                    white = torch.full_like(materials.albedo, albedo)
-                    materials = Materials(white, materials.alpha, materials.metalness)
-                radiance = lit(some.points, materials, light, source, counts, generator)
-                total.index_add_(0, some.owner, radiance)
-                count.index_add_(0, some.owner, torch.ones(len(index), 1))
-        return total / count
-
-    def albedo(self) -> Float[Tensor, "pixels 3"]:
-        """Return the true albedo of the covered pixels, means at edges."""
-        flat = torch.tensor(self.view.truth["albedo"][..., :3]).flatten(0, 1)
-        return flat[self.pixels]
-
-    def as_map(self, values: Float[Tensor, "pixels k"]) -> Float[np.ndarray, "height width k"]:
-        """Return values of the covered pixels as a map, zero elsewhere."""
-        camera = self.view.camera
-        flat = torch.zeros(camera.height * camera.width, values.shape[-1]).index_copy(0, self.pixels, values)
-        return flat.reshape(camera.height, camera.width, -1).numpy()
+    if not len(points.positions):
+        return points.positions
+    generator = torch.Generator().manual_seed(seed)
+    source = unoccluded if bounces is None else surface.source(light, bounces, generator)
+    quarter = max(1, num_directions // 4)
+    counts = DirectionCounts(cosine=quarter, sampler=quarter, specular=2 * quarter)
+    parts = []
+    for some in torch.arange(len(points.positions)).split(max(1, CHUNK_RAYS // counts.total)):
+        chunk = ShadingPoints(*(column[some] for column in points))
+        parts.append(lit(chunk, select(materials, some), light, source, counts, generator))
+    return torch.cat(parts)
 
 
-def _select(materials: Materials, index: Tensor) -> Materials:
+def select(materials: Materials, index: Tensor) -> Materials:
+    """Return the materials of some of the points."""
     return Materials(materials.albedo[index], materials.alpha[index], materials.metalness[index])
 
 
-def _points(positions: Tensor, normal: Tensor, omega_o: Tensor) -> ShadingPoints:
+def points_at(
+    positions: Float[Tensor, "points 3"],
+    normal: Float[Tensor, "points 3"],
+    omega_o: Float[Tensor, "points 3"],
+) -> ShadingPoints:
+    """Return points to be shaded under the only light there is."""
     return ShadingPoints(positions, normal, omega_o, torch.zeros(len(positions), dtype=torch.long))
-
-
-def solve_albedo(
-    photograph: Float[Tensor, "pixels 3"], black: Float[Tensor, "pixels 3"], white: Float[Tensor, "pixels 3"]
-) -> Float[Tensor, "pixels 3"]:
-    """Return the albedo that explains `photograph`, given the radiance of black and of white surfaces.
-
-    Reflected radiance is an affine function of albedo: so are the diffuse lobe and Schlick's reflectance.
-    Limited to 0..4, because little light leaves the quotient open.
-    """
-    return ((photograph - black) / (white - black).clamp_min(1e-4)).clamp(0.0, 4.0)
