@@ -132,7 +132,8 @@ def fast() -> Config:
             metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3),
             proposal_exponent=1.0,
         ),
-        evaluation=EvaluationConfig(num_views=4, num_repeats=1),
+        evaluation=EvaluationConfig(num_views=4, num_repeats=1, uncertainty_points=300),
+        export=ExportConfig(judge_samples=16),
         checkpoint_steps=100_000,
         checkpoint_interval_s=30.0,
     )
