@@ -158,6 +158,28 @@ def test_every_possible_cut_of_a_binary_model_is_refused(tmp_path):
                 read(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("rotation", "code"),
+    [
+        ("0 0 0 0", "scene.camera_not_rigid"),
+        ("1e200 1e200 0 0", "scene.camera_not_finite"),
+        ("nan 0 0 1", "scene.camera_not_finite"),
+        ("inf 0 0 1", "scene.camera_not_finite"),
+    ],
+)
+def test_numbers_that_are_no_rotation_are_an_error_that_names_the_photograph(tmp_path, rotation, code):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    path = model_file(capture, "images.txt")
+    lines = path.read_text().splitlines()
+    place = next(i for i, line in enumerate(lines) if line.endswith("IMG_0003.png"))
+    words = lines[place].split()
+    lines[place] = " ".join([words[0], rotation, *words[5:]])
+    path.write_text("\n".join(lines) + "\n")
+    finding = only(capture.folder)
+    assert finding.code == code
+    assert "IMG_0003.png" in finding.subject
+
+
 def test_an_image_of_an_unknown_camera_is_named(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     path = model_file(capture, "images.txt")

@@ -176,7 +176,20 @@ def test_a_lens_that_no_pinhole_can_stand_in_for_is_refused_with_its_frame(tmp_p
     assert "r_1" in report.findings[0].message
 
 
-@pytest.mark.parametrize("path", ["../train/r_0", "/etc/passwd", "train\\r_0", "", "a/../../b", "."])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../train/r_0",
+        "/etc/passwd",
+        "train\\r_0",
+        "",
+        "a/../../b",
+        ".",
+        "a" * 300,
+        "\ud800",
+        "a/" * 600 + "b",
+    ],
+)
 def test_a_path_out_of_the_folder_is_an_error(tmp_path, path):
     folder = write_blender(tmp_path)
     edit_frame(folder, 0, file_path=path)

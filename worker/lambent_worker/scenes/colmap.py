@@ -7,6 +7,7 @@
 Poses are world-to-camera with OpenCV axes. The world has any scale and direction; see `world`.
 """
 
+import math
 from collections import defaultdict
 from pathlib import Path
 
@@ -154,12 +155,11 @@ def _read_frame(
 
 
 def _pose(image: ColmapImage, subject: str, problems: Problems) -> Float64[ndarray, "4 4"] | None:
-    quaternion = np.array(image.rotation)
-    length = float(np.linalg.norm(quaternion))
-    if length < 1e-6:  # a rotation by nothing at all; written as a matrix it would be singular
-        matrix = np.zeros((3, 4))
+    length = math.hypot(*image.rotation)
+    if not 1e-6 <= length <= 1e6:  # no rotation: singular as a matrix, or no number
+        matrix = np.full((3, 4), 0.0 if length < 1.0 else np.nan)
     else:
-        w, x, y, z = quaternion / length
+        w, x, y, z = (value / length for value in image.rotation)
         matrix = np.array(
             [
                 [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y), 0.0],

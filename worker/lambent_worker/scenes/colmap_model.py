@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 MAX_ENTRIES = 100_000
 MAX_NAME_BYTES = 4096
@@ -212,7 +212,7 @@ def _entries(file: BinaryIO, path: Path, least_bytes: int, what: str) -> int:
     return int(count)
 
 
-def _unpack(file: BinaryIO, layout: str, what: str) -> tuple[float, ...] | tuple[int, ...]:
+def _unpack(file: BinaryIO, layout: str, what: str) -> tuple[Any, ...]:
     data = file.read(struct.calcsize(layout))
     if len(data) < struct.calcsize(layout):
         raise ModelError(f"ends in {what}")

@@ -42,4 +42,6 @@ class Problems:
 
 
 def _finding(code: str, severity: scene_pb2.Severity, message: str, subject: str) -> scene_pb2.Finding:
+    # Names from strangers' files may hold halves of characters, which no message can carry.
+    message, subject = (text.encode("utf-8", "replace").decode("utf-8") for text in (message, subject))
     return scene_pb2.Finding(code=code, severity=severity, message=message, subject=subject)

@@ -12,6 +12,8 @@ from numpy import ndarray
 from lambent_worker.scenes.problems import Problems
 
 MAX_JSON_BYTES = 64 * 2**20
+MAX_NAME_BYTES, MAX_PATH_BYTES = 240, 1000
+"""Of a file and of a path inside the folder; file systems take 255 and 4096, and suffixes are tried."""
 RIGID_TOLERANCE = 1e-3
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Multiplied from the right: from camera axes x right, y down, z forward to x right, y up, z backward."""
@@ -86,7 +88,7 @@ def finite_numbers(value: object, count: int) -> list[float] | None:
 
 def inside_folder(path: str, subject: str, problems: Problems) -> PurePosixPath | None:
     """Return `path` in normal form, or None after noting that it leads out of the scene folder."""
-    if "\\" in path or "\0" in path or not path:
+    if "\\" in path or "\0" in path or not path or not _can_be_a_file_name(path):
         clean = None
     else:
         parts = [part for part in PurePosixPath(path).parts if part != "."]
@@ -94,11 +96,19 @@ def inside_folder(path: str, subject: str, problems: Problems) -> PurePosixPath 
     if clean is None:
         problems.error(
             "scene.path_unsafe",
-            f'{subject}: path "{path[:200]}" leaves the scene folder; use a relative path with forward '
-            "slashes and no ..",
+            f'{subject}: path "{path[:200]}" leaves the scene folder or is no file name; use a relative path '
+            "with forward slashes and no ..",
             subject,
         )
     return clean
+
+
+def _can_be_a_file_name(path: str) -> bool:
+    try:
+        parts = [len(part.encode("utf-8")) for part in path.split("/")]
+    except UnicodeEncodeError:
+        return False
+    return max(parts) <= MAX_NAME_BYTES and sum(parts) + len(parts) <= MAX_PATH_BYTES
 
 
 def focal_from_angle(angle: object, width: int, subject: str, problems: Problems) -> float | None:

@@ -94,7 +94,8 @@ def _straightened(
     for start in range(0, height, ROWS_AT_ONCE):
         rows = np.arange(start, min(start + ROWS_AT_ONCE, height)) + 0.5
         y = (rows * camera.height / height - camera.centre_y) / camera.focal_y
-        seen_x, seen_y = distorted(*np.meshgrid(x, y), np.array(lens.distortion))
+        grid_x, grid_y = np.meshgrid(x, y)
+        seen_x, seen_y = distorted(grid_x, grid_y, np.array(lens.distortion))
         columns = (lens.focal_x * seen_x + lens.centre_x) * width / lens.width - 0.5
         lines = (lens.focal_y * seen_y + lens.centre_y) * height / lens.height - 0.5
         result[start : start + len(rows)] = _bilinear(values, columns, lines)
