@@ -147,7 +147,7 @@ def evaluate(
 
 def with_row(rows: list[dict[str, str]], row: dict[str, object]) -> list[dict[str, str]]:
     """Return the table with one more row, in the order of training."""
-    more = [*rows, {name: str(value) for name, value in row.items()}]
+    more = [*rows, {name: str(row.get(name, "")) for name in COLUMNS}]
     return sorted(more, key=lambda one: (STAGES.index(one["stage"]), int(one["step"])))
 
 

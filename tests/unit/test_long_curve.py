@@ -68,7 +68,7 @@ def test_there_are_no_rows_before_the_first(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_curve_with_gaps_is_drawn(tmp_path: Path):
-    write_table(tmp_path / "curve.csv", with_row([], row("cache", 90, 2.0)))
-    plot(read_table(tmp_path / "curve.csv"), tmp_path / "curve.png", "title")
+    rows = with_row(with_row([], row("cache", 90, 2.0)), row("joint", 50, 8.0))
+    plot(rows, tmp_path / "curve.png", "title")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
     assert len(FIGURES) == 10
