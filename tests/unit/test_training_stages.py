@@ -9,6 +9,7 @@ from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.ray_budget import RayBudget
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.metalness import MetalnessPriorConfig
+from flashcache.losses.shape import ShapePriorConfig
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import PRESETS, preset, tiny
 from flashcache.training.checkpoint import CheckpointState, load_checkpoint, load_extra, save_checkpoint
@@ -115,6 +116,8 @@ def test_another_seed_gives_another_model(kind):
 
 def test_priors_on_shape_and_metal_act_in_the_steps_they_are_meant_for():
     config = small(5, 3)
+    prior = ShapePriorConfig(recession_weight=0.2, late_recession_weight=0.05, flatness_weight=0.03)
+    config = replace(config, stage_one=replace(config.stage_one, shape_prior=prior))
     terms = {}
     for kind in ("cache", "joint"):
         stage = stage_of(kind, config)
@@ -123,7 +126,6 @@ def test_priors_on_shape_and_metal_act_in_the_steps_they_are_meant_for():
             terms[kind].append(stage.step().terms)
     # Carving is the first of five steps; normals count from the second on.
     assert all("recession" in step for step in terms["cache"])
-    prior = config.stage_one.shape_prior
     early, late = (abs(terms["cache"][step]["recession"]) for step in (0, 1))
     assert 0.0 < late / prior.late_recession_weight < 2.0 * early / prior.recession_weight
     assert ["flatness" in step for step in terms["cache"]] == [False, True, True, True, True]

@@ -100,9 +100,7 @@ def fast() -> Config:
             normal_ramp=(0.18, 0.25),
             normal_every=1,
             normal_rays=0.5,
-            shape_prior=ShapePriorConfig(
-                recession_weight=0.23, late_recession_weight=0.07, flatness_weight=0.03
-            ),
+            shape_prior=ShapePriorConfig(recession_weight=0.15, flatness_weight=0.03),
             proposal_exponent=1.0,
         ),
         stage_two=StageTwoConfig(
