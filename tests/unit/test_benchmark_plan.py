@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from flashcache.errors import ConfigError
+from lambent_worker.benchmark.cell import discard_predictions
 from lambent_worker.benchmark.plan import (
     GROUPS,
     EvaluationOrder,
@@ -97,6 +98,18 @@ def test_the_contents_of_environment_maps_count_and_their_place_does_not(suite, 
         (folder / "city.hdr").write_bytes(data)
     found = [cells(suite, environments=str(folder))[0].inputs for folder in (first, second, third)]
     assert found[0] == found[1] != found[2]
+
+
+def test_keeping_predictions_makes_no_other_result(suite):
+    assert cells(suite, keep_predictions=False)[0].inputs == cells(suite)[0].inputs
+
+
+def test_discarded_predictions_leave_the_report(tmp_path):
+    for name in ("pred/test_000", "pred_cache/test_000", "noise"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "report.html").touch()
+    discard_predictions(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["noise", "report.html"]
 
 
 def test_several_lights_of_one_turned_environment_are_trained_as_such(suite):

@@ -112,7 +112,6 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
         max_side=order.max_side,
         shadows=as_shadows(order.shadows),
         lpips_weights=tuple(Path(path) for path in order.lpips_weights),
-        exr=order.exr,
     )
     report = evaluate_run(run_dir, scene_dir, folder / REPORT, request, device=device, reporter=reporter)
     result = {
@@ -122,6 +121,14 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
         "report": message_to_dict(report),
     }
     write_json(folder / RESULT, result)
+    if not order.keep_predictions:
+        discard_predictions(folder / REPORT)
+
+
+def discard_predictions(report: Path) -> None:
+    """Remove the float maps of an evaluation; its page and its figures stay."""
+    for path in report.glob("pred*"):
+        shutil.rmtree(path)
 
 
 def adopt(stage_one: Path, run_dir: Path) -> None:

@@ -35,6 +35,9 @@ def benchmark(
     max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
     shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",
     lpips_weights: Annotated[list[Path] | None, typer.Option(help="Weights of LPIPS; repeatable.")] = None,
+    keep_predictions: Annotated[
+        bool, typer.Option(help="Keep the float maps; a large suite fills a disk with them.")
+    ] = True,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
     ] = None,
@@ -62,6 +65,7 @@ def benchmark(
         shadows=as_shadows(shadows),
         environments="" if maps is None else str(maps.resolve()),
         lpips_weights=tuple(str(path.resolve()) for path in lpips_weights or ()),
+        keep_predictions=keep_predictions,
     )
     outcome = run_benchmark(
         find_scenes(suite_dir, names),

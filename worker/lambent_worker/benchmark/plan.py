@@ -39,7 +39,8 @@ class EvaluationOrder:
     shadows: str = "fast"
     environments: str = ""
     lpips_weights: tuple[str, ...] = ()
-    exr: bool = False
+    keep_predictions: bool = True
+    """Keep the float maps beside the report; a large suite fills a disk with them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -177,7 +178,7 @@ def plan(
                     looked_at = {
                         name: value
                         for name, value in asdict(evaluation).items()
-                        if name not in ("environments", "exr")
+                        if name not in ("environments", "keep_predictions")
                     }
                     # Stage one of an ablation is the full method's unless it changes that, too.
                     shared = step_inputs("cache", ingest, config, seed) == stage_one
