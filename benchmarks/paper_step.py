@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/paper_step.py [SCENE] [--preset paper_tensoir]
     python benchmarks/paper_step.py SCENE --device cuda [--minutes 10] -o OUT
 
-On a processor the batch is a 64th of the preset's, and a 16th besides, each in a process of its own: memory
-that grows with the batch tells what the whole batch would take. On a GPU the batch is whole. With `--minutes`
+On a processor the batch is a 64th of the preset's and each stage has a process of its own; the memory model
+(`flashcache.memory`) says what that batch and the whole one need. Measured peaks are those of the process,
+with its programs, on a processor, and of torch's tensors on a GPU, where the batch is whole. With `--minutes`
 both stages train for that time together, their schedules shortened to it, and OUT gets curve.json and
 curve.png with the PSNR of two test views. Without SCENE a synthetic sphere is photographed.
 """
@@ -31,6 +32,7 @@ from flashcache.data.scene import Scene
 from flashcache.data.space import domain_of, placed
 from flashcache.evaluation.metrics import over_white, psnr
 from flashcache.evaluation.views import render_gbuffer, render_physical
+from flashcache.memory import MemoryEstimate, estimate
 from flashcache.physical.model import InverseModel
 from flashcache.presets import preset
 from flashcache.training.stage_one import StageOne
@@ -136,34 +138,36 @@ def describe(found: dict[str, Any]) -> str:
     return f"stage {found['stage']}, {found['rays']} rays: steps of {steps} s, {rest}"
 
 
-def whole_batch_bytes(small: dict[str, Any], large: dict[str, Any], rays: int) -> float:
-    """Return the peak for `rays`, along the line through two measurements."""
-    slope = (large["peak"] - small["peak"]) / (large["rays"] - small["rays"])
-    return small["peak"] + slope * (rays - small["rays"])
+def describe_estimate(found: MemoryEstimate) -> str:
+    """Return one line about what the memory model says."""
+    names = ("parameters", "gradients", "moments", "activations")
+    sizes = ", ".join(f"{name} {getattr(found, name) / GIB:.2f}" for name in names)
+    stage = STAGES[("cache", "joint").index(found.stage)]
+    count = f"{found.num_parameters / 1e6:.1f} M parameters"
+    return f"  stage {stage}: {found.total / GIB:.2f} GiB ({sizes}; {count})"
 
 
-def on_processor(arguments: argparse.Namespace, config: Config) -> None:
-    """Print steps of two batches, and what the whole batch would take."""
+def on_processor(arguments: argparse.Namespace, whole: Config, config: Config) -> None:
+    """Print steps of a small batch, and what the memory model says of it and of the whole batch."""
     for name in STAGES:
-        small, large = (
-            measure_apart(arguments, name, share) for share in (arguments.share, max(1, arguments.share // 4))
-        )
-        print(describe(small), describe(large), sep="\n")
-        rays = (config.stage_one if name == "one" else config.stage_two).num_rays
-        fixed = 4 * (small["parameters"] + 3 * small["trained"])
-        print(
-            f"  {small['parameters'] / 1e6:.1f} M parameters, {small['trained'] / 1e6:.1f} M in training: "
-            f"{fixed / GIB:.2f} GiB with gradients and moments; {rays} rays would take "
-            f"{whole_batch_bytes(small, large, rays) / GIB:.1f} GiB"
-        )
+        print(describe(measure_apart(arguments, name, arguments.share)))
+    for title, one, device in (
+        (f"1/{arguments.share} of the batch, on a processor", config, "cpu"),
+        ("the whole batch, on a processor", whole, "cpu"),
+        ("the whole batch, on a GPU", whole, "cuda"),
+    ):
+        print(f"memory model of {title}:")
+        print(*(describe_estimate(found) for found in estimate(one, device=device)), sep="\n")
 
 
 def on_gpu(arguments: argparse.Namespace, scene: Scene, config: Config, device: torch.device) -> None:
-    """Print steps of the whole batch."""
-    for name in STAGES:
+    """Print steps of the batch on a GPU, and what the memory model says of it."""
+    print(torch.cuda.get_device_name(device))
+    for name, expected in zip(STAGES, estimate(config, device="cuda"), strict=True):
+        torch.cuda.empty_cache()
         torch.cuda.reset_peak_memory_stats(device)
         print(describe(measure(name, scene, config, device, arguments.steps)))
-    print(torch.cuda.get_device_name(device))
+        print("  memory model:", describe_estimate(expected).strip())
 
 
 def curve(scene: Scene, config: Config, device: torch.device, minutes: float) -> list[dict[str, Any]]:
@@ -279,7 +283,7 @@ def main() -> None:
     elif device.type == "cuda":
         on_gpu(arguments, read_scene(arguments.scene, config), config, device)
     else:
-        on_processor(arguments, whole)
+        on_processor(arguments, whole, config)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 import pytest
 import torch
+from flashcache.memory import MemoryEstimate
 from flashcache.presets import preset
-from paper_step import measure, read_scene, shortened, whole_batch_bytes, with_share
+from paper_step import describe_estimate, measure, read_scene, shortened, with_share
 
 
 def test_a_share_divides_the_rays_of_both_stages():
@@ -20,10 +21,18 @@ def test_a_shortened_schedule_warms_up_for_the_same_share_of_its_steps():
     assert shares[0] > 0.0
 
 
-def test_memory_of_the_whole_batch_lies_on_the_line_through_two_parts():
-    small, large = {"rays": 256, "peak": 1000.0}, {"rays": 1024, "peak": 1768.0}
-    assert whole_batch_bytes(small, large, 256) == pytest.approx(1000.0)
-    assert whole_batch_bytes(small, large, 16384) == pytest.approx(1000.0 + 16128.0)
+def test_an_estimate_is_described_by_stage_and_in_gibibytes():
+    found = MemoryEstimate(
+        stage="joint",
+        num_parameters=2_000_000,
+        parameters=2**30,
+        gradients=2**29,
+        moments=2**30,
+        activations=2**31,
+    )
+    line = describe_estimate(found)
+    assert line.strip().startswith("stage two: 4.50 GiB (parameters 1.00, gradients 0.50, moments 1.00")
+    assert "2.0 M parameters" in line
 
 
 @pytest.mark.slow
