@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from flashcache.data.scene import Camera, Scene, View
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from lambent_relight.environments import load_environment
 from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
@@ -59,7 +59,10 @@ class Settings:
     lobe_rate: float = 0.005
     """Of roughness and metalness, which photographs say less about."""
     light_rate: float = 0.03
-    smoothness: float = 0.01
+    """Of the logarithm of radiance."""
+    final_rate: float = 0.1
+    """Share of the rates that is left at the end, reached log-linearly."""
+    smoothness: float = 0.05
     """Weight of the mean absolute difference along the mesh's edges."""
     samples: int = 16
     """Paths per pixel, in the picture and again in its derivative."""
@@ -72,6 +75,14 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     found = trimesh.load_scene(path).to_mesh()
     turn = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     return found.apply_transform(turn)
+
+
+def neighbours(mesh: trimesh.Trimesh) -> Int[ndarray, "pairs 2"]:
+    """Return pairs of vertices that an edge joins, or that lie on one another where a texture has a seam."""
+    _, place = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)
+    order = np.argsort(place.ravel(), kind="stable")
+    same = place.ravel()[order[1:]] == place.ravel()[order[:-1]]
+    return np.concatenate([mesh.edges_unique, np.stack([order[:-1], order[1:]], axis=-1)[same]])
 
 
 class Asset:
@@ -92,7 +103,7 @@ class Asset:
         buffers["vertex_normals"] = mesh.vertex_normals.astype(np.float32).ravel()
         buffers["faces"] = mesh.faces.astype(np.uint32).ravel()
         buffers.update()
-        self.shape, self.edges = shape, mesh.edges_unique
+        self.shape, self.edges = shape, neighbours(mesh)
         self.scene = self.under(light)
 
     def under(self, light: Float[ndarray, "rows columns 3"]) -> Any:
@@ -124,7 +135,7 @@ def sensor(camera: Camera) -> Any:
 
 
 class Inversion:
-    """Materials and environment on their way to the photographs; `run` continues."""
+    """Materials and environment on their way to the photographs."""
 
     def __init__(self, asset: Asset, views: tuple[View, ...], light: str, settings: Settings) -> None:
         import drjit as dr
@@ -138,7 +149,7 @@ class Inversion:
         # Radiance spans decades: its logarithm is what steps of one size suit.
         self.optimiser["light"] = dr.log(self.parameters[LIGHT])
         rates = {"roughness": settings.lobe_rate, "metallic": settings.lobe_rate}
-        self.optimiser.set_learning_rate({"light": settings.light_rate, **rates})
+        self._rates = {"base_color": settings.rate, "light": settings.light_rate, **rates}
         self._integrator = mi.load_dict(
             {"type": "prb", "max_depth": settings.bounces + 2, "hide_emitters": True}
         )
@@ -151,9 +162,11 @@ class Inversion:
         self._order, self._queue = np.random.default_rng(0), []
 
     def run(self, seconds: float) -> None:
-        """Take steps for `seconds` of processor time."""
+        """Take steps for `seconds` of processor time, with rates that fall over them."""
         began = time.process_time()
-        while time.process_time() - began < seconds:
+        while (share := (time.process_time() - began) / seconds) < 1.0:
+            factor = self.settings.final_rate**share
+            self.optimiser.set_learning_rate({name: factor * rate for name, rate in self._rates.items()})
             self._queue = self._queue or self._order.permutation(len(self._views)).tolist()
             self._step(*self._views[self._queue.pop()])
         self._use()
@@ -272,8 +285,8 @@ def main() -> None:
         "--seconds",
         type=float,
         nargs="+",
-        default=[180.0],
-        help="processor time, by default that of stage two of preset fast; several continue the same run",
+        default=[120.0],
+        help="processor time, by default about that of stage two of `fast`; several are runs of their own",
     )
     parser.add_argument(
         "--samples", type=int, default=64, help="paths per pixel of the pictures that are scored"
@@ -290,13 +303,12 @@ def main() -> None:
     scene = replace(whole, test=evenly_spaced(whole.test, arguments.views))
     mesh = read_mesh(arguments.run_dir / "bundle" / "mesh" / "asset.glb")
     settings = Settings()
-    asset = Asset(mesh, np.full((settings.light_rows, 2 * settings.light_rows, 3), 0.5, np.float32))
-    inversion = Inversion(asset, scene.train, scene.lights[0], settings)
+    grey = np.full((settings.light_rows, 2 * settings.light_rows, 3), 0.5, np.float32)
     columns: dict[str, dict[str, float]] = {}
-    spent = 0.0
-    for seconds in sorted(arguments.seconds):
-        inversion.run(seconds - spent)
-        spent = seconds
+    for seconds in arguments.seconds:
+        asset = Asset(mesh, grey)
+        inversion = Inversion(asset, scene.train, scene.lights[0], settings)
+        inversion.run(seconds)
         out = arguments.out / f"pred_{seconds:.0f}s"
         predict(asset, scene, arguments.environments, arguments.scene, out, arguments.samples)
         columns[f"Mitsuba 3, {seconds:.0f} s, {inversion.steps} steps"] = reference_scores(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from make_sample_scene import llvm_library, load_renderer
-from mitsuba_inverse import Asset, Inversion, Settings, picture, read_mesh, sensor, surface_maps
+from mitsuba_inverse import Asset, Inversion, Settings, neighbours, picture, read_mesh, sensor, surface_maps
 from support.lit_sphere import RADIUS, camera
 from support.measured_sphere import measured_views
 
@@ -32,6 +32,13 @@ def test_a_mesh_comes_back_with_z_up(tmp_path: Path):
     stored.export(tmp_path / "asset.glb")
     found = read_mesh(tmp_path / "asset.glb")
     assert np.allclose(found.bounds, mesh.bounds, atol=1e-5)
+
+
+def test_vertices_on_both_sides_of_a_seam_are_neighbours():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float)
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [3, 5, 4]], process=False)
+    pairs = {tuple(sorted(pair)) for pair in neighbours(mesh).tolist()}
+    assert pairs == {(0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5), (1, 3), (2, 4)}
 
 
 def test_a_camera_whose_axis_is_off_the_middle_is_refused():
