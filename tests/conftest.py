@@ -72,3 +72,11 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
             f"a test marked {markers[0]} was skipped, which CI does not allow: {report.longrepr}"
         )
     return report
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the files that take minutes, so that no worker is left with one at the end."""
+    order = ("e2e", "conformance", "integration")
+    items.sort(
+        key=lambda item: next((n for n, part in enumerate(order) if part in item.path.parts), len(order))
+    )

@@ -1,15 +1,9 @@
 """Compiled code, the bundle's graphs and the torch model give the same answers."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
-import torch
-from flashcache import presets
-from flashcache.encoding.hash_grid import HashGrid
-from flashcache.export.reference import GbufferRule
-from flashcache.fields.density import NormalConfig
-from flashcache.physical.model import Domain, InverseModel
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight import fused_kernels as kernels
@@ -21,48 +15,17 @@ from lambent_relight.graphs import OnnxCaches
 from lambent_relight.renderer import Renderer
 from support.analytic_bundle import write_manifest
 from support.network_bundle import network_constants, set_network_metadata, write_network_bundle
-
-DOMAIN = Domain(
-    bounds_min=(-1.0, -1.0, -1.0),
-    bounds_max=(1.0, 1.0, 1.0),
-    primary=(2.0, 6.0),
-    secondary=(0.05, 2.0),
-    contraction_radius=1.3,
-    lights=("sky",),
-)
-RULE = GbufferRule(box_min=(-1.0, -1.1, -1.0), box_max=(1.0, 1.0, 1.2), num_samples=48, group=4)
+from support.preset_models import RULE, preset_model
 
 
-def model_of(variant: str) -> InverseModel:
-    """Return a model whose weights are of the size of trained ones, in every layer."""
-    torch.manual_seed(0)
-    config = presets.fast().model if variant == "fast" else presets.tiny().model
-    if variant == "other shapes":
-        # What the small presets do not have: a skip connection, ReLU, normals straight from the density.
-        density = replace(config.nerf.density, softplus_beta=None)
-        config = replace(
-            config,
-            nerf=replace(config.nerf, density=density, normals=NormalConfig(own_grid=None)),
-            fast=replace(config.fast, distance_layers=4, code_layers=2),
-        )
-    model = InverseModel(config, DOMAIN)
-    with torch.no_grad():
-        for module in model.modules():
-            if isinstance(module, HashGrid):
-                module.table.normal_(0.0, 0.1)
-            if isinstance(module, torch.nn.Linear):
-                module.bias.normal_(0.0, 0.2)
-        model.fast.distance_head.weight.normal_(0.0, 0.3)
-        model.nerf.density.head.weight.mul_(20.0)
-        model.nerf.density.head.bias.fill_(2.0)
-    return model
-
-
-@pytest.fixture(scope="module", params=["tiny", "fast", "other shapes"])
+@pytest.fixture(scope="module", params=["tiny", "fast", "other shapes", "fast, float16 tables"])
 def readers(request, tmp_path_factory):
     """Return the two readers of one bundle."""
     folder = tmp_path_factory.mktemp("bundle") / "a.relight"
-    bundle = load_bundle(write_network_bundle(folder, model_of(request.param), RULE))
+    variant, _, tables = request.param.partition(", ")
+    bundle = load_bundle(
+        write_network_bundle(folder, preset_model(variant), RULE, half_tables=tables == "float16 tables")
+    )
     return FusedCaches(bundle, num_threads=2), OnnxCaches(bundle, num_threads=1)
 
 
@@ -141,7 +104,7 @@ def test_softplus_by_polynomials_is_softplus():
 
 @pytest.fixture(scope="module")
 def tiny():
-    return model_of("tiny")
+    return preset_model("tiny")
 
 
 @pytest.fixture
@@ -221,3 +184,29 @@ def test_the_renderer_uses_compiled_code_where_it_can_and_says_where_not(tiny, f
     assert "material.v7" in caplog.text
     with pytest.raises(SettingError, match=r"relight\.reader"):
         Renderer(load_bundle(folder), reader="fused")
+
+
+def test_sines_cosines_and_exponentials_are_exact_to_float32():
+    rng = np.random.default_rng(4)
+    angles = rng.uniform(-2.0, 2.0, (3, kernels.BLOCK)).astype(np.float32)
+    out = np.zeros((3 + 6 * 5, kernels.BLOCK), np.float32)
+    kernels.encode_frequencies(angles, kernels.BLOCK, 5, out, 0)
+    scaled = np.concatenate([2.0**octave * angles.astype(np.float64) for octave in range(5)])
+    assert np.abs(out[3:] - np.concatenate([np.sin(scaled), np.cos(scaled)])).max() < 2e-7
+    values = np.linspace(-80.0, 80.0, kernels.BLOCK, dtype=np.float32)
+    found = np.empty_like(values)
+    kernels.exponentials(values, found, np.empty(kernels.BLOCK, np.int32))
+    exact = np.exp(values.astype(np.float64))
+    # The product with log2 e is rounded: an error of half a unit in the last place of the exponent.
+    assert (np.abs(found / exact - 1.0) < 4e-7 + 1e-7 * np.abs(values)).all()
+
+
+@pytest.mark.parametrize("far", [0.5, 2.0, 8.0])
+def test_the_curve_of_distances_is_straight_between_its_places(far):
+    ladder = kernels.distance_ladder(0.05, far, -1.5, 2.0).astype(np.float64)
+    assert (ladder[0], ladder[-1]) == pytest.approx((0.05, far), rel=1e-6)
+    start, end = ((2.5 / -1.5) * ((2.0 * t / 2.5 + 1.0) ** -1.5 - 1.0) for t in (0.05, far))
+    places = (np.arange(len(ladder) - 1) + 0.5) / (len(ladder) - 1)
+    y = start + places * (end - start)
+    exact = (2.5 / 2.0) * ((-1.5 * y / 2.5 + 1.0) ** (1.0 / -1.5) - 1.0)
+    assert np.abs(0.5 * (ladder[1:] + ladder[:-1]) - exact).max() < 1e-6 * max(1.0, far)

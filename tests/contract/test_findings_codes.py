@@ -6,7 +6,7 @@ from pathlib import Path
 import lambent_worker
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
-AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark"
+AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark|render|bake"
 FILES = {"run.json", "scene.json", "benchmark.json"}
 
 

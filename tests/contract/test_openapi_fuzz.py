@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from lambent_server.app import describe
 from schemathesis.generation import GenerationMode
 from schemathesis.specs.openapi.checks import positive_data_acceptance
-from support.api import KEY, opened, sha256
+from support.api import KEY, expect, opened, sha256
+from support.server_rows import add_bundle
 
 EXAMPLES = int(os.environ.get("LAMBENT_FUZZ_EXAMPLES", "6"))
 # A stream does not end; tests/chaos follows it.
@@ -29,7 +30,17 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     # Waiting is part of an operation; here nobody has the time.
     with opened(folder, max_wait_s=0.01, allowed_hosts=("testserver",)) as api:
         scene = api.scene(commit=False)
+        add_bundle(api, folder, {"manifest.json": b"{}"}, bundle_id="bundle_y")
+        head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n" + bytes(8)
+        sky = api.post("/v1/environments", params={"name": "sky"}, content=head).json()["id"]
+        batch = {
+            "assets": [{"bundle_id": "bundle_y"}],
+            "environments": [{"environment_id": sky}],
+            "cameras": [{"turntable": 2}],
+        }
         yield {
+            "batch_id": expect(api.post("/v1/batches", json=batch), 202)["id"],
+            "share_id": expect(api.post("/v1/bundles/bundle_y/shares", json={}), 201)["id"],
             "schema": schemathesis.openapi.from_asgi("/openapi.json", api.client.app),
             "scene_id": scene,
             "job_id": api.job()["id"],

@@ -14,6 +14,7 @@ from lambent_relight import (
     turntable,
     write_picture_exr,
 )
+from lambent_relight.baked_steps import depth_steps
 from lambent_relight.images import srgb_from_linear
 from lambent_relight.transport import read_transport
 from support.baked_bundle import write_baked_bundle
@@ -209,3 +210,25 @@ def test_transport_that_does_not_fit_its_files_is_refused(folder, tmp_path, dama
     (copy / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(BundleError, match=r"bundle\.transport_invalid"):
         read_transport(load_bundle(copy))
+
+
+def test_without_soft_edges_only_outlines_differ(renderer, monkeypatch):
+    soft = renderer.render(CAMERA, sky(), quality="baked")
+    monkeypatch.setattr(renderer.caches, "gbuffer", lambda *rays: pytest.fail("asked the volume"))
+    hard = renderer.render(CAMERA, sky(), quality="baked", soft_edges=False)
+    inside = (soft.coverage[..., 0] == 1.0) & (hard.coverage[..., 0] == 1.0)
+    view = renderer.baked().view(CAMERA, 2, soft_edges=False)
+    inside.ravel()[view.pixel[depth_steps(view).at]] = False
+    assert inside.sum() > 400
+    np.testing.assert_allclose(hard.rgb[inside], soft.rgb[inside], atol=1e-6)
+
+
+def test_two_lights_that_take_turns_are_prepared_once(renderer, monkeypatch):
+    lights = [sky(10), sky(11)]
+    first = [renderer.render(CAMERA, light, quality="baked").rgb for light in lights]
+    monkeypatch.setattr(
+        "lambent_relight.baked_renderer.prepare_light", lambda *_: pytest.fail("prepared again")
+    )
+    again = [renderer.render(CAMERA, light, quality="baked").rgb for light in lights]
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first[0] - first[1]).max() > 0.01

@@ -8,73 +8,16 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from flashcache.config import EvaluationConfig, ExportConfig
-from flashcache.data.scene import Camera, Scene, View
 from flashcache.export import reference
-from flashcache.presets import tiny
 from lambent_relight.bundle import load_bundle
-from lambent_relight.cameras import look_at
 from lambent_relight.graphs import OnnxCaches
 from lambent_relight.images import srgb_from_linear
 from lambent_relight.raster import sample_plane
-from lambent_worker.bundle import graphs as bundle_graphs
+from lambent_worker.bundle.half_tables import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
-from lambent_worker.pipeline import StepContext
 from lambent_worker.steps import export
-from support.sphere_model import BOUND, RADIUS, sphere_model
-
-SIDE = 16
-LIGHTS = ("day", "a night")
-
-
-class Listener:
-    """A reporter that remembers, and can ask to stop."""
-
-    def __init__(self) -> None:
-        self.events: dict[str, dict] = {}
-        self.artifacts: dict[str, object] = {}
-        self.fractions: list[float] = []
-        self.stop = False
-
-    def progress(self, *, fraction: float, **_: object) -> None:
-        self.fractions.append(fraction)
-
-    def log(self, event: str, **fields: object) -> None:
-        self.events[event] = fields
-
-    def artifact(self, name: str, path: object) -> None:
-        self.artifacts[name] = path
-
-    def should_stop(self) -> bool:
-        return self.stop
-
-
-def scene() -> Scene:
-    """Return a capture of nothing: what the export needs of it are cameras and lights."""
-    views = []
-    for name, position in (("test_000", (3.0, 0.0, 1.0)), ("test_001", (0.0, -3.0, 0.5))):
-        camera = Camera(
-            width=SIDE,
-            height=SIDE,
-            focal_x=20.0,
-            focal_y=20.0,
-            centre_x=SIDE / 2,
-            centre_y=SIDE / 2,
-            camera_to_world=look_at(position, (0.0, 0.0, 0.0)),
-        )
-        images = {light: np.zeros((SIDE, SIDE, 4), np.float32) for light in LIGHTS}
-        views.append(View(name=name, camera=camera, images=images))
-    return Scene(
-        name="ball",
-        lights=LIGHTS,
-        train=tuple(views),
-        test=tuple(views),
-        bounds_min=(-BOUND,) * 3,
-        bounds_max=(BOUND,) * 3,
-        primary=(2.0, 5.0),
-        secondary=(0.05, 2.0),
-        contraction_radius=1.0,
-    )
+from support.small_export import LIGHTS, small_context
+from support.sphere_model import RADIUS, sphere_model
 
 
 @pytest.fixture(scope="module")
@@ -84,41 +27,12 @@ def model():
 
 @pytest.fixture
 def context(tmp_path, model, monkeypatch):
-    """Return a context whose run has `model` as its trained model."""
-    monkeypatch.setattr(export, "read_scene", lambda context: scene())
-    monkeypatch.setattr(export, "load_trained", lambda context, scene, stage: model)
-    monkeypatch.setattr(bundle_graphs, "PARITY_ROWS", 256)
-    (tmp_path / "scene").mkdir()
-    config = replace(
-        tiny(),
-        evaluation=EvaluationConfig(uncertainty_points=60),
-        export=ExportConfig(
-            gbuffer_samples=32,
-            mesh_resolution=24,
-            max_faces=600,
-            atlas_size=64,
-            occlusion_points=200,
-            occlusion_rays=4,
-            environment_height=8,
-        ),
-    )
-    made = StepContext(
-        run_dir=tmp_path / "run",
-        scene_dir=tmp_path / "scene",
-        config=config,
-        seed=0,
-        device="cpu",
-        reporter=Listener(),
-        stage="export",
-    )
-    made.folder.mkdir(parents=True)
-    (made.run_dir / "previews").mkdir()
-    (made.run_dir / "previews" / "cache.png").write_bytes(b"\x89PNG")
-    return made
+    return small_context(tmp_path, model, monkeypatch)
 
 
 def test_a_client_opens_the_bundle_and_sees_what_the_model_sees(context, model):
     export.run(context)
+    model = with_half_tables(model)
     bundle = load_bundle(context.folder)
     caches = OnnxCaches(bundle, num_threads=1)
     camera = bundle.cameras()[0]
@@ -155,14 +69,18 @@ def test_the_manifest_describes_the_bundle(context, model):
     assert {file.role for file in manifest.files} == {
         *("graph", "weights", "mesh", "environment", "cameras", "preview", "uncertainty", "transport"),
     }
-    assert "preview/cache.png" in {file.path for file in manifest.files}
+    previews = {file.path for file in manifest.files if file.path.startswith("preview/")}
+    views = {f"preview/{kind}test_00{number}.png" for kind in ("", "photo_") for number in (0, 1)}
+    assert previews == {"preview/cache.png", *views}
+    assert (context.folder / "preview/photo_test_000.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert manifest.secondary_rays.origin_offset == model.limits.origin_offset
     data = (context.folder / "models" / "weights.bin").read_bytes()
     assert len(data) == max(item.offset_bytes + item.size_bytes for item in manifest.tensors)
     grid = next(item for item in manifest.grids if item.name == "fast.feature_grid")
     table = next(item for item in manifest.tensors if item.name == grid.tensor)
-    stored = np.frombuffer(data, "<f4", int(table.size_bytes) // 4, int(table.offset_bytes))
-    assert np.array_equal(stored.reshape(table.shape), model.fast.feature_grid.table.detach())
+    assert table.dtype == "float16"
+    stored = np.frombuffer(data, "<f2", int(table.size_bytes) // 2, int(table.offset_bytes))
+    assert np.array_equal(stored.reshape(table.shape), model.fast.feature_grid.table.detach().half())
     assert (grid.half_extent, grid.num_features, grid.levels[-1].num_rows) == (2.0, 4, 4096)
     assert sha256(data).hexdigest() in {file.sha256 for file in manifest.files}
     assert set(manifest.metrics) == {

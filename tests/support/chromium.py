@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -127,15 +127,15 @@ class Page:
 
 
 @contextlib.contextmanager
-def browser(profile: Path) -> Iterator[Page]:
-    """Yield a tab of a fresh browser."""
+def browser(profile: Path, *, more: Sequence[str] = ()) -> Iterator[Page]:
+    """Yield a tab of a fresh browser; `more` are further flags, such as those of WebGPU."""
     found = program()
     assert found is not None
     in_read, in_write = os.pipe()
     out_read, out_write = os.pipe()
 
     # The browser reads from descriptor 3 and writes to 4.
-    script = f"exec {found} {' '.join(FLAGS)} --user-data-dir={profile} 3<&{in_read} 4>&{out_write}"
+    script = f"exec {found} {' '.join([*FLAGS, *more])} --user-data-dir={profile} 3<&{in_read} 4>&{out_write}"
     process = subprocess.Popen(
         ["/bin/bash", "-c", script],
         pass_fds=(in_read, out_write),

@@ -5,6 +5,7 @@ Its radiance is its albedo, whatever the direction, since nothing occludes anyth
 
 import numpy as np
 from flashcache.data.scene import Camera, Scene, View
+from flashcache.physical.model import Domain
 
 RADIUS = 0.6
 SIDE = 24
@@ -82,4 +83,16 @@ def lit_sphere(num_views: int = 10, side: int = SIDE) -> Scene:
         primary=(1.5, 4.5),
         secondary=(0.05, 1.6),
         contraction_radius=0.8,
+    )
+
+
+def lit_domain(scene: Scene) -> Domain:
+    """Return the space of the scene, as a model must know it."""
+    return Domain(
+        bounds_min=scene.bounds_min,
+        bounds_max=scene.bounds_max,
+        primary=scene.primary,
+        secondary=scene.secondary,
+        contraction_radius=scene.contraction_radius,
+        lights=scene.lights,
     )

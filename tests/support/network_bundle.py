@@ -20,15 +20,17 @@ def network_constants(model: InverseModel, rule: GbufferRule) -> dict[str, dict]
     metadata = {
         "gbuffer": constants.gbuffer_constants(model, rule),
         "material": constants.material_constants(model),
-        "fast_cache": constants.fast_cache_constants(model),
+        "fast_cache": constants.fast_cache_constants(model.fast),
     }
     return {name: json.loads(values[constants.METADATA_KEY]) for name, values in metadata.items()}
 
 
-def write_network_bundle(folder: Path, model: InverseModel, rule: GbufferRule) -> Path:
+def write_network_bundle(
+    folder: Path, model: InverseModel, rule: GbufferRule, *, half_tables: bool = False
+) -> Path:
     """Write a bundle of `model`, whose one light is "sky", and return its folder."""
     (folder / "models").mkdir(parents=True)
-    weights = WeightFile()
+    weights = WeightFile(half_tables=half_tables)
     made = {
         "gbuffer": graphs.gbuffer_graph(model, rule, weights, {}),
         "material": graphs.material_graph(model, weights, {}),
@@ -45,7 +47,7 @@ def write_network_bundle(folder: Path, model: InverseModel, rule: GbufferRule) -
     for tensor in weights.tensors.values():
         manifest.tensors.add(
             name=tensor.name,
-            dtype="float32",
+            dtype=tensor.values.dtype.name,
             shape=tensor.values.shape,
             offset_bytes=tensor.offset_bytes,
             size_bytes=tensor.values.nbytes,

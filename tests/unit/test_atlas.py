@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from lambent_relight.raster import rasterise_uv
 from lambent_worker.bundle import atlas
-from lambent_worker.bundle.atlas import angle_weighted_normals, tangents, unwrap
+from lambent_worker.bundle.atlas import (
+    MAX_COVERAGE,
+    angle_weighted_normals,
+    covered_share,
+    tangents,
+    unwrap,
+)
 from lambent_worker.bundle.mesh import Mesh
 from lambent_worker.errors import WorkerError
 from skimage.measure import marching_cubes
@@ -32,6 +38,19 @@ def test_charts_lie_in_the_atlas_and_do_not_overlap(ball, charts):
     covered = rasterise_uv(charts.uv, charts.faces, 128).covered.sum()
     assert covered == pytest.approx(area.sum(), rel=0.03)
     assert 0.35 < covered / 128**2 < 1.0
+
+
+def test_charts_that_pack_too_densely_shrink_until_they_cover_what_they_may(ball, charts):
+    dense = covered_share(charts.uv, charts.faces)
+    assert 0.3 < dense <= MAX_COVERAGE + 1e-6
+    small = unwrap(ball, 128, max_coverage=0.3)
+    assert covered_share(small.uv, small.faces) == pytest.approx(0.3, rel=1e-4)
+    covered = rasterise_uv(small.uv, small.faces, 128).covered
+    assert covered.mean() == pytest.approx(0.3, rel=0.05)
+    free = unwrap(ball, 128, max_coverage=1.0)
+    np.testing.assert_allclose(
+        free.uv * (0.3 / covered_share(free.uv, free.faces)) ** 0.5, small.uv, atol=1e-6
+    )
 
 
 def test_the_split_mesh_is_the_same_surface(ball, charts):

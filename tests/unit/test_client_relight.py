@@ -103,6 +103,7 @@ def test_what_was_measured_is_in_the_list_of_pictures(bundle, sky, tmp_path):
         (("--turntable", "1", "--albedo", "2", "0", "0"), "relight.albedo"),
         (("--turntable", "1", "--until-stderr", "2"), "relight.until_stderr"),
         (("--turntable", "1", "--background", "pink"), "cli.bad_choice"),
+        (("--turntable", "1", "--tone-mapping", "filmic"), "cli.bad_choice"),
         ((), "cli.cameras"),
         (("--turntable", "1", "--cameras", "x.json"), "cli.cameras"),
         (("--cameras", "missing.json"), "camera.file_missing"),
@@ -138,8 +139,37 @@ def test_a_turntable_is_an_animation_of_one_turn(bundle, sky, tmp_path, turn):
         assert film.size == (8, 8)
 
 
-def test_mp4_without_ffmpeg_is_a_usage_error(bundle, sky, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("shutil.which", lambda name: None)
-    words = ["turntable", str(bundle), "--env", str(sky), "-o", str(tmp_path), "--format", "mp4"]
-    assert app.run(words) == 2
-    assert "turntable.no_ffmpeg" in capsys.readouterr().err
+def turntable_frames(bundle, sky, out, *words):
+    """Return the frames of a film of two views, 8-bit."""
+    start = ["turntable", str(bundle), "--env", str(sky), "-o", str(out), "--frames", "2", "--size", "8"]
+    assert app.run([*start, "--spp", "8", *words]) == 0
+    return [np.asarray(Image.open(out / f"frames/{index:04d}.png")).astype(int) for index in range(2)]
+
+
+def test_a_turntable_reads_maps_of_other_layouts_and_turns_them(bundle, tmp_path):
+    """A light at one azimuth: other axes move it by a quarter turn, which --rotate-deg undoes."""
+    radiance = np.zeros((16, 32, 3), np.float32)
+    radiance[6:10, 14:18] = 20.0
+    write_environment(tmp_path / "lamp.exr", radiance)
+    plain = turntable_frames(bundle, tmp_path / "lamp.exr", tmp_path / "a")
+    skylibs = turntable_frames(bundle, tmp_path / "lamp.exr", tmp_path / "b", "--env-axes", "skylibs")
+    back = ("--env-axes", "skylibs", "--rotate-deg", "-90")
+    undone = turntable_frames(bundle, tmp_path / "lamp.exr", tmp_path / "c", *back)
+    assert np.abs(skylibs[0] - plain[0]).max() > 50
+    assert np.abs(undone[0] - plain[0]).max() <= 30
+    assert np.abs(undone[0] - plain[0]).mean() < 0.1 * np.abs(skylibs[0] - plain[0]).mean()
+
+
+def test_a_turntable_clamps_the_sun_and_mends_the_map(bundle, tmp_path, capsys):
+    radiance = np.ones((8, 16, 3), np.float32)
+    radiance[2, 8] = 1000.0
+    radiance[5, 3] = np.nan
+    write_environment(tmp_path / "sun.exr", radiance)
+    start = ["turntable", str(bundle), "--env", str(tmp_path / "sun.exr"), "-o", str(tmp_path / "no")]
+    assert app.run([*start, "--frames", "2"]) == 2
+    assert "environment.unusable_values" in capsys.readouterr().err
+    bright = turntable_frames(bundle, tmp_path / "sun.exr", tmp_path / "a", "--mend-env")
+    dim = turntable_frames(bundle, tmp_path / "sun.exr", tmp_path / "b", "--mend-env", "--sun-clamp", "1")
+    assert "sun clamp" in capsys.readouterr().err
+    assert dim[0].mean() < bright[0].mean()
+    assert app.run([*start, "--env-axes", "unreal"]) == 2

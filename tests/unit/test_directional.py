@@ -52,3 +52,13 @@ def test_a_wide_lobe_attenuates_by_degree(inverse_concentration):
     rates = [degree * (degree + 1) / 2 for degree in (1, 2, 4) for _ in range(degree + 1)] * 2
     factors = torch.tensor([math.exp(-rate * inverse_concentration) for rate in rates])
     assert torch.allclose(wide, sharp * factors, atol=1e-6)
+
+
+@pytest.mark.parametrize("num_degrees", [1, 3, 5])
+def test_the_written_out_derivatives_are_those_of_the_encoding(num_degrees):
+    encoding = IntegratedDirectionalEncoding(num_degrees).double()
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(6, 3, generator=generator, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(directions, dim=-1).requires_grad_()
+    blur = torch.rand(6, 1, generator=generator, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(encoding, (directions, blur))

@@ -11,21 +11,14 @@ from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.consistency import UnobservedConfig
 from flashcache.losses.environment import EnvironmentPriorConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
-from flashcache.physical.model import Domain, InverseModel
+from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.joint_losses import physical_loss
 from flashcache.training.stage_two import StageTwo
-from support.lit_sphere import lit_sphere
+from support.lit_sphere import lit_domain, lit_sphere
 
 SCENE = lit_sphere(num_views=4)
-DOMAIN = Domain(
-    bounds_min=SCENE.bounds_min,
-    bounds_max=SCENE.bounds_max,
-    primary=SCENE.primary,
-    secondary=SCENE.secondary,
-    contraction_radius=SCENE.contraction_radius,
-    lights=SCENE.lights,
-)
+DOMAIN = lit_domain(SCENE)
 PARTS = (
     "nerf.proposals",
     "nerf.density",

@@ -1,21 +1,14 @@
 import pytest
 import torch
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.physical.model import Domain, InverseModel
+from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.halves import Halves
 from flashcache.training.stage_one import StageOne
-from support.lit_sphere import lit_sphere
+from support.lit_sphere import lit_domain, lit_sphere
 
 SCENE = lit_sphere()
-DOMAIN = Domain(
-    bounds_min=SCENE.bounds_min,
-    bounds_max=SCENE.bounds_max,
-    primary=SCENE.primary,
-    secondary=SCENE.secondary,
-    contraction_radius=SCENE.contraction_radius,
-    lights=SCENE.lights,
-)
+DOMAIN = lit_domain(SCENE)
 
 
 @pytest.fixture
@@ -28,6 +21,10 @@ def threads():
 def model() -> InverseModel:
     torch.manual_seed(0)
     return InverseModel(tiny().model, DOMAIN)
+
+
+def nerf_of(whole: InverseModel) -> torch.nn.Module:
+    return whole.nerf
 
 
 def positions(number: int) -> torch.Tensor:
@@ -55,7 +52,7 @@ def count_rays(model: InverseModel, counts: list[int]) -> None:
 def test_the_halves_together_have_the_gradient_of_their_mean_loss(threads):
     threads(2)
     split, whole = model(), model()
-    assert Halves(split).differentiate(density_loss) == [0, 1]
+    assert Halves(split, nerf_of).differentiate(density_loss) == [0, 1]
     (0.5 * (density_loss(whole, 0)[0] + density_loss(whole, 1)[0])).backward()
     expected, found = gradients(whole), gradients(split)
     assert expected.keys() == found.keys()
@@ -66,7 +63,7 @@ def test_the_halves_together_have_the_gradient_of_their_mean_loss(threads):
 def test_with_one_thread_the_batch_stays_whole(threads):
     threads(1)
     split, whole = model(), model()
-    assert Halves(split).differentiate(density_loss) == [0]
+    assert Halves(split, nerf_of).differentiate(density_loss) == [0]
     density_loss(whole, 0)[0].backward()
     assert all(torch.equal(gradients(split)[name], gradient) for name, gradient in gradients(whole).items())
 
@@ -74,7 +71,7 @@ def test_with_one_thread_the_batch_stays_whole(threads):
 def test_a_second_step_does_not_remember_the_gradients_of_the_first(threads):
     threads(2)
     made = model()
-    halves = Halves(made)
+    halves = Halves(made, nerf_of)
     halves.differentiate(density_loss)
     once = gradients(made)
     made.zero_grad(set_to_none=False)
@@ -85,7 +82,7 @@ def test_a_second_step_does_not_remember_the_gradients_of_the_first(threads):
 def test_both_halves_see_the_values_that_the_optimiser_changed(threads):
     threads(2)
     made = model()
-    halves = Halves(made)
+    halves = Halves(made, nerf_of)
     with torch.no_grad():
         made.nerf.density.head.bias.fill_(1.0)
     seen = halves.differentiate(

@@ -71,3 +71,14 @@ def test_a_vanishing_vector_stays_finite(tmp_path):
     x = torch.tensor([[0.0, 0.0, 0.0], [0.0, -3.0, 4.0]])
     found = evaluate(layers.normalise, x, 3, tmp_path)
     assert np.allclose(found, [[0.0, 0.0, 0.0], [0.0, -0.6, 0.8]])
+
+
+def test_sines_and_cosines_are_exact_to_float32_far_beyond_a_turn(tmp_path):
+    x = torch.linspace(-1000.0, 1000.0, 20_001)[:, None]
+    x = torch.cat([x, torch.linspace(-7.0, 7.0, 20_001)[:, None]])
+    found = evaluate(
+        lambda graph, angles: graph.concat(layers.sine_and_cosine(graph, angles)), x, 2, tmp_path
+    )
+    exact = x.double()
+    assert np.abs(found[:, :1] - exact.sin().numpy()).max() < 2e-7
+    assert np.abs(found[:, 1:] - exact.cos().numpy()).max() < 2e-7

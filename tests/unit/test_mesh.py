@@ -38,6 +38,16 @@ def test_vertices_lie_on_the_ball(mesh):
     assert radii.std() < 0.02
 
 
+@torch.no_grad()
+def test_a_ray_along_the_meshs_outline_is_about_half_hidden(model):
+    coarse = extract_mesh(model, (-0.8,) * 3, (0.8,) * 3, 24)
+    points = torch.zeros(4001, 3)
+    points[:, 0] = float(np.linalg.norm(coarse.vertices, axis=1).mean())
+    points[:, 1] = torch.linspace(-1.0, 1.0, len(points))
+    depth = float(model.nerf.density.density(points).mean()) * 2.0
+    assert 0.3 < 1.0 - math.exp(-depth) < 0.7
+
+
 def test_triangles_face_outwards_and_enclose_the_balls_volume(mesh):
     radius = float(np.linalg.norm(mesh.vertices, axis=1).mean())
     assert signed_volume(mesh) == pytest.approx(4.0 / 3.0 * math.pi * radius**3, rel=0.05)

@@ -183,3 +183,9 @@ def test_a_given_environment_changes_every_step(scene):
     given, other = (input_hashes(scene, CONFIG, 0, (), "", {"": name}) for name in ("a.hdr", "b.hdr"))
     assert not set(given.values()) & (set(other.values()) | set(learned.values()))
     assert input_hashes(scene, CONFIG, 0, (), "", {}) == learned
+
+
+def test_given_masks_change_every_step(scene):
+    own = input_hashes(scene, CONFIG, 0, (), "")
+    given, other = (input_hashes(scene, CONFIG, 0, (), "", None, masks) for masks in ("one", "other"))
+    assert all(len({own[step], given[step], other[step]}) == 3 for step in STEPS)

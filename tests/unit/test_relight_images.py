@@ -15,6 +15,15 @@ from lambent_relight.picture import RelitPicture
 from PIL import Image
 
 
+def test_a_tone_curve_changes_the_png_and_keeps_its_alpha(tmp_path):
+    bright = picture().exposed(2.0)
+    write_png(tmp_path / "clipped.png", bright)
+    write_png(tmp_path / "curved.png", bright, tone_mapping="neutral")
+    clipped, curved = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("clipped", "curved"))
+    np.testing.assert_array_equal(clipped[..., 3], curved[..., 3])
+    assert (curved[..., :3] == 255).sum() < 0.2 * (clipped[..., :3] == 255).sum()
+
+
 def picture(*, opaque: bool = False) -> RelitPicture:
     rng = np.random.default_rng(0)
 
@@ -84,3 +93,10 @@ def test_exr_without_passes_is_half_rgba(tmp_path):
     channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
     assert set(channels) == set("RGBA")
     assert channels["R"].pixels.dtype == np.float16
+
+
+def test_exr_holds_the_passes_that_are_named_and_no_others(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), passes=("normal", "depth", "indirect"))
+    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    layers = {f"normal.{letter}" for letter in "XYZ"} | {f"indirect.{letter}" for letter in "RGB"}
+    assert set(channels) == {*"RGBAZ"} | layers

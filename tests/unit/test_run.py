@@ -10,11 +10,12 @@ from flashcache.errors import ConfigError, TrainingError
 from flashcache.presets import PRESETS
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
-from lambent_worker.connection import Connection, FencedError, Identity, RefusedError, hash_file
+from lambent_worker.connection import Connection, FencedError, Identity, RefusedError
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.reporting import MAX_PREVIEW_BYTES, ServerReporter, media_type
 from lambent_worker.run import describe_failure, fetch_scene, restore_checkpoints
 from lambent_worker.run_config import adjust, config_of, known_lights_of
+from lambent_worker.run_folder import file_sha256
 from support.recording_reporter import RecordingReporter
 from support.runs import SECRET, Stage, staged, token
 
@@ -194,7 +195,7 @@ def test_a_file_is_sent_whole_and_once(stage: Stage, connection: Connection, tmp
     path = tmp_path / "weights.bin"
     path.write_bytes(bytes(range(256)) * 20_000)
     sent = connection.put_file(path)
-    assert (sent.sha256, sent.size_bytes) == (hash_file(path), path.stat().st_size)
+    assert (sent.sha256, sent.size_bytes) == (file_sha256(path), path.stat().st_size)
     assert stage.api.get(f"/v1/blobs/{sent.sha256}").content == path.read_bytes()
     target = tmp_path / "again" / "weights.bin"
     connection.get_file(sent.sha256, target)

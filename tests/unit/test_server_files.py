@@ -4,12 +4,10 @@ import struct
 from collections.abc import Iterator
 
 import pytest
-from lambent_server.clock import now
-from lambent_server.database.schema import bundle_files, bundles
-from lambent_server.database.tenancy import add
 from lambent_server.problems import Problem
 from lambent_server.routes.files import parse_range
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
+from support.server_rows import add_bundle
 
 WEIGHTS = bytes(range(256)) * 10
 
@@ -22,29 +20,8 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
 
 @pytest.fixture(scope="module")
 def bundle(api: Api, tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = tmp_path_factory.mktemp("files")
-    files = {
-        "manifest.json": b'{"name": "x"}',
-        "models/weights.bin": WEIGHTS,
-        "page.html": b"<script>",
-    }
-    for place, data in enumerate(files.values()):
-        path = folder / str(place)
-        path.write_bytes(data)
-        api.services.store.put_file(api.services.database.write, TENANT, path, sha256(data), "text/html")
-    with api.services.database.write() as connection:
-        connection.execute(
-            add(TENANT, bundles, id="bundle_x", job_id="job_x", scene_id="scene_x", created_at=now())
-        )
-        for path, data in files.items():
-            values = {
-                "path": path,
-                "sha256": sha256(data),
-                "size_bytes": len(data),
-                "media_type": "text/html",
-            }
-            connection.execute(add(TENANT, bundle_files, bundle_id="bundle_x", **values))
-    return "bundle_x"
+    files = {"manifest.json": b'{"name": "x"}', "models/weights.bin": WEIGHTS, "page.html": b"<script>"}
+    return add_bundle(api, tmp_path_factory.mktemp("files"), files)
 
 
 def test_a_bundle_is_read_by_manifest_and_files(api: Api, bundle: str):

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import lambent_pages
 import pytest
 from lambent_server.app import describe
 from lambent_server.http.identity import COOKIE, LoginCodes
@@ -32,11 +33,12 @@ def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
     for path, operations in describe()["paths"].items():
         for method in operations:
             url = path.replace("{scene_id}", "x").replace("{job_id}", "x").replace("{bundle_id}", "x")
+            url = url.replace("{share_id}", "x")
             url = url.replace("{path}", "x").replace("{sha256}", "0" * 64)
             answer = nobody.request(method, url, json={} if path == "/v1/login" else None)
             if path in ("/healthz", "/readyz", "/v1/version"):
                 assert answer.status_code == 200
-            elif path != "/v1/login":
+            elif path not in ("/v1/login", "/v1/shares:open"):
                 expect_problem(answer, 401, "not_authenticated")
                 assert answer.headers["www-authenticate"].startswith("Bearer")
 
@@ -109,7 +111,7 @@ def test_a_made_up_cookie_does_not_get_in(api: Api):
 
 
 def test_every_answer_carries_the_strict_headers(api: Api):
-    for path in ("/", "/v1/jobs", "/nothing", "/assets/app.js"):
+    for path in ("/", "/v1/jobs", "/nothing", "/assets/nothing.js"):
         headers = api.get(path).headers
         assert "default-src 'none'" in headers["content-security-policy"], path
         assert "unsafe" not in headers["content-security-policy"]
@@ -212,3 +214,31 @@ def test_keys_and_secrets_are_readable_by_their_owner_only(tmp_path: Path):
     assert (tmp_path / "api.key").stat().st_mode & 0o777 == 0o600
     assert read_or_create_secret(tmp_path / "api.key", "lk_") == first
     assert [path.name for path in tmp_path.iterdir()] == ["api.key"]
+
+
+def test_the_pages_are_sent_to_anybody_and_asked_for_again_by_their_etag(
+    api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "assets").mkdir()
+    for name in ("jobs.html", "viewer.html", "assets/jobs-1a2b.js"):
+        (tmp_path / name).write_text(name)
+    find = lambent_pages.find
+    monkeypatch.setattr("lambent_pages.find", lambda path: find(path, tmp_path))
+    nobody = api.other(None)
+    start = nobody.get("/")
+    assert (start.status_code, start.text) == (200, "jobs.html")
+    assert start.headers["cache-control"] == "no-cache"
+    assert nobody.get("/", headers={"if-none-match": start.headers["etag"]}).status_code == 304
+    assert "immutable" in nobody.get("/assets/jobs-1a2b.js").headers["cache-control"]
+    assert "'wasm-unsafe-eval'" in nobody.get("/viewer.html").headers["content-security-policy"]
+    expect_problem(nobody.get("/assets/nothing.js"), 404, "route_not_found")
+    expect_problem(nobody.get("/.env.html"), 404, "route_not_found")
+
+
+def test_pages_that_were_not_built_are_explained(api: Api, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("lambent_pages.find", lambda _path: None)
+    monkeypatch.setattr("lambent_pages.are_built", lambda: False)
+    answer = api.other(None).get("/")
+    assert answer.status_code == 503
+    assert "make pages" in answer.text
+    assert answer.headers["content-type"].startswith("text/html")

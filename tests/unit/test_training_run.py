@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from flashcache.errors import ConfigError
 from lambent_relight.environments import write_environment
+from lambent_worker import training_run
 from lambent_worker.errors import UsageError
 from lambent_worker.run_folder import (
     begin_step,
@@ -107,6 +108,23 @@ def finished_run(tmp_path):
 def test_a_bundle_that_is_there_is_copied_without_our_marks(tmp_path):
     export_run(finished_run(tmp_path), tmp_path / "out", RecordingReporter())
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
+
+
+def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(training_run, "run_step", lambda context, inputs: asked.append(context.config.export))
+    folder, reporter = finished_run(tmp_path), RecordingReporter()
+    export_run(folder, tmp_path / "lite", reporter, tier="lite")
+    export_run(folder, tmp_path / "exact", reporter, weights="fp32")
+    export_run(folder, tmp_path / "both", reporter, tier="lite", weights="fp16")
+    assert [(s.transport_tier, s.weights) for s in asked] == [
+        ("lite", "none"),
+        ("full", "fp32"),
+        ("lite", "fp16"),
+    ]
+    with pytest.raises(ConfigError, match="transport_tier"):
+        export_run(folder, tmp_path / "huge", reporter, tier="huge")
+    assert not (tmp_path / "huge").exists()
 
 
 def test_an_existing_bundle_folder_is_not_overwritten(tmp_path):

@@ -4,29 +4,22 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.config import Config
+from flashcache.config import Config, DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.ray_budget import RayBudget
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.losses.shape import ShapePriorConfig
-from flashcache.physical.model import Domain, InverseModel
+from flashcache.physical.model import InverseModel
 from flashcache.presets import PRESETS, preset, tiny
 from flashcache.training.checkpoint import CheckpointState, load_checkpoint, load_extra, save_checkpoint
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
-from support.lit_sphere import lit_sphere
+from support.lit_sphere import lit_domain, lit_sphere
 
 CPU = torch.device("cpu")
 SCENE = lit_sphere()
-DOMAIN = Domain(
-    bounds_min=SCENE.bounds_min,
-    bounds_max=SCENE.bounds_max,
-    primary=SCENE.primary,
-    secondary=SCENE.secondary,
-    contraction_radius=SCENE.contraction_radius,
-    lights=SCENE.lights,
-)
+DOMAIN = lit_domain(SCENE)
 
 
 def small(steps_one: int = 4, steps_two: int = 4) -> Config:
@@ -34,7 +27,9 @@ def small(steps_one: int = 4, steps_two: int = 4) -> Config:
     return replace(
         base,
         stage_one=replace(base.stage_one, num_steps=steps_one, num_rays=64, normal_rays=0.5),
-        stage_two=replace(base.stage_two, num_steps=steps_two, num_rays=32, warmup_steps=1),
+        stage_two=replace(
+            base.stage_two, num_steps=steps_two, num_rays=32, warmup_steps=1, distil=DistilConfig()
+        ),
     )
 
 

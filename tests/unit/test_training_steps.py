@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.config import Config
+from flashcache.config import Config, DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.ray_budget import RayBudget
 from flashcache.data.space import SpaceConfig
@@ -45,6 +45,7 @@ def test_a_job_that_draws_by_error_goes_on_with_its_map(tmp_path):
         num_rays=32,
         warmup_steps=0,
         budget=RayBudget(error_share=0.5, block=8),
+        distil=DistilConfig(),
     )
     config = replace(base, stage_two=two, checkpoint_steps=3)
     whole = joint(context_of(tmp_path / "whole", config))

@@ -127,7 +127,7 @@ def test_a_setting_without_key_or_value_is_a_usage_error(item):
 def test_the_first_signal_asks_to_stop_and_the_second_ends_at_once(number):
     asked = []
     before = signal.getsignal(number)
-    with cli._stopping_on_signals(lambda: asked.append(True)):
+    with cli.stopping_on_signals(lambda: asked.append(True)):
         os.kill(os.getpid(), number)
         assert asked == [True]
         with pytest.raises(KeyboardInterrupt):

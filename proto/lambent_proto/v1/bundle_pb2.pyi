@@ -119,16 +119,30 @@ class BundleFile(_message.Message):
     def __init__(self, path: _Optional[str] = ..., size_bytes: _Optional[float] = ..., sha256: _Optional[str] = ..., media_type: _Optional[str] = ..., role: _Optional[str] = ...) -> None: ...
 
 class Graph(_message.Message):
-    __slots__ = ("name", "path", "light", "parity")
+    __slots__ = ("name", "path", "light", "parity", "rounding")
     NAME_FIELD_NUMBER: _ClassVar[int]
     PATH_FIELD_NUMBER: _ClassVar[int]
     LIGHT_FIELD_NUMBER: _ClassVar[int]
     PARITY_FIELD_NUMBER: _ClassVar[int]
+    ROUNDING_FIELD_NUMBER: _ClassVar[int]
     name: str
     path: str
     light: str
     parity: Parity
-    def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., light: _Optional[str] = ..., parity: _Optional[_Union[Parity, _Mapping]] = ...) -> None: ...
+    rounding: _containers.RepeatedCompositeFieldContainer[Rounding]
+    def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., light: _Optional[str] = ..., parity: _Optional[_Union[Parity, _Mapping]] = ..., rounding: _Optional[_Iterable[_Union[Rounding, _Mapping]]] = ...) -> None: ...
+
+class Rounding(_message.Message):
+    __slots__ = ("output", "max_abs_error", "rms_error", "num_samples")
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    MAX_ABS_ERROR_FIELD_NUMBER: _ClassVar[int]
+    RMS_ERROR_FIELD_NUMBER: _ClassVar[int]
+    NUM_SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    output: str
+    max_abs_error: float
+    rms_error: float
+    num_samples: int
+    def __init__(self, output: _Optional[str] = ..., max_abs_error: _Optional[float] = ..., rms_error: _Optional[float] = ..., num_samples: _Optional[int] = ...) -> None: ...
 
 class Uncertainty(_message.Message):
     __slots__ = ("path", "box", "channels")

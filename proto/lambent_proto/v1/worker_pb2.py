@@ -24,74 +24,75 @@ _sym_db = _symbol_database.Default()
 
 from lambent_proto.v1 import capture_pb2 as lambent__proto_dot_v1_dot_capture__pb2
 from lambent_proto.v1 import job_pb2 as lambent__proto_dot_v1_dot_job__pb2
+from lambent_proto.v1 import render_pb2 as lambent__proto_dot_v1_dot_render__pb2
 from lambent_proto.v1 import scene_pb2 as lambent__proto_dot_v1_dot_scene__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/worker.proto\x12\x10lambent_proto.v1\x1a\x1elambent_proto/v1/capture.proto\x1a\x1alambent_proto/v1/job.proto\x1a\x1clambent_proto/v1/scene.proto\"$\n\x05\x46\x65nce\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03run\x18\x02 \x01(\r\"n\n\x0fRegisterRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0b\n\x03pid\x18\x02 \x01(\r\x12\x18\n\x10process_identity\x18\x03 \x01(\t\x12\x0c\n\x04host\x18\x04 \x01(\t\"\'\n\x10RegisterResponse\x12\x13\n\x0bheartbeat_s\x18\x01 \x01(\x01\"L\n\x0cStartRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x14\n\x0c\x63ode_version\x18\x02 \x01(\t\"\xc5\x02\n\rStartResponse\x12\'\n\x04spec\x18\x01 \x01(\x0b\x32\x19.lambent_proto.v1.JobSpec\x12*\n\x05\x66iles\x18\x02 \x03(\x0b\x32\x1b.lambent_proto.v1.SceneFile\x12\x39\n\x0b\x63heckpoints\x18\x03 \x03(\x0b\x32$.lambent_proto.v1.CheckpointManifest\x12\x13\n\x0b\x63heck_scene\x18\x04 \x01(\x08\x12\x0e\n\x06\x64\x65vice\x18\x05 \x01(\t\x12\x32\n\x0b\x61\x64justments\x18\x06 \x01(\x0b\x32\x1d.lambent_proto.v1.Adjustments\x12\x1b\n\x13progress_interval_s\x18\x07 \x01(\x01\x12\x1a\n\x12preview_interval_s\x18\x08 \x01(\x01\x12\x12\n\nscene_name\x18\t \x01(\t\"F\n\x0b\x41\x64justments\x12\x11\n\tray_chunk\x18\x01 \x01(\x01\x12\x15\n\rlearning_rate\x18\x02 \x01(\x01\x12\r\n\x05stage\x18\x03 \x01(\t\"=\n\tSceneFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\":\n\x10HeartbeatRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\"!\n\x11HeartbeatResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xa0\x01\n\rReportRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x10\n\x08sequence\x18\x02 \x01(\r\x12,\n\x08progress\x18\x03 \x01(\x0b\x32\x1a.lambent_proto.v1.Progress\x12\'\n\x06\x65vents\x18\x04 \x03(\x0b\x32\x17.lambent_proto.v1.Event\"\x1e\n\x0eReportResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xb3\x01\n\x12ReportSceneRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12-\n\x06report\x18\x02 \x01(\x0b\x32\x1d.lambent_proto.v1.SceneReport\x12\x31\n\x07\x66igures\x18\x03 \x01(\x0b\x32 .lambent_proto.v1.CaptureFigures\x12\x13\n\x0bpage_sha256\x18\x04 \x01(\t\"\x15\n\x13ReportSceneResponse\"[\n\x0ePutBlobRequest\x12.\n\x06header\x18\x01 \x01(\x0b\x32\x1c.lambent_proto.v1.BlobHeaderH\x00\x12\x0e\n\x04\x64\x61ta\x18\x02 \x01(\x0cH\x00\x42\t\n\x07\x63ontent\"l\n\nBlobHeader\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\"\n\x0fPutBlobResponse\x12\x0f\n\x07\x63reated\x18\x01 \x01(\x08\"H\n\x0eGetBlobRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\"\x1f\n\x0fGetBlobResponse\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\"y\n\x17\x43ommitCheckpointRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x36\n\x08manifest\x18\x02 \x01(\x0b\x32$.lambent_proto.v1.CheckpointManifest\"\x1a\n\x18\x43ommitCheckpointResponse\"U\n\rPublishedFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\xa3\x01\n\x0ePublishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x35\n\x0c\x62undle_files\x18\x02 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\x12\x32\n\tartifacts\x18\x03 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\"$\n\x0fPublishResponse\x12\x11\n\tbundle_id\x18\x01 \x01(\t\"c\n\rFinishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x07outcome\x18\x02 \x01(\x0e\x32\x19.lambent_proto.v1.Outcome\"\x10\n\x0e\x46inishResponse\"\x80\x01\n\x0b\x46\x61ilRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x05\x63\x61use\x18\x02 \x01(\x0e\x32\x1b.lambent_proto.v1.FailCause\x12\x0c\n\x04\x63ode\x18\x03 \x01(\t\x12\x0f\n\x07message\x18\x04 \x01(\t\"\x0e\n\x0c\x46\x61ilResponse*N\n\x07Outcome\x12\x17\n\x13OUTCOME_UNSPECIFIED\x10\x00\x12\x15\n\x11OUTCOME_SUCCEEDED\x10\x01\x12\x13\n\x0fOUTCOME_STOPPED\x10\x02*\xe5\x01\n\tFailCause\x12\x1a\n\x16\x46\x41IL_CAUSE_UNSPECIFIED\x10\x00\x12\x17\n\x13\x46\x41IL_CAUSE_INTERNAL\x10\x01\x12\x18\n\x14\x46\x41IL_CAUSE_BAD_SCENE\x10\x02\x12\x19\n\x15\x46\x41IL_CAUSE_BAD_CONFIG\x10\x03\x12\x1c\n\x18\x46\x41IL_CAUSE_OUT_OF_MEMORY\x10\x04\x12 \n\x1c\x46\x41IL_CAUSE_GPU_OUT_OF_MEMORY\x10\x05\x12\x17\n\x13\x46\x41IL_CAUSE_DIVERGED\x10\x06\x12\x15\n\x11\x46\x41IL_CAUSE_KILLED\x10\x07\x32\x9e\x07\n\rWorkerService\x12Q\n\x08Register\x12!.lambent_proto.v1.RegisterRequest\x1a\".lambent_proto.v1.RegisterResponse\x12H\n\x05Start\x12\x1e.lambent_proto.v1.StartRequest\x1a\x1f.lambent_proto.v1.StartResponse\x12T\n\tHeartbeat\x12\".lambent_proto.v1.HeartbeatRequest\x1a#.lambent_proto.v1.HeartbeatResponse\x12K\n\x06Report\x12\x1f.lambent_proto.v1.ReportRequest\x1a .lambent_proto.v1.ReportResponse\x12Z\n\x0bReportScene\x12$.lambent_proto.v1.ReportSceneRequest\x1a%.lambent_proto.v1.ReportSceneResponse\x12P\n\x07PutBlob\x12 .lambent_proto.v1.PutBlobRequest\x1a!.lambent_proto.v1.PutBlobResponse(\x01\x12P\n\x07GetBlob\x12 .lambent_proto.v1.GetBlobRequest\x1a!.lambent_proto.v1.GetBlobResponse0\x01\x12i\n\x10\x43ommitCheckpoint\x12).lambent_proto.v1.CommitCheckpointRequest\x1a*.lambent_proto.v1.CommitCheckpointResponse\x12N\n\x07Publish\x12 .lambent_proto.v1.PublishRequest\x1a!.lambent_proto.v1.PublishResponse\x12K\n\x06\x46inish\x12\x1f.lambent_proto.v1.FinishRequest\x1a .lambent_proto.v1.FinishResponse\x12\x45\n\x04\x46\x61il\x12\x1d.lambent_proto.v1.FailRequest\x1a\x1e.lambent_proto.v1.FailResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/worker.proto\x12\x10lambent_proto.v1\x1a\x1elambent_proto/v1/capture.proto\x1a\x1alambent_proto/v1/job.proto\x1a\x1dlambent_proto/v1/render.proto\x1a\x1clambent_proto/v1/scene.proto\"$\n\x05\x46\x65nce\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03run\x18\x02 \x01(\r\"n\n\x0fRegisterRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0b\n\x03pid\x18\x02 \x01(\r\x12\x18\n\x10process_identity\x18\x03 \x01(\t\x12\x0c\n\x04host\x18\x04 \x01(\t\"\'\n\x10RegisterResponse\x12\x13\n\x0bheartbeat_s\x18\x01 \x01(\x01\"L\n\x0cStartRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x14\n\x0c\x63ode_version\x18\x02 \x01(\t\"\xf3\x02\n\rStartResponse\x12\'\n\x04spec\x18\x01 \x01(\x0b\x32\x19.lambent_proto.v1.JobSpec\x12*\n\x05\x66iles\x18\x02 \x03(\x0b\x32\x1b.lambent_proto.v1.SceneFile\x12\x39\n\x0b\x63heckpoints\x18\x03 \x03(\x0b\x32$.lambent_proto.v1.CheckpointManifest\x12\x13\n\x0b\x63heck_scene\x18\x04 \x01(\x08\x12\x0e\n\x06\x64\x65vice\x18\x05 \x01(\t\x12\x32\n\x0b\x61\x64justments\x18\x06 \x01(\x0b\x32\x1d.lambent_proto.v1.Adjustments\x12\x1b\n\x13progress_interval_s\x18\x07 \x01(\x01\x12\x1a\n\x12preview_interval_s\x18\x08 \x01(\x01\x12\x12\n\nscene_name\x18\t \x01(\t\x12,\n\x06render\x18\n \x01(\x0b\x32\x1c.lambent_proto.v1.RenderTask\"F\n\x0b\x41\x64justments\x12\x11\n\tray_chunk\x18\x01 \x01(\x01\x12\x15\n\rlearning_rate\x18\x02 \x01(\x01\x12\r\n\x05stage\x18\x03 \x01(\t\"=\n\tSceneFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\":\n\x10HeartbeatRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\"!\n\x11HeartbeatResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xa0\x01\n\rReportRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x10\n\x08sequence\x18\x02 \x01(\r\x12,\n\x08progress\x18\x03 \x01(\x0b\x32\x1a.lambent_proto.v1.Progress\x12\'\n\x06\x65vents\x18\x04 \x03(\x0b\x32\x17.lambent_proto.v1.Event\"\x1e\n\x0eReportResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xb3\x01\n\x12ReportSceneRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12-\n\x06report\x18\x02 \x01(\x0b\x32\x1d.lambent_proto.v1.SceneReport\x12\x31\n\x07\x66igures\x18\x03 \x01(\x0b\x32 .lambent_proto.v1.CaptureFigures\x12\x13\n\x0bpage_sha256\x18\x04 \x01(\t\"\x15\n\x13ReportSceneResponse\"[\n\x0ePutBlobRequest\x12.\n\x06header\x18\x01 \x01(\x0b\x32\x1c.lambent_proto.v1.BlobHeaderH\x00\x12\x0e\n\x04\x64\x61ta\x18\x02 \x01(\x0cH\x00\x42\t\n\x07\x63ontent\"l\n\nBlobHeader\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\"\n\x0fPutBlobResponse\x12\x0f\n\x07\x63reated\x18\x01 \x01(\x08\"H\n\x0eGetBlobRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\"\x1f\n\x0fGetBlobResponse\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\"y\n\x17\x43ommitCheckpointRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x36\n\x08manifest\x18\x02 \x01(\x0b\x32$.lambent_proto.v1.CheckpointManifest\"\x1a\n\x18\x43ommitCheckpointResponse\"U\n\rPublishedFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\xa3\x01\n\x0ePublishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x35\n\x0c\x62undle_files\x18\x02 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\x12\x32\n\tartifacts\x18\x03 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\"$\n\x0fPublishResponse\x12\x11\n\tbundle_id\x18\x01 \x01(\t\"c\n\rFinishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x07outcome\x18\x02 \x01(\x0e\x32\x19.lambent_proto.v1.Outcome\"\x10\n\x0e\x46inishResponse\"\x80\x01\n\x0b\x46\x61ilRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x05\x63\x61use\x18\x02 \x01(\x0e\x32\x1b.lambent_proto.v1.FailCause\x12\x0c\n\x04\x63ode\x18\x03 \x01(\t\x12\x0f\n\x07message\x18\x04 \x01(\t\"\x0e\n\x0c\x46\x61ilResponse*N\n\x07Outcome\x12\x17\n\x13OUTCOME_UNSPECIFIED\x10\x00\x12\x15\n\x11OUTCOME_SUCCEEDED\x10\x01\x12\x13\n\x0fOUTCOME_STOPPED\x10\x02*\xe5\x01\n\tFailCause\x12\x1a\n\x16\x46\x41IL_CAUSE_UNSPECIFIED\x10\x00\x12\x17\n\x13\x46\x41IL_CAUSE_INTERNAL\x10\x01\x12\x18\n\x14\x46\x41IL_CAUSE_BAD_SCENE\x10\x02\x12\x19\n\x15\x46\x41IL_CAUSE_BAD_CONFIG\x10\x03\x12\x1c\n\x18\x46\x41IL_CAUSE_OUT_OF_MEMORY\x10\x04\x12 \n\x1c\x46\x41IL_CAUSE_GPU_OUT_OF_MEMORY\x10\x05\x12\x17\n\x13\x46\x41IL_CAUSE_DIVERGED\x10\x06\x12\x15\n\x11\x46\x41IL_CAUSE_KILLED\x10\x07\x32\x9e\x07\n\rWorkerService\x12Q\n\x08Register\x12!.lambent_proto.v1.RegisterRequest\x1a\".lambent_proto.v1.RegisterResponse\x12H\n\x05Start\x12\x1e.lambent_proto.v1.StartRequest\x1a\x1f.lambent_proto.v1.StartResponse\x12T\n\tHeartbeat\x12\".lambent_proto.v1.HeartbeatRequest\x1a#.lambent_proto.v1.HeartbeatResponse\x12K\n\x06Report\x12\x1f.lambent_proto.v1.ReportRequest\x1a .lambent_proto.v1.ReportResponse\x12Z\n\x0bReportScene\x12$.lambent_proto.v1.ReportSceneRequest\x1a%.lambent_proto.v1.ReportSceneResponse\x12P\n\x07PutBlob\x12 .lambent_proto.v1.PutBlobRequest\x1a!.lambent_proto.v1.PutBlobResponse(\x01\x12P\n\x07GetBlob\x12 .lambent_proto.v1.GetBlobRequest\x1a!.lambent_proto.v1.GetBlobResponse0\x01\x12i\n\x10\x43ommitCheckpoint\x12).lambent_proto.v1.CommitCheckpointRequest\x1a*.lambent_proto.v1.CommitCheckpointResponse\x12N\n\x07Publish\x12 .lambent_proto.v1.PublishRequest\x1a!.lambent_proto.v1.PublishResponse\x12K\n\x06\x46inish\x12\x1f.lambent_proto.v1.FinishRequest\x1a .lambent_proto.v1.FinishResponse\x12\x45\n\x04\x46\x61il\x12\x1d.lambent_proto.v1.FailRequest\x1a\x1e.lambent_proto.v1.FailResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'lambent_proto.v1.worker_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_OUTCOME']._serialized_start=2422
-  _globals['_OUTCOME']._serialized_end=2500
-  _globals['_FAILCAUSE']._serialized_start=2503
-  _globals['_FAILCAUSE']._serialized_end=2732
-  _globals['_FENCE']._serialized_start=141
-  _globals['_FENCE']._serialized_end=177
-  _globals['_REGISTERREQUEST']._serialized_start=179
-  _globals['_REGISTERREQUEST']._serialized_end=289
-  _globals['_REGISTERRESPONSE']._serialized_start=291
-  _globals['_REGISTERRESPONSE']._serialized_end=330
-  _globals['_STARTREQUEST']._serialized_start=332
-  _globals['_STARTREQUEST']._serialized_end=408
-  _globals['_STARTRESPONSE']._serialized_start=411
-  _globals['_STARTRESPONSE']._serialized_end=736
-  _globals['_ADJUSTMENTS']._serialized_start=738
-  _globals['_ADJUSTMENTS']._serialized_end=808
-  _globals['_SCENEFILE']._serialized_start=810
-  _globals['_SCENEFILE']._serialized_end=871
-  _globals['_HEARTBEATREQUEST']._serialized_start=873
-  _globals['_HEARTBEATREQUEST']._serialized_end=931
-  _globals['_HEARTBEATRESPONSE']._serialized_start=933
-  _globals['_HEARTBEATRESPONSE']._serialized_end=966
-  _globals['_REPORTREQUEST']._serialized_start=969
-  _globals['_REPORTREQUEST']._serialized_end=1129
-  _globals['_REPORTRESPONSE']._serialized_start=1131
-  _globals['_REPORTRESPONSE']._serialized_end=1161
-  _globals['_REPORTSCENEREQUEST']._serialized_start=1164
-  _globals['_REPORTSCENEREQUEST']._serialized_end=1343
-  _globals['_REPORTSCENERESPONSE']._serialized_start=1345
-  _globals['_REPORTSCENERESPONSE']._serialized_end=1366
-  _globals['_PUTBLOBREQUEST']._serialized_start=1368
-  _globals['_PUTBLOBREQUEST']._serialized_end=1459
-  _globals['_BLOBHEADER']._serialized_start=1461
-  _globals['_BLOBHEADER']._serialized_end=1569
-  _globals['_PUTBLOBRESPONSE']._serialized_start=1571
-  _globals['_PUTBLOBRESPONSE']._serialized_end=1605
-  _globals['_GETBLOBREQUEST']._serialized_start=1607
-  _globals['_GETBLOBREQUEST']._serialized_end=1679
-  _globals['_GETBLOBRESPONSE']._serialized_start=1681
-  _globals['_GETBLOBRESPONSE']._serialized_end=1712
-  _globals['_COMMITCHECKPOINTREQUEST']._serialized_start=1714
-  _globals['_COMMITCHECKPOINTREQUEST']._serialized_end=1835
-  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_start=1837
-  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_end=1863
-  _globals['_PUBLISHEDFILE']._serialized_start=1865
-  _globals['_PUBLISHEDFILE']._serialized_end=1950
-  _globals['_PUBLISHREQUEST']._serialized_start=1953
-  _globals['_PUBLISHREQUEST']._serialized_end=2116
-  _globals['_PUBLISHRESPONSE']._serialized_start=2118
-  _globals['_PUBLISHRESPONSE']._serialized_end=2154
-  _globals['_FINISHREQUEST']._serialized_start=2156
-  _globals['_FINISHREQUEST']._serialized_end=2255
-  _globals['_FINISHRESPONSE']._serialized_start=2257
-  _globals['_FINISHRESPONSE']._serialized_end=2273
-  _globals['_FAILREQUEST']._serialized_start=2276
-  _globals['_FAILREQUEST']._serialized_end=2404
-  _globals['_FAILRESPONSE']._serialized_start=2406
-  _globals['_FAILRESPONSE']._serialized_end=2420
-  _globals['_WORKERSERVICE']._serialized_start=2735
-  _globals['_WORKERSERVICE']._serialized_end=3661
+  _globals['_OUTCOME']._serialized_start=2499
+  _globals['_OUTCOME']._serialized_end=2577
+  _globals['_FAILCAUSE']._serialized_start=2580
+  _globals['_FAILCAUSE']._serialized_end=2809
+  _globals['_FENCE']._serialized_start=172
+  _globals['_FENCE']._serialized_end=208
+  _globals['_REGISTERREQUEST']._serialized_start=210
+  _globals['_REGISTERREQUEST']._serialized_end=320
+  _globals['_REGISTERRESPONSE']._serialized_start=322
+  _globals['_REGISTERRESPONSE']._serialized_end=361
+  _globals['_STARTREQUEST']._serialized_start=363
+  _globals['_STARTREQUEST']._serialized_end=439
+  _globals['_STARTRESPONSE']._serialized_start=442
+  _globals['_STARTRESPONSE']._serialized_end=813
+  _globals['_ADJUSTMENTS']._serialized_start=815
+  _globals['_ADJUSTMENTS']._serialized_end=885
+  _globals['_SCENEFILE']._serialized_start=887
+  _globals['_SCENEFILE']._serialized_end=948
+  _globals['_HEARTBEATREQUEST']._serialized_start=950
+  _globals['_HEARTBEATREQUEST']._serialized_end=1008
+  _globals['_HEARTBEATRESPONSE']._serialized_start=1010
+  _globals['_HEARTBEATRESPONSE']._serialized_end=1043
+  _globals['_REPORTREQUEST']._serialized_start=1046
+  _globals['_REPORTREQUEST']._serialized_end=1206
+  _globals['_REPORTRESPONSE']._serialized_start=1208
+  _globals['_REPORTRESPONSE']._serialized_end=1238
+  _globals['_REPORTSCENEREQUEST']._serialized_start=1241
+  _globals['_REPORTSCENEREQUEST']._serialized_end=1420
+  _globals['_REPORTSCENERESPONSE']._serialized_start=1422
+  _globals['_REPORTSCENERESPONSE']._serialized_end=1443
+  _globals['_PUTBLOBREQUEST']._serialized_start=1445
+  _globals['_PUTBLOBREQUEST']._serialized_end=1536
+  _globals['_BLOBHEADER']._serialized_start=1538
+  _globals['_BLOBHEADER']._serialized_end=1646
+  _globals['_PUTBLOBRESPONSE']._serialized_start=1648
+  _globals['_PUTBLOBRESPONSE']._serialized_end=1682
+  _globals['_GETBLOBREQUEST']._serialized_start=1684
+  _globals['_GETBLOBREQUEST']._serialized_end=1756
+  _globals['_GETBLOBRESPONSE']._serialized_start=1758
+  _globals['_GETBLOBRESPONSE']._serialized_end=1789
+  _globals['_COMMITCHECKPOINTREQUEST']._serialized_start=1791
+  _globals['_COMMITCHECKPOINTREQUEST']._serialized_end=1912
+  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_start=1914
+  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_end=1940
+  _globals['_PUBLISHEDFILE']._serialized_start=1942
+  _globals['_PUBLISHEDFILE']._serialized_end=2027
+  _globals['_PUBLISHREQUEST']._serialized_start=2030
+  _globals['_PUBLISHREQUEST']._serialized_end=2193
+  _globals['_PUBLISHRESPONSE']._serialized_start=2195
+  _globals['_PUBLISHRESPONSE']._serialized_end=2231
+  _globals['_FINISHREQUEST']._serialized_start=2233
+  _globals['_FINISHREQUEST']._serialized_end=2332
+  _globals['_FINISHRESPONSE']._serialized_start=2334
+  _globals['_FINISHRESPONSE']._serialized_end=2350
+  _globals['_FAILREQUEST']._serialized_start=2353
+  _globals['_FAILREQUEST']._serialized_end=2481
+  _globals['_FAILRESPONSE']._serialized_start=2483
+  _globals['_FAILRESPONSE']._serialized_end=2497
+  _globals['_WORKERSERVICE']._serialized_start=2812
+  _globals['_WORKERSERVICE']._serialized_end=3738
 # @@protoc_insertion_point(module_scope)

@@ -1,5 +1,6 @@
 from lambent_proto.v1 import capture_pb2 as _capture_pb2
 from lambent_proto.v1 import job_pb2 as _job_pb2
+from lambent_proto.v1 import render_pb2 as _render_pb2
 from lambent_proto.v1 import scene_pb2 as _scene_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
@@ -73,7 +74,7 @@ class StartRequest(_message.Message):
     def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., code_version: _Optional[str] = ...) -> None: ...
 
 class StartResponse(_message.Message):
-    __slots__ = ("spec", "files", "checkpoints", "check_scene", "device", "adjustments", "progress_interval_s", "preview_interval_s", "scene_name")
+    __slots__ = ("spec", "files", "checkpoints", "check_scene", "device", "adjustments", "progress_interval_s", "preview_interval_s", "scene_name", "render")
     SPEC_FIELD_NUMBER: _ClassVar[int]
     FILES_FIELD_NUMBER: _ClassVar[int]
     CHECKPOINTS_FIELD_NUMBER: _ClassVar[int]
@@ -83,6 +84,7 @@ class StartResponse(_message.Message):
     PROGRESS_INTERVAL_S_FIELD_NUMBER: _ClassVar[int]
     PREVIEW_INTERVAL_S_FIELD_NUMBER: _ClassVar[int]
     SCENE_NAME_FIELD_NUMBER: _ClassVar[int]
+    RENDER_FIELD_NUMBER: _ClassVar[int]
     spec: _job_pb2.JobSpec
     files: _containers.RepeatedCompositeFieldContainer[SceneFile]
     checkpoints: _containers.RepeatedCompositeFieldContainer[_job_pb2.CheckpointManifest]
@@ -92,7 +94,8 @@ class StartResponse(_message.Message):
     progress_interval_s: float
     preview_interval_s: float
     scene_name: str
-    def __init__(self, spec: _Optional[_Union[_job_pb2.JobSpec, _Mapping]] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ..., scene_name: _Optional[str] = ...) -> None: ...
+    render: _render_pb2.RenderTask
+    def __init__(self, spec: _Optional[_Union[_job_pb2.JobSpec, _Mapping]] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ..., scene_name: _Optional[str] = ..., render: _Optional[_Union[_render_pb2.RenderTask, _Mapping]] = ...) -> None: ...
 
 class Adjustments(_message.Message):
     __slots__ = ("ray_chunk", "learning_rate", "stage")

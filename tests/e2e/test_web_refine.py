@@ -1,0 +1,162 @@
+"""Refining in the web viewer as a person meets it: it starts, tells, ends by itself, gives way to input."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from google.protobuf import json_format
+from lambent_proto.v1.bundle_pb2 import BundleManifest
+from support.analytic_bundle import write_manifest
+from support.chromium import program
+from support.engine_page import WEB, WEBGPU
+from support.refine_page import SIZE, RefinePage, build_viewer, refine_page, write_light, write_refine_bundle
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(600)]
+VIEW = "env=url:data/light.exr&camera=30,35,2.6,0,0,0"
+FLAGS = {"wgsl": WEBGPU, "wasm": ()}
+LEFT = ("ArrowLeft", 37)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> tuple[Path, Path]:
+    """Return folders of the built viewer, and of bundles: whole, with other weights, without networks."""
+    if program() is None or not (WEB / "node_modules" / "vite").is_dir():
+        pytest.skip("needs Chromium and `npm ci` in client/web")
+    pages, data = tmp_path_factory.mktemp("pages"), tmp_path_factory.mktemp("data")
+    build_viewer(pages)
+    write_refine_bundle(data / "boxes")
+    write_light(data / "light.exr")
+    shutil.copytree(data / "boxes", data / "changed")
+    weights = data / "changed" / "models" / "weights.bin"
+    weights.write_bytes(weights.read_bytes()[:-1] + b"\x55")
+    shutil.copytree(data / "boxes", data / "lite")
+    shutil.rmtree(data / "lite" / "models")
+    manifest = json_format.Parse((data / "lite" / "manifest.json").read_text(), BundleManifest())
+    for field in (manifest.graphs, manifest.grids, manifest.tensors):
+        del field[:]
+    write_manifest(data / "lite", manifest)
+    return pages, data
+
+
+@pytest.fixture(scope="module", params=["wgsl", "wasm"])
+def opened(request, folders, tmp_path_factory) -> Iterator[tuple[str, RefinePage]]:
+    """Yield a browser with WebGPU in software, and one without WebGPU."""
+    profile = tmp_path_factory.mktemp("profile")
+    with refine_page(*folders, profile, more=FLAGS[request.param]) as page:
+        yield request.param, page
+
+
+def tick(page: RefinePage, on: bool) -> None:
+    """Tick or untick the box of refining."""
+    found = page.page.evaluate(
+        f"""(() => {{
+            const labels = [...document.querySelector('lambent-viewer').shadowRoot.querySelectorAll('label')];
+            const label = labels.find((each) => each.textContent === 'Refine while nothing moves');
+            const box = label?.querySelector('input');
+            if (box && box.checked !== {json.dumps(on)}) box.click();
+            return box?.checked;
+        }})()"""
+    )
+    assert found is on
+
+
+def fetched(page: RefinePage, part: str) -> bool:
+    """Return whether a path with `part` in it was asked of the server."""
+    return any(part in path for path in page.asked)
+
+
+def shown_text(page: RefinePage) -> str:
+    """Return what the panel says about refining."""
+    return page.page.evaluate(
+        "[...document.querySelector('lambent-viewer').shadowRoot.querySelectorAll('p.hint')]"
+        ".map((each) => each.hidden ? '' : each.textContent).find((text) => /noise|refine/i.test(text)) ?? ''"
+    )
+
+
+def test_it_starts_rises_stops_and_gives_way_to_input(opened):
+    backend, page = opened
+    page.open("boxes", VIEW, relativeError=0.12, samplesPerPixel=4096)
+    page.page.wait("viewer.canvas.width > 1")
+    baked = page.picture()
+    # Nothing of it is fetched before it is asked for.
+    assert not [path for path in page.asked if "models/" in path or "refine" in path or "assets/ort" in path]
+    tick(page, True)
+    done = page.wait("done", "failed")
+    assert done["phase"] == "done", done
+    assert done["backend"] == backend
+    assert ("WebGPU" in done["note"]) == (backend == "wasm")
+    counts = [status["samplesPerPixel"] for status in page.statuses() if status["phase"] == "running"]
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] < done["samplesPerPixel"] < 4096
+    assert done["relativeError"] <= 0.12
+    assert f"{done['samplesPerPixel']} samples a pixel" in shown_text(page)
+    assert fetched(page, "models/weights.bin")
+    assert fetched(page, "models/fast_cache_sky.onnx")
+    assert fetched(page, ".wasm") == (backend == "wasm")
+    refined = page.picture()
+    assert np.abs(refined.astype(int) - baked).mean() > 1.0
+    assert (page.refined()["standardErrorRgb"] > 0.0).any()
+
+    # Exposure, tone curve and channels are about the refined picture too.
+    look = "viewer.state.look"
+    page.page.evaluate(f"viewer.update({{ look: {{ ...{look}, exposureEv: 1 }} }})")
+    assert page.picture().mean() > refined.mean()
+    page.page.evaluate(f"viewer.update({{ look: {{ ...{look}, exposureEv: 0, channel: 'indirect' }} }})")
+    page.page.evaluate(f"viewer.update({{ look: {{ ...{look}, channel: 'final' }} }})")
+    assert np.array_equal(page.picture(), refined)
+    assert page.page.evaluate("viewer.refinedCamera.width") == SIZE[0]
+
+    at_input = page.press(*LEFT)
+    assert (at_input["refined"], at_input["phase"]) == (False, "waiting")
+    turned = at_input["picture"]
+    # At rest it begins anew, and it goes away with its box.
+    page.wait("done")
+    assert not np.array_equal(page.picture(), turned)
+    tick(page, False)
+    assert page.statuses()[-1]["phase"] == "off"
+    assert np.array_equal(page.picture(), turned)
+    # Browsers without WebGPU say so themselves.
+    assert [text for text in page.page.console if text != "No available adapters."] == []
+
+
+def test_input_ends_it_before_it_is_done(opened):
+    _, page = opened
+    page.open("boxes", f"{VIEW}&refine=1", relativeError=0, samplesPerPixel=1_000_000)
+    page.page.wait("viewer.refined !== null", 240.0)
+    at_input = page.press(*LEFT)
+    assert (at_input["refined"], at_input["phase"]) == (False, "waiting")
+    # While a button is held nothing starts, and no late answer is shown.
+    before = page.page.evaluate("(() => { viewer.moving = true; return statuses.length; })()")
+    page.page.evaluate("new Promise((resolve) => setTimeout(resolve, 1500))")
+    assert page.page.evaluate("viewer.refined") is None
+    assert all(status["phase"] == "waiting" for status in page.statuses()[before:])
+    page.page.evaluate("viewer.moving = false")
+    page.page.wait("viewer.refined !== null", 240.0)
+    page.page.evaluate("document.querySelector('lambent-viewer').remove()")
+
+
+@pytest.mark.parametrize(
+    ("bundle", "code"), [("changed", "bundle.digest_mismatch"), ("lite", "bundle.graph_missing")]
+)
+def test_bundles_that_cannot_be_refined_say_why_and_stay_as_they_are(opened, bundle, code):
+    _, page = opened
+    page.open(bundle, f"{VIEW}&refine=1")
+    failed = page.wait("failed", "done")
+    assert code in failed["message"]
+    assert code in shown_text(page)
+    assert page.page.evaluate("viewer.refined") is None
+    assert page.picture()[..., 3].max() == 255
+
+
+def test_a_page_that_forbids_webassembly_needs_webgpu(opened):
+    backend, page = opened
+    page.open("boxes", f"{VIEW}&refine=1", below="strict/")
+    status = page.wait("failed", "running")
+    assert status["phase"] == ("running" if backend == "wgsl" else "failed"), status
+    if backend == "wasm":
+        assert "no WebGPU" in status["message"]
+        assert "WebAssembly does not work here" in status["message"]
+        assert "refine.unavailable" in shown_text(page)

@@ -1,0 +1,44 @@
+"""The web viewer in Chromium: its own browser tests, with pictures that Python drew."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.chromium import program
+from support.three_page import WEB
+from support.viewer_fixture import write_fixture
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(900)]
+
+
+@pytest.fixture(scope="module")
+def fixture_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a bundle, maps, and the pictures that the viewer must show."""
+    folder = tmp_path_factory.mktemp("viewer") / "fixture"
+    write_fixture(folder)
+    return folder
+
+
+@pytest.mark.parametrize("suite", ["picture", "interface", "embed", "ground", "sharing", "devices"])
+def test_the_viewer_passes_its_browser_tests(suite: str, fixture_folder: Path) -> None:
+    if program() is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("needs Chromium and the web tool chain")
+    npx = shutil.which("npx")
+    assert npx is not None
+    done = subprocess.run(
+        [npx, "vitest", "run", "--config", "vitest.browser.config.ts", suite],
+        cwd=WEB,
+        env={
+            **os.environ,
+            "LAMBENT_VIEWER_FIXTURE": str(fixture_folder),
+            "LAMBENT_VIEWER_PAGES": str(fixture_folder.with_name("pages")),
+            "PYTHON": sys.executable,
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]

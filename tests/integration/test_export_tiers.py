@@ -1,0 +1,93 @@
+"""Bundles with float16 or float32 tables, and lite bundles without networks."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from lambent_relight.bundle import load_bundle
+from lambent_relight.cameras import turntable
+from lambent_relight.directions import pixel_directions
+from lambent_relight.environments import environment_from_array
+from lambent_relight.errors import UnsupportedQuality
+from lambent_relight.renderer import Renderer
+from lambent_worker.errors import WorkerError
+from lambent_worker.steps import export
+from support.small_export import LIGHTS, small_context
+from support.sphere_model import sphere_model
+
+CAMERA = turntable(1, radius=3.0, width=24, height=24)[0]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return sphere_model(lights=LIGHTS)
+
+
+def exported(tmp_path, model, monkeypatch, **settings):
+    """Return the bundle that an export with these settings writes, and what the export logged."""
+    context = small_context(tmp_path, model, monkeypatch)
+    config = replace(context.config, export=replace(context.config.export, judge_samples=0, **settings))
+    context = replace(context, config=config)
+    export.run(context)
+    return load_bundle(context.folder), context.reporter.events
+
+
+def dtypes(bundle):
+    return {(tensor.name.endswith(".table"), tensor.dtype) for tensor in bundle.manifest.tensors}
+
+
+def test_tables_are_halves_and_the_manifest_says_what_that_changed(tmp_path, model, monkeypatch):
+    bundle, events = exported(tmp_path, model, monkeypatch)
+    assert dtypes(bundle) == {(True, "float16"), (False, "float32")}
+    found = {(graph.path, item.output): item for graph in bundle.manifest.graphs for item in graph.rounding}
+    assert ("models/gbuffer.onnx", "normal") in found
+    assert ("models/fast_cache_day.onnx", "radiance") in found
+    for item in found.values():
+        assert 0.0 < item.rms_error <= item.max_abs_error
+        assert item.rms_error <= 1e-2
+        assert item.num_samples == 256
+    assert not [graph for graph in bundle.manifest.graphs if graph.name == "relight" and graph.rounding]
+    assert "export.full_precision" not in events
+
+
+def test_full_precision_on_request_changes_nothing(tmp_path, model, monkeypatch):
+    bundle, _ = exported(tmp_path, model, monkeypatch, weights="fp32", transport_tier="none")
+    assert dtypes(bundle) == {(True, "float32"), (False, "float32")}
+    assert not any(graph.rounding for graph in bundle.manifest.graphs)
+
+
+def test_tables_stay_float32_where_halves_would_move_an_answer(tmp_path, model, monkeypatch):
+    monkeypatch.setattr(export, "MOST_ROUNDING", 0.0)
+    bundle, events = exported(tmp_path, model, monkeypatch, transport_tier="none")
+    assert dtypes(bundle) == {(True, "float32"), (False, "float32")}
+    assert events["export.full_precision"]["rms_error"] > 0.0
+    assert [graph.name for graph in bundle.manifest.graphs] == [
+        "gbuffer",
+        "material",
+        "fast_cache",
+        "fast_cache",
+    ]
+
+
+def test_halves_that_are_asked_for_must_be_able_to_hold_the_tables(tmp_path, monkeypatch):
+    model = sphere_model(lights=LIGHTS)
+    with torch.no_grad():
+        model.materials.grid.table[0, 0] = 70_000.0
+    with pytest.raises(WorkerError, match=r"export\.half_range"):
+        exported(tmp_path, model, monkeypatch, weights="fp16", transport_tier="none")
+
+
+def test_a_lite_bundle_shows_baked_pictures_and_says_why_it_cannot_refine(tmp_path, model, monkeypatch):
+    bundle, _ = exported(tmp_path, model, monkeypatch, weights="none", transport_tier="lite")
+    assert [graph.name for graph in bundle.manifest.graphs] == ["relight"]
+    assert not {file.role for file in bundle.manifest.files} & {"weights"}
+    assert (len(bundle.manifest.tensors), len(bundle.manifest.grids)) == (0, 0)
+    light = environment_from_array(1.0 + pixel_directions(8, 16)[..., 2:] * [0.5, 0.4, 0.3])
+    renderer = Renderer(bundle)
+    for quality in ("baked", "preview"):
+        picture = renderer.render(CAMERA, light, quality=quality)
+        assert picture.opacity.max() == 1.0
+        assert picture.rgb[picture.opacity[..., 0] > 0.9].min() > 0.0
+    with pytest.raises(UnsupportedQuality, match="networks") as raised:
+        renderer.render(CAMERA, light)
+    assert raised.value.code == "relight.networks_missing"

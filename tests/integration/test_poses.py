@@ -1,0 +1,119 @@
+"""Cameras are found for photographs whose cameras are known, up to a similarity."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+from lambent_worker import pipeline, poses_cli
+from lambent_worker.cli import train
+from lambent_worker.errors import SceneRefusedError
+from lambent_worker.poses.capture import solve_capture
+from lambent_worker.run_folder import read_settings
+from lambent_worker.scenes.detect import describe_scene
+from PIL import Image
+from pose_errors import pose_errors
+from support.textured_box import box_cameras, write_photographs
+from typer.testing import CliRunner
+
+pytest.importorskip("pycolmap", reason="needs the extra poses")
+pytestmark = pytest.mark.slow
+
+COUNT = 10
+
+
+def call(command, *arguments):
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(command)
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def poses_of(scene):
+    """Return camera to world by photograph."""
+    return {
+        frame.name: np.array(frame.camera.camera_to_world).reshape(4, 4)
+        for frame in describe_scene(scene).frames
+    }
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    """Return the folder of a solved capture, with masks, and the true poses."""
+    folder = tmp_path_factory.mktemp("poses")
+    cameras = box_cameras(COUNT, arc_deg=150.0)
+    true = write_photographs(folder / "photographs", cameras, masks=folder / "cut")
+    result = call(poses_cli.poses, folder / "photographs", "-o", folder / "scene", "--masks", folder / "cut")
+    assert result.exit_code == 0, result.output
+    assert f"cameras for {COUNT} of {COUNT} photographs" in result.stdout
+    return folder, true
+
+
+def test_cameras_are_where_they_were_up_to_a_similarity(solved):
+    folder, true = solved
+    manifest = describe_scene(folder / "scene")
+    assert manifest.layout == "colmap"
+    found = {frame.images[0].path.removeprefix("images/"): frame for frame in manifest.frames}
+    poses = [np.array(found[name].camera.camera_to_world).reshape(4, 4) for name in true]
+    rotation_deg, centre_share = pose_errors(np.array(poses), np.array(list(true.values())))
+    assert "scene.poses_lens" not in (folder / "scene" / "poses.json").read_text()
+    assert rotation_deg.max() < 0.5
+    assert centre_share.max() < 0.01
+    focal = manifest.frames[0].camera.focal_x
+    assert focal == pytest.approx(400.0, rel=0.05)
+
+
+def test_train_finds_the_same_cameras_and_goes_on_with_the_capture(solved, tmp_path, monkeypatch):
+    folder, _ = solved
+    seen = []
+    monkeypatch.setattr(pipeline, "run_pipeline", lambda *given, **named: seen.append((given, named)))
+    run = tmp_path / "run"
+    options = ("--poses", "auto", "--masks", folder / "cut", "--preset", "tiny")
+    result = call(train, folder / "photographs", "-o", run, *options)
+    assert result.exit_code == 0, result.output
+    ((given, named),) = seen
+    assert given[:2] == (run / "capture", run)
+    assert named["masks"] == ""
+    assert read_settings(run).scene == str(run / "capture")
+    first, second = (poses_of(scene) for scene in (folder / "scene", run / "capture"))
+    assert first.keys() == second.keys()
+    # Photographs fix a world up to a similarity, and COLMAP's own order of sums differs from run to run.
+    found, wanted = (np.array([poses[name] for name in first]) for poses in (second, first))
+    rotation_deg, centre_share = pose_errors(found, wanted)
+    assert rotation_deg.max() < 0.5
+    assert centre_share.max() < 0.01
+
+
+def test_masks_travel_with_the_capture(solved):
+    folder, _ = solved
+    manifest = describe_scene(folder / "scene")
+    assert all(frame.mask.startswith("masks/") for frame in manifest.frames)
+    first = folder / "scene" / "masks" / "photo_03.png.png"
+    with Image.open(first) as mine, Image.open(folder / "cut" / "photo_03.png") as given:
+        assert np.array_equal(np.asarray(mine), np.asarray(given))
+
+
+def test_what_was_solved_is_not_solved_again(solved):
+    folder, _ = solved
+    model = folder / "scene" / "sparse" / "0" / "images.bin"
+    before = model.stat().st_mtime_ns
+    again = solve_capture(folder / "photographs", folder / "scene", folder / "cut")
+    assert model.stat().st_mtime_ns == before
+    assert again.record["registered"] == COUNT
+
+
+def test_the_gap_behind_the_object_is_named(solved):
+    folder, _ = solved
+    record = json.loads((folder / "scene" / "poses.json").read_text())
+    (finding,) = record["findings"]
+    assert finding["code"] == "scene.poses_gap"
+    assert "photo_09.png" in finding["message"]
+    assert "photo_00.png" in finding["message"]
+
+
+def test_photographs_without_texture_are_refused_with_what_to_do(tmp_path):
+    for number in range(4):
+        (tmp_path / "photographs").mkdir(exist_ok=True)
+        Image.new("RGB", (160, 120), (90 + number, 90, 90)).save(tmp_path / "photographs" / f"{number}.png")
+    with pytest.raises(SceneRefusedError, match=r"scene\.poses_none: .*too few points.*printed paper"):
+        solve_capture(tmp_path / "photographs", tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()

@@ -1,0 +1,53 @@
+"""What float16 tables change, and how it is counted."""
+
+import numpy as np
+import torch
+from flashcache.export.graphs import exported_grids
+from lambent_worker.bundle.half_tables import fits_half, rounding_of, with_half_tables
+from support.sphere_model import sphere_model
+
+
+def test_only_exported_tables_are_rounded_and_the_model_itself_is_not():
+    model = sphere_model()
+    before = {name: value.clone() for name, value in model.named_parameters()}
+    rounded = dict(with_half_tables(model).named_parameters())
+    tables = {f"{name}.table" for name in exported_grids(model)}
+    for name, value in model.named_parameters():
+        assert torch.equal(value, before[name])
+        changed = not torch.equal(value, rounded[name])
+        assert changed == (name in tables), name
+        if changed:
+            assert torch.equal(rounded[name], value.half().float())
+
+
+def test_numbers_beyond_float16_are_noticed():
+    model = sphere_model()
+    assert fits_half(model)
+    with torch.no_grad():
+        model.fast.feature_grid.table[-1, -1] = -65_520.0
+    assert not fits_half(model)
+
+
+def test_errors_count_by_how_much_of_the_ray_is_seen():
+    exact = {
+        "opacity": np.array([[1.0], [0.0]]),
+        "radiance": np.zeros((2, 3)),
+        "distance": np.array([[4.0], [4.0]]),
+    }
+    rounded = {
+        "opacity": exact["opacity"] + 0.1,
+        "radiance": exact["radiance"] + 0.2,
+        "distance": exact["distance"] + np.array([[1.0], [100.0]]),
+    }
+    found = rounding_of(rounded, exact)
+    assert np.isclose(found["opacity"].rms_error, 0.1)
+    assert np.isclose(found["radiance"].max_abs_error, 0.2)
+    # Relative above 1; the second ray sees nothing, so its distance says nothing.
+    assert np.isclose(found["distance"].max_abs_error, 0.25)
+    assert np.isclose(found["distance"].rms_error, 0.25 / np.sqrt(2.0))
+    assert found["distance"].num_samples == 2
+
+
+def test_properties_of_points_count_in_full_without_an_opacity():
+    found = rounding_of({"albedo": np.full((1, 3), 0.6)}, {"albedo": np.full((1, 3), 0.5)})
+    assert np.isclose(found["albedo"].rms_error, 0.1)

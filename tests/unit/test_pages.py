@@ -1,0 +1,85 @@
+"""The built pages: which file an address names, and the headers it is sent with."""
+
+from pathlib import Path
+
+import lambent_pages
+import pytest
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder as the build makes it, and a secret beside it."""
+    (tmp_path / "secret.html").write_text("secret")
+    dist = tmp_path / "dist"
+    (dist / "assets").mkdir(parents=True)
+    (dist / "jobs.html").write_text("<title>jobs</title>")
+    (dist / "viewer.html").write_text("<title>viewer</title>")
+    (dist / "assets" / "jobs-1a2b.js").write_text("1")
+    (dist / "assets" / "infer-3c4d.wasm").write_bytes(b"\0asm")
+    (dist / "assets" / "notes.md").write_text("not for browsers")
+    return dist
+
+
+def test_a_name_with_a_hash_is_kept_and_a_page_is_asked_for_again(folder: Path):
+    script = lambent_pages.find("assets/jobs-1a2b.js", folder)
+    page = lambent_pages.find("jobs.html", folder)
+    assert script is not None
+    assert page is not None
+    assert script.headers["cache-control"] == "public, max-age=31536000, immutable"
+    assert script.headers["content-type"].startswith("text/javascript")
+    assert page.headers["cache-control"] == "no-cache"
+    assert page.content == b"<title>jobs</title>"
+
+
+def test_an_etag_changes_with_the_file_and_answers_for_it(folder: Path):
+    before = lambent_pages.find("jobs.html", folder)
+    assert before is not None
+    (folder / "jobs.html").write_text("<title>other</title>")
+    after = lambent_pages.find("jobs.html", folder)
+    assert after is not None
+    assert lambent_pages.is_current(before, f'"x", W/{before.headers["etag"]}')
+    assert not lambent_pages.is_current(after, before.headers["etag"])
+    assert not lambent_pages.is_current(after, None)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "",
+        "../secret.html",
+        "assets/../../secret.html",
+        "/etc/passwd",
+        "assets",
+        "assets/",
+        "assets/notes.md",
+        "./jobs.html",
+        "jobs.html/",
+        "assets\\jobs-1a2b.js",
+        "nothing.html",
+        "jobs.html\0",
+    ],
+)
+def test_nothing_but_files_of_the_pages_is_found(folder: Path, path: str):
+    assert lambent_pages.find(path, folder) is None
+
+
+def test_only_what_computes_may_compile_webassembly(folder: Path):
+    for path, wasm in (("jobs.html", False), ("viewer.html", True), ("assets/jobs-1a2b.js", True)):
+        page = lambent_pages.find(path, folder)
+        assert page is not None
+        policy = page.headers["content-security-policy"]
+        assert ("'wasm-unsafe-eval'" in policy) == wasm
+        assert "unsafe-inline" not in policy
+        assert "'unsafe-eval'" not in policy
+        assert "http" not in policy
+        assert policy.startswith("default-src 'none';")
+
+
+def test_pages_that_are_not_there_are_explained(folder: Path):
+    assert lambent_pages.are_built(folder)
+    (folder / "viewer.html").unlink()
+    assert not lambent_pages.are_built(folder)
+    page = lambent_pages.not_built()
+    assert b"make pages" in page.content
+    assert b"<script" not in page.content
+    assert page.headers["cache-control"] == "no-store"
