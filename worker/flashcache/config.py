@@ -19,7 +19,7 @@ from flashcache.losses.environment import EnvironmentPriorConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.losses.shape import ShapePriorConfig
 from flashcache.losses.smoothness import SmoothnessGuide
-from flashcache.physical.estimator import EstimatorConfig
+from flashcache.physical.estimator import DirectionCounts, EstimatorConfig
 from flashcache.physical.model import ModelConfig
 
 T = typing.TypeVar("T")
@@ -88,6 +88,35 @@ class StageOneConfig:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class DistilConfig:
+    """The last steps of stage two, in which the fast cache alone learns (decision 0017)."""
+
+    num_steps: int = 0
+    """After those of the stage; the paper has none."""
+    num_points: int = 640
+    """Camera rays per step; from where they meet the surface, secondary rays leave."""
+    taught: DirectionCounts = field(default_factory=lambda: DirectionCounts(cosine=6, sampler=0, specular=2))
+    """Secondary rays per point, around the normal and around the mirror lobe."""
+    opacity_weight: float = 1.0
+    """Weight of opacity beside radiance; in joint training it is the paper's."""
+    final_rate: float = 0.1
+    """Share of the peak rates at the last step."""
+    decay_from: float = 0.3
+    """Share of the steps after which the rates begin to fall."""
+
+    def __post_init__(self) -> None:
+        if self.num_points < 1:
+            raise ConfigError(f"stage_two.distil.num_points must be at least 1, got {self.num_points}")
+        if self.taught.cosine + self.taught.sampler < 1 or self.taught.specular < 1:
+            raise ConfigError(
+                "stage_two.distil.taught needs at least one diffuse and one specular direction, "
+                f"got {self.taught}"
+            )
+        if self.num_steps < 0:
+            raise ConfigError(f"stage_two.distil.num_steps must not be negative, got {self.num_steps}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class StageTwoConfig:
     """Joint training of cache, materials, light, fast cache and sampler (supplement 2.4 to 2.10)."""
 
@@ -144,6 +173,7 @@ class StageTwoConfig:
     """Weight of half the mean squared value of each level of density, material and sampler grids."""
     proposal_exponent: float = 0.4
     budget: RayBudget = field(default_factory=RayBudget)
+    distil: DistilConfig = field(default_factory=DistilConfig)
 
     def __post_init__(self) -> None:
         for name in ("num_steps", "num_rays", "points_per_ray", "normal_every"):
@@ -185,6 +215,9 @@ class ExportConfig:
     """Write mesh/asset.usdz too; needs the package usd-core."""
     transport_tier: str = "full"
     """Baked light transport: "full" (49 harmonics, shadow bits), "lite" (25, none) or "none"."""
+    weights: str = "auto"
+    """Feature tables: "fp16", "fp32", "auto" (fp16 unless it moves the model's answers), or "none": the
+    bundle carries no networks, only what was baked from them."""
     judge_samples: int = 64
     """Light directions per pixel of refined pictures that baked ones are compared with; 0: none are."""
     environment_height: int = 64
@@ -195,6 +228,12 @@ class ExportConfig:
             raise ConfigError(
                 f'export.transport_tier must be "full", "lite" or "none", got {self.transport_tier!r}'
             )
+        if self.weights not in ("auto", "fp16", "fp32", "none"):
+            raise ConfigError(
+                f'export.weights must be "auto", "fp16", "fp32" or "none", got {self.weights!r}'
+            )
+        if self.weights == "none" and self.transport_tier == "none":
+            raise ConfigError("export.weights and export.transport_tier are both none: nothing is left")
         if self.judge_samples and self.judge_samples < 2:
             raise ConfigError(f"export.judge_samples must be 0 or at least 2, got {self.judge_samples}")
         if not 16 <= self.atlas_size <= 8192:

@@ -8,6 +8,7 @@ from flashcache.caches.fast_cache import FastCacheConfig
 from flashcache.caches.nerf_cache import NerfCacheConfig
 from flashcache.config import (
     Config,
+    DistilConfig,
     EvaluationConfig,
     ExportConfig,
     Rates,
@@ -83,7 +84,7 @@ def fast() -> Config:
         max_side=128,
         model=model,
         stage_one=StageOneConfig(
-            num_steps=1500,
+            num_steps=1200,
             num_rays=1024,
             rates=Rates(grid=1e-2, network=3e-3),
             final_rate=0.05,
@@ -104,9 +105,9 @@ def fast() -> Config:
             proposal_exponent=1.0,
         ),
         stage_two=StageTwoConfig(
-            num_steps=900,
+            num_steps=700,
             num_rays=256,
-            warmup_steps=150,
+            warmup_steps=120,
             estimator=EstimatorConfig(
                 fast=DirectionCounts(cosine=7, sampler=5, specular=4),
                 exact=DirectionCounts(cosine=2, sampler=1, specular=1),
@@ -129,6 +130,7 @@ def fast() -> Config:
             grey_weight=0.015,
             metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3),
             proposal_exponent=1.0,
+            distil=DistilConfig(num_steps=300),
         ),
         evaluation=EvaluationConfig(num_views=4, num_repeats=1, uncertainty_points=300),
         export=ExportConfig(judge_samples=16),
@@ -190,6 +192,7 @@ def tiny() -> Config:
             warmup_steps=40,
             material_rates=Rates(grid=2e-2, network=5e-3),
             environment_rate=1e-2,
+            distil=DistilConfig(num_steps=20, num_points=256),
         ),
         evaluation=EvaluationConfig(num_views=2, num_repeats=1, num_directions=16, uncertainty_points=150),
         export=ExportConfig(
@@ -207,14 +210,16 @@ def tiny() -> Config:
 
 
 def long() -> Config:
-    """A longer run without a GPU, meant for under an hour on two cores; not tuned or timed yet."""
+    """A longer run without a GPU, meant for about 40 minutes on two cores; not tuned or timed whole yet."""
     base = fast()
     return replace(
         base,
         preset="long",
         max_side=256,
-        stage_one=replace(base.stage_one, num_steps=15_000, num_rays=1024),
-        stage_two=replace(base.stage_two, num_steps=8_000, warmup_steps=500),
+        stage_one=replace(base.stage_one, num_steps=8_000, num_rays=1024),
+        stage_two=replace(
+            base.stage_two, num_steps=4_000, warmup_steps=300, distil=DistilConfig(num_steps=1500)
+        ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=2),
         checkpoint_steps=1000,
         checkpoint_interval_s=300.0,
@@ -250,6 +255,7 @@ def standard() -> Config:
             num_rays=1024,
             warmup_steps=500,
             estimator=EstimatorConfig(stratified=True),
+            distil=DistilConfig(num_steps=1000, num_points=2048),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=4),
     )

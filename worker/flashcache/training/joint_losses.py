@@ -17,6 +17,7 @@ from flashcache.losses.light_sampler import light_sampler_loss
 from flashcache.losses.metalness import directional_variation, directions_around, metalness_prior
 from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
+from flashcache.physical.incident import SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import Estimate, ShadingPoints
 from flashcache.training.passes import Pass
@@ -207,18 +208,22 @@ def environment_terms(model: InverseModel, config: StageTwoConfig, generator: to
     return terms
 
 
+def in_reach(model: InverseModel, rays: SecondaryRays) -> Float[Tensor, " rays"]:
+    """Return one for rays that start where the fast cache is taught, else zero (supplement 2.3)."""
+    radius = model.domain.fast_radius or model.domain.contraction_radius
+    return (rays.origins.norm(dim=-1) < radius).to(rays.origins.dtype)
+
+
 def secondary_terms(model: InverseModel, config: StageTwoConfig, first: Pass) -> Terms:
     """Return the losses that train the fast cache and the light sampler on the exact rays."""
     exact, terms = first.estimate.exact, {}
     if exact is None:
         return terms
     if exact.fast is not None:
-        radius = model.domain.fast_radius or model.domain.contraction_radius
-        inside = (exact.rays.origins.norm(dim=-1) < radius).to(exact.nerf.opacity.dtype)
         terms["fast"] = fast_cache_loss(
             exact.fast,
             exact.nerf,
-            inside,
+            in_reach(model, exact.rays),
             model.limits,
             from_diffuse=exact.from_diffuse if config.fast_by_half else None,
         )

@@ -53,10 +53,15 @@ def build_optimiser(groups: list[dict[str, Any]]) -> torch.optim.Adam:
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 
-def set_rates(optimiser: torch.optim.Adam, factor: float) -> None:
-    """Set every group's rate to its peak times `factor`."""
+def set_rates(optimiser: torch.optim.Adam, factor: float, part: nn.Module | None = None) -> None:
+    """Set every group's rate to its peak times `factor`; with a `part`, to zero for all outside of it.
+
+    A gradient of zero alone does not stop a parameter, for Adam's momentum moves it on.
+    """
+    moving = None if part is None else {id(parameter) for parameter in part.parameters()}
     for group in optimiser.param_groups:
-        group["lr"] = group["peak"] * factor
+        rests = moving is not None and id(group["params"][0]) not in moving
+        group["lr"] = 0.0 if rests else group["peak"] * factor
 
 
 def apply_gradients(

@@ -15,6 +15,7 @@ from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.data.ray_budget import ErrorMap, draw_by_error
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
+from flashcache.training.distil import Distillation
 from flashcache.training.joint_losses import (
     Terms,
     cache_terms,
@@ -34,6 +35,7 @@ from flashcache.training.optimiser import (
     build_optimiser,
     parameter_groups,
     set_rates,
+    take_step,
 )
 from flashcache.training.passes import shade
 from flashcache.training.schedule import rate_factor
@@ -71,17 +73,25 @@ class StageTwo:
         self.errors = None
         if config.budget.error_share:
             self.errors = ErrorMap(config.budget, pixels.inside, len(pixels.pixels))
+        self.distillation: Distillation | None = None
         self.steps_done = 0
         self.num_skipped = 0
 
     @property
+    def num_steps(self) -> int:
+        """Steps in which everything learns, and those after them in which the fast cache alone does."""
+        return self.config.num_steps + self.config.distil.num_steps
+
+    @property
     def finished(self) -> bool:
         """Whether all steps have been taken."""
-        return self.steps_done >= self.config.num_steps
+        return self.steps_done >= self.num_steps
 
     def step(self) -> StepRecord:
         """Take one training step."""
         config, step = self.config, self.steps_done
+        if step >= config.num_steps:
+            return self._distil(step - config.num_steps)
         factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
         set_rates(self.optimiser, factor)
         with half_the_threads(self.second.parallel and step >= config.warmup_steps):
@@ -92,10 +102,31 @@ class StageTwo:
         self.num_skipped += not applied
         return StepRecord(
             step=self.steps_done,
-            num_steps=config.num_steps,
+            num_steps=self.num_steps,
             loss=float(loss.detach()),
             psnr=masked_psnr(picture.detach(), batch),
             terms={name: float(value.detach()) for name, value in terms.items()},
+            skipped=not applied,
+        )
+
+    def _distil(self, step: int) -> StepRecord:
+        """Take one of the last steps, in which the fast cache alone learns."""
+        config = self.config.distil
+        if self.distillation is None:
+            self.distillation = Distillation(self.model, self.pixels, config, seed=self.seed)
+        factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
+        set_rates(self.optimiser, factor, self.model.fast)
+        self.optimiser.zero_grad(set_to_none=False)
+        loss = self.distillation.differentiate(step)
+        applied = take_step(self.optimiser)
+        self.steps_done += 1
+        self.num_skipped += not applied
+        return StepRecord(
+            step=self.steps_done,
+            num_steps=self.num_steps,
+            loss=loss,
+            psnr=0.0,
+            terms={"fast": loss},
             skipped=not applied,
         )
 

@@ -1,0 +1,62 @@
+"""Where secondary rays leave, and which, when a cache is taught what relighting will ask it."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from flashcache.caches.nerf_cache import Geometry
+from flashcache.geometry.directions import facing
+from flashcache.physical.estimator import DirectionCounts
+from flashcache.physical.incident import RayLimits, SecondaryRays
+from flashcache.physical.sampling import CosineLobe, GgxLobe
+from flashcache.physical.shading import DrawnDirections, ShadingPoints
+from flashcache.volume.quadrature import draw_points
+
+SOLID = 0.5
+"""Opacity from which a camera ray has met the surface."""
+
+
+def solid_points(
+    geometry: Geometry,
+    directions: Float[Tensor, "rays 3"],
+    light_index: Int[Tensor, " rays"],
+    generator: torch.Generator,
+    count: int | None = None,
+) -> ShadingPoints:
+    """Return one point for each camera ray that meets the surface, at most `count`, drawn by render weight.
+
+    `directions` are unit, away from the camera; normals are turned towards it. Points are in world space.
+    """
+    num_rays, num_samples = geometry.weights.shape
+    kept = (geometry.opacity > SOLID).nonzero().squeeze(-1)[:count]
+    u = torch.rand(num_rays, 1, generator=generator, device=geometry.weights.device)
+    index = draw_points(geometry.weights, u).index[kept, 0] + num_samples * kept
+    omega_o = -directions[kept]
+    return ShadingPoints(
+        positions=geometry.samples.positions.reshape(-1, 3)[index],
+        normal=facing(geometry.normal[index], omega_o),
+        omega_o=omega_o,
+        light_index=light_index[kept],
+    )
+
+
+def relit_rays(
+    points: ShadingPoints,
+    alpha: Float[Tensor, "points 1"],
+    counts: DirectionCounts,
+    limits: RayLimits,
+    generator: torch.Generator,
+) -> SecondaryRays:
+    """Return secondary rays as relighting draws them: around the normal, and around the mirror lobe.
+
+    `alpha` is the GGX roughness; without a light to sample, its directions go to the cosine.
+    """
+    mirror = GgxLobe(points.omega_o, points.normal, alpha)
+    return DrawnDirections.draw(
+        points,
+        [(CosineLobe(points.normal), [counts.cosine + counts.sampler])],
+        [(mirror, [counts.specular])],
+        True,
+        limits,
+        generator,
+    ).rays
