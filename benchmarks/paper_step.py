@@ -41,7 +41,7 @@ from lambent_worker.report.predictions import encoded
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
-from lambent_worker.steps.training import reduced_precision
+from lambent_worker.steps.training import matrix_precision
 
 STAGES = ("one", "two")
 GIB = 2**30
@@ -102,7 +102,7 @@ def measure(
     seconds, losses = [], []
     for _ in range(steps):
         started = time.perf_counter()
-        with reduced_precision():
+        with matrix_precision(device):
             losses.append(stage.step().loss)
         if device.type == "cuda":
             torch.cuda.synchronize(device)
@@ -185,7 +185,7 @@ def curve(scene: Scene, config: Config, device: torch.device, minutes: float) ->
         stage = new_stage(name, model, pixels, shortened(config, steps))
         while not stage.finished:
             started = time.perf_counter()
-            with reduced_precision():
+            with matrix_precision(device):
                 stage.step()
             if device.type == "cuda":
                 torch.cuda.synchronize(device)

@@ -94,6 +94,18 @@ class CacheAnswer(NamedTuple):
     distance: Float[Tensor, " rays"]
 
 
+class Meeting(NamedTuple):
+    """What secondary rays meet: `repeats` points of each ray, flattened where it says `points`."""
+
+    opacity: Float[Tensor, " rays"]
+    distance: Float[Tensor, " rays"]
+    """Mean distance over the opaque part, the far end where nothing is hit."""
+    positions: Float[Tensor, "points 3"]
+    hidden: Float[Tensor, "points width"]
+    factors: Float[Tensor, "rays repeats"]
+    """Weight of each point's radiance in that of the ray (paper Eqs. 3 and 11)."""
+
+
 class NerfCache(nn.Module):
     """Two proposal densities, the final density with normals, and the appearance."""
 
@@ -246,6 +258,28 @@ class NerfCache(nn.Module):
         intervals at random, as the paper does in training. `distance` is the mean distance over the
         opaque part, the far end where nothing is hit.
         """
+        num_colours = self.config.secondary_colours if generator is not None else 0
+        met = self.meet(rays, num_colours, generator, jitter=jitter)
+        repeats = met.factors.shape[-1]
+        normal = self.normals(met.positions, met.hidden)
+        radiance = self.appearance(
+            met.positions,
+            met.hidden,
+            normal,
+            -rays.directions.repeat_interleave(repeats, dim=0),
+            light_index.repeat_interleave(repeats),
+        ).radiance
+        near = (met.factors[..., None] * radiance.reshape(len(rays), repeats, 3)).sum(dim=1)
+        return CacheAnswer(near, met.opacity, met.distance)
+
+    def meet(
+        self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool = False
+    ) -> Meeting:
+        """Return what secondary rays meet: all their points with the render weights, or some of them.
+
+        `num_points` K > 0 draws K points per ray by weight, which needs a generator. `jitter` as in
+        `incident`.
+        """
         counts = self.config.secondary_counts
         samples = self.sample(
             rays,
@@ -261,26 +295,12 @@ class NerfCache(nn.Module):
         middles = midpoints(samples.distances)
         distance = (weights * middles).sum(dim=-1) / opacity.clamp_min(1e-3)
         distance = torch.where(opacity < 1e-3, rays.far, distance)
-        omega_o = -rays.directions
-        num_colours = self.config.secondary_colours
-        if num_colours and generator is not None:
-            u = torch.rand(len(rays), num_colours, generator=generator, device=weights.device)
-            draw = draw_points(weights, u)
-            flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
-            points, hidden, factors = points[flat], found.hidden[flat], draw.weight
-        else:
-            hidden, factors = found.hidden, weights
-        repeats = factors.shape[-1]
-        normal = self.normals(points, hidden)
-        radiance = self.appearance(
-            points,
-            hidden,
-            normal,
-            omega_o.repeat_interleave(repeats, dim=0),
-            light_index.repeat_interleave(repeats),
-        ).radiance
-        near = (factors[..., None] * radiance.reshape(len(rays), repeats, 3)).sum(dim=1)
-        return CacheAnswer(near, opacity, distance)
+        if not num_points:
+            return Meeting(opacity, distance, points, found.hidden, weights)
+        u = torch.rand(len(rays), num_points, generator=generator, device=weights.device)
+        draw = draw_points(weights, u)
+        flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
+        return Meeting(opacity, distance, points[flat], found.hidden[flat], draw.weight)
 
 
 def _part(cones: ConePoints, part: slice) -> ConePoints:

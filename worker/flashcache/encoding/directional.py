@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from numpy.polynomial import Chebyshev, Legendre
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 
 def positional_encoding(
@@ -36,14 +37,20 @@ class IntegratedDirectionalEncoding(nn.Module):
         self.max_degree = degrees[-1]
         self.out_features = 2 * len(terms)
         # In the Chebyshev basis the sums hardly cancel; in powers of z, degree 16 would lose five digits.
-        matrix = np.zeros((self.max_degree + 1, len(terms)))
+        matrix, slopes = np.zeros((2, self.max_degree + 1, len(terms)))
         for column, (degree, order) in enumerate(terms):
-            polynomial = Legendre.basis(degree).convert(kind=Chebyshev).deriv(order).coef
-            matrix[: len(polynomial), column] = _normalisation(degree, order) * polynomial
-        self.register_buffer("polynomials", torch.tensor(matrix, dtype=torch.float32), persistent=False)
-        self.register_buffer("orders", torch.tensor([order for _, order in terms]), persistent=False)
-        rates = torch.tensor([degree * (degree + 1) / 2 for degree, _ in terms])
-        self.register_buffer("rates", rates, persistent=False)
+            polynomial = Legendre.basis(degree).convert(kind=Chebyshev).deriv(order)
+            for target, series in ((matrix, polynomial), (slopes, polynomial.deriv())):
+                target[: len(series.coef), column] = _normalisation(degree, order) * series.coef
+        orders = np.array([order for _, order in terms])
+        constants = {
+            "polynomials": matrix,
+            "slopes": slopes,
+            "orders": orders[None] == np.arange(self.max_degree + 1)[:, None],
+            "rates": np.array([degree * (degree + 1) / 2 for degree, _ in terms]),
+        }
+        for name, values in constants.items():
+            self.register_buffer(name, torch.tensor(values, dtype=torch.float32), persistent=False)
 
     def forward(
         self, directions: Float[Tensor, "*batch 3"], inverse_concentration: Float[Tensor, "*batch 1"]
@@ -52,19 +59,72 @@ class IntegratedDirectionalEncoding(nn.Module):
 
         `directions` are unit vectors. `inverse_concentration` is 1/kappa of the lobe, from 0 (no blur); a
         term of degree l is attenuated by exp(-l (l + 1) / (2 kappa)), the approximation of Ref-NeRF Eq. 8.
+        It can be differentiated once.
         """
+        return _Encoded.apply(
+            directions, inverse_concentration, self.polynomials, self.slopes, self.orders, self.rates
+        )
+
+
+class _Encoded(torch.autograd.Function):
+    """The encoding with its derivatives written out: as a chain of small steps it costs twice as much."""
+
+    @staticmethod
+    def forward(ctx, directions, inverse_concentration, polynomials, slopes, orders, rates) -> Tensor:
         x, y, z = directions.unbind(dim=-1)
-        chebyshev = [torch.ones_like(z), z]
-        real, imaginary = [torch.ones_like(x)], [torch.zeros_like(x)]
-        for _ in range(self.max_degree):
-            chebyshev.append(2.0 * z * chebyshev[-1] - chebyshev[-2])
-            real_part, imaginary_part = real[-1], imaginary[-1]
-            real.append(real_part * x - imaginary_part * y)
-            imaginary.append(real_part * y + imaginary_part * x)
-        along_z = torch.stack(chebyshev[: self.max_degree + 1], dim=-1) @ self.polynomials
-        attenuated = along_z * torch.exp(-self.rates * inverse_concentration)
-        around_z = [torch.stack(part, dim=-1)[..., self.orders] for part in (real, imaginary)]
+        chebyshev = _chebyshev(z, len(polynomials))
+        real, imaginary = _powers(x, y, len(polynomials))
+        along_z = chebyshev @ polynomials
+        attenuation = torch.exp(-rates * inverse_concentration)
+        attenuated = along_z * attenuation
+        around_z = real @ orders, imaginary @ orders
+        ctx.save_for_backward(
+            chebyshev, real, imaginary, *around_z, along_z, attenuation, slopes, orders, rates
+        )
         return torch.cat([attenuated * part for part in around_z], dim=-1)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        chebyshev, real, imaginary, cosine, sine, along_z, attenuation, slopes, orders, rates = (
+            ctx.saved_tensors
+        )
+        of_cosine, of_sine = gradient.chunk(2, dim=-1)
+        of_attenuated = (of_cosine * cosine + of_sine * sine) * attenuation
+        attenuated = along_z * attenuation
+        # d (x + iy)^m = m (x + iy)^(m - 1) (dx + i dy)
+        degree = torch.arange(1.0, real.shape[-1], device=real.device, dtype=real.dtype)
+        of_real, of_imaginary = (
+            ((part * attenuated) @ orders.T)[..., 1:] * degree for part in (of_cosine, of_sine)
+        )
+        below = real[..., :-1], imaginary[..., :-1]
+        of_directions = [
+            (of_real * below[0] + of_imaginary * below[1]).sum(dim=-1),
+            (of_imaginary * below[0] - of_real * below[1]).sum(dim=-1),
+            (of_attenuated * (chebyshev @ slopes)).sum(dim=-1),
+        ]
+        of_inverse = -((of_attenuated * along_z) @ rates)[..., None]
+        return torch.stack(of_directions, dim=-1), of_inverse, None, None, None, None
+
+
+def _powers(x: Tensor, y: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Return real and imaginary parts of (x + iy)^0 to (x + iy)^(count - 1), by b^(n + k) = b^n b^k."""
+    real, imaginary = x[..., None], y[..., None]
+    while real.shape[-1] < count - 1:
+        top = real[..., -1:], imaginary[..., -1:]
+        more = real * top[0] - imaginary * top[1], real * top[1] + imaginary * top[0]
+        real, imaginary = torch.cat([real, more[0]], dim=-1), torch.cat([imaginary, more[1]], dim=-1)
+    one = torch.ones_like(x)[..., None]
+    return torch.cat([one, real], dim=-1), torch.cat([torch.zeros_like(one), imaginary], dim=-1)
+
+
+def _chebyshev(z: Tensor, count: int) -> Tensor:
+    """Return the Chebyshev polynomials T_0 to T_(count - 1), by T_(n + k) = 2 T_n T_k - T_(n - k)."""
+    values = torch.stack([torch.ones_like(z), z], dim=-1)
+    while values.shape[-1] < count:
+        more = 2.0 * values[..., -1:] * values[..., 1:] - values[..., :-1].flip(-1)
+        values = torch.cat([values, more], dim=-1)
+    return values
 
 
 def _normalisation(degree: int, order: int) -> float:

@@ -38,6 +38,17 @@ def reflect(omega: Float[Tensor, "*#batch 3"], axis: Float[Tensor, "*#batch 3"])
     return 2.0 * dot(omega, axis) * axis - omega
 
 
+def facing(
+    normal: Float[Tensor, "*batch 3"], omega_o: Float[Tensor, "*batch 3"]
+) -> Float[Tensor, "*batch 3"]:
+    """Return unit normals that face `omega_o`: those that do not are tilted until they just do.
+
+    What is seen is seen from outside: opaque matter has no other side, whatever its normal says.
+    """
+    away = dot(normal, omega_o).clamp_max(0.0)
+    return normalize(normal - 1.01 * away * omega_o)
+
+
 def tangent_frame(
     normal: Float[Tensor, "*batch 3"],
 ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:

@@ -1,6 +1,5 @@
 """Losses on the weights along a ray: proposals that cover them, and their spread."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -21,8 +20,7 @@ def interlevel(
     `half_width` is the blur in normalised distance. Trains the proposal only.
     Source: supplement 2.4 (Zip-NeRF's interlevel loss).
     """
-    with torch.no_grad():
-        wanted = blurred_masses(final_edges, final_weights, half_width, proposal.edges)
+    wanted = blurred_masses(final_edges, final_weights, half_width, proposal.edges)
     missing = (wanted - proposal.weights).clamp_min(0.0)
     return (missing.square() / (proposal.weights + 1e-5)).sum(dim=-1).mean()
 

@@ -9,8 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from flashcache.data.ray_batches import RayBatch
 from flashcache.physical.model import InverseModel
 from flashcache.training.second_pass import half_of, half_the_threads, twin_of
 
@@ -18,13 +19,13 @@ T = TypeVar("T")
 
 
 class Halves:
-    """Differentiates a loss by the parameters of the NeRF cache on both halves of a batch.
+    """Differentiates a loss by the parameters of a part of the model on both halves of a batch.
 
     The result is the same, bit for bit, for the same number of threads. On a GPU, or with one thread, there
     is one half, the whole.
     """
 
-    def __init__(self, model: InverseModel) -> None:
+    def __init__(self, model: InverseModel, part: Callable[[InverseModel], nn.Module]) -> None:
         device = next(model.parameters()).device
         self.count = 2 if device.type == "cpu" and torch.get_num_threads() > 1 else 1
         self._models = [model, twin_of(model)] if self.count > 1 else [model]
@@ -32,11 +33,16 @@ class Halves:
         self._pool = ThreadPoolExecutor(1, "half", torch.set_num_threads, (own,))
         self._pairs = [
             (own, other)
-            for own, other in zip(model.nerf.parameters(), self._models[-1].nerf.parameters(), strict=True)
+            for own, other in zip(part(model).parameters(), part(self._models[-1]).parameters(), strict=True)
             if own is not other
         ]
         for _, other in self._pairs:
             other.grad = torch.zeros_like(other)
+
+    def part_of(self, batch: RayBatch, half: int) -> RayBatch:
+        """Return the rays of half number `half`; the last one takes what does not divide."""
+        share = len(batch) // self.count
+        return batch.part(slice(half * share, None if half == self.count - 1 else share))
 
     def differentiate(self, loss_of: Callable[[InverseModel, int], tuple[Tensor, T]]) -> list[T]:
         """Add the gradient of the halves' mean loss to the parameters' gradients; return their results.

@@ -39,7 +39,7 @@ class StageOne:
     ) -> None:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         self.optimiser = build_optimiser(parameter_groups([(model.nerf, config.rates)]))
-        self.halves = Halves(model)
+        self.halves = Halves(model, lambda whole: whole.nerf)
         scene = pixels.scene
         self.half_diagonal = 0.5 * math.dist(scene.bounds_min, scene.bounds_max)
         self.steps_done = 0
@@ -81,8 +81,7 @@ class StageOne:
         config, step = self.config, self.steps_done
         fraction = step / config.num_steps
         generator = generator_for(self.seed, STAGE, step, f"half {half}", self.pixels.device)
-        share = len(batch) // self.halves.count
-        batch = batch.part(slice(half * share, None if half else share)) if self.halves.count > 1 else batch
+        batch = self.halves.part_of(batch, half)
         normal_weight = self._normal_weight(fraction)
         with_normals = normal_weight > 0.0 and step % config.normal_every == 0
         geometry = model.nerf.trace(
