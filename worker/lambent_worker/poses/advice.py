@@ -1,0 +1,136 @@
+"""Says how well cameras were found, and what to photograph next where that was not well enough."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from lambent_worker.capture_qa.sphere import unit_directions
+from lambent_worker.poses.solve import Solution
+from lambent_worker.scenes.extent import looked_at_point
+from lambent_worker.scenes.frames import listed
+from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.world import common_up
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PoseLimits:
+    """When it is worth a word."""
+
+    min_share: float = 0.5
+    """Share of the photographs whose cameras must be found; below, the capture is refused."""
+    few_features: int = 300
+    """Points below which a photograph shows too little texture, or is blurred."""
+    few_matches: int = 60
+    """Points in common with its best partner below which a photograph has no neighbour."""
+    reprojection_error_px: float = 1.0
+    """Good solutions have 0.2 to 0.6."""
+    field_deg: float = 90.0
+    """Wider than most lenses: rather the sign of a pattern that repeats."""
+    gap_deg: float = 45.0
+    """Between neighbours on the way around the object; above 25 to 30 matching gets hard."""
+
+
+def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
+    """Note in `problems` what is missing, why, and what to photograph next; nothing where all went well."""
+    found, total = len(solution.camera_to_world), len(solution.names)
+    missing = [name for name in solution.names if name not in solution.camera_to_world]
+    if not found:
+        problems.error(
+            "scene.poses_none",
+            f"no {total} photographs could be fitted together; {_reason(solution, missing, limits)}",
+            missing[0],
+        )
+        return
+    if found < limits.min_share * total:
+        problems.error(
+            "scene.poses_few",
+            f"cameras were found for {found} of {total} photographs only, not for {listed(missing)}; "
+            f"{_reason(solution, missing, limits)}",
+            missing[0],
+        )
+    elif missing:
+        problems.warning(
+            "scene.poses_incomplete",
+            f"cameras were found for {found} of {total} photographs; left out are {listed(missing)}; "
+            f"{_reason(solution, missing, limits)}",
+            missing[0],
+        )
+    if solution.other_models:
+        problems.warning(
+            "scene.poses_split",
+            f"{listed(list(solution.other_models[0]))} fit together, but not to the {found} others; "
+            "photograph the way from the ones to the others, a step of 10 to 15 degrees at a time",
+            solution.other_models[0][0],
+        )
+    if solution.reprojection_error_px > limits.reprojection_error_px:
+        problems.warning(
+            "scene.poses_inexact",
+            f"points are {solution.reprojection_error_px:.1f} pixels away from where the cameras put them; "
+            "fix zoom and focus, hold still, and keep what moves out of the pictures or give masks",
+        )
+    if solution.field_deg > limits.field_deg:
+        problems.warning(
+            "scene.poses_lens",
+            f"the lens would have a field of view of {solution.field_deg:.0f} degrees; if it has not, the "
+            "cameras are wrong: something repeats, such as tiles or a fabric, so give masks or cover it",
+        )
+    gap = widest_gap(solution.camera_to_world)
+    if gap is not None and gap[0] > limits.gap_deg:
+        problems.warning(
+            "scene.poses_gap",
+            f"there are {gap[0]:.0f} degrees between {gap[1]} and {gap[2]} on the way around the object; "
+            "photograph the way between them",
+            gap[1],
+        )
+
+
+def widest_gap(camera_to_world: dict[str, Float[ndarray, "4 4"]]) -> tuple[float, str, str] | None:
+    """Return the widest angle [deg] between neighbours on the way around the object, and the two.
+
+    Around means about the direction that cameras held level have in common as up; None where there is none,
+    or they look at no common point.
+    """
+    names = sorted(camera_to_world)
+    poses = np.array([camera_to_world[name] for name in names])
+    if len(names) < 3:
+        return None
+    centre = looked_at_point(poses[:, :3, 3], poses[:, :3, 2])
+    up = common_up(poses * np.array([1.0, -1.0, -1.0, 1.0]))
+    if centre is None or up is None:
+        return None
+    across = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    across /= np.linalg.norm(across)
+    directions = unit_directions(poses[:, :3, 3], centre)
+    azimuths = np.degrees(np.arctan2(directions @ np.cross(up, across), directions @ across))
+    order = np.argsort(azimuths)
+    steps = np.diff(azimuths[order], append=azimuths[order[0]] + 360.0)
+    widest = int(steps.argmax())
+    return float(steps[widest]), names[order[widest]], names[order[(widest + 1) % len(names)]]
+
+
+def _reason(solution: Solution, missing: list[str], limits: PoseLimits) -> str:
+    """Return what most of the missing photographs lack, and what to do about it."""
+    features = dict(zip(solution.names, solution.features, strict=True))
+    plain = [name for name in missing if features[name] < limits.few_features]
+    if 2 * len(plain) >= len(missing):
+        fewest = min(plain, key=features.__getitem__)
+        return (
+            f"they show too few points to recognise ({fewest}: {features[fewest]}): photograph sharper and "
+            "larger, put printed paper with text or pictures under the object, and dull what mirrors"
+        )
+    lonely = [name for name in missing if solution.partners.get(name, ("", 0))[1] < limits.few_matches]
+    if lonely:
+        name = lonely[0]
+        partner, common = solution.partners.get(name, ("", 0))
+        if not partner:
+            return f"{name} has nothing in common with any other: photograph around it in small steps"
+        return (
+            f"{name} fits {partner} best, by {common} points only: photograph the way between them, a step "
+            "of 10 to 15 degrees at a time"
+        )
+    return (
+        "they fit each other, but not the rest: photograph the way to the rest, and look for parts of the "
+        "object, or of its surroundings, that look alike from several sides"
+    )
