@@ -1,0 +1,95 @@
+"""How close the built-in masks come to true ones: captures before known backgrounds, IoU for each picture.
+
+    python benchmarks/masks.py SCENE_DIR... [--environment sky.hdr] [--every N] [-o DIR]
+
+Writes `masks.json`, and for each capture and background a sheet of thumbnails.
+"""
+
+import argparse
+import json
+import statistics
+import time
+from pathlib import Path
+
+import numpy as np
+from lambent_worker.errors import SceneRefusedError
+from lambent_worker.masks.estimate import EstimateSettings, estimate_masks
+from lambent_worker.masks.folder import contact_sheet
+from lambent_worker.scenes.detect import describe_scene
+from painted_scene import Background, Painted, overlap, paint, plain, surroundings, table
+
+SAMPLE = Path(__file__).parents[1] / "client" / "python" / "lambent" / "sample"
+
+
+def backgrounds(folder: Path, environment: Path) -> dict[str, Background]:
+    """Return what a capture is painted on; the table stands just below its box."""
+    bounds = describe_scene(folder).bounds
+    size = max(high - low for low, high in zip(bounds.minimum, bounds.maximum, strict=True))
+    far = surroundings(environment)
+    return {
+        "grey": plain(0.5, 0.5, 0.5),
+        "dark": plain(0.02, 0.02, 0.03),
+        "green": plain(0.05, 0.4, 0.1),
+        "surroundings": far,
+        "table": table(bounds.minimum[2], 0.02 * size, far),
+    }
+
+
+def measure(painted: Painted) -> dict[str, object]:
+    """Return the overlap of each estimated mask with the true one, or why there is no estimate."""
+    began = time.process_time()
+    try:
+        found = estimate_masks(painted.views, EstimateSettings())
+    except SceneRefusedError as error:
+        return {"refused": error.report.findings[0].message, "seconds": time.process_time() - began}
+    seconds = time.process_time() - began
+    pairs = zip(found.coverages, painted.coverages, strict=True)
+    return {
+        "iou": [round(overlap(mine, true), 4) for mine, true in pairs],
+        "agreement": float(np.median(found.consistency.overlap)),
+        "explained": float(np.median(found.consistency.explained)),
+        "separation": float(np.median(found.separation)),
+        "seconds": seconds,
+        "coverages": found.coverages,
+    }
+
+
+def row(scene: str, background: str, found: dict) -> str:
+    """Return a line of the table."""
+    if "refused" in found:
+        return f"| {scene} | {background} | refused | | | | {found['seconds']:.0f} |"
+    iou = found["iou"]
+    return (
+        f"| {scene} | {background} | {statistics.mean(iou):.3f} | {statistics.pstdev(iou):.3f} "
+        f"| {min(iou):.3f} | {found['agreement']:.3f} / {found['separation']:.3f} | {found['seconds']:.0f} |"
+    )
+
+
+def main() -> None:
+    """Measure, print the table, and write what was found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--environment", type=Path, default=SAMPLE / "envmaps" / "morning.hdr")
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--only", default="", help="backgrounds, with commas")
+    parser.add_argument("-o", "--out", type=Path, default=Path("build/masks"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    print("| capture | background | mean IoU | spread | worst | agreement / separation | processor s |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    record = {}
+    for scene in options.scenes:
+        for name, background in backgrounds(scene, options.environment).items():
+            if options.only and name not in options.only.split(","):
+                continue
+            painted = paint(scene, background, options.every)
+            found = measure(painted)
+            print(row(scene.name, name, found), flush=True)
+            coverages = found.pop("coverages", painted.coverages)
+            contact_sheet(painted.views, coverages).save(options.out / f"{scene.name}_{name}.jpg", quality=85)
+            record[f"{scene.name}/{name}"] = found
+            (options.out / "masks.json").write_text(json.dumps(record, indent=1))
+
+
+if __name__ == "__main__":
+    main()

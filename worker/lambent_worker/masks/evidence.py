@@ -1,0 +1,161 @@
+"""What a pixel tells of being object or background: its colour, and the edges between it and the border.
+
+Probabilities become tables of colours and distances, smoothed histograms that are made anew in every round,
+so nothing has to be known of the background but that the border of a picture shows it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+from scipy import ndimage
+from scipy.stats import rankdata
+from skimage.color import rgb2lab
+from skimage.graph import MCP_Geometric
+
+_CELLS = (26, 40, 40)
+"""Cells of a colour table along L, a and b of CIELAB; a cell is four units wide."""
+_DISTANCES = 64
+_DISTANCE_SCALE = 8.0
+_STEP = 1e-3
+"""Cost of a pixel without any edge."""
+_NOISE = 1.0
+"""Gradient, in CIELAB units per pixel, that is noise and costs nothing."""
+_UNIFORM = 1.0 / 8000.0
+"""Density of colours nobody expects; about one over the cells that real colours fill."""
+MAX_COLOUR = 4.0
+"""Limit of what a colour alone may say, log odds."""
+
+
+def lab_of(image_srgb: UInt8[ndarray, "height width 3"]) -> Float[ndarray, "height width 3"]:
+    """Return the CIELAB values of a picture; steps of one are just visible."""
+    return rgb2lab(image_srgb)
+
+
+def colour_cells(lab: Float[ndarray, "height width 3"]) -> Int[ndarray, "height width"]:
+    """Return the cell of the colour table that each pixel falls into."""
+    cells = np.floor(lab / 4.0 + [0.0, 20.0, 20.0]).astype(np.int64)
+    low, high = np.zeros(3, dtype=np.int64), np.array(_CELLS) - 1
+    return np.ravel_multi_index(tuple(np.clip(cells, low, high).transpose(2, 0, 1)), _CELLS)
+
+
+def border_distance(lab: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width"]:
+    """Return how many edges, weighted by their strength, lie between each pixel and the picture's border.
+
+    That is log(1 + cost) of the cheapest path that leaves the picture, a path's cost being the gradient along
+    it. What a plain background surrounds is far away even where it has the background's colour.
+    """
+    smooth = ndimage.gaussian_filter(lab, (0.6, 0.6, 0.0))
+    squares = [ndimage.sobel(smooth, axis=axis) ** 2 for axis in (0, 1)]
+    gradient = np.sqrt(sum(square[..., :].sum(axis=-1) for square in squares)) / 8.0
+    cost = _STEP + np.maximum(gradient - _NOISE, 0.0)
+    height, width = cost.shape
+    border = np.zeros(cost.shape, dtype=bool)
+    border[[0, height - 1]] = border[:, [0, width - 1]] = True
+    reached, _ = MCP_Geometric(cost).find_costs(np.argwhere(border))
+    return np.log1p(reached)
+
+
+def distance_cells(distance: Float[ndarray, "height width"]) -> Int[ndarray, "height width"]:
+    """Return the cell of the distance table that each pixel falls into."""
+    return np.clip((distance * _DISTANCE_SCALE).astype(np.int64), 0, _DISTANCES - 1)
+
+
+def colour_table(
+    cells: Int[ndarray, " pixels"], weights: Float[ndarray, " pixels"]
+) -> Float[ndarray, " cells"]:
+    """Return the density of colours over the cells, neighbours mixed."""
+    counts = np.bincount(cells, weights, int(np.prod(_CELLS))).reshape(_CELLS)
+    smooth = ndimage.gaussian_filter(counts, 0.9)
+    return (smooth / max(float(smooth.sum()), 1e-9)).ravel()
+
+
+def colour_odds(
+    cells: Sequence[Int[ndarray, "height width"]], foreground: Sequence[Float[ndarray, "height width"]]
+) -> list[Float[ndarray, "height width"]]:
+    """Return the log odds of object against background that the colours of each view give.
+
+    `foreground` is what is believed so far. All views share the colours of the object; each has a background
+    of its own, with a little of everybody's. Nothing says more than `MAX_COLOUR`.
+    """
+    every_cell = np.concatenate([each.ravel() for each in cells])
+    every_weight = np.concatenate([each.ravel() for each in foreground])
+    objects = 0.8 * colour_table(every_cell, every_weight) + 0.2 * _UNIFORM
+    backgrounds = colour_table(every_cell, 1.0 - every_weight)
+    odds = []
+    for own, belief in zip(cells, foreground, strict=True):
+        table = 0.85 * colour_table(own.ravel(), 1.0 - belief.ravel()) + 0.1 * backgrounds + 0.05 * _UNIFORM
+        odds.append(np.clip(np.log(objects / table), -MAX_COLOUR, MAX_COLOUR)[own])
+    return odds
+
+
+def distance_odds(
+    cells: Sequence[Int[ndarray, "height width"]], foreground: Sequence[Float[ndarray, "height width"]]
+) -> list[Float[ndarray, "height width"]]:
+    """Return the log odds that the distances from the border give; one table for all views.
+
+    Where backgrounds are full of edges the two distributions are alike, and the odds are near zero by
+    themselves. Limits: -3 and 5, since only what is surrounded can be far away.
+    """
+    every_cell = np.concatenate([each.ravel() for each in cells])
+    every_weight = np.concatenate([each.ravel() for each in foreground])
+    tables = [
+        ndimage.gaussian_filter1d(np.bincount(every_cell, weights, _DISTANCES) + 1.0, 1.5)
+        for weights in (every_weight, 1.0 - every_weight)
+    ]
+    objects, backgrounds = (table / table.sum() for table in tables)
+    odds = np.clip(np.log(objects / backgrounds), -3.0, 5.0)
+    return [odds[each] for each in cells]
+
+
+def separation(
+    labs: Sequence[Float[ndarray, "height width 3"]], coverages: Sequence[Float[ndarray, "height width"]]
+) -> Float[ndarray, " views"]:
+    """Return how well the colours of other views' masks tell object from background in each view.
+
+    That is the chance that a pixel inside of the view's mask has a colour that is more of the object's than
+    one outside: 1 where they never look alike, 0.5 where the masks have nothing to do with the pictures. Even
+    views are judged by the odd ones and the other way round, so nothing is explained by itself. Distances
+    are left out: the middle of a picture is far from its border whatever it shows.
+    """
+    cells = [colour_cells(lab).ravel() for lab in labs]
+    weights = [coverage.ravel() for coverage in coverages]
+    scores = np.zeros(len(labs))
+    for judged, judges in ((slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(0, None, 2))):
+        seen, inside = np.concatenate(cells[judges]), np.concatenate(weights[judges])
+        objects = colour_table(seen, inside) + 0.02 * _UNIFORM
+        odds = np.log(objects / (colour_table(seen, 1.0 - inside) + 0.02 * _UNIFORM))
+        scores[judged] = [
+            _chance_greater(odds[own][mask >= 0.5], odds[own][mask < 0.5])
+            for own, mask in zip(cells[judged], weights[judged], strict=True)
+        ]
+    return scores
+
+
+def _chance_greater(first: Float[ndarray, " first"], second: Float[ndarray, " second"]) -> float:
+    """Return the chance that one of `first` is greater than one of `second`, ties counted half."""
+    if not len(first) or not len(second):
+        return 0.5
+    ranks = rankdata(np.concatenate([first, second]))[: len(first)]
+    return float((ranks.mean() - 0.5 * (len(first) + 1)) / len(second))
+
+
+def guided_smooth(
+    guide: Float[ndarray, "height width"],
+    values: Float[ndarray, "height width"],
+    radius: int = 2,
+    epsilon: float = 1e-3,
+) -> Float[ndarray, "height width"]:
+    """Return the values smoothed along, not across, the edges of `guide` (values 0..1).
+
+    Source: He, Sun, Tang: Guided image filtering, ECCV 2010, Eq. 5 and 6.
+    """
+
+    def mean(each: ndarray) -> ndarray:
+        return ndimage.uniform_filter(each, 2 * radius + 1, mode="nearest")
+
+    mean_guide, mean_values = mean(guide), mean(values)
+    variance = mean(guide * guide) - mean_guide**2
+    slope = (mean(guide * values) - mean_guide * mean_values) / (variance + epsilon)
+    return mean(slope) * guide + mean(mean_values - slope * mean_guide)
