@@ -1,0 +1,202 @@
+"""Adapts the fast cache of a run or a bundle to an environment and writes the bundle that has it."""
+
+import math
+import re
+import shutil
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from flashcache.errors import ConfigError
+from flashcache.evaluation.relighting import MapLight
+from flashcache.presets import preset as preset_of
+from flashcache.training.bake_scene import ModelScene
+from flashcache.training.light_bake import STAGE, BakeScene, LightBake, LightBakeConfig, adaptable
+from jaxtyping import Float32
+from lambent_relight.adapted import AdaptedLight, environment_digest
+from lambent_relight.bundle import Bundle, load_bundle
+from lambent_relight.directions import pixel_directions, pixel_solid_angles
+from lambent_relight.environments import Environment, load_environment
+from lambent_relight.errors import RelightError
+from numpy import ndarray
+
+from lambent_worker.errors import UsageError
+from lambent_worker.evaluation_run import trained_scene
+from lambent_worker.known_lights import resampled
+from lambent_worker.light_bake.adapted_bundle import write_adapted
+from lambent_worker.light_bake.bundle_scene import bundle_scene, cache_of
+from lambent_worker.light_bake.judge import judged, transported
+from lambent_worker.pipeline import Clock, StepContext
+from lambent_worker.reporter import Reporter
+from lambent_worker.run_folder import begin_step, digest, done_inputs, locked, step_folder
+from lambent_worker.steps.training import drive, load_trained
+from lambent_worker.training_run import Run, open_run, step_context
+
+MAP_ROWS = 256
+"""Rows to which larger environments are reduced, each pixel the mean of those it covers."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BakeRequest:
+    """What a light bake is asked to do."""
+
+    environment: Path
+    name: str = ""
+    """The light's name in the bundle; empty: the file's, without suffix."""
+    rotate_deg: float = 0.0
+    """Turns the light by this angle about +z."""
+    albedo_ratio: tuple[float, float, float] | None = None
+    """Factor on the stored albedo; None: the bundle's own."""
+    config: LightBakeConfig = field(default_factory=LightBakeConfig)
+    seed: int = 0
+    device: str = ""
+
+    def __post_init__(self) -> None:
+        ratio = self.albedo_ratio
+        if ratio is not None and not (len(ratio) == 3 and all(0.0 < part < math.inf for part in ratio)):
+            raise ConfigError(f"albedo_ratio must be three positive numbers, got {ratio}")
+        if not math.isfinite(self.rotate_deg):
+            raise ConfigError(f"rotate_deg must be an angle in degrees, got {self.rotate_deg}")
+
+
+def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter) -> AdaptedLight:
+    """Write to `out` the bundle of `source`, a run folder or a bundle, with a cache adapted to a light.
+
+    With a run, the NeRF cache says where secondary rays stop; a bundle alone has its fast cache for that. A
+    bake that was stopped goes on from its last checkpoint, in `OUT.work`. Raises `UsageError` for a source or
+    an environment that cannot be used, and where `out` exists.
+    """
+    if out.exists():
+        raise UsageError("bake.exists", f'"{out}" exists already; choose another folder with -o')
+    run = open_run(source, request.device) if (source / "run.json").is_file() else None
+    bundle = _bundle_of(source, run)
+    environment = _environment(request)
+    light = AdaptedLight(
+        name=_free_name(bundle, request),
+        environment_sha256=environment_digest(environment),
+        rotate_deg=request.rotate_deg % 360.0,
+        albedo_ratio=request.albedo_ratio or tuple(bundle.manifest.albedo_scale_rgb),
+    )
+    work = out.with_name(out.name + ".work")
+    inputs = digest(_fingerprint(bundle), light.to_json(), asdict(request.config), request.seed, run is None)
+    with locked(work):
+        context = _context(run, source, work, request, reporter)
+        begin_step(work, STAGE, inputs)
+        scene = _scene(run, source, bundle, light, context)
+        image = light_image(environment)
+        stage = LightBake(
+            adaptable(cache_of(bundle, bundle.manifest.train_lights[0]), 0).to(context.device),
+            scene,
+            MapLight.from_image(image, torch.device(context.device)),
+            request.config,
+            brightness=mean_radiance(image),
+            seed=request.seed,
+        )
+        drive(context, stage)
+        errors = judged(stage, transported(bundle, environment, light))
+        partial = out.with_name(out.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        write_adapted(bundle, stage.model.cpu().eval(), light, partial, errors.figures(light.name))
+        load_bundle(partial)
+        partial.rename(out)
+    shutil.rmtree(work, ignore_errors=True)
+    reporter.log(
+        "light.baked",
+        name=light.name,
+        steps=stage.steps_done,
+        skipped=stage.num_skipped,
+        adapted_error=errors.adapted,
+        transport_error=errors.transport,
+    )
+    return light
+
+
+def light_image(environment: Environment) -> Float32[ndarray, "rows columns 3"]:
+    """Return an environment's radiance as it is turned, in at most `MAP_ROWS` rows."""
+    radiance = environment.radiance
+    if radiance.shape[0] > MAP_ROWS:
+        radiance = resampled(radiance, MAP_ROWS)
+    if not environment.rotate_deg:
+        return radiance
+    turned = Environment(radiance, environment.rotate_deg)
+    return turned.lookup(pixel_directions(*radiance.shape[:2]).astype(np.float32)).astype(np.float32)
+
+
+def mean_radiance(image: Float32[ndarray, "rows columns 3"]) -> float:
+    """Return the mean over all directions and channels."""
+    rows, columns, _ = image.shape
+    weight = pixel_solid_angles(rows, columns)[:, None, None] / (4.0 * np.pi)
+    return float((image.mean(axis=-1, keepdims=True) * weight).sum())
+
+
+def _bundle_of(source: Path, run: Run | None) -> Bundle:
+    if run is not None and done_inputs(source, "export") is None:
+        raise UsageError(
+            "run.not_trained",
+            f'the run in "{source}" is not finished; run lambent train with --resume first',
+        )
+    try:
+        bundle = load_bundle(step_folder(source, "export") if run is not None else source)
+    except RelightError as error:
+        raise UsageError(error.code, f"{error.message}; {error.advice}") from error
+    if not bundle.has_networks:
+        raise UsageError(
+            "bake.networks_missing",
+            f'"{source}" carries no fast cache to adapt; give a bundle of the full tier',
+        )
+    return bundle
+
+
+def _environment(request: BakeRequest) -> Environment:
+    try:
+        return load_environment(request.environment).rotated(request.rotate_deg)
+    except RelightError as error:
+        raise UsageError(error.code, f"{error.message}; {error.advice}") from error
+
+
+def _free_name(bundle: Bundle, request: BakeRequest) -> str:
+    """Return the light's name in the bundle; raises `UsageError` where the bundle has one of that name."""
+    name = re.sub(r"[^A-Za-z0-9_.\-]", "_", request.name or request.environment.stem)
+    taken = {graph.light for graph in bundle.manifest.graphs if graph.name == "fast_cache"}
+    if name in taken:
+        raise UsageError(
+            "bake.name_taken", f'the bundle has a fast cache for a light called "{name}"; choose a --name'
+        )
+    return name
+
+
+def _fingerprint(bundle: Bundle) -> list[str]:
+    return sorted(file.sha256 for file in bundle.manifest.files)
+
+
+def _context(
+    run: Run | None, source: Path, work: Path, request: BakeRequest, reporter: Reporter
+) -> StepContext:
+    """Return a context whose step folder is the work folder's, so that a run folder is only read."""
+    return StepContext(
+        run_dir=work,
+        scene_dir=source,
+        config=run.config if run is not None else preset_of("fast"),
+        seed=request.seed,
+        device=run.device if run is not None else "cpu",
+        reporter=reporter,
+        stage=STAGE,
+        clock=Clock(before=0.0, share=1.0, job_started=0.0),
+    )
+
+
+def _scene(
+    run: Run | None, source: Path, bundle: Bundle, light: AdaptedLight, context: StepContext
+) -> BakeScene:
+    ratio = torch.tensor(light.albedo_ratio, dtype=torch.float32)
+    frozen = bundle_scene(bundle, ratio, num_threads=torch.get_num_threads())
+    if run is None:
+        return frozen
+    trained = step_context(run, source, context.reporter, "joint")
+    model = load_trained(trained, trained_scene(trained), "joint").eval().requires_grad_(False)
+    device = torch.device(run.device)
+    low, high = frozen.box
+    return ModelScene(
+        model, frozen.viewpoints.to(device), (low.to(device), high.to(device)), ratio.to(device)
+    )
