@@ -6,6 +6,7 @@ They travel with each graph as metadata. Source: docs/reference/bundle-format.md
 import json
 from typing import Any
 
+from flashcache.caches.fast_cache import FastCache
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.export.reference import GbufferRule
 from flashcache.fields.materials import ALPHA_MINIMUM
@@ -30,13 +31,14 @@ def material_constants(model: InverseModel) -> dict[str, str]:
     return _metadata("material.v1", _surface(model))
 
 
-def fast_cache_constants(model: InverseModel) -> dict[str, str]:
+def fast_cache_constants(fast: FastCache) -> dict[str, str]:
     """Return the metadata of a fast cache's graph."""
     values = {
-        "contraction_radius": model.domain.contraction_radius,
-        "near": model.fast.near,
-        "far": model.fast.far,
-        "num_frequencies": model.fast.config.num_frequencies,
+        "contraction_radius": fast.contraction_radius,
+        "near": fast.near,
+        "far": fast.far,
+        "num_frequencies": fast.config.num_frequencies,
+        "colour_bias": fast.colour_bias,
         "curve_power": SECONDARY_CURVE.power,
         "curve_premultiplier": SECONDARY_CURVE.premultiplier,
     }

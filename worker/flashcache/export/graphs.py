@@ -11,6 +11,7 @@ import numpy as np
 import onnx
 import torch
 
+from flashcache.caches.fast_cache import FastCache
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.export import layers
@@ -108,9 +109,40 @@ def fast_cache_graph(
     model: InverseModel, light: int, weights: WeightFile, metadata: Metadata
 ) -> onnx.ModelProto:
     """Return origin, direction -> near radiance under one training light, opacity, distance."""
-    graph = GraphBuilder(f"fast_cache_{model.domain.lights[light]}", "ray", weights)
+    rows, name = slice(3 * light, 3 * light + 3), model.domain.lights[light]
+    return _cache_graph(model.fast, rows, name, "fast", f"fast.decoder_head.{name}", weights, metadata)
+
+
+def adapted_cache_graph(
+    fast: FastCache, light: str, weights: WeightFile, metadata: Metadata
+) -> onnx.ModelProto:
+    """Return origin, direction -> near radiance in the light that `fast` was adapted to, opacity, distance.
+
+    Tensors of the radiance are called `adapted.<light>.*`; those of the geometry are the trained cache's, and
+    must equal those that `weights` has.
+    """
+    prefix = adapted_prefix(light)
+    return _cache_graph(fast, slice(0, 3), light, prefix, f"{prefix}.decoder_head", weights, metadata)
+
+
+def adapted_prefix(light: str) -> str:
+    """Return how the names of an adapted cache's own tensors and grid begin."""
+    return f"adapted.{light}"
+
+
+def _cache_graph(
+    fast: FastCache,
+    rows: slice,
+    light: str,
+    prefix: str,
+    head_name: str,
+    weights: WeightFile,
+    metadata: Metadata,
+) -> onnx.ModelProto:
+    """Return a fast cache's graph; `prefix` begins the names of what only its radiance needs."""
+    graph = GraphBuilder(f"fast_cache_{light}", "ray", weights)
     origin, direction = graph.input("origin", 3), graph.input("direction", 3)
-    fast, radius = model.fast, model.domain.contraction_radius
+    radius = fast.contraction_radius
     count, frequencies = fast.config.num_samples, fast.config.num_frequencies
 
     contracted = layers.contract(graph, origin, radius)
@@ -127,37 +159,36 @@ def fast_cache_graph(
         return layers.affine(graph, f"fast.{name}_head", layer.weight[rows], layer.bias[rows], last)
 
     distances = _sample_distances(
-        graph, model, head("offset", slice(0, count)), head("gate", slice(count, 2 * count))
+        graph, fast, head("offset", slice(0, count)), head("gate", slice(count, 2 * count))
     )
     share = graph.node("Softmax", head("logit", slice(2 * count, 3 * count)), axis=-1)
     weight = share * graph.node("Sigmoid", head("opacity", slice(3 * count, None)) + 2.0)
     opacity = graph.reduce("ReduceSum", weight)
 
     points = layers.contract(graph, _points_at(graph, origin, direction, distances), radius)
-    features = layers.hash_grid(graph, "fast.feature_grid", fast.feature_grid, points)
+    features = layers.hash_grid(graph, f"{prefix}.feature_grid", fast.feature_grid, points)
     features = graph.reshape(features, -1, count, fast.feature_grid.out_features)
     values = graph.reduce("ReduceSum", graph.unsqueeze(weight, 2) * features, axis=1, keep=False)
     for index, layer in enumerate(fast.decoder):
-        values = graph.node("Relu", layers.linear(graph, f"fast.decoder.{index}", layer, values))
-    rows = slice(3 * light, 3 * light + 3)
-    name = f"fast.decoder_head.{model.domain.lights[light]}"
-    colour = layers.affine(graph, name, fast.decoder_head.weight[rows], fast.decoder_head.bias[rows], values)
+        values = graph.node("Relu", layers.linear(graph, f"{prefix}.decoder.{index}", layer, values))
+    decoder_head = fast.decoder_head
+    colour = layers.affine(graph, head_name, decoder_head.weight[rows], decoder_head.bias[rows], values)
 
     mean = graph.reduce("ReduceSum", weight * distances) / graph.at_least(opacity, 1e-3)
     distance = graph.node(
         "Where", graph.node("Less", opacity, graph.value(1e-3)), graph.value(fast.far), mean
     )
     outputs = {
-        "radiance": (opacity * layers.softplus(graph, colour - 2.0), 3),
+        "radiance": (opacity * layers.softplus(graph, colour + fast.colour_bias), 3),
         "opacity": (opacity, 1),
         "distance": (distance, 1),
     }
-    return graph.finish(outputs, {**fast_cache_constants(model), **metadata})
+    return graph.finish(outputs, {**fast_cache_constants(fast), **metadata})
 
 
-def _sample_distances(graph: GraphBuilder, model: InverseModel, offset: Value, gate: Value) -> Value:
+def _sample_distances(graph: GraphBuilder, fast: FastCache, offset: Value, gate: Value) -> Value:
     """Return the distances [row, samples] of the fast cache's samples (`FastCache._sample_distances`)."""
-    count = model.fast.config.num_samples
+    count = fast.config.num_samples
     ladder = torch.linspace(0.0, 1.0, count).numpy()[None]
     shifted = offset / float(count) * graph.node("Sigmoid", gate - 2.0) + ladder
     whole = graph.node("Floor", shifted)
@@ -166,7 +197,7 @@ def _sample_distances(graph: GraphBuilder, model: InverseModel, offset: Value, g
     folded = rest + odd * (1.0 - rest * 2.0)
     power, premultiplier = SECONDARY_CURVE.power, SECONDARY_CURVE.premultiplier
     a = abs(power - 1.0)
-    first, last = (SECONDARY_CURVE.ladder(torch.tensor(t)) for t in (model.fast.near, model.fast.far))
+    first, last = (SECONDARY_CURVE.ladder(torch.tensor(t)) for t in (fast.near, fast.far))
     y = folded * (last - first).item() + first.item()
     stretched = graph.node("Pow", y * power / a + 1.0, graph.value(1.0 / power))
     return (stretched - 1.0) * (a / premultiplier)

@@ -24,7 +24,7 @@ class StoredTensor:
     """Where a tensor lies in the weight file; little endian, row-major."""
 
     name: str
-    values: NDArray[np.float32]
+    values: NDArray[np.float32] | NDArray[np.float16]
     offset_bytes: int
 
 
@@ -32,12 +32,14 @@ class StoredTensor:
 class WeightFile:
     """The tensors of all graphs, each once, at multiples of 256 bytes."""
 
+    half_tables: bool = False
+    """Tables of feature grids are float16; graphs look rows up in them and go on in float32."""
     tensors: dict[str, StoredTensor] = field(default_factory=dict)
     size_bytes: int = 0
 
-    def add(self, name: str, values: NDArray[np.float32]) -> StoredTensor:
-        """Return the place of a tensor; the same name must always bring the same values."""
-        values = np.ascontiguousarray(values, dtype="<f4")
+    def add(self, name: str, values: NDArray[np.float32], dtype: str = "<f4") -> StoredTensor:
+        """Return the place of a tensor, kept as `dtype`; the same name must always bring the same values."""
+        values = np.ascontiguousarray(values, dtype=dtype)
         if name in self.tensors:
             assert np.array_equal(self.tensors[name].values, values), f"two tensors are called {name}"
             return self.tensors[name]
@@ -129,10 +131,20 @@ class GraphBuilder:
         return self._constants[key]
 
     def weight(self, name: str, values: NDArray[np.float32]) -> Value:
-        """Return a tensor that lies in the weight file."""
+        """Return a float32 tensor that lies in the weight file."""
+        return self._stored(name, values, TensorProto.FLOAT)
+
+    def rows_of_table(self, name: str, values: NDArray[np.float32], rows: Value) -> Value:
+        """Return rows of a table in the weight file as float32, [..., n] for row numbers [...]."""
+        if not self.weights.half_tables:
+            return self.node("Gather", self.weight(name, values), rows)
+        table = self._stored(name, values, TensorProto.FLOAT16)
+        return self.node("Cast", self.node("Gather", table, rows), to=TensorProto.FLOAT)
+
+    def _stored(self, name: str, values: NDArray[np.float32], kind: int) -> Value:
         if name not in self._initializers:
-            stored = self.weights.add(name, values)
-            tensor = TensorProto(name=name, data_type=TensorProto.FLOAT, dims=values.shape)
+            stored = self.weights.add(name, values, "<f2" if kind == TensorProto.FLOAT16 else "<f4")
+            tensor = TensorProto(name=name, data_type=kind, dims=values.shape)
             tensor.data_location = TensorProto.EXTERNAL
             place = {
                 "location": WEIGHTS_NAME,

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from flashcache.caches.fast_cache import FastCache
 from flashcache.color import perceptual_roughness_from_alpha
 from flashcache.errors import ConfigError
 from flashcache.physical.model import InverseModel
@@ -131,8 +132,15 @@ def fast_cache(
     model: InverseModel, light: int, origin: Float[Tensor, "rays 3"], direction: Float[Tensor, "rays 3"]
 ) -> Outputs:
     """Return the fast cache's near radiance (premultiplied) under a training light, opacity and distance."""
+    return cache_outputs(model.fast, light, origin, direction)
+
+
+def cache_outputs(
+    fast: FastCache, light: int, origin: Float[Tensor, "rays 3"], direction: Float[Tensor, "rays 3"]
+) -> Outputs:
+    """Return what `fast_cache` does, for any fast cache and one of its heads."""
     index = torch.full((len(origin),), light, dtype=torch.long, device=origin.device)
-    answer = model.fast(origin, direction, index)
+    answer = fast(origin, direction, index)
     return {
         "radiance": answer.near_radiance,
         "opacity": answer.opacity[:, None],

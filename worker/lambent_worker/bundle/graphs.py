@@ -10,6 +10,7 @@ from flashcache.export.onnx import WEIGHTS_NAME, WeightFile
 from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
+from lambent_relight.bundle import NETWORKS
 
 from lambent_worker.bundle import manifest as manifests
 from lambent_worker.bundle.parity import Inputs, ParityResult, Twin, compare
@@ -24,15 +25,17 @@ def write_graphs(
     manifest: bundle_pb2.BundleManifest,
     folder: Path,
     *,
+    trained: InverseModel | None = None,
     seed: int,
     advance: Callable[[str, ParityResult], None],
 ) -> None:
     """Write all graphs and their weights into `folder`/models and note them in `manifest`.
 
-    `advance` is called with the path and result of each comparison. Raises WorkerError when a graph differs
-    from the model.
+    With `trained`, `model` is the same with tables of float16 numbers: they are stored as such, and the
+    manifest says what that changed. `advance` is called with the path and result of each comparison.
+    Raises WorkerError when a graph differs from the model.
     """
-    weights = WeightFile()
+    weights = WeightFile(half_tables=trained is not None)
     metadata = {
         "flashcache.schema": manifests.SCHEMA_VERSION,
         "flashcache.scene_id": manifest.scene_id,
@@ -71,10 +74,21 @@ def write_graphs(
         path = f"models/{name}_{light}.onnx" if light else f"models/{name}.onnx"
         graph.metadata_props.add(key="flashcache.weights_sha256", value=sha256(data).hexdigest())
         (folder / path).write_bytes(graph.SerializeToString(deterministic=True))
-        result = compare(path, folder / path, twin, model, inputs)
+        result = compare(path, folder / path, twin, model, inputs, trained=trained)
         manifests.add_graph(manifest, name, path, light, result)
         advance(path, result)
     manifests.add_weights(manifest, weights, graphs.exported_grids(model))
+
+
+def remove_networks(manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
+    """Take the networks and their weights out of an unfinished bundle; what was baked from them stays."""
+    networks = [graph for graph in manifest.graphs if graph.name in NETWORKS]
+    for graph in networks:
+        (folder / graph.path).unlink()
+        manifest.graphs.remove(graph)
+    (folder / "models" / WEIGHTS_NAME).unlink()
+    manifest.ClearField("tensors")
+    manifest.ClearField("grids")
 
 
 def camera_rays(model: InverseModel, rule: GbufferRule, count: int, seed: int) -> dict[str, torch.Tensor]:

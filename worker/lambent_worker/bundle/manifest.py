@@ -17,7 +17,7 @@ from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.parity import TOLERANCE, ParityResult
 from lambent_worker.messages import message_to_dict
 
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 
 # Media type and role by folder and suffix.
 _KINDS = {
@@ -62,7 +62,7 @@ def add_graph(
     manifest: bundle_pb2.BundleManifest, name: str, path: str, light: str, parity: ParityResult
 ) -> None:
     """Add a checked graph."""
-    manifest.graphs.add(
+    graph = manifest.graphs.add(
         name=name,
         path=path,
         light=light,
@@ -70,6 +70,13 @@ def add_graph(
             max_abs_error=parity.max_abs_error, tolerance=TOLERANCE, num_samples=parity.num_samples
         ),
     )
+    for output, rounding in sorted(parity.rounding.items()):
+        graph.rounding.add(
+            output=output,
+            max_abs_error=rounding.max_abs_error,
+            rms_error=rounding.rms_error,
+            num_samples=rounding.num_samples,
+        )
 
 
 def add_weights(
@@ -79,7 +86,7 @@ def add_weights(
     for tensor in weights.tensors.values():
         manifest.tensors.add(
             name=tensor.name,
-            dtype="float32",
+            dtype=tensor.values.dtype.name,
             shape=tensor.values.shape,
             offset_bytes=tensor.offset_bytes,
             size_bytes=tensor.values.nbytes,

@@ -22,6 +22,7 @@ from lambent_worker.report.predictions import encoded
 SHOWN_VIEWS = 2
 SHOWN_SIDE = 128
 """Pixels along the longer side."""
+PHOTO_SIDE = 512
 CHUNK_RAYS = 512
 SOLID = 0.9
 """Pixels of at least this opacity take part in the comparison of distances."""
@@ -41,7 +42,7 @@ def measure(
     light: str,
     folder: Path,
 ) -> dict[str, float]:
-    """Return figures over a few views, and write what the NeRF cache shows of them below `folder`.
+    """Return figures over a few views; write what the NeRF cache shows of them, and photographs, to `folder`.
 
     `psnr_views` compares the cache's picture with the photograph, sRGB over white. `gbuffer_opacity_error`
     and `gbuffer_distance_error` (scene units, median) say how far the exported surface is from the traced
@@ -62,6 +63,7 @@ def _measure_view(
     seen = figures.picture(encoded(straight, opacity).astype(np.float64))
     wanted = figures.picture(encoded(photograph[..., :3], photograph[..., 3:]).astype(np.float64))
     (folder / f"{view.name}.png").write_bytes(figures.png(seen, max_side=SHOWN_SIDE))
+    (folder / f"photo_{view.name}.png").write_bytes(_photograph(view.images[light]))
     exported = _exported(model, rule, relight_camera(view.name, camera))
     solid = (opacity > SOLID) & (exported["opacity"] > SOLID)
     apart = np.abs(exported["distance"] - traced.distance)[solid]
@@ -71,6 +73,12 @@ def _measure_view(
         "gbuffer_distance_error": float(np.median(apart)) if apart.size else 0.0,
         "mesh_silhouette_iou": silhouette_iou(surface, relight_camera(view.name, camera), opacity),
     }
+
+
+def _photograph(image: Float[ndarray, "height width 4"]) -> bytes:
+    """Return a photograph as viewers compare with it: PNG, sRGB over white."""
+    shown = figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
+    return figures.png(shown, max_side=PHOTO_SIDE)
 
 
 def _reduced(

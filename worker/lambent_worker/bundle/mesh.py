@@ -21,8 +21,15 @@ SURVEY_CELLS = 64
 """Cells along the longest side of the scene's box in the first look."""
 SURVEY_MARGIN = 2
 """Cells of the first look that are kept around what was found."""
-SURFACE_DEPTH = math.log(2.0)
-"""Matter begins where one cell's width of it hides half of what is behind it (optical depth)."""
+SURVEY_DEPTH = 0.5 * math.log(2.0)
+"""Optical depth of such a cell that counts as matter, of which thinner parts must not be missed."""
+SURFACE_DEPTH = 0.25 * math.log(2.0)
+"""Matter begins where four cells' width of it hide half of what is behind them (optical depth of one cell).
+
+At the object's outline a ray runs along the surface, through several cells: of the levels tried this one
+gives the outlines that are closest to the volume's (docs/benchmarks/bundle.md). Where a ray meets the surface
+head on, texels do not depend on it: they are moved to where the density is.
+"""
 DEPTH_RANGE = 50.0
 """Optical depths are limited to this factor around `SURFACE_DEPTH` before a surface is laid through them."""
 FAINTEST = 0.05
@@ -59,8 +66,7 @@ def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
     """
     low, high = np.array(model.domain.bounds_min), np.array(model.domain.bounds_max)
     depth, cell = _depth_grid(model, low, high, SURVEY_CELLS)
-    # Matter thinner than a cell of this coarse look must not be missed.
-    labels, _ = ndimage.label(depth > 0.5 * _level(depth))
+    labels, _ = ndimage.label(depth > 0.5 * _level(depth, 2.0 * SURVEY_DEPTH))
     sizes = np.bincount(labels.ravel())[1:]
     kept = np.flatnonzero(sizes >= FLOATER_VOLUME * sizes.max()) + 1
     places = np.argwhere(np.isin(labels, kept))
@@ -92,7 +98,7 @@ def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resoluti
     """
     low, high = np.array(box_min), np.array(box_max)
     depth, cell = _depth_grid(model, low, high, resolution)
-    level = _level(depth)
+    level = _level(depth, SURFACE_DEPTH)
     # The logarithm of density is what the network gives, and nearly linear across a surface; opacity jumps.
     field = np.log((depth / level).clip(1.0 / DEPTH_RANGE, DEPTH_RANGE))
     # Empty space around the grid closes the surface where matter touches the box.
@@ -119,9 +125,12 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell)
 
 
-def _level(depth: NDArray[np.float32]) -> float:
-    """Return the optical depth at which matter begins; raises WorkerError when there is none."""
-    level = min(SURFACE_DEPTH, 0.5 * float(depth.max()))
+def _level(depth: NDArray[np.float32], wanted: float) -> float:
+    """Return the optical depth at which matter begins: `wanted`, or less where nothing reaches twice that.
+
+    Raises WorkerError when there is no matter.
+    """
+    level = min(wanted, 0.5 * float(depth.max()))
     if not level > 0.5 * FAINTEST:
         raise WorkerError(
             "export.no_surface",

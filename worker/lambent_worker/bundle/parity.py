@@ -2,19 +2,22 @@
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
 import torch
-from flashcache.physical.model import InverseModel
 from numpy.typing import NDArray
+from torch import nn
 
+from lambent_worker.bundle.half_tables import Rounding, rounding_of
 from lambent_worker.errors import WorkerError
 
 Inputs = Mapping[str, torch.Tensor]
-Twin = Callable[[InverseModel, Inputs], Mapping[str, torch.Tensor]]
+Twin = Callable[[Any, Inputs], Mapping[str, torch.Tensor]]
+"""The function of a graph in torch; it gets the model, or the part of one, that `compare` was given."""
 
 TOLERANCE = 1e-5
 """Largest error allowed, absolute below 1 and relative above."""
@@ -35,11 +38,22 @@ class ParityResult:
     """Inputs that count."""
     num_left_out: int
     """Inputs where rounding alone changes the answer by more than the tolerance."""
+    rounding: Mapping[str, Rounding] = field(default_factory=dict)
+    """By output, what the graph's model changed against the trained one; empty where they are the same."""
 
 
-def compare(name: str, graph: Path, twin: Twin, model: InverseModel, inputs: Inputs) -> ParityResult:
+def compare(
+    name: str,
+    graph: Path,
+    twin: Twin,
+    model: nn.Module,
+    inputs: Inputs,
+    *,
+    trained: nn.Module | None = None,
+) -> ParityResult:
     """Return how far the graph in the file `graph` is from `twin`, over all rows of `inputs`.
 
+    Where `model` has rounded tables, `trained` is the model without, whose answers `rounding` refers to.
     A row whose error is above 1e-5 does not count if the function is too steep there for float32 to decide:
     if the twin's own float32 result is as far from its float64 result, or if that moves as far when the input
     is nudged by 5e-7. Raises WorkerError when another row is above 1e-5, or more than 1 % of all rows are.
@@ -63,6 +77,7 @@ def compare(name: str, graph: Path, twin: Twin, model: InverseModel, inputs: Inp
         max_abs_error=float(counted.max(initial=0.0)),
         num_samples=len(counted),
         num_left_out=len(left_out),
+        rounding=rounding_of(expected, _twin(twin, trained, inputs)) if trained is not None else {},
     )
 
 
@@ -92,7 +107,7 @@ def _run(graph: Path, inputs: Inputs) -> dict[str, NDArray[np.float32]]:
 
 
 @torch.no_grad()
-def _twin(twin: Twin, model: InverseModel, inputs: Inputs) -> dict[str, NDArray[np.floating]]:
+def _twin(twin: Twin, model: nn.Module, inputs: Inputs) -> dict[str, NDArray[np.floating]]:
     """Return the outputs of the torch function, with full-precision matrix products."""
     precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
@@ -124,7 +139,7 @@ def _largest_error(
 
 
 def _steepness(
-    twin: Twin, model: InverseModel, inputs: Inputs, single: Mapping[str, NDArray[np.floating]]
+    twin: Twin, model: nn.Module, inputs: Inputs, single: Mapping[str, NDArray[np.floating]]
 ) -> NDArray[np.float64]:
     """Return how far rounding may move each row's answer, as an error like that of `_largest_error`."""
     exact_model = copy.deepcopy(model).double().cpu()

@@ -28,11 +28,13 @@ def judge_qualities(
     *,
     num_samples: int,
     seed: int,
+    networks: bool = True,
 ) -> dict[str, float]:
     """Return PSNR [dB] and the largest difference of `baked` and `preview` from `refined`, per light.
 
     Pictures of `cameras`, sRGB over white, refined ones with `num_samples` light directions per pixel. The
-    bundle lies in `folder`; its manifest may still lack its files.
+    bundle lies in `folder`; its manifest may still lack its files. Without `networks`, baked pictures are
+    those of a bundle from which they will have been taken.
     """
     listed = bundle_pb2.BundleManifest()
     listed.CopyFrom(manifest)
@@ -41,6 +43,12 @@ def judge_qualities(
         if path.is_file():
             listed.files.add(path=path.relative_to(folder).as_posix())
     renderer = Renderer(Bundle(path=folder, manifest=listed, source=open_source(folder)))
+    shipped = renderer
+    if not networks:
+        lite = bundle_pb2.BundleManifest()
+        lite.CopyFrom(listed)
+        del lite.graphs[:]
+        shipped = Renderer(Bundle(path=folder, manifest=lite, source=open_source(folder)))
     figures: dict[str, float] = {}
     small = [_reduced(camera) for camera in cameras]
     for name, light in judging_lights(trained).items():
@@ -48,7 +56,7 @@ def judge_qualities(
         for camera in small:
             refined = renderer.render(camera, light, num_samples=num_samples, seed=seed)
             for quality, values in found.items():
-                values.append(difference(renderer.render(camera, light, quality=quality), refined))
+                values.append(difference(shipped.render(camera, light, quality=quality), refined))
         for quality, values in found.items():
             error, worst = np.mean([value[0] for value in values]), max(value[1] for value in values)
             figures[f"{quality}_psnr_refined_{name}"] = float(-10.0 * np.log10(error + 1e-12))

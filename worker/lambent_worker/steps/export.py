@@ -2,16 +2,19 @@
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from flashcache.data.scene import Scene, View
 from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from flashcache.training.checkpoint import latest_checkpoint
+from lambent_proto.v1 import bundle_pb2
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environments import write_environment
 
-from lambent_worker.bundle.graphs import write_graphs
+from lambent_worker.bundle.graphs import remove_networks, write_graphs
+from lambent_worker.bundle.half_tables import MOST_ROUNDING, fits_half, with_half_tables
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import measure, relight_camera
 from lambent_worker.bundle.mesh import occupied_box
@@ -21,6 +24,7 @@ from lambent_worker.bundle.transport import TransportConfig
 from lambent_worker.bundle.transport_files import Bake, write_relight_graph, write_transport
 from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
+from lambent_worker.errors import WorkerError
 from lambent_worker.pipeline import StepContext, scene_hash
 from lambent_worker.report.run_uncertainty import uncertainty_of_run
 from lambent_worker.run_folder import read_record, step_folder
@@ -77,7 +81,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
         )
         _advance(context, {"models/gbuffer.onnx": 2, "models/relight.onnx": 5}.get(path, 3))
 
-    write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
+    model = _write_networks(context, model, rule, manifest, folder, compared)
     surface, _ = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
     _advance(context, 4)
     if settings.transport_tier != "none":
@@ -108,18 +112,55 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
             recovered,
             num_samples=settings.judge_samples,
             seed=context.seed,
+            networks=settings.weights != "none",
         )
         manifest.metrics.update(judged)
+    if settings.weights == "none":
+        remove_networks(manifest, folder)
     _advance(context, 7)
     uncertainty = uncertainty_of_run(context, model, scene)
     if uncertainty is not None:
         write_uncertainty(folder, manifest, uncertainty)
     for picture in sorted((context.run_dir / "previews").glob("*.png")):
-        shutil.copyfile(picture, folder / "preview" / picture.name)
+        # The evaluation's sheet of all test views is a fifth of a megabyte, and in its report.
+        if picture.name != "evaluation.png":
+            shutil.copyfile(picture, folder / "preview" / picture.name)
     files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     write_manifest(folder, manifest, sorted(files))
     _advance(context, NUM_PARTS)
     context.reporter.log("exported", **{name: round(value, 6) for name, value in manifest.metrics.items()})
+
+
+def _write_networks(
+    context: StepContext,
+    model: InverseModel,
+    rule: GbufferRule,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    compared: Callable[[str, ParityResult], None],
+) -> InverseModel:
+    """Write the graphs and return the model they were made from: its tables are float16, or as trained.
+
+    With the setting "auto" they are float16 unless that moves an output by more than `MOST_ROUNDING`, which
+    is logged as a warning.
+    """
+    wanted = context.config.export.weights
+    fits = fits_half(model)
+    if wanted == "fp16" and not fits:
+        raise WorkerError(
+            "export.half_range",
+            "a feature table holds numbers beyond the range of float16; export with --weights fp32",
+        )
+    if wanted in ("fp16", "auto") and fits:
+        rounded = with_half_tables(model)
+        write_graphs(rounded, rule, manifest, folder, trained=model, seed=context.seed, advance=compared)
+        worst = max((r.rms_error, g.path, r.output) for g in manifest.graphs for r in g.rounding)
+        if wanted == "fp16" or worst[0] <= MOST_ROUNDING:
+            return rounded
+        context.reporter.log("export.full_precision", path=worst[1], output=worst[2], rms_error=worst[0])
+        remove_networks(manifest, folder)
+    write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
+    return model
 
 
 def light_names(lights: tuple[str, ...]) -> list[str]:

@@ -20,6 +20,7 @@ from flashcache.training.checkpoint import (
     prune_checkpoints,
     save_checkpoint,
 )
+from flashcache.training.light_bake import LightBake
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 
@@ -30,6 +31,7 @@ from lambent_worker.run_folder import STEP_FOLDERS, digest
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.steps.ingest import read_manifest
 
+Stage = StageOne | StageTwo | LightBake
 REPORT_INTERVAL_S = 0.5
 SKIPPED_SHARE_LIMIT = 0.05
 
@@ -71,20 +73,19 @@ def training_pixels(context: StepContext, scene: Scene) -> TrainingPixels:
     return TrainingPixels(scene, context.config.pixels, torch.device(context.device))
 
 
-def drive(context: StepContext, stage: StageOne | StageTwo) -> None:
+def drive(context: StepContext, stage: Stage) -> None:
     """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
 
     Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too
     many steps had gradients that were not finite.
     """
     config = context.config
-    own_config = config.stage_one if context.stage == "cache" else config.stage_two
-    fingerprint = digest(repr(config.model), repr(own_config))
+    fingerprint = digest(repr(config.model), repr(stage.config))
     seconds = _resume(context, stage, fingerprint)
     saved_at = reported_at = time.monotonic()
     reported_step = stage.steps_done
     while not stage.finished:
-        with reduced_precision():
+        with matrix_precision(torch.device(context.device)):
             record = stage.step()
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
@@ -109,17 +110,21 @@ def drive(context: StepContext, stage: StageOne | StageTwo) -> None:
 
 
 @contextmanager
-def reduced_precision() -> Iterator[None]:
-    """Let matrix products use 16-bit factors with 32-bit sums where the processor has them: training only."""
+def matrix_precision(device: torch.device) -> Iterator[None]:
+    """Let matrix products on a GPU use short factors with 32-bit sums: training only.
+
+    Not on a processor: there, oneDNN plans 16-bit products anew for every size of a batch, and the sizes of
+    stage two differ from step to step (docs/benchmarks/training-step.md).
+    """
     before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("medium")
+    torch.set_float32_matmul_precision("medium" if device.type == "cuda" else "highest")
     try:
         yield
     finally:
         torch.set_float32_matmul_precision(before)
 
 
-def _resume(context: StepContext, stage: StageOne | StageTwo, fingerprint: str) -> float:
+def _resume(context: StepContext, stage: Stage, fingerprint: str) -> float:
     """Continue from the newest checkpoint that can be read, and return the seconds trained before it."""
     while (folder := latest_checkpoint(context.folder)) is not None:
         try:
@@ -142,7 +147,7 @@ def _resume(context: StepContext, stage: StageOne | StageTwo, fingerprint: str) 
     return 0.0
 
 
-def _save(context: StepContext, stage: StageOne | StageTwo, fingerprint: str, seconds: float) -> None:
+def _save(context: StepContext, stage: Stage, fingerprint: str, seconds: float) -> None:
     state = CheckpointState(
         stage=context.stage,
         step=stage.steps_done,

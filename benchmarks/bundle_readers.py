@@ -1,0 +1,180 @@
+"""Measure a bundle: what its files weigh, and what a secondary ray costs each reader of its fast cache.
+
+    OMP_NUM_THREADS=1 python benchmarks/bundle_readers.py BUNDLE [BUNDLE ...] [--browser] [--rays 4096]
+
+Sizes are those of every BUNDLE, times those of the first. Readers take turns, and the shortest of their turns
+counts, so that ratios hold on a busy machine. Processor readers use one thread. With --browser (Chromium and
+`npm ci` in client/web) the same rays are answered by onnxruntime-web and by the WGSL reader, on WebGPU in
+software; `--browser-rays` of them, because that is slow.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from lambent_relight import Bundle, load_bundle
+from lambent_relight.fused import FusedCaches
+from lambent_relight.graphs import OnnxGraph, Rows
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+ALL = {"radiance": 3, "opacity": 1, "distance": 1}
+OCCLUSION = {"opacity": 1, "distance": 1}
+
+
+def print_sizes(bundles: list[Bundle]) -> None:
+    """Print megabytes (10^6 bytes) by folder and in all, a column per bundle."""
+    columns = []
+    for bundle in bundles:
+        found: dict[str, float] = defaultdict(float)
+        for file in bundle.manifest.files:
+            found[file.path.rpartition("/")[0] or "cameras.json"] += file.size_bytes / 1e6
+        found["manifest.json"] = bundle.source.size_bytes("manifest.json") / 1e6
+        columns.append({**found, "all": sum(found.values())})
+    names = [name for name in dict.fromkeys(key for column in columns for key in column) if name != "all"]
+    print("| MB | " + " | ".join(bundle.path.name for bundle in bundles) + " |")
+    print("| --- |" + " --- |" * len(bundles))
+    for name in (*sorted(names), "all"):
+        print(f"| {name} | " + " | ".join(f"{column.get(name, 0.0):.2f}" for column in columns) + " |")
+
+
+def print_rounding(bundle: Bundle) -> None:
+    """Print what float16 tables changed, and how far graphs are from their models."""
+    print(
+        "\n| graph | output | ONNX vs torch | float16: rms | float16: max |\n| --- | --- | --- | --- | --- |"
+    )
+    for graph in bundle.manifest.graphs:
+        for item in graph.rounding:
+            values = (graph.parity.max_abs_error, item.rms_error, item.max_abs_error)
+            print(f"| {graph.name} | {item.output} | " + " | ".join(f"{v:.1e}" for v in values) + " |")
+
+
+def random_rays(bundle: Bundle, count: int) -> tuple[Rows, Rows]:
+    """Return origins in the bundle's box and unit directions, [ray, 3] each."""
+    rng = np.random.default_rng(0)
+    low, high = (
+        np.array(corner) for corner in (bundle.manifest.bounds.minimum, bundle.manifest.bounds.maximum)
+    )
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return rng.uniform(low, high, (count, 3)).astype(np.float32), direction.astype(np.float32)
+
+
+def in_turns(tasks: dict[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
+    """Return processor seconds of every task in every turn; each runs once before."""
+    for task in tasks.values():
+        task()
+    seconds: dict[str, list[float]] = {name: [] for name in tasks}
+    for _ in range(turns):
+        for name, task in tasks.items():
+            started = time.process_time()
+            task()
+            seconds[name].append(time.process_time() - started)
+    return seconds
+
+
+def graph_of(bundle: Bundle, outputs: dict[str, int]) -> OnnxGraph:
+    """Return the fast cache's graph for some outputs, on one thread."""
+    return OnnxGraph(
+        bundle,
+        bundle.graph_path("fast_cache"),
+        ("origin", "direction"),
+        outputs,
+        threads=1,
+        rows_per_call=8192,
+    )
+
+
+def print_processor_times(bundle: Bundle, count: int, turns: int) -> None:
+    """Print microseconds per ray on one thread."""
+    rays = random_rays(bundle, count)
+    whole, trimmed = graph_of(bundle, ALL), graph_of(bundle, OCCLUSION)
+    fused = FusedCaches(bundle, num_threads=1)
+    seconds = in_turns(
+        {
+            "onnxruntime, the graph as it is": lambda: whole(*rays),
+            "onnxruntime, opacity and distance": lambda: trimmed(*rays),
+            "fused (numba), opacity and distance": lambda: fused.secondary(*rays),
+        },
+        turns,
+    )
+    print(
+        "\n| on a processor, one thread | us per ray | middle of turns | fused is faster by |\n"
+        + "| --- " * 4
+        + "|"
+    )
+    best = min(seconds["fused (numba), opacity and distance"])
+    for name, values in seconds.items():
+        each, middle = min(values) / count * 1e6, float(np.median(values)) / count * 1e6
+        print(f"| {name} | {each:.2f} | {middle:.2f} | {min(values) / best:.1f} |")
+
+
+def print_browser_times(bundle: Bundle, count: int, turns: int) -> None:
+    """Print microseconds per ray in a browser, and how far answers are from onnxruntime's on a processor."""
+    from support.engine_page import engine_page
+
+    origin, direction = random_rays(bundle, count)
+    rays = np.concatenate([origin, direction], axis=1)
+    inputs = {"origin": origin, "direction": direction}
+    wanted = graph_of(bundle, ALL)(origin, direction)
+    path, light = bundle.graph_path("fast_cache"), bundle.manifest.train_lights[0]
+    print("\n| in a browser | us per ray | largest difference | WGSL is faster by |\n" + "| --- " * 4 + "|")
+    with tempfile.TemporaryDirectory() as folder, engine_page(bundle.path, Path(folder)) as page:
+        tasks: dict[str, Callable[[], float]] = {}
+        errors: dict[str, float] = {}
+        for label, light_shown, outputs in (
+            ("opacity and distance", "", list(OCCLUSION)),
+            ("with radiance", light, None),
+        ):
+            page.fuse(label, path, light_shown)
+            errors[f"WGSL, {label}"] = difference(page.run_fused(label, rays), wanted)
+            tasks[f"WGSL, {label}"] = lambda name=label: page.time_fused(name, rays, 2)
+            for provider in ("webgpu", "wasm"):
+                name = f"onnxruntime-web {provider}, {label}"
+                page.open(name, path, provider, outputs)
+                errors[name] = difference(page.run(name, inputs), wanted)
+                tasks[name] = lambda name=name: page.time(name, inputs, 1)
+        found = {name: [task()] for name, task in tasks.items()}
+        for _ in range(turns - 1):
+            for name, task in tasks.items():
+                found[name].append(task())
+    for name, milliseconds in found.items():
+        each = min(milliseconds) / count * 1e3
+        ratio = min(milliseconds) / min(found[f"WGSL, {name.partition(', ')[2]}"])
+        print(f"| {name} | {each:.1f} | {errors[name]:.1e} | {ratio:.1f} |")
+
+
+def difference(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> float:
+    """Return the largest difference of all outputs found, absolute below 1 and relative above."""
+    return max(
+        float((np.abs(values - wanted[key]) / np.maximum(1.0, np.abs(wanted[key]))).max())
+        for key, values in found.items()
+    )
+
+
+def main() -> None:
+    """Measure and print the tables of docs/benchmarks/bundle.md."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("bundles", type=Path, nargs="+")
+    parser.add_argument("--rays", type=int, default=65_536)
+    parser.add_argument("--turns", type=int, default=7)
+    parser.add_argument("--browser", action="store_true")
+    parser.add_argument("--browser-rays", type=int, default=4096)
+    arguments = parser.parse_args()
+    bundles = [load_bundle(path) for path in arguments.bundles]
+    print_sizes(bundles)
+    print_rounding(bundles[0])
+    print_processor_times(bundles[0], arguments.rays, arguments.turns)
+    if arguments.browser:
+        print_browser_times(bundles[0], arguments.browser_rays, min(arguments.turns, 3))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""Feature tables stored as float16: the model that they make, and how far it is from the trained one."""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from flashcache.export.graphs import exported_grids
+from flashcache.physical.model import InverseModel
+from numpy.typing import NDArray
+
+MOST_ROUNDING = 1e-2
+"""Root mean square of an output's error up to which float16 tables are chosen, relative above 1."""
+_OWN = ("opacity", "radiance")
+"""Outputs whose error counts as it is; others mean little where opacity is small, and are weighted by it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rounding:
+    """What float16 tables change in one output; absolute below 1 and relative above."""
+
+    max_abs_error: float
+    rms_error: float
+    num_samples: int
+
+
+def with_half_tables(model: InverseModel) -> InverseModel:
+    """Return a copy of `model` whose exported feature tables hold float16 numbers, as float32."""
+    rounded = copy.deepcopy(model)
+    with torch.no_grad():
+        for grid in exported_grids(rounded).values():
+            grid.table.copy_(grid.table.half().float())
+    return rounded
+
+
+def fits_half(model: InverseModel) -> bool:
+    """Return whether every feature of the exported tables is inside float16's range."""
+    limit = torch.finfo(torch.float16).max
+    return all(bool((grid.table.abs() <= limit).all()) for grid in exported_grids(model).values())
+
+
+def rounding_of(
+    rounded: Mapping[str, NDArray[np.floating]], exact: Mapping[str, NDArray[np.floating]]
+) -> dict[str, Rounding]:
+    """Return by output how far answers [row, n] from rounded tables are from exact ones.
+
+    Errors of surface properties, normals and distances are multiplied by the exact answer's opacity.
+    """
+    weight = exact.get("opacity", np.ones((1, 1)))
+    found = {}
+    for name, wanted in exact.items():
+        error = np.abs(rounded[name].astype(np.float64) - wanted) / np.maximum(1.0, np.abs(wanted))
+        error = error if name in _OWN else error * weight
+        found[name] = Rounding(
+            max_abs_error=float(error.max()),
+            rms_error=float(np.sqrt((error**2).mean())),
+            num_samples=len(error),
+        )
+    return found
