@@ -1,0 +1,66 @@
+"""Pictures that a server makes: environment maps, orders, batches."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from lambent.connection import Connection
+from lambent.errors import UsageProblemError
+from lambent.models import Batch, Environment
+from lambent.scenes import PIECE_BYTES
+
+
+def post(connection: Connection, path: str, body: Mapping[str, Any], idempotency_key: str) -> Any:
+    """Return the answer to an order; it may be repeated after a lost answer, so it always has a key."""
+    headers = {"Idempotency-Key": idempotency_key or f"order-{uuid4().hex}"}
+    return connection.json("POST", path, json=dict(body), headers=headers)
+
+
+def batch_of(answer: Mapping[str, Any]) -> Batch:
+    """Return the batch in an answer."""
+    return Batch.from_json({**answer, "job_ids": tuple(answer.get("job_ids") or ())})
+
+
+def batches(connection: Connection) -> Iterator[Batch]:
+    """Yield batches, newest first."""
+    params: dict[str, str] = {}
+    while True:
+        page = connection.json("GET", "/v1/batches", params=params)
+        yield from (batch_of(item) for item in page["items"])
+        if not page.get("next_cursor"):
+            return
+        params["cursor"] = page["next_cursor"]
+
+
+def push_environment(connection: Connection, source: Path, *, name: str = "") -> Environment:
+    """Return the environment of a file, uploaded unless the server has these bytes under that name.
+
+    Raises `environment.missing` where there is no such file.
+    """
+    if not source.is_file():
+        raise UsageProblemError("environment.missing", f"there is no file {source}", "check the path")
+    name = name or source.name
+    with source.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    for item in connection.json("GET", "/v1/environments")["items"]:
+        if (item["sha256"], item["name"]) == (digest, name):
+            return Environment.from_json(item)
+
+    def pieces() -> Iterator[bytes]:
+        with source.open("rb") as file:
+            while piece := file.read(PIECE_BYTES):
+                yield piece
+
+    answer = connection.json(
+        "POST",
+        "/v1/environments",
+        params={"name": name},
+        make_content=pieces,
+        headers={
+            "Content-Length": str(source.stat().st_size),
+            "Content-Type": "application/octet-stream",
+        },
+    )
+    return Environment.from_json(answer)

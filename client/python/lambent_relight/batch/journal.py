@@ -1,0 +1,161 @@
+"""What a folder of pictures already holds: one JSON line for every picture, written when it is whole.
+
+A line that a crash cut off is the last one and is left out; the picture it was about is made again.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+from lambent_relight.errors import SettingError
+
+NAME = "pictures.jsonl"
+_LOCK = ".lambent-batch.lock"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MadeFile:
+    """A file of a picture: `key` stands for everything it was made from."""
+
+    path: str
+    key: str
+    sha256: str
+    size_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Record:
+    """A picture that was made: its files by suffix, and what was measured."""
+
+    path: str
+    asset: str
+    environment: str
+    quality: str
+    camera: str
+    files: Mapping[str, MadeFile]
+    width: int
+    height: int
+    seconds: float
+    num_samples: int
+    mean_standard_error: float
+    """Mean over the pixels, linear radiance."""
+    relative_standard_error: float
+    """That over the mean radiance; 0 where there is no noise."""
+    bounces: str = ""
+    """Where bounced light came from, as the picture says."""
+    notes: tuple[str, ...] = ()
+    """What a user should know about the map."""
+
+
+@dataclass(slots=True)
+class Journal:
+    """The records of one folder, the newest of every picture."""
+
+    folder: Path
+    records: dict[str, Record] = field(default_factory=dict)
+    by_key: dict[str, MadeFile] = field(default_factory=dict)
+    _file: TextIO | None = None
+
+    def known(self, suffix: str, path: str, key: str) -> MadeFile | None:
+        """Return the file with this key that lies under this name, else one under another name, else None."""
+        record = self.records.get(path)
+        own = record.files.get(suffix) if record is not None else None
+        for made in (own, self.by_key.get(key)):
+            if made is not None and made.key == key and self.is_whole(made):
+                return made
+        return None
+
+    def is_whole(self, made: MadeFile) -> bool:
+        """Return whether the file is there with the bytes it was written with."""
+        path = self.folder / made.path
+        if not path.is_file() or path.stat().st_size != made.size_bytes:
+            return False
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == made.sha256
+
+    def lines(self, paths: Collection[str]) -> str:
+        """Return the lines of these pictures, as the file holds them."""
+        return "".join(json.dumps(asdict(self.records[path])) + "\n" for path in sorted(paths))
+
+    def add(self, record: Record) -> None:
+        """Keep a record; it survives whatever happens to the program."""
+        assert self._file is not None
+        self._file.write(json.dumps(asdict(record)) + "\n")
+        self._file.flush()
+        self._remember(record)
+
+    def _remember(self, record: Record) -> None:
+        self.records[record.path] = record
+        for made in record.files.values():
+            self.by_key[made.key] = made
+
+
+@contextlib.contextmanager
+def open_journal(folder: Path) -> Iterator[Journal]:
+    """Open the journal of a folder for one program at a time.
+
+    Raises SettingError: `batch.folder_in_use` while another batch writes there, `batch.bad_journal` for a
+    journal that this program did not write.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with _locked(folder):
+        journal = Journal(folder)
+        path = folder / NAME
+        for record in _read(path):
+            journal._remember(record)
+        # One line for each picture again, and no half line at the end.
+        partial = path.with_name(f".partial-{NAME}")
+        lines = [json.dumps(asdict(record)) + "\n" for record in journal.records.values()]
+        partial.write_text("".join(lines), encoding="utf-8")
+        os.replace(partial, path)
+        with path.open("a", encoding="utf-8") as file:
+            journal._file = file
+            yield journal
+
+
+def record_from_json(value: Mapping[str, Any]) -> Record:
+    """Return the record of a decoded line; raises TypeError or KeyError for anything else."""
+    files = {suffix: MadeFile(**made) for suffix, made in value["files"].items()}
+    return Record(**{**value, "files": files, "notes": tuple(value["notes"])})
+
+
+def _read(path: Path) -> Iterator[Record]:
+    if not path.is_file():
+        return
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            if not line.endswith("\n"):
+                return
+            try:
+                yield record_from_json(json.loads(line))
+            except (ValueError, TypeError, KeyError, AttributeError) as error:
+                raise SettingError(
+                    "batch.bad_journal",
+                    f"line {number} of {path} was not written by this program ({type(error).__name__})",
+                    "choose another folder, or remove the file to make every picture again",
+                ) from error
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold the folder against other programs, where the system can; the lock ends with the process."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    with (folder / _LOCK).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise SettingError(
+                "batch.folder_in_use",
+                f"another batch writes to {folder}",
+                "wait for it, or take another folder",
+            ) from error
+        yield

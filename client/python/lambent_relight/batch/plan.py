@@ -1,0 +1,250 @@
+"""The pictures of a batch, one by one, and what makes each of them what it is."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from lambent_relight.batch.manifest import MAX_PICTURES, Asset, Cameras, Files, Light, Manifest, Quality
+from lambent_relight.batch.reading import safe_name
+from lambent_relight.bundle import Bundle, load_bundle
+from lambent_relight.cameras import Camera, load_cameras
+from lambent_relight.errors import CameraError, RelightError, SettingError
+from lambent_relight.object_cameras import around_object
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One picture to make. `path` is its place in the output folder, without suffix."""
+
+    path: str
+    asset: Asset
+    light: Light
+    quality: Quality
+    camera: Camera
+    bundle_digest: str
+    light_digest: str
+
+    def key(self, suffix: str, files: Files) -> str:
+        """Return the SHA-256 of everything that the bytes of one file depend on."""
+        quality = {name: value for name, value in asdict(self.quality).items() if name != "name"}
+        parts: dict[str, Any] = {
+            "renderer": renderer_digest(),
+            "bundle": self.bundle_digest,
+            "edit": asdict(self.asset.edit),
+            "object_rotate_deg": self.asset.object_rotate_deg,
+            "environment": self.light_digest,
+            "given": asdict(self.light.given),
+            "rotate_deg": self.light.rotate_deg,
+            "camera": self.camera.key().hex(),
+            "quality": quality,
+            "suffix": suffix,
+        }
+        if suffix == "exr":
+            # Exposure and tone curve are for screens: the EXR stays as it is.
+            del quality["exposure_ev"], quality["tone_mapping"]
+            parts |= {"passes": sorted(files.passes), "half": files.half}
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Failure:
+    """Something that was not made, and why: `path` is a picture's, or ends in `*` for all of an asset."""
+
+    path: str
+    code: str
+    message: str
+    pointer: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Everything to make, in the order that keeps bundles and maps open longest, and what cannot be made."""
+
+    rows: tuple[Row, ...]
+    failures: tuple[Failure, ...]
+
+
+def make_plan(
+    manifest: Manifest,
+    *,
+    opening: Callable[[Path | str], Bundle] = load_bundle,
+    known_lights: Mapping[str, str] = MappingProxyType({}),
+) -> Plan:
+    """Return the pictures of a manifest: by asset, quality, environment and camera.
+
+    Bundles are opened (and checked) one after the other for their cameras, by `opening`. What belongs to a
+    bundle, map or file of cameras that cannot be read becomes a failure. `known_lights` has the SHA-256 of
+    maps that lie on a server, by their id. Raises SettingError (`batch.too_many`) above 100 000 pictures,
+    and (`batch.same_name`) where two pictures have one name.
+    """
+    rows: list[Row] = []
+    failures: list[Failure] = []
+    digests = {
+        light.name: known_lights.get(light.environment_id) or light_digest(light)
+        for light in manifest.environments
+    }
+    for asset in manifest.assets:
+        try:
+            bundle = opening(_require_path(asset.path, asset.bundle_id))
+            with bundle.source.open("manifest.json") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+        except (RelightError, OSError) as error:
+            failures.append(_failure(f"{asset.name}/*", error, asset.pointer))
+            continue
+        cameras: list[Camera] = []
+        for entry in manifest.cameras:
+            try:
+                cameras += cameras_of(entry, bundle)
+            except (RelightError, OSError) as error:
+                failures.append(_failure(f"{asset.name}/*", error, entry.pointer))
+        for quality in manifest.qualities:
+            for light in manifest.environments:
+                found = digests[light.name]
+                for camera in cameras:
+                    path = manifest.files.path.format(
+                        asset=asset.name,
+                        environment=light.name,
+                        quality=quality.name,
+                        camera=safe_name(camera.name),
+                    )
+                    if isinstance(found, Exception):
+                        failures.append(_failure(path, found, light.pointer))
+                        continue
+                    rows.append(
+                        Row(
+                            path=path,
+                            asset=asset,
+                            light=light,
+                            quality=quality,
+                            camera=camera,
+                            bundle_digest=digest,
+                            light_digest=found,
+                        )
+                    )
+                _check_count(len(rows) + len(failures))
+    _check_names(rows)
+    return Plan(rows=tuple(rows), failures=tuple(failures))
+
+
+def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
+    """Return the cameras that an entry of a manifest stands for, with a bundle's own where it asks for them.
+
+    Raises CameraError for a file that cannot be read and for a name that is not there.
+    """
+    stated = stated_cameras(entry)
+    if stated is not None:
+        return stated
+    if not entry.turntable:
+        return _picked(bundle.cameras(), entry, "the bundle")
+    around = around_object(
+        bundle,
+        entry.turntable,
+        size=entry.size,
+        start_deg=entry.start_deg,
+        elevation_deg=entry.elevation_deg,
+        radius=entry.radius,
+        field_of_view_deg=entry.field_of_view_deg,
+    )
+    return [_named(camera, entry) for camera in around]
+
+
+def stated_cameras(entry: Cameras) -> list[Camera] | None:
+    """Return the cameras that an entry holds or names a file of; None where it asks for those of a bundle."""
+    if entry.given:
+        return _picked(list(entry.given), entry, "poses")
+    if entry.file is not None:
+        return _picked(load_cameras(entry.file), entry, entry.file.name)
+    return None
+
+
+def _picked(known: list[Camera], entry: Cameras, source: str) -> list[Camera]:
+    """Return the cameras that are asked for, at the size and with the names that are asked for."""
+    if entry.views:
+        by_name = {camera.name: camera for camera in known}
+        missing = [name for name in entry.views if name not in by_name]
+        if missing:
+            raise CameraError(
+                "camera.unknown",
+                f"there is no camera {missing[0]!r} in {source}",
+                f"there are {', '.join(list(by_name)[:8])}{' ...' if len(by_name) > 8 else ''}",
+            )
+        known = [by_name[name] for name in entry.views]
+    return [_named(_sized(camera, entry.size), entry) for camera in known]
+
+
+def _named(camera: Camera, entry: Cameras) -> Camera:
+    if not entry.name:
+        return camera
+    own = camera.name.removeprefix("turntable_") if entry.turntable else camera.name
+    return replace(camera, name=f"{entry.name}_{own}")
+
+
+def _sized(camera: Camera, size: int) -> Camera:
+    longer = max(camera.width, camera.height)
+    if size in (0, longer):
+        return camera
+    return camera.resized(
+        max(1, round(camera.width * size / longer)), max(1, round(camera.height * size / longer))
+    )
+
+
+@cache
+def renderer_digest() -> str:
+    """Return a hash of the program that renders: its sources, those of this package left out."""
+    digest = hashlib.sha256()
+    for entry in sorted(resources.files("lambent_relight").iterdir(), key=lambda each: each.name):
+        if entry.name.endswith(".py"):
+            digest.update(f"{entry.name}\0".encode() + hashlib.sha256(entry.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _require_path(path: Path | None, identifier: str) -> Path:
+    if path is None:
+        raise SettingError(
+            "batch.not_here", f"{identifier} lies on a server", "fetch it, or run the batch there (--server)"
+        )
+    return path
+
+
+def light_digest(light: Light) -> str | Exception:
+    """Return the hash of the map's file, or why there is none."""
+    try:
+        path = _require_path(light.path, light.environment_id)
+        if not path.is_file():
+            return SettingError("environment.missing", f'there is no file "{path}"', "check the path")
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except (RelightError, OSError) as error:
+        return error
+
+
+def _failure(path: str, error: Exception, pointer: str) -> Failure:
+    code = error.code if isinstance(error, RelightError) else "batch.io"
+    message = f"{error.message}; {error.advice}" if isinstance(error, RelightError) else str(error)
+    return Failure(path=path, code=code, message=message, pointer=pointer)
+
+
+def _check_count(count: int) -> None:
+    if count > MAX_PICTURES:
+        raise SettingError(
+            "batch.too_many", f"more than {MAX_PICTURES} pictures are asked for", "split the manifest"
+        )
+
+
+def _check_names(rows: Sequence[Row]) -> None:
+    """Raise `batch.same_name` for two pictures that would be one file on some system."""
+    seen: dict[str, Row] = {}
+    for row in rows:
+        other = seen.setdefault(row.path.casefold(), row)
+        if other is not row:
+            raise SettingError(
+                "batch.same_name",
+                f'two cameras, "{other.camera.name}" and "{row.camera.name}", give the file "{row.path}"',
+                "rename one, or split the batch",
+            )

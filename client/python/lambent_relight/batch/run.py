@@ -1,0 +1,132 @@
+"""A batch from its plan to a folder of pictures: what is there already is kept."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from lambent_relight.batch.journal import Journal, MadeFile, Record
+from lambent_relight.batch.manifest import Files
+from lambent_relight.batch.plan import Failure, Plan, Row
+from lambent_relight.batch.pool import Progress, Task, run_tasks
+from lambent_relight.batch.studio import remove_partials
+
+State = Literal["made", "kept", "copied", "failed"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """What became of one picture; `record` is there unless it failed."""
+
+    path: str
+    state: State
+    record: Record | None = None
+    failure: Failure | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sorted:
+    """What a folder lacks of a plan."""
+
+    done: tuple[Result, ...]
+    """Pictures that are there, under their name or copied from another."""
+    tasks: tuple[Task, ...]
+
+
+def sort_plan(plan: Plan, files: Files, journal: Journal, *, copy: bool = True) -> Sorted:
+    """Return which pictures are there and which are to be made.
+
+    A file is known by the hash of everything it is made from. One that lies under another name is copied,
+    unless `copy` is False; then it is only told.
+    """
+    done, tasks = [], []
+    for row in plan.rows:
+        known = {suffix: journal.known(suffix, row.path, row.key(suffix, files)) for suffix in files.suffixes}
+        found = {suffix: made for suffix, made in known.items() if made is not None}
+        in_place = {suffix: made for suffix, made in found.items() if made.path == f"{row.path}.{suffix}"}
+        if len(found) < len(known):
+            # A file under another name may be overwritten before this picture's turn comes.
+            tasks.append((row, tuple(suffix for suffix in known if suffix not in in_place)))
+            continue
+        source = _source(row, found, journal)
+        if in_place == found and source.path == row.path:
+            done.append(Result(path=row.path, state="kept", record=source))
+            continue
+        if copy:
+            found = {suffix: _copied(journal.folder, row, suffix, made) for suffix, made in found.items()}
+        record = _as_row(source, row, found)
+        if copy:
+            journal.add(record)
+        done.append(Result(path=row.path, state="copied", record=record))
+    return Sorted(done=tuple(done), tasks=tuple(tasks))
+
+
+def run_batch(
+    plan: Plan, files: Files, journal: Journal, *, num_jobs: int = 1, progress: Progress | None = None
+) -> Iterator[Result]:
+    """Make what is missing and yield the result of every picture; what is there or cannot be comes first.
+
+    Each picture is in the journal before it is yielded, so nothing is lost where the caller stops.
+    `num_jobs` and `progress` as in `run_tasks`.
+    """
+    remove_partials(journal.folder, plan.rows)
+    parts = sort_plan(plan, files, journal)
+    yield from parts.done
+    for failure in plan.failures:
+        yield Result(path=failure.path, state="failed", failure=failure)
+    pictures = run_tasks(parts.tasks, journal.folder, files, num_jobs=num_jobs, progress=progress)
+    try:
+        for row, made in pictures:
+            if isinstance(made, Failure):
+                failure = replace(made, pointer=row.asset.pointer)
+                yield Result(path=row.path, state="failed", failure=failure)
+                continue
+            before = journal.records.get(row.path)
+            kept = before.files if before is not None else {}
+            record = replace(made, files={suffix: (kept | made.files)[suffix] for suffix in files.suffixes})
+            journal.add(record)
+            yield Result(path=row.path, state="made", record=record)
+    finally:
+        # Processes that are at work when the caller stops are ended, perhaps while they write.
+        pictures.close()
+        remove_partials(journal.folder, plan.rows)
+
+
+def _source(row: Row, found: dict[str, MadeFile], journal: Journal) -> Record:
+    """Return the record that says what was measured on a picture that is there."""
+    own = journal.records.get(row.path)
+    if own is not None and all(own.files.get(suffix) == made for suffix, made in found.items()):
+        return own
+    paths = {made.path for made in found.values()}
+    return next(
+        record
+        for record in journal.records.values()
+        if any(made.path in paths for made in record.files.values())
+    )
+
+
+def _as_row(source: Record, row: Row, files: dict[str, MadeFile]) -> Record:
+    return replace(
+        source,
+        path=row.path,
+        asset=row.asset.name,
+        environment=row.light.name,
+        quality=row.quality.name,
+        camera=row.camera.name,
+        files=files,
+    )
+
+
+def _copied(folder: Path, row: Row, suffix: str, made: MadeFile) -> MadeFile:
+    relative = f"{row.path}.{suffix}"
+    target = folder / relative
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = target.with_name(f".partial-{os.getpid()}-{target.name}")
+    try:
+        shutil.copyfile(folder / made.path, partial)
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+    return replace(made, path=relative)
