@@ -5,15 +5,27 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic.json_schema import models_json_schema
 
+from lambent_server.capability import read_or_create_secret
 from lambent_server.http import errors
 from lambent_server.http.gate import App, Gate
 from lambent_server.http.identity import LoginCodes
 from lambent_server.messages import ProblemDocument
-from lambent_server.routes import about, environments, events, files, jobs, login, pages, scenes
+from lambent_server.routes import (
+    about,
+    bundles,
+    environments,
+    events,
+    files,
+    jobs,
+    login,
+    pages,
+    renders,
+    scenes,
+)
 from lambent_server.services import Services
 from lambent_server.settings import Settings
 
-_PUBLIC = frozenset({"/healthz", "/readyz", "/v1/version", "/v1/login"})
+_PUBLIC = frozenset({"/healthz", "/readyz", "/v1/version", "/v1/login", "/v1/shares:open"})
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -29,9 +41,10 @@ def _bare(services: Services | None) -> FastAPI:
     )
     app.state.services = services
     errors.install(app)
-    for module in (scenes, jobs, events, files, environments, about, login, pages):
+    for module in (scenes, jobs, renders, events, bundles, files, environments, about, login):
         app.include_router(module.router)
     app.add_api_route("/openapi.json", describe, include_in_schema=False)
+    app.include_router(pages.router)
     return app
 
 
@@ -39,7 +52,8 @@ def make_app(services: Services) -> tuple[FastAPI, App]:
     """Return the application and the same behind its gate; serve the second."""
     app = _bare(services)
     app.state.login_codes = LoginCodes(services.settings.login_code_s)
-    return app, Gate(app, services, allowed_hosts(services.settings))
+    app.state.share_secret = read_or_create_secret(services.settings.data / "share.secret")
+    return app, Gate(app, services, allowed_hosts(services.settings), app.state.share_secret)
 
 
 def allowed_hosts(settings: Settings) -> frozenset[str]:

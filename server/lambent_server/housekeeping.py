@@ -17,6 +17,7 @@ from lambent_server.database.schema import (
     scene_files,
     scenes,
     sessions,
+    shares,
 )
 from lambent_server.database.tenancy import Tenant, across_tenants, remove, rows
 from lambent_server.services import Services
@@ -45,6 +46,7 @@ def _expire(services: Services) -> None:
     settings = services.settings
     with services.database.write() as connection:
         connection.execute(delete(sessions).where(sessions.c.expires_at < now()))
+        connection.execute(delete(shares).where(shares.c.expires_at < now()))
         old = now() - settings.idempotency_s
         connection.execute(delete(idempotency_keys).where(idempotency_keys.c.created_at < old))
         abandoned = across_tenants(scenes).where(

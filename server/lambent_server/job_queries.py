@@ -1,6 +1,5 @@
 """Questions about jobs, and the way a new one comes in."""
 
-import base64
 import json
 from collections.abc import Sequence
 from functools import cache
@@ -9,11 +8,23 @@ from typing import Any
 
 from sqlalchemy import Connection, func
 
+from lambent_server import bake_rows
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import idempotency_keys, job_labels, jobs, scenes
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, find, rows
-from lambent_server.job_rows import FINAL, QUEUED, NewEvent, append_event
+from lambent_server.job_rows import (
+    CANCELLED,
+    CANCELLING,
+    FINAL,
+    QUEUED,
+    RETRY_WAIT,
+    RUNNING,
+    NewEvent,
+    append_event,
+    move,
+)
 from lambent_server.messages import Event, Job, NewJob, Preset
+from lambent_server.pages_of_rows import select_newest
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
 
@@ -26,6 +37,15 @@ def presets() -> tuple[dict[str, Preset], str]:
     text = resources.files("lambent_server").joinpath("presets.json").read_text(encoding="utf-8")
     table = json.loads(text)
     return {each["name"]: Preset(**each) for each in table["presets"]}, table["default"]
+
+
+def require_preset(name: str) -> Preset:
+    """Return the preset of this name."""
+    known, _ = presets()
+    if name not in known:
+        message = f"there is no preset {name!r}; there are {', '.join(known)}"
+        raise invalid("preset_unknown", "#/preset", message)
+    return known[name]
 
 
 def require_job(connection: Connection, tenant: Tenant, job_id: str, *, lock: bool = False) -> Row:
@@ -62,6 +82,7 @@ def show(row: Any) -> Job:
                 "bundle_id",
             ]
         },
+        batch_id=row["order_id"] if row["kind"] == "batch" else None,
         created_at=rfc3339(row["created_at"]),
         started_at=_time(row["started_at"]),
         finished_at=_time(row["finished_at"]),
@@ -121,10 +142,30 @@ def submit(
         raise conflict(
             "scene_rejected", "this scene cannot be used; mend what `findings` names", findings=findings
         )
+    if order.kind == bake_rows.KIND:
+        bake_rows.check_order(connection, tenant, order)
+    check_quota(connection, tenant, services, 1)
+    return insert_job(
+        connection,
+        tenant,
+        job_id,
+        kind=order.kind,
+        scene_id=order.scene_id,
+        preset=order.preset,
+        params=order.params,
+        gpus=gpus,
+        priority=order.priority,
+        labels=order.labels,
+        seed=order.seed,
+    )
+
+
+def check_quota(connection: Connection, tenant: Tenant, services: Services, num_jobs: int) -> None:
+    """Refuse more jobs than the tenant may have waiting and running."""
     active = rows(tenant, jobs, func.count()).where(jobs.c.state.not_in(FINAL))
     in_use = connection.execute(active).scalar_one()
     limit = services.settings.max_queued_jobs
-    if in_use >= limit:
+    if in_use + num_jobs > limit:
         raise Problem(
             429,
             "quota_jobs",
@@ -133,44 +174,43 @@ def submit(
             headers={"retry-after": "30"},
             members={"quota": {"name": "max_queued_jobs", "limit": limit, "used": in_use}},
         )
+
+
+def insert_job(
+    connection: Connection,
+    tenant: Tenant,
+    job_id: str | None = None,
+    *,
+    labels: dict[str, str],
+    **values: Any,
+) -> Row:
+    """Add a row to the queue; `values` are its other columns."""
     identifier = job_id or new_id("job")
-    connection.execute(
-        add(
-            tenant,
-            jobs,
-            id=identifier,
-            kind=order.kind,
-            scene_id=order.scene_id,
-            preset=order.preset,
-            params=order.params,
-            gpus=gpus,
-            priority=order.priority,
-            labels=order.labels,
-            seed=order.seed,
-            state=QUEUED,
-            created_at=now(),
-            updated_at=now(),
-            adjustments={},
-        )
-    )
-    for name, value in order.labels.items():
+    common = {"state": QUEUED, "created_at": now(), "updated_at": now(), "adjustments": {}}
+    connection.execute(add(tenant, jobs, id=identifier, labels=labels, **values, **common))
+    for name, value in labels.items():
         connection.execute(add(tenant, job_labels, job_id=identifier, name=name, value=value))
     job = require_job(connection, tenant, identifier)
     append_event(connection, job, NewEvent(type="state", state=QUEUED))
     return require_job(connection, tenant, identifier)
 
 
+def cancel(connection: Connection, job: Row) -> None:
+    """Ask for the end of a job; nothing is done to one that has ended."""
+    if job["state"] in (QUEUED, RETRY_WAIT):
+        move(connection, job, CANCELLED, "cancelled before it started")
+    elif job["state"] == RUNNING:
+        move(connection, job, CANCELLING, "cancel asked for", stop_reason="cancel", stop_at=None)
+
+
 def _check_order(order: NewJob, services: Services) -> int:
     """Return how many GPUs the job gets."""
-    known, _ = presets()
-    if order.preset not in known:
-        names = ", ".join(known)
-        raise invalid("preset_unknown", "#/preset", f"there is no preset {order.preset!r}; there are {names}")
+    preset = require_preset(order.preset)
     available = max_gpus(services)
     wanted = order.gpus
     if wanted is None:
-        wanted = min(known[order.preset].gpus, available) if order.kind == "train" else 0
-        if wanted < known[order.preset].gpus and order.kind == "train":
+        wanted = min(preset.gpus, available) if order.kind == "train" else 0
+        if wanted < preset.gpus and order.kind == "train":
             message = (
                 f'preset {order.preset!r} is made for a GPU and there is none; say "gpus": 0 to run it anyway'
             )
@@ -186,18 +226,6 @@ def max_gpus(services: Services) -> int:
     return min(services.local_gpus, 1)
 
 
-def _cursor(job_id: str) -> str:
-    return base64.urlsafe_b64encode(job_id.encode()).decode().rstrip("=")
-
-
-def _from_cursor(cursor: str) -> str:
-    try:
-        return base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("ascii")
-    except ValueError as error:
-        message = "take the cursor from `next_cursor` as it is"
-        raise invalid("cursor_invalid", "#/query/cursor", message) from error
-
-
 def select_page(
     connection: Connection,
     tenant: Tenant,
@@ -208,16 +236,15 @@ def select_page(
     cursor: str | None,
 ) -> tuple[list[Row], str | None]:
     """Return up to `limit` jobs, the newest first, and the cursor of the next page."""
-    statement = rows(tenant, jobs).order_by(jobs.c.id.desc()).limit(limit + 1)
-    if cursor is not None:
-        statement = statement.where(jobs.c.id < _from_cursor(cursor))
-    if states:
-        statement = statement.where(jobs.c.state.in_(states))
-    for name, value in labels:
-        having = rows(tenant, job_labels, job_labels.c.job_id).where(
-            job_labels.c.name == name, job_labels.c.value == value
-        )
-        statement = statement.where(jobs.c.id.in_(having))
-    found = [dict(row) for row in connection.execute(statement).mappings()]
-    more = len(found) > limit
-    return found[:limit], _cursor(found[limit - 1]["id"]) if more else None
+
+    def narrow(statement: Any) -> Any:
+        if states:
+            statement = statement.where(jobs.c.state.in_(states))
+        for name, value in labels:
+            having = rows(tenant, job_labels, job_labels.c.job_id).where(
+                job_labels.c.name == name, job_labels.c.value == value
+            )
+            statement = statement.where(jobs.c.id.in_(having))
+        return statement
+
+    return select_newest(connection, tenant, jobs, limit=limit, cursor=cursor, narrow=narrow)

@@ -10,16 +10,17 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-_WHOLE = BeforeValidator(_whole)
+WHOLE = BeforeValidator(_whole)
 # Without this the schema would allow names that match none of the patterns.
-_ONLY_THESE = {"additionalProperties": False}
+ONLY_THESE = {"additionalProperties": False}
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 LabelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}$")]
 SettingName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$", max_length=100)]
 SettingValue = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 JobState = Literal["queued", "running", "cancelling", "retry_wait", "succeeded", "failed", "cancelled"]
-JobKind = Literal["train", "check"]
+NewJobKind = Literal["train", "check", "bake"]
+JobKind = Literal["train", "check", "bake", "render", "batch"]
 SceneState = Literal["open", "uploaded", "ready", "rejected"]
 
 
@@ -45,7 +46,7 @@ class PlannedFile(Given):
     """A file that the scene shall have."""
 
     path: Annotated[str, Field(min_length=1, max_length=240)]
-    size: Annotated[int, Field(ge=0, le=2**53), _WHOLE]
+    size: Annotated[int, Field(ge=0, le=2**53), WHOLE]
     sha256: Sha256
 
 
@@ -68,6 +69,13 @@ class Scene(Shown):
     num_files: int
     size_bytes: float
     content_sha256: str | None
+
+
+class SceneList(Shown):
+    """One page of scenes, the newest first."""
+
+    items: list[Scene]
+    next_cursor: str | None
 
 
 class Finding(Shown):
@@ -155,13 +163,13 @@ class NewJob(Given):
     scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"
     params: Annotated[
-        dict[SettingName, SettingValue], Field(max_length=64, json_schema_extra=_ONLY_THESE)
+        dict[SettingName, SettingValue], Field(max_length=64, json_schema_extra=ONLY_THESE)
     ] = {}
-    gpus: Annotated[int, Field(ge=0, le=1024), _WHOLE] | None = None
-    priority: Annotated[int, Field(ge=-1000, le=1000), _WHOLE] = 0
-    labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32, json_schema_extra=_ONLY_THESE)] = {}
-    kind: JobKind = "train"
-    seed: Annotated[int, Field(ge=0, le=2**31 - 1), _WHOLE] = 0
+    gpus: Annotated[int, Field(ge=0, le=1024), WHOLE] | None = None
+    priority: Annotated[int, Field(ge=-1000, le=1000), WHOLE] = 0
+    labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32, json_schema_extra=ONLY_THESE)] = {}
+    kind: NewJobKind = "train"
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
 
 
 class Progress(Shown):
@@ -207,6 +215,8 @@ class Job(Shown):
     progress: Progress | None
     error: JobError | None
     bundle_id: str | None
+    batch_id: str | None
+    """The batch that the job makes a part of."""
     last_event: int
 
 
@@ -280,6 +290,8 @@ class Preset(Shown):
     name: str
     description: str
     gpus: int
+    budget_s: float | None = None
+    """Time a whole job is meant to take on the hardware that the preset is made for; null where unknown."""
 
 
 class PresetList(Shown):
@@ -287,6 +299,26 @@ class PresetList(Shown):
 
     items: list[Preset]
     default: str
+
+
+class NewEstimate(Given):
+    """A job that is thought of."""
+
+    preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
+
+
+class Estimate(Shown):
+    """How long a job is likely to take, from its start to its end."""
+
+    preset: str
+    seconds: float | None
+    """The median of the jobs measured, else the preset's budget; null where there is neither."""
+    shortest_s: float | None
+    longest_s: float | None
+    num_measured: int
+    """Earlier jobs of this preset on this server that the figures come from; 0: they are the budget."""
+    num_ahead: int
+    """Jobs that have not ended and may go first."""
 
 
 class Limits(Shown):
@@ -299,6 +331,7 @@ class Limits(Shown):
     max_environment_bytes: int
     max_environment_pixels: int
     max_queued_jobs: int
+    max_batch_pictures: int
     max_gpus: int
     max_wait_s: float
     scene_suffixes: list[str]

@@ -6,6 +6,7 @@ from google.protobuf.json_format import MessageToJson, Parse, ParseError
 from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
 from sqlalchemy import Connection
 
+from lambent_server import bake_rows, render_rows
 from lambent_server.checkpoint_rows import drop_checkpoint
 from lambent_server.clock import new_id, now
 from lambent_server.database.schema import (
@@ -45,6 +46,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
         rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"]).order_by(checkpoints.c.id)
     ).mappings()
     scene = find(connection, tenant, scenes, job["scene_id"])
+    task = render_rows.describe_task(connection, job) if job["order_id"] is not None else None
     response = worker_pb2.StartResponse(
         spec=job_pb2.JobSpec(
             scene_id=job["scene_id"],
@@ -60,7 +62,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
             worker_pb2.SceneFile(path=row["path"], sha256=row["sha256"], size_bytes=row["size_bytes"])
             for row in files
         ],
-        check_scene=scene is None or scene["state"] != "ready",
+        check_scene=task is None and (scene is None or scene["state"] != "ready"),
         device="cuda" if job["gpus"] else "cpu",
         adjustments=worker_pb2.Adjustments(
             ray_chunk=job["adjustments"].get("ray_chunk", 1.0),
@@ -71,6 +73,15 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
         preview_interval_s=settings.preview_interval_s,
         scene_name=scene["name"] if scene is not None else "",
     )
+    if job["kind"] == bake_rows.KIND:
+        del response.files[:]
+        response.files.extend(bake_rows.input_files(connection, job))
+        response.scene_name, response.check_scene = "inputs", False
+    if task is not None:
+        input_files, render = task
+        response.files.extend(input_files)
+        response.render.CopyFrom(render)
+        response.scene_name = "inputs"
     for row in kept:
         manifest = response.checkpoints.add()
         Parse(row["manifest"], manifest)

@@ -97,6 +97,8 @@ class Settings(BaseSettings):
     max_preview_bytes: Size = 256 * KIB
     max_queued_jobs: int = Field(default=1000, ge=1)
     """Jobs of one tenant that have not ended."""
+    max_batch_pictures: int = Field(default=1000, ge=1)
+    """Pictures of one order."""
     disk_floor_bytes: Size = GIB
     """Free space below which uploads and new jobs are refused."""
 

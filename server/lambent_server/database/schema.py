@@ -150,8 +150,28 @@ jobs = Table(
     _optional_time("progress_event_at"),
     _count("event_seq"),
     _count("report_seq"),
+    # Which part of which order of pictures it makes; null for other kinds.
+    _optional_text("order_id"),
+    Column("shard", Integer),
     Index(None, "tenant_id", "id"),
     Index(None, "state"),
+    Index(None, "order_id"),
+)
+
+render_orders = Table(
+    "render_orders",
+    metadata,
+    _id(),
+    _text("tenant_id"),
+    # "render" or "batch"
+    _text("kind"),
+    _text("name"),
+    # RenderSpec as REST takes it, every name filled in
+    Column("spec", JSON, nullable=False),
+    _count("num_pictures"),
+    _count("num_shards"),
+    _time("created_at"),
+    Index(None, "tenant_id", "id"),
 )
 
 job_labels = Table(
@@ -243,6 +263,19 @@ bundle_files = Table(
     _text("media_type"),
     PrimaryKeyConstraint("bundle_id", "path"),
     Index(None, "sha256"),
+)
+
+# Links that let whoever has one read one bundle.
+shares = Table(
+    "shares",
+    metadata,
+    _id(),
+    _text("tenant_id"),
+    _text("bundle_id"),
+    _time("created_at"),
+    _time("expires_at"),
+    _optional_time("revoked_at"),
+    Index(None, "bundle_id"),
 )
 
 environments = Table(

@@ -15,10 +15,12 @@ from starlette.datastructures import Headers, MutableHeaders
 
 from lambent_server.clock import new_id
 from lambent_server.database.tenancy import Tenant
-from lambent_server.http.identity import cookie_token, tenant_of_key, tenant_of_session
+from lambent_server.http.identity import cookie_token, tenant_of_key, tenant_of_session, tenant_of_share
 from lambent_server.metrics import REQUEST_SECONDS
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.services import Services
+from lambent_server.shares import COOKIE as SHARE_COOKIE
+from lambent_server.shares import bundle_read
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -29,7 +31,11 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 log = structlog.get_logger()
 
 CSRF_HEADER = "x-lambent-csrf"
-_PUBLIC = re.compile(r"/|/assets/.*|/healthz|/readyz|/openapi\.json|/v1/version|/v1/login")
+# The pages hold no secrets: what they show they ask for with a cookie.
+_PUBLIC = re.compile(
+    r"/|/assets/.*|/[a-z0-9._-]+\.(html|js|css|svg|json|wasm)|/healthz|/readyz"
+    r"|/v1/(version|login|shares:open)"
+)
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _METHODS = _SAFE | {"POST", "PUT", "PATCH", "DELETE"}
 _POLICY = (
@@ -48,10 +54,11 @@ _HEADERS = {
 class Gate:
     """ASGI middleware around the whole application."""
 
-    def __init__(self, app: App, services: Services, hosts: frozenset[str]) -> None:
+    def __init__(self, app: App, services: Services, hosts: frozenset[str], share_secret: str) -> None:
         self._app = app
         self._services = services
         self._hosts = hosts
+        self._share_secret = share_secret
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
@@ -86,15 +93,7 @@ class Gate:
     async def _identify(self, scope: Scope, headers: Headers) -> None:
         if _PUBLIC.fullmatch(scope["path"]):
             return
-        database = self._services.database
-        scheme, _, key = headers.get("authorization", "").partition(" ")
-        tenant: Tenant | None = None
-        if scheme.lower() == "bearer":
-            tenant = await to_thread.run_sync(tenant_of_key, database, key.strip())
-        elif token := cookie_token(headers.get("cookie", "")):
-            tenant = await to_thread.run_sync(tenant_of_session, database, token)
-            if tenant is not None and scope["method"] not in _SAFE:
-                self._check_same_site(headers)
+        tenant = await self._tenant_of(scope, headers)
         if tenant is None:
             raise Problem(
                 401,
@@ -104,6 +103,26 @@ class Gate:
                 headers={"www-authenticate": 'Bearer realm="lambent"'},
             )
         scope.setdefault("state", {})["tenant"] = tenant
+
+    async def _tenant_of(self, scope: Scope, headers: Headers) -> Tenant | None:
+        """Return whose request it is: by key, else by the cookie of a link to one bundle, else by session."""
+        database, method = self._services.database, scope["method"]
+        scheme, _, key = headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            return await to_thread.run_sync(tenant_of_key, database, key.strip())
+        cookies = headers.get("cookie", "")
+        bundle_id, shared = bundle_read(method, scope["path"]), cookie_token(cookies, SHARE_COOKIE)
+        if bundle_id and shared:
+            secret = self._share_secret
+            tenant = await to_thread.run_sync(tenant_of_share, database, secret, shared, bundle_id)
+            if tenant is not None:
+                scope.setdefault("state", {})["by_share"] = True
+                return tenant
+        token = cookie_token(cookies)
+        tenant = None if token is None else await to_thread.run_sync(tenant_of_session, database, token)
+        if tenant is not None and method not in _SAFE:
+            self._check_same_site(headers)
+        return tenant
 
     @staticmethod
     def _check_same_site(headers: Headers) -> None:

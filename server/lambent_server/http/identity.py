@@ -12,6 +12,7 @@ from lambent_server.clock import new_id, now
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add
+from lambent_server.shares import granted
 
 COOKIE = "lambent_session"
 
@@ -63,14 +64,14 @@ def register_key(database: Database, tenant: Tenant, key: str, name: str) -> Non
             connection.execute(add(tenant, api_keys, **values))
 
 
-def cookie_token(header: str) -> str | None:
-    """Return the session token of a Cookie header."""
+def cookie_token(header: str, name: str = COOKIE) -> str | None:
+    """Return the token in a Cookie header, that of the session or of another name."""
     jar: SimpleCookie = SimpleCookie()
     try:
         jar.load(header)
     except CookieError:
         return None
-    return jar[COOKIE].value if COOKIE in jar else None
+    return jar[name].value if name in jar else None
 
 
 def tenant_of_key(database: Database, key: str) -> Tenant | None:
@@ -89,3 +90,10 @@ def tenant_of_session(database: Database, token: str) -> Tenant | None:
     with database.read() as connection:
         row = connection.execute(statement).mappings().one_or_none()
     return Tenant(row["tenant_id"]) if row is not None and row["expires_at"] > now() else None
+
+
+def tenant_of_share(database: Database, secret: str, token: str, bundle_id: str) -> Tenant | None:
+    """Return whose bundle a link lets this request read; None where it is not that very bundle."""
+    with database.read() as connection:
+        share = granted(connection, secret, token)
+    return Tenant(share["tenant_id"]) if share is not None and share["bundle_id"] == bundle_id else None

@@ -3,11 +3,12 @@
 import re
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Path, Response
+from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import StreamingResponse
 
-from lambent_server.database.schema import bundle_files, bundles
-from lambent_server.database.tenancy import Tenant, find, rows
+from lambent_server.bundle_rows import require_bundle
+from lambent_server.database.schema import bundle_files
+from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.problems import Problem, not_found
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, problems
 from lambent_server.services import Services
@@ -83,10 +84,24 @@ def send_blob(
     )
 
 
+def _send_from_bundle(
+    services: Services,
+    request: Request,
+    blob: Blob,
+    range_: str | None,
+    match: str | None,
+    if_range: str | None,
+) -> Response:
+    response = send_blob(services, blob, range_, match, if_range)
+    if getattr(request.state, "by_share", False):
+        # A link may be taken back: what it has shown is asked for again, and then refused.
+        response.headers["cache-control"] = "private, no-cache"
+    return response
+
+
 def _bundle_file(services: Services, tenant: Tenant, bundle_id: str, path: str) -> Blob:
     with services.database.read() as connection:
-        if find(connection, tenant, bundles, bundle_id) is None:
-            raise not_found("bundle", bundle_id)
+        require_bundle(connection, tenant, bundle_id)
         statement = rows(tenant, bundle_files).where(
             bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == path
         )
@@ -101,12 +116,13 @@ def get_manifest(
     services: ServicesOf,
     tenant: TenantOf,
     bundle_id: Id,
+    request: Request,
     if_none_match: MatchHeader = None,
 ) -> Response:
     """Return manifest.json of a bundle."""
     blob = _bundle_file(services, tenant, bundle_id, "manifest.json")
     blob = Blob(blob.sha256, blob.size_bytes, "application/json")
-    return send_blob(services, blob, None, if_none_match, None)
+    return _send_from_bundle(services, request, blob, None, if_none_match, None)
 
 
 @router.get("/v1/bundles/{bundle_id:id}/files/{path:path}", response_class=Response, responses=_RESPONSES)
@@ -115,13 +131,14 @@ def get_bundle_file(
     tenant: TenantOf,
     bundle_id: Id,
     path: Annotated[str, Path(min_length=1, max_length=240)],
+    request: Request,
     range_: RangeHeader = None,
     if_none_match: MatchHeader = None,
     if_range: IfRangeHeader = None,
 ) -> Response:
     """Return a file of a bundle, or a part of it."""
     blob = _bundle_file(services, tenant, bundle_id, path)
-    return send_blob(services, blob, range_, if_none_match, if_range)
+    return _send_from_bundle(services, request, blob, range_, if_none_match, if_range)
 
 
 @router.get("/v1/blobs/{sha256}", response_class=Response, responses=_RESPONSES)

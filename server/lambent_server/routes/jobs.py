@@ -6,24 +6,26 @@ from typing import Annotated, Any
 from anyio import to_thread
 from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import PlainTextResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from lambent_server import job_queries
+from lambent_server import job_queries, render_rows
 from lambent_server.clock import now
 from lambent_server.database.schema import artifacts
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.job_rows import (
-    CANCELLED,
-    CANCELLING,
-    FAILED,
-    FINAL,
-    QUEUED,
-    RETRY_WAIT,
-    RUNNING,
-    move,
-    read_events,
+from lambent_server.estimates import estimate
+from lambent_server.job_rows import CANCELLED, FAILED, FINAL, SUCCEEDED, read_events
+from lambent_server.messages import (
+    Artifact,
+    ArtifactList,
+    Estimate,
+    EventList,
+    Job,
+    JobList,
+    JobState,
+    NewEstimate,
+    NewJob,
 )
-from lambent_server.messages import Artifact, ArtifactList, EventList, Job, JobList, JobState, NewJob
+from lambent_server.pages_of_rows import PageFilter
 from lambent_server.problems import conflict
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
 from lambent_server.services import Services
@@ -40,18 +42,14 @@ IdempotencyKey = Annotated[
 ]
 
 
-class JobFilter(BaseModel):
+class JobFilter(PageFilter):
     """Which jobs to list."""
 
-    model_config = ConfigDict(extra="forbid")
-
-    state: Annotated[list[JobState], Field(max_length=7)] = []
+    state: Annotated[list[JobState], Field(max_length=7, default_factory=list)]
     label: Annotated[
         list[Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}=[^\x00-\x1f\x7f]{0,200}$")]],
-        Field(max_length=8, description='"name=value"; all must hold'),
-    ] = []
-    limit: Annotated[int, Field(ge=1, le=200)] = 50
-    cursor: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,100}$")] | None = None
+        Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
+    ]
 
 
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
@@ -66,6 +64,14 @@ def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: Idempo
             job = job_queries.submit_once(connection, tenant, body, services, key, digest)
     services.wakeups.signal()
     return job_queries.show(job)
+
+
+@router.post("/v1/estimates", responses=problems(400, 403, 413, 422))
+def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> Estimate:
+    """Say how long a job of a preset is likely to take."""
+    preset = job_queries.require_preset(body.preset)
+    with services.database.read() as connection:
+        return estimate(connection, tenant, preset)
 
 
 @router.get("/v1/jobs", responses=problems(422))
@@ -106,12 +112,9 @@ def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
     """Ask for the end of a job; it is `cancelled` when its process is gone."""
     with services.database.write() as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
-        if job["state"] in (QUEUED, RETRY_WAIT):
-            move(connection, job, CANCELLED, "cancelled before it started")
-        elif job["state"] == RUNNING:
-            move(connection, job, CANCELLING, "cancel asked for", stop_reason="cancel", stop_at=None)
-        elif job["state"] not in (CANCELLING, CANCELLED):
+        if job["state"] in (SUCCEEDED, FAILED):
             raise conflict("job_final", f"job {job_id} has {job['state']}; that is final")
+        job_queries.cancel(connection, job)
         job = job_queries.require_job(connection, tenant, job_id)
     services.wakeups.signal()
     return job_queries.show(job)
@@ -127,7 +130,10 @@ def retry_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
             raise conflict(
                 "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled ones can"
             )
-        fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
+        if job["order_id"] is None:
+            fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
+        else:
+            fresh = render_rows.queue_again(connection, tenant, job, services)
     services.wakeups.signal()
     return job_queries.show(fresh)
 

@@ -10,9 +10,10 @@ from fastapi import APIRouter, Body, Query, Request, Response
 
 from lambent_server import scene_rows
 from lambent_server.archives import unpack
-from lambent_server.database.schema import scene_files
+from lambent_server.database.schema import scene_files, scenes
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.messages import NewScene, Plan, PlannedFile, Scene, SceneReportAnswer
+from lambent_server.messages import NewScene, Plan, PlannedFile, Scene, SceneList, SceneReportAnswer
+from lambent_server.pages_of_rows import PageFilter, select_newest
 from lambent_server.problems import Problem, invalid
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, binary_body, problems
 from lambent_server.scene_figures import find_figures
@@ -30,6 +31,14 @@ def create_scene(services: ServicesOf, tenant: TenantOf, body: NewScene) -> Scen
     services.require_disk()
     with services.database.write() as connection:
         return scene_rows.show(scene_rows.create(connection, tenant, body.name))
+
+
+@router.get("/v1/scenes", responses=problems(422))
+def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> SceneList:
+    """List scenes, the newest first."""
+    with services.database.read() as connection:
+        found, cursor = select_newest(connection, tenant, scenes, limit=given.limit, cursor=given.cursor)
+    return SceneList(items=[scene_rows.show(row) for row in found], next_cursor=cursor)
 
 
 @router.post("/v1/scenes/{scene_id:id}/files:plan", responses=problems(400, 404, 409, 413, 422))

@@ -1,0 +1,81 @@
+"""Bodies of the REST interface about bundles and the links that show one to others."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from lambent_server.messages import WHOLE, Given, Sha256, Shown
+
+MAX_SHARE_S = 366 * 24 * 3600
+
+
+class Bundle(Shown):
+    """A relightable asset that a job has made."""
+
+    id: str
+    job_id: str
+    scene_id: str
+    scene_name: str
+    """Empty where the scene was removed."""
+    created_at: str
+    num_files: int
+    size_bytes: float
+
+
+class BundleList(Shown):
+    """One page of bundles, the newest first."""
+
+    items: list[Bundle]
+    next_cursor: str | None
+
+
+class BundleFile(Shown):
+    """A file of a bundle."""
+
+    path: str
+    sha256: Sha256
+    size_bytes: float
+    media_type: str
+    url: str
+
+
+class BundleDetail(Bundle):
+    """A bundle with its files."""
+
+    files: list[BundleFile]
+
+
+class NewShare(Given):
+    """How long a link shall work."""
+
+    expires_in_s: Annotated[int, Field(ge=60, le=MAX_SHARE_S), WHOLE] = 7 * 24 * 3600
+
+
+class Share(Shown):
+    """A link that lets whoever has it read one bundle."""
+
+    id: str
+    bundle_id: str
+    url: str
+    """Its fragment is the secret; browsers never send that part to a server by themselves."""
+    created_at: str
+    expires_at: str
+
+
+class ShareList(Shown):
+    """The links of a bundle that work, the newest first."""
+
+    items: list[Share]
+
+
+class ShareToken(Given):
+    """The secret part of a link."""
+
+    token: Annotated[str, Field(min_length=1, max_length=300)]
+
+
+class OpenedShare(Shown):
+    """What a link leads to."""
+
+    bundle_id: str
+    expires_at: str

@@ -1,0 +1,57 @@
+"""Long lists in pages: the newest rows first, and a cursor that says where the next page begins."""
+
+import base64
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import Connection, Select, Table
+
+from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.problems import invalid
+
+Cursor = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,100}$")]
+Row = dict[str, Any]
+
+
+class PageFilter(BaseModel):
+    """Which page of a list."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    limit: Annotated[int, Field(ge=1, le=200)] = 50
+    cursor: Cursor | None = None
+
+
+def _cursor(identifier: str) -> str:
+    return base64.urlsafe_b64encode(identifier.encode()).decode().rstrip("=")
+
+
+def _from_cursor(cursor: str) -> str:
+    try:
+        return base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("ascii")
+    except ValueError as error:
+        message = "take the cursor from `next_cursor` as it is"
+        raise invalid("cursor_invalid", "#/query/cursor", message) from error
+
+
+def select_newest(
+    connection: Connection,
+    tenant: Tenant,
+    table: Table,
+    *,
+    limit: int,
+    cursor: str | None,
+    narrow: Any = None,
+) -> tuple[list[Row], str | None]:
+    """Return up to `limit` rows, the newest first, and the cursor of the next page.
+
+    Identifiers sort by the time they were made. `narrow` turns the selection into that of fewer rows.
+    """
+    statement: Select[Any] = rows(tenant, table).order_by(table.c.id.desc()).limit(limit + 1)
+    if cursor is not None:
+        statement = statement.where(table.c.id < _from_cursor(cursor))
+    if narrow is not None:
+        statement = narrow(statement)
+    found = [dict(row) for row in connection.execute(statement).mappings()]
+    more = len(found) > limit
+    return found[:limit], _cursor(found[limit - 1]["id"]) if more else None

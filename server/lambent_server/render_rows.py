@@ -1,0 +1,327 @@
+"""Orders of pictures as rows: what was asked for, the jobs that make it, and how far they are."""
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lambent_proto.v1 import render_pb2, worker_pb2
+from sqlalchemy import Connection, func
+
+from lambent_server.clock import new_id, now, rfc3339
+from lambent_server.database.schema import (
+    bundle_files,
+    bundles,
+    environments,
+    events,
+    idempotency_keys,
+    jobs,
+    render_orders,
+)
+from lambent_server.database.tenancy import Tenant, add, add_if_absent, find, rows
+from lambent_server.job_queries import check_quota, insert_job
+from lambent_server.job_rows import CANCELLED, CANCELLING, FAILED, FINAL, QUEUED, SUCCEEDED, Job, owner
+from lambent_server.mirror import from_rest
+from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
+from lambent_server.render_messages import Batch, NewBatch, NewRender, RenderAsset, RenderCameras, RenderSpec
+from lambent_server.services import Services
+
+RENDER = "render"
+BATCH = "batch"
+KINDS = (RENDER, BATCH)
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Order:
+    """Pictures to queue, as asked for."""
+
+    kind: str
+    spec: RenderSpec
+    shards: int
+    priority: int
+    labels: dict[str, str]
+
+
+def order_of_batch(body: NewBatch) -> Order:
+    """Return the order of a batch."""
+    own = {"shards", "priority", "labels"}
+    spec = RenderSpec(**{name: getattr(body, name) for name in type(body).model_fields if name not in own})
+    return Order(kind=BATCH, spec=spec, shards=body.shards, priority=body.priority, labels=body.labels)
+
+
+def order_of_render(body: NewRender) -> Order:
+    """Return the order of pictures of one bundle: one job."""
+    asset = RenderAsset(
+        bundle_id=body.bundle_id, material=body.material, object_rotate_deg=body.object_rotate_deg
+    )
+    spec = RenderSpec(
+        name=RENDER,
+        assets=[asset],
+        environments=body.environments,
+        cameras=[body.cameras],
+        qualities=[body.quality],
+        output=body.output,
+    )
+    return Order(kind=RENDER, spec=spec, shards=1, priority=body.priority, labels=body.labels)
+
+
+def submit_once(
+    connection: Connection, tenant: Tenant, order: Order, services: Services, key: str | None, digest: str
+) -> Row:
+    """Queue an order, or return the one that this key made before; another body under a key is a mistake."""
+    order_id = new_id(order.kind)
+    if key is None:
+        return submit(connection, tenant, order, services, order_id)
+    values = {"key": key, "body_sha256": digest, "job_id": order_id, "created_at": now()}
+    if add_if_absent(connection, tenant, idempotency_keys, **values):
+        return submit(connection, tenant, order, services, order_id)
+    statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
+    row = connection.execute(statement).mappings().one()
+    if row["body_sha256"] != digest:
+        message = "this key was used with another body; take a new key for a new order"
+        raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
+    return require_order(connection, tenant, row["job_id"], order.kind)
+
+
+def submit(connection: Connection, tenant: Tenant, order: Order, services: Services, order_id: str) -> Row:
+    """Queue the jobs of an order, or say why not."""
+    spec = _named(connection, tenant, order.spec, single=order.kind == RENDER)
+    num_pictures = _count_pictures(connection, tenant, spec, services, single=order.kind == RENDER)
+    limit = services.settings.max_batch_pictures
+    if num_pictures > limit:
+        message = f"{num_pictures} pictures are asked for, {limit} are allowed at once"
+        raise invalid("too_many_pictures", "#/cameras", message)
+    num_shards = min(order.shards or services.settings.local_slots, num_pictures)
+    check_quota(connection, tenant, services, num_shards)
+    connection.execute(
+        add(
+            tenant,
+            render_orders,
+            id=order_id,
+            kind=order.kind,
+            name=spec.name,
+            spec=spec.model_dump(mode="json"),
+            num_pictures=num_pictures,
+            num_shards=num_shards,
+            created_at=now(),
+        )
+    )
+    for shard in range(num_shards):
+        _queue(connection, tenant, order_id, order.kind, shard, order.priority, order.labels)
+    return require_order(connection, tenant, order_id, order.kind)
+
+
+def _queue(
+    connection: Connection,
+    tenant: Tenant,
+    order_id: str,
+    kind: str,
+    shard: int,
+    priority: int,
+    labels: dict[str, str],
+) -> Row:
+    return insert_job(
+        connection,
+        tenant,
+        kind=kind,
+        scene_id="",
+        preset="",
+        params={},
+        gpus=0,
+        priority=priority,
+        labels=labels,
+        seed=0,
+        order_id=order_id,
+        shard=shard,
+    )
+
+
+def queue_again(connection: Connection, tenant: Tenant, job: Job, services: Services) -> Row:
+    """Queue a new job that makes the part of an order that `job` was to make."""
+    check_quota(connection, tenant, services, 1)
+    return _queue(
+        connection, tenant, job["order_id"], job["kind"], job["shard"], job["priority"], job["labels"]
+    )
+
+
+def require_order(
+    connection: Connection, tenant: Tenant, order_id: str, kind: str, *, lock: bool = False
+) -> Row:
+    """Return the order's row."""
+    row = find(connection, tenant, render_orders, order_id, lock=lock)
+    if row is None or row["kind"] != kind:
+        raise not_found(kind, order_id)
+    return dict(row)
+
+
+def first_job(connection: Connection, tenant: Tenant, order_id: str) -> Row:
+    """Return the job that an order was queued as first."""
+    statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id).limit(1)
+    return dict(connection.execute(statement).mappings().one())
+
+
+def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[Row]:
+    """Return the job that counts for every part of an order: the newest, by part."""
+    statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id)
+    found = {row["shard"]: dict(row) for row in connection.execute(statement).mappings()}
+    return [found[shard] for shard in sorted(found)]
+
+
+def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
+    """Return a batch as the interface shows it."""
+    parts = newest_jobs(connection, tenant, row["id"])
+    identifiers = [job["id"] for job in parts]
+    failed = rows(tenant, events, func.count()).where(
+        events.c.job_id.in_(identifiers), events.c.type == "finding"
+    )
+    return Batch(
+        id=row["id"],
+        name=row["name"],
+        state=_state([job["state"] for job in parts]),
+        created_at=rfc3339(row["created_at"]),
+        num_pictures=row["num_pictures"],
+        num_done=sum((job["progress"] or {}).get("step", 0) for job in parts),
+        num_failed=connection.execute(failed).scalar_one(),
+        job_ids=identifiers,
+    )
+
+
+def _state(states: Sequence[str]) -> Any:
+    """Return the state of a whole from those of its parts."""
+    going_on = [state for state in states if state not in FINAL]
+    if going_on:
+        if CANCELLING in going_on:
+            return CANCELLING
+        return QUEUED if all(state == QUEUED for state in states) else "running"
+    return next((state for state in (FAILED, CANCELLED) if state in states), SUCCEEDED)
+
+
+def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) -> None:
+    """Queue every part of a batch that failed or was cancelled again."""
+    again = [job for job in newest_jobs(connection, tenant, row["id"]) if job["state"] in (FAILED, CANCELLED)]
+    if not again:
+        raise conflict("batch_not_ended", f"no job of batch {row['id']} has failed or was cancelled")
+    check_quota(connection, tenant, services, len(again))
+    for job in again:
+        queue_again(connection, tenant, job, services)
+
+
+def describe_task(
+    connection: Connection, job: Job
+) -> tuple[list[worker_pb2.SceneFile], render_pb2.RenderTask]:
+    """Return the files a run needs, `bundles/<id>/...` and `environments/<id>.<format>`, and its task."""
+    tenant = owner(job)
+    row = require_order(connection, tenant, job["order_id"], job["kind"])
+    spec = row["spec"]
+    files = []
+    for bundle_id in sorted({asset["bundle_id"] for asset in spec["assets"]}):
+        statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == bundle_id)
+        files += [
+            worker_pb2.SceneFile(
+                path=f"bundles/{bundle_id}/{file['path']}",
+                sha256=file["sha256"],
+                size_bytes=file["size_bytes"],
+            )
+            for file in connection.execute(statement.order_by(bundle_files.c.path)).mappings()
+        ]
+    for environment_id in sorted({light["environment_id"] for light in spec["environments"]}):
+        found = find(connection, tenant, environments, environment_id)
+        if found is not None:
+            path = f"environments/{environment_id}.{found['format']}"
+            files.append(
+                worker_pb2.SceneFile(path=path, sha256=found["sha256"], size_bytes=found["size_bytes"])
+            )
+    task = render_pb2.RenderTask(
+        spec=from_rest(render_pb2.RenderSpec, spec), shard=job["shard"], num_shards=row["num_shards"]
+    )
+    return files, task
+
+
+def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: bool) -> RenderSpec:
+    """Return the order with every name filled in; what it refers to must be there."""
+    assets, lights = [], []
+    for index, asset in enumerate(spec.assets):
+        if find(connection, tenant, bundles, asset.bundle_id) is None:
+            raise _missing("bundle", asset.bundle_id, "#" if single else f"#/assets/{index}")
+        assets.append(asset.model_copy(update={"name": asset.name or asset.bundle_id}))
+    for index, light in enumerate(spec.environments):
+        row = find(connection, tenant, environments, light.environment_id)
+        if row is None:
+            raise _missing("environment", light.environment_id, f"#/environments/{index}")
+        name = light.name or _safe_name(row["name"].rpartition(".")[0] or row["name"])
+        lights.append(light.model_copy(update={"name": name}))
+    qualities = [each.model_copy(update={"name": each.name or each.quality}) for each in spec.qualities]
+    named = spec.model_copy(update={"assets": assets, "environments": lights, "qualities": qualities})
+    for place, entries in (("assets", assets), ("environments", lights), ("qualities", qualities)):
+        seen: set[str] = set()
+        for index, entry in enumerate(entries):
+            name = str(entry.name).casefold()
+            if name in seen:
+                pointer = f"#/{place}/{index}/name"
+                raise invalid("name_clash", pointer, f'a second entry is called "{entry.name}"; name them')
+            seen.add(name)
+    return named
+
+
+def _safe_name(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:64] or "_"
+
+
+def _missing(kind: str, identifier: str, pointer: str) -> Problem:
+    return Problem(
+        404,
+        f"{kind}_not_found",
+        f"there is no {kind} {identifier!r}",
+        errors=(Detail(f"{pointer}/{kind}_id", f"no such {kind}"),),
+    )
+
+
+def _count_pictures(
+    connection: Connection, tenant: Tenant, spec: RenderSpec, services: Services, *, single: bool
+) -> int:
+    per_asset = len(spec.environments) * len(spec.qualities)
+    counts: dict[str, int] = {}
+    for asset in spec.assets:
+        if asset.bundle_id not in counts:
+            names = _camera_names(connection, tenant, asset.bundle_id, services)
+            counts[asset.bundle_id] = sum(
+                _count_cameras(entry, names, "#/cameras" if single else f"#/cameras/{index}")
+                for index, entry in enumerate(spec.cameras)
+            )
+    return per_asset * sum(counts[asset.bundle_id] for asset in spec.assets)
+
+
+def _count_cameras(entry: RenderCameras, names: list[str], pointer: str) -> int:
+    given = [bool(entry.turntable), bool(entry.views), entry.all_views, bool(entry.poses)]
+    if sum(given) != 1:
+        raise invalid(
+            "cameras_unclear", pointer, "exactly one of turntable, views, all_views and poses is needed"
+        )
+    for name in ("elevation_deg", "radius", "field_of_view_deg", "start_deg"):
+        if name in entry.model_fields_set and getattr(entry, name) is not None and not entry.turntable:
+            raise invalid("cameras_unclear", f"{pointer}/{name}", "this places a turntable")
+    for index, view in enumerate(entry.views):
+        if view not in names:
+            shown = ", ".join(names[:8]) or "none"
+            message = f"the bundle has no camera {view!r}; it has {shown}"
+            raise invalid("camera_unknown", f"{pointer}/views/{index}", message)
+    if entry.all_views and not names:
+        raise invalid("camera_unknown", f"{pointer}/all_views", "the bundle has no cameras of its own")
+    return entry.turntable or len(entry.views) or len(entry.poses) or len(names)
+
+
+def _camera_names(connection: Connection, tenant: Tenant, bundle_id: str, services: Services) -> list[str]:
+    """Return the names of the cameras a bundle was photographed from; none where it does not say."""
+    statement = rows(tenant, bundle_files).where(
+        bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == "cameras.json"
+    )
+    row = connection.execute(statement).mappings().one_or_none()
+    if row is None:
+        return []
+    try:
+        entries = json.loads(services.store.read_all(row["sha256"]))["cameras"]
+        return [str(each.get("name", f"camera_{index:03d}")) for index, each in enumerate(entries)]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return []

@@ -1,0 +1,111 @@
+"""Bundles: list them, and make links that show one of them to others."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+
+from lambent_server import bundle_rows, shares
+from lambent_server.bundle_messages import (
+    BundleDetail,
+    BundleList,
+    NewShare,
+    OpenedShare,
+    Share,
+    ShareList,
+    ShareToken,
+)
+from lambent_server.clock import now, rfc3339
+from lambent_server.database.schema import bundles
+from lambent_server.pages_of_rows import PageFilter, select_newest
+from lambent_server.problems import Problem
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
+
+router = APIRouter(tags=["bundles"])
+
+
+@router.get("/v1/bundles", responses=problems(422))
+def list_bundles(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> BundleList:
+    """List bundles, the newest first."""
+    with services.database.read() as connection:
+        found, cursor = select_newest(connection, tenant, bundles, limit=given.limit, cursor=given.cursor)
+        items = [bundle_rows.show(connection, tenant, row) for row in found]
+    return BundleList(items=items, next_cursor=cursor)
+
+
+@router.get("/v1/bundles/{bundle_id:id}", responses=problems(404))
+def get_bundle(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> BundleDetail:
+    """Return a bundle with its files."""
+    with services.database.read() as connection:
+        row = bundle_rows.require_bundle(connection, tenant, bundle_id)
+        return bundle_rows.show_files(connection, tenant, row)
+
+
+def _secret(request: Request) -> str:
+    secret: str = request.app.state.share_secret
+    return secret
+
+
+def _show(request: Request, row: Any) -> Share:
+    base = str(request.base_url).rstrip("/")
+    return Share(
+        id=row["id"],
+        bundle_id=row["bundle_id"],
+        url=f"{base}/share.html#{shares.sign(_secret(request), row)}",
+        created_at=rfc3339(row["created_at"]),
+        expires_at=rfc3339(row["expires_at"]),
+    )
+
+
+@router.post(
+    "/v1/bundles/{bundle_id:id}/shares", status_code=201, responses=problems(400, 403, 404, 413, 422)
+)
+def create_share(
+    services: ServicesOf, tenant: TenantOf, bundle_id: Id, request: Request, body: NewShare
+) -> Share:
+    """Make a link that lets whoever has it read this bundle, and nothing else, until it ends."""
+    with services.database.write() as connection:
+        bundle_rows.require_bundle(connection, tenant, bundle_id)
+        return _show(request, shares.create(connection, tenant, bundle_id, body.expires_in_s))
+
+
+@router.get("/v1/bundles/{bundle_id:id}/shares", responses=problems(404))
+def list_shares(services: ServicesOf, tenant: TenantOf, bundle_id: Id, request: Request) -> ShareList:
+    """List the links of a bundle that work."""
+    with services.database.read() as connection:
+        bundle_rows.require_bundle(connection, tenant, bundle_id)
+        found = shares.working(connection, tenant, bundle_id)
+    return ShareList(items=[_show(request, row) for row in found])
+
+
+@router.delete(
+    "/v1/shares/{share_id:id}", status_code=204, response_class=Response, responses=problems(403, 404)
+)
+def revoke_share(services: ServicesOf, tenant: TenantOf, share_id: Id) -> Response:
+    """Take a link back, at once and for everybody who has opened it."""
+    with services.database.write() as connection:
+        shares.revoke(connection, tenant, share_id)
+    return Response(status_code=204)
+
+
+@router.post("/v1/shares:open", responses=problems(400, 413, 422))
+def open_share(services: ServicesOf, request: Request, response: Response, body: ShareToken) -> OpenedShare:
+    """Swap the secret of a link for a cookie that reads this one bundle."""
+    with services.database.read() as connection:
+        row = shares.granted(connection, _secret(request), body.token)
+    if row is None:
+        raise Problem(
+            401,
+            "share_invalid",
+            "this link is wrong, has ended or was taken back; ask whoever sent it for another one",
+            headers={"www-authenticate": 'Bearer realm="lambent"'},
+        )
+    response.set_cookie(
+        shares.COOKIE,
+        body.token,
+        path=shares.cookie_path(row["bundle_id"]),
+        max_age=max(int(row["expires_at"] - now()), 1),
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+    return OpenedShare(bundle_id=row["bundle_id"], expires_at=rfc3339(row["expires_at"]))

@@ -1,0 +1,137 @@
+"""Pictures of bundles: one order, or a batch that is spread over several jobs."""
+
+import hashlib
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel
+from sqlalchemy import Connection
+
+from lambent_server import job_queries, render_rows
+from lambent_server.database.schema import artifacts, render_orders
+from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.job_rows import CANCELLED, CANCELLING, QUEUED, RETRY_WAIT, RUNNING
+from lambent_server.messages import Job
+from lambent_server.pages_of_rows import PageFilter, select_newest
+from lambent_server.problems import conflict
+from lambent_server.render_messages import (
+    Batch,
+    BatchArtifact,
+    BatchArtifactList,
+    BatchList,
+    NewBatch,
+    NewRender,
+)
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
+from lambent_server.routes.jobs import IdempotencyKey
+
+router = APIRouter(tags=["pictures"])
+
+
+def _digest(kind: str, body: BaseModel) -> str:
+    return hashlib.sha256(f"{kind}\n{body.model_dump_json()}".encode()).hexdigest()
+
+
+@router.post("/v1/renders", status_code=202, responses=problems(400, 403, 404, 413, 422, 429, 507))
+def submit_render(services: ServicesOf, tenant: TenantOf, body: NewRender, key: IdempotencyKey = None) -> Job:
+    """Queue pictures of one bundle under some environments: one job, whose artifacts they are."""
+    services.require_disk()
+    order = render_rows.order_of_render(body)
+    with services.database.write() as connection:
+        row = render_rows.submit_once(
+            connection, tenant, order, services, key, _digest(render_rows.RENDER, body)
+        )
+        job = render_rows.first_job(connection, tenant, row["id"])
+    services.wakeups.signal()
+    return job_queries.show(job)
+
+
+@router.post("/v1/batches", status_code=202, responses=problems(400, 403, 404, 413, 422, 429, 507))
+def submit_batch(services: ServicesOf, tenant: TenantOf, body: NewBatch, key: IdempotencyKey = None) -> Batch:
+    """Queue assets x environments x cameras x qualities, spread over jobs."""
+    services.require_disk()
+    order = render_rows.order_of_batch(body)
+    with services.database.write() as connection:
+        row = render_rows.submit_once(
+            connection, tenant, order, services, key, _digest(render_rows.BATCH, body)
+        )
+        batch = render_rows.show(connection, tenant, row)
+    services.wakeups.signal()
+    return batch
+
+
+@router.get("/v1/batches", responses=problems(422))
+def list_batches(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> BatchList:
+    """List batches, the newest first."""
+    with services.database.read() as connection:
+        found, cursor = select_newest(
+            connection,
+            tenant,
+            render_orders,
+            limit=given.limit,
+            cursor=given.cursor,
+            narrow=lambda statement: statement.where(render_orders.c.kind == render_rows.BATCH),
+        )
+        return BatchList(
+            items=[render_rows.show(connection, tenant, row) for row in found], next_cursor=cursor
+        )
+
+
+@router.get("/v1/batches/{batch_id:id}", responses=problems(404))
+def get_batch(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> Batch:
+    """Return a batch."""
+    with services.database.read() as connection:
+        return _show(connection, tenant, batch_id)
+
+
+def _show(connection: Connection, tenant: Tenant, batch_id: str) -> Batch:
+    row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH)
+    return render_rows.show(connection, tenant, row)
+
+
+@router.post("/v1/batches/{batch_id:id}:cancel", status_code=202, responses=problems(403, 404, 409))
+def cancel_batch(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> Batch:
+    """Ask for the end of every job of a batch; what they have published stays."""
+    with services.database.write() as connection:
+        row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
+        states = set()
+        for job in render_rows.newest_jobs(connection, tenant, row["id"]):
+            job = job_queries.require_job(connection, tenant, job["id"], lock=True)
+            states.add(job["state"])
+            job_queries.cancel(connection, job)
+        if not states & {QUEUED, RETRY_WAIT, RUNNING, CANCELLING, CANCELLED}:
+            raise conflict("batch_final", f"every job of batch {batch_id} has ended; that is final")
+        batch = _show(connection, tenant, batch_id)
+    services.wakeups.signal()
+    return batch
+
+
+@router.post("/v1/batches/{batch_id:id}:retry", status_code=202, responses=problems(403, 404, 409, 429, 507))
+def retry_batch(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> Batch:
+    """Queue the parts of a batch that failed or were cancelled again, as new jobs."""
+    services.require_disk()
+    with services.database.write() as connection:
+        row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
+        render_rows.retry(connection, tenant, row, services)
+        batch = _show(connection, tenant, batch_id)
+    services.wakeups.signal()
+    return batch
+
+
+@router.get("/v1/batches/{batch_id:id}/artifacts", responses=problems(404))
+def list_batch_artifacts(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> BatchArtifactList:
+    """Return the files that the jobs of a batch have published."""
+    with services.database.read() as connection:
+        row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH)
+        identifiers = [job["id"] for job in render_rows.newest_jobs(connection, tenant, row["id"])]
+        found = connection.execute(
+            rows(tenant, artifacts)
+            .where(artifacts.c.job_id.in_(identifiers))
+            .order_by(artifacts.c.name, artifacts.c.job_id)
+        ).mappings()
+        names = ("job_id", "name", "sha256", "size_bytes", "media_type")
+        items = [
+            BatchArtifact(**{name: each[name] for name in names}, url=f"/v1/blobs/{each['sha256']}")
+            for each in found
+        ]
+    return BatchArtifactList(items=items)
