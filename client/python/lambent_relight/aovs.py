@@ -5,7 +5,7 @@ is multiplied by coverage, so that layers add up under any background: direct + 
 = the beauty pass (where it has no background). Source: docs/reference/conventions.md (passes).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +33,14 @@ ATTRIBUTES: Mapping[str, str] = {
 """What the file says about its numbers, besides chromaticities."""
 
 
-def exr_channels(picture: RelitPicture, *, passes: bool) -> dict[str, NDArray[np.floating]]:
+def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> dict[str, NDArray[np.floating]]:
     """Return the channels of a picture's EXR by name, [height, width] each.
 
-    R, G, B (times alpha) and A; with `passes` also the radiance passes and standard_error (times coverage;
-    R, G, B each), albedo (R, G, B), normal (X, Y, Z), visibility, perceptual_roughness, metalness (V), and Z,
-    the distance from the camera along the ray.
+    R, G, B (times alpha) and A. With `passes`, all or some names of `PASSES`, also the radiance passes and
+    standard_error (times coverage; R, G, B each), albedo (R, G, B), normal (X, Y, Z), visibility,
+    perceptual_roughness, metalness (V), and for depth Z, the distance from the camera along the ray.
     """
+    wanted = (PASSES if passes else ()) if isinstance(passes, bool) else passes
     channels: dict[str, NDArray[np.floating]] = {}
 
     def layer(name: str, image: NDArray[np.floating], letters: str) -> None:
@@ -48,14 +49,20 @@ def exr_channels(picture: RelitPicture, *, passes: bool) -> dict[str, NDArray[np
 
     layer("", picture.rgb * picture.opacity, "RGB")
     layer("", picture.opacity, "A")
-    if passes:
-        for name in RADIANCE_PASSES:
+    for name in RADIANCE_PASSES:
+        if name in wanted:
             layer(name, getattr(picture, name) * picture.coverage, "RGB")
+    if "standard_error" in wanted:
         layer("standard_error", picture.standard_error * picture.opacity, "RGB")
-        layer("albedo", picture.albedo, "RGB")
-        layer("normal", picture.normal, "XYZ")
-        layer("visibility", picture.visibility, "V")
-        layer("perceptual_roughness", picture.perceptual_roughness, "V")
-        layer("metalness", picture.metalness, "V")
+    for name, letters in (
+        ("albedo", "RGB"),
+        ("normal", "XYZ"),
+        ("visibility", "V"),
+        ("perceptual_roughness", "V"),
+        ("metalness", "V"),
+    ):
+        if name in wanted:
+            layer(name, getattr(picture, name), letters)
+    if "depth" in wanted:
         layer("", picture.distance, "Z")
     return channels

@@ -1,11 +1,13 @@
 """Qualities `preview` and `baked`: relighting from baked transport, one matrix product per light.
 
     diffuse  = (1 - m) albedo / pi (E_direct + E_indirect)
-    specular = (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings)
+    specular = (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings) + glints
 
 E is the texels' irradiance; s in [0, 1] is how much of the lobe is free, from the visibility's harmonics
-smoothed by the lobe; what is not free sees the mean radiance of what stands around. `preview` keeps three
-bands, has no indirect light, and takes s from the openness alone. Source: docs/reference/conventions.md.
+smoothed by the lobe; what is not free sees the mean radiance of what stands around. Dominant lights are taken
+out of the prefiltered map and reflected one by one, each in its own shadow (`lambent_relight.baked_glints`).
+`preview` keeps three bands, has no indirect light, and takes s from the openness alone. Source:
+docs/reference/conventions.md.
 """
 
 from dataclasses import dataclass
@@ -14,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight import baked_kernels
+from lambent_relight.baked_glints import glints, lobe_scale
 from lambent_relight.baked_light import (
     PREVIEW_BANDS,
     BakedLight,
     LitTexels,
     coarse_bounce,
+    seen_lights,
     texel_irradiance,
 )
 from lambent_relight.baked_view import BakedView
-from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.brdf import DIELECTRIC_F0, MIN_ALPHA
 from lambent_relight.directions import dot
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.split_sum import split_sum
@@ -44,6 +48,12 @@ class Lobes:
     """Specular reflectance times the rest, times the factor to mean radiance, [pixel, 3]."""
     mirror: NDArray[np.float32]
     """Direction of mirror reflection, [pixel, 3]."""
+    alpha: NDArray[np.float32]
+    """GGX width, [pixel]."""
+    lobe_scale: NDArray[np.float32]
+    """One over the integral of the prefilter's weight, 1/sr, [pixel]."""
+    f0: NDArray[np.float32]
+    """Specular reflectance at normal incidence, [pixel, 3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +73,7 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
     cosine = dot(view.normal, view.omega_o)
     mirror = (2.0 * cosine * view.normal - view.omega_o).astype(np.float32)
     scale, bias = split_sum(cosine[:, 0], roughness[:, 0])
+    alpha = np.maximum(roughness[:, 0] ** 2, MIN_ALPHA).astype(np.float32)
     f0 = view.metalness * albedo + (1.0 - view.metalness) * np.float32(DIELECTRIC_F0)
     reflectance = f0 * scale[:, None] + bias[:, None]
     if preview:
@@ -79,6 +90,9 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
         (reflectance * free).astype(np.float32),
         (reflectance * (1.0 - free) * view.surroundings).astype(np.float32),
         mirror,
+        alpha,
+        lobe_scale(alpha),
+        f0.astype(np.float32),
     )
 
 
@@ -99,15 +113,25 @@ def shade(
     False keeps to numpy, with the same result but for rounding.
     """
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
-    straight = texel_irradiance(lit, light, bands)
+    seen = seen_lights(lit, light)
+    straight = texel_irradiance(lit, light, bands, seen)
     bounced = coarse_bounce(lit, light) * bounce_gain
     if preview or not indirect:
         bounced = np.zeros_like(bounced)
     prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
+    glint = np.zeros_like(prefiltered)
+    if len(light.directions):
+        shares = np.stack([view.mean(row[:, None])[:, 0] for row in seen])
+        prefiltered, glint = glints(
+            (view.normal, view.omega_o, lobes.mirror),
+            (lobes.alpha, lobes.lobe_scale, lobes.f0),
+            (light.directions, light.irradiance, shares),
+            prefiltered,
+        )
     if compiled:
         parts = baked_kernels.shade_pixels(
-            (view.pixel, view.texel, view.first, lit.coarse),
-            (straight, bounced, prefiltered),
+            (view.pixel, view.texel, view.share, view.first, lit.coarse),
+            (straight, bounced, prefiltered, glint),
             (lobes.diffuse, lobes.free, lobes.surrounded),
             view.camera.height * view.camera.width,
         )
@@ -115,7 +139,7 @@ def shade(
         return BakedRadiance(*(part.reshape(shape) for part in parts))
     arriving = np.maximum(view.mean(straight), 0.0)
     bounce = np.maximum(view.mean(bounced[lit.coarse]), 0.0)
-    mirrored, around = lobes.free * prefiltered, lobes.surrounded * bounce
+    mirrored, around = lobes.free * prefiltered + glint, lobes.surrounded * bounce
     direct = view.image(lobes.diffuse * arriving + mirrored)
     indirect_part = view.image(lobes.diffuse * bounce + around)
     rgb, specular = direct + indirect_part, view.image(mirrored + around)

@@ -10,16 +10,17 @@ Rows = NDArray[np.float32]
 
 
 def shade_pixels(
-    places: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]],
-    light: tuple[Rows, Rows, Rows],
+    places: tuple[NDArray[np.int64], NDArray[np.int32], Rows, NDArray[np.int64], NDArray[np.int32]],
+    light: tuple[Rows, Rows, Rows, Rows],
     lobes: tuple[Rows, Rows, Rows],
     num_pixels: int,
 ) -> tuple[Rows, ...]:
     """Return the radiance of all `num_pixels` pixels: whole, direct, indirect, diffuse, specular, [pixel, 3].
 
-    `places`: pixels that show the object, their texels, where each pixel's begin, the coarse texel of each
-    texel. `light`: irradiance per texel and per coarse texel, prefiltered radiance per shown pixel. `lobes`:
-    factors of diffuse, free and surrounded reflection (`lambent_relight.baked.Lobes`).
+    `places`: pixels that show the object, their texels, how much each of these counts, where each pixel's
+    begin, the coarse texel of each texel. `light`: irradiance per texel and per coarse texel, prefiltered
+    radiance and reflected dominant lights per shown pixel. `lobes`: factors of diffuse, free and surrounded
+    reflection (`lambent_relight.baked.Lobes`).
     """
     out = np.zeros((5, num_pixels, 3), np.float32)
     _shade_pixels(*places, *light, *lobes, out)
@@ -27,20 +28,21 @@ def shade_pixels(
 
 
 @njit(**COMPILE_OPTIONS)
-def _shade_pixels(pixel, texel, first, coarse, straight, bounced, prefiltered, diffuse, free, around, out):
+def _shade_pixels(
+    pixel, texel, share, first, coarse, straight, bounced, prefiltered, glint, diffuse, free, around, out
+):
     zero = np.float32(0.0)
     for number in range(len(pixel)):
         start, end = first[number], first[number + 1]
-        share = np.float32(1.0) / np.float32(end - start)
         p = pixel[number]
         for channel in range(3):
             arriving, bounce = np.float32(0.0), np.float32(0.0)
             for place in range(start, end):
                 t = texel[place]
-                arriving += straight[t, channel]
-                bounce += bounced[coarse[t], channel]
-            arriving, bounce = max(arriving * share, zero), max(bounce * share, zero)
-            mirrored = free[number, channel] * prefiltered[number, channel]
+                arriving += share[place] * straight[t, channel]
+                bounce += share[place] * bounced[coarse[t], channel]
+            arriving, bounce = max(arriving, zero), max(bounce, zero)
+            mirrored = free[number, channel] * prefiltered[number, channel] + glint[number, channel]
             surrounding = around[number, channel] * bounce
             scattered = diffuse[number, channel] * arriving
             scattered_again = diffuse[number, channel] * bounce

@@ -87,18 +87,28 @@ def lit_texels(scene: BakedScene, texels: NDArray[np.integer] | None = None) -> 
     )
 
 
-def texel_irradiance(lit: LitTexels, light: BakedLight, bands: int) -> NDArray[np.float32]:
+def seen_lights(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
+    """Return how much of each dominant light reaches every texel, in [0, 1]; zero where it faces away."""
+    result = np.zeros((len(light.directions), len(lit.normal)), np.float32)
+    for row, direction in zip(result, light.directions, strict=True):
+        facing = np.flatnonzero(lit.normal @ direction > 0.0)
+        row[facing] = free_share(lit.shadow_bits, direction, facing)
+    return result
+
+
+def texel_irradiance(
+    lit: LitTexels, light: BakedLight, bands: int, seen: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
     """Return what arrives straight from the light at every texel, [texel, 3], not clipped at zero.
 
-    `bands` may be fewer than there are: a smoother, cheaper answer.
+    `bands` may be fewer than there are: a smoother, cheaper answer. `seen` is `seen_lights`, where known.
     """
+    seen = seen_lights(lit, light) if seen is None else seen
     planes = lit.direct[: bands**2]
     coefficients = light.coefficients[: len(planes)].T.astype(np.float32)
     result = np.ascontiguousarray((coefficients @ planes[: coefficients.shape[1]]).T)
-    for direction, irradiance in zip(light.directions, light.irradiance, strict=True):
-        cosine = np.maximum(lit.normal @ direction, np.float32(0.0))
-        facing = np.flatnonzero(cosine > 0.0)
-        cosine[facing] *= free_share(lit.shadow_bits, direction, facing)
+    for direction, irradiance, share in zip(light.directions, light.irradiance, seen, strict=True):
+        cosine = np.maximum(lit.normal @ direction, np.float32(0.0)) * share
         result += cosine[:, None] * irradiance
     return result
 

@@ -20,19 +20,25 @@ from lambent_relight.picture import RelitPicture
 QUALITIES = ("preview", "baked")
 _KEPT_PIXELS = 2_000_000
 """Pixels of views that are remembered; about 400 bytes each."""
+_KEPT_LIGHTS = 3
+"""Prepared environments that are remembered: those that are compared side by side."""
 
 
 class BakedRenderer:
     """Renders from baked transport. A known view in a known light, turned or not, costs a matrix product."""
 
-    def __init__(self, bundle: Bundle, caches: SurfaceCaches) -> None:
-        """Read the transport of `bundle`; raises UnsupportedQuality when it has none."""
+    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_pixels: int = _KEPT_PIXELS) -> None:
+        """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
+
+        `kept_pixels` bounds the views that are remembered; the last one always is.
+        """
+        self._kept_pixels = kept_pixels
         self.scene = load_baked_scene(bundle)
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
         self._known: _Prepared | None = None
         self._finder: HitFinder | None = None
-        self._light: tuple[Environment, int, BakedLight] | None = None
+        self._lights: list[tuple[Environment, int, BakedLight]] = []
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
         """Return what `camera` sees; the last few cameras are remembered."""
@@ -43,19 +49,26 @@ class BakedRenderer:
                 view = with_soft_edges(view, self._caches, antialias)
             while (
                 self._views
-                and sum(v.num_pixels for v in self._views.values()) + view.num_pixels > _KEPT_PIXELS
+                and sum(v.num_pixels for v in self._views.values()) + view.num_pixels > self._kept_pixels
             ):
                 self._views.pop(next(iter(self._views)))
             self._views[key] = view
         return self._views[key]
 
     def light(self, environment: Environment, dominant_lights: int) -> BakedLight:
-        """Return `environment` prepared; turning a known one only turns what was prepared."""
-        known = self._light
-        if known is None or known[0].radiance is not environment.radiance or known[1] != dominant_lights:
+        """Return `environment` prepared; turning one of the last few only turns what was prepared."""
+        known = next(
+            (
+                light
+                for light in self._lights
+                if light[0].radiance is environment.radiance and light[1] == dominant_lights
+            ),
+            None,
+        )
+        if known is None:
             bands = round(len(self.scene.transport.direct) ** 0.5)
             known = (environment, dominant_lights, prepare_light(environment, bands, dominant_lights))
-            self._light = known
+            self._lights = [*self._lights[1 - _KEPT_LIGHTS :], known]
         turn = environment.rotate_deg - known[0].rotate_deg
         return known[2].rotated(turn) if turn else known[2]
 
@@ -76,13 +89,16 @@ class BakedRenderer:
         antialias: int,
         indirect: bool,
         edit: MaterialEdit,
+        soft_edges: bool = True,
         compiled: bool = True,
     ) -> RelitPicture:
         """Return the object as `camera` sees it, without background.
 
-        `compiled` False keeps to numpy where there is a choice; results differ by rounding only.
+        Without `soft_edges` the mesh decides what is covered, which makes a new view many times faster; so
+        it does in a `preview`. `compiled` False keeps to numpy where there is a choice; results differ by
+        rounding only.
         """
-        view = self.view(camera, antialias, soft_edges=not preview)
+        view = self.view(camera, antialias, soft_edges=soft_edges and not preview)
         can_split = self.scene.transport.shadow_bits is not None and not preview
         light = self.light(environment, MAX_DOMINANT if can_split else 0)
         known = self._prepared(view, edit, preview=preview)

@@ -27,6 +27,8 @@ class BakedView:
     """Where the texels of every pixel begin in `texel`, [pixel + 1]."""
     texel: NDArray[np.int32]
     """Texels of all fragments, pixel after pixel, as places in `used`."""
+    share: NDArray[np.float32]
+    """How much each of `texel` counts in its pixel's mean; a pixel's sum to one."""
     used: NDArray[np.int32]
     """The texels that are seen at all, rising."""
     coverage: NDArray[np.float32]
@@ -50,7 +52,10 @@ class BakedView:
 
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the mean of values per used texel [used, n] over the texels of every pixel, [pixel, n]."""
-        return _means(values.reshape(len(values), -1)[self.texel], self.first)
+        found = values.reshape(len(values), -1)[self.texel]
+        if len(found) in (0, self.num_pixels):
+            return found.astype(np.float32, copy=False)
+        return np.add.reduceat(found * self.share[:, None], self.first[:-1], axis=0).astype(np.float32)
 
     def image(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return values per pixel [pixel, n] as a picture [height, width, n], zero elsewhere."""
@@ -73,21 +78,19 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     used, place = np.unique(texel, return_inverse=True)
     pixel, start = np.unique(owner, return_index=True)
     first = np.append(start, len(owner)).astype(np.int64)
-    direction = camera.rays()[1][pixel]
-    omega_o = -direction
-    normal = normalise(_means(scene.normal[texel], first))
-    # A mean normal may face away at a silhouette, where the true one cannot.
-    away = np.minimum(dot(normal, omega_o) - 1e-3, 0.0)
+    count = np.diff(first)
+    omega_o = -camera.rays()[1][pixel]
     return BakedView(
         camera=camera,
         pixel=pixel,
         first=first,
         texel=place.astype(np.int32),
+        share=np.repeat(1.0 / count, count).astype(np.float32),
         used=used,
-        coverage=(np.diff(first)[:, None] / antialias**2).astype(np.float32),
+        coverage=(count[:, None] / antialias**2).astype(np.float32),
         distance=_means(depth[:, None], first),
         omega_o=omega_o,
-        normal=normalise(normal - away * omega_o).astype(np.float32),
+        normal=turned_to(omega_o, normalise(_means(scene.normal[texel], first))),
         albedo=_means(scene.albedo[texel], first),
         perceptual_roughness=_means(scene.perceptual_roughness[texel], first),
         metalness=_means(scene.metalness[texel], first),
@@ -95,6 +98,15 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
         openness=_means(scene.openness[texel][:, None], first),
         surroundings=_means(scene.surroundings[texel][:, None], first),
     )
+
+
+def turned_to(omega_o: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return unit normals, those that face away from the viewer turned until they just do not.
+
+    A mean normal may face away at a silhouette, where the true one cannot.
+    """
+    away = np.minimum(dot(normal, omega_o) - 1e-3, 0.0)
+    return normalise(normal - away * omega_o).astype(np.float32)
 
 
 def _means(values: NDArray[np.floating], first: NDArray[np.int64]) -> NDArray[np.float32]:

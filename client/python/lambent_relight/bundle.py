@@ -28,6 +28,8 @@ _MAX_GRAPH_BYTES = 64 << 20
 _MAX_WEIGHTS_BYTES = 2 << 30
 _MAX_PICTURE_BYTES = 512 << 20
 WEIGHTS_PATH = "models/weights.bin"
+NETWORKS = ("gbuffer", "material", "fast_cache")
+"""Graphs that a bundle has all of, or, where it has baked transport, none of."""
 _CONVENTIONS = {
     "up_axis": "z",
     "handedness": "right",
@@ -43,6 +45,11 @@ class Bundle:
     path: Path
     manifest: BundleManifest
     source: FileSource
+
+    @property
+    def has_networks(self) -> bool:
+        """Whether there are graphs to ask about rays and points; lite bundles carry baked transport alone."""
+        return any(graph.name in NETWORKS for graph in self.manifest.graphs)
 
     def graph_path(self, name: str, light: str = "") -> str:
         """Return the path of the graph `name` ("gbuffer", "material", "fast_cache" of a training light)."""
@@ -125,6 +132,19 @@ def load_bundle(path: Path | str) -> Bundle:
     return bundle
 
 
+def peek_bundle(path: Path | str) -> Bundle:
+    """Return the bundle at `path` of which only some files are there, for what its manifest and cameras say.
+
+    The manifest is checked, files and graphs are not: nothing else of the bundle may be used.
+    """
+    path = Path(path)
+    source = open_source(path)
+    manifest = _parse_manifest(read_checked(source, "manifest.json", limit_bytes=_MAX_MANIFEST_BYTES))
+    _check_version(manifest)
+    _check_values(manifest)
+    return Bundle(path=path, manifest=manifest, source=source)
+
+
 def _parse_manifest(data: bytes) -> BundleManifest:
     try:
         # A later minor version may add fields, which an older reader must not trip over.
@@ -202,5 +222,6 @@ def _check_graphs(bundle: Bundle) -> None:
             )
         data = bundle.graph(graph.path)
         check_onnx(data, path=graph.path, weights_bytes=len(bundle.weights))
-    for name in ("gbuffer", "material", "fast_cache"):
-        bundle.graph_path(name)
+    if bundle.has_networks or not bundle.manifest.HasField("transport"):
+        for name in NETWORKS:
+            bundle.graph_path(name)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,9 +146,7 @@ def load_cameras(path: Path | str) -> list[Camera]:
 def parse_cameras(data: bytes, *, source: str = "cameras.json") -> list[Camera]:
     """Return the cameras of the text of a cameras.json; see `load_cameras`."""
     try:
-        entries = json.loads(data)["cameras"]
-        count = len(entries)
-        cameras = [_parse_camera(entry, index, source) for index, entry in enumerate(entries[:_MAX_CAMERAS])]
+        return parse_camera_list(json.loads(data)["cameras"], source=source)
     except CameraError:
         raise
     except (ValueError, TypeError, KeyError, RecursionError) as error:
@@ -156,12 +155,18 @@ def parse_cameras(data: bytes, *, source: str = "cameras.json") -> list[Camera]:
             f'"{source}" is not {{"cameras": [...]}} ({type(error).__name__})',
             "see docs/reference/bundle-format.md for the fields",
         ) from error
-    if not 0 < count <= _MAX_CAMERAS:
-        raise CameraError("camera.count", f'"{source}" has {count} cameras', f"give 1 to {_MAX_CAMERAS}")
-    return cameras
 
 
-def _parse_camera(entry: dict, index: int, source: str) -> Camera:
+def parse_camera_list(entries: Sequence[Any], *, source: str = "cameras.json") -> list[Camera]:
+    """Return the cameras of the entries of a cameras.json; see `load_cameras`."""
+    if not 0 < len(entries) <= _MAX_CAMERAS:
+        raise CameraError(
+            "camera.count", f'"{source}" has {len(entries)} cameras', f"give 1 to {_MAX_CAMERAS}"
+        )
+    return [_parse_camera(entry, index, source) for index, entry in enumerate(entries)]
+
+
+def _parse_camera(entry: Any, index: int, source: str) -> Camera:
     def fault(what: str, advice: str) -> CameraError:
         return CameraError("camera.invalid", f'camera {index} of "{source}" {what}', advice)
 

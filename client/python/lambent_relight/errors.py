@@ -32,4 +32,7 @@ class SettingError(RelightError, ValueError):
 
 
 class UnsupportedQuality(RelightError):  # noqa: N818 - the quality is at fault, not the program
-    """The asked-for quality does not exist in this version. Code `relight.quality_unsupported`."""
+    """The asked-for quality does not exist in this version, or not in this bundle.
+
+    Codes `relight.quality_unsupported` and `relight.networks_missing`.
+    """

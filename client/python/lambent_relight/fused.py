@@ -6,7 +6,7 @@ for any other the graphs are run by onnxruntime. Answers equal the graphs' withi
 Source: supplement 2.1 (fast cache), 2.2 and 2.6; docs/reference/bundle-format.md.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -16,8 +16,16 @@ from lambent_relight import fused_kernels as kernels
 from lambent_relight.bundle import Bundle
 from lambent_relight.fused_fields import SurfaceFields
 from lambent_relight.fused_gbuffer import FusedGbuffer
-from lambent_relight.fused_weights import NotFused, Weights, chained, network_constants, run_layers
+from lambent_relight.fused_weights import (
+    NotFused,
+    Weights,
+    chained,
+    graph_constants,
+    network_constants,
+    run_layers,
+)
 from lambent_relight.graphs import (
+    AdaptedHits,
     PointMaterials,
     PrimaryHits,
     Rows,
@@ -41,11 +49,12 @@ class FusedFastCache:
         constants = network_constants(bundle, "fast_cache", "fast_cache.v1", names)
         self._radius = np.float32(constants["contraction_radius"])
         self._num_frequencies = int(constants["num_frequencies"])
-        self._curve = tuple(
-            float(constants[name]) for name in ("near", "far", "curve_power", "curve_premultiplier")
-        )
-        if not self._radius > 0.0 or not 0 <= self._num_frequencies <= 16 or self._curve[2] == 1.0:
+        near, far, power, premultiplier = (float(constants[name]) for name in names[1:3] + names[4:])
+        if not self._radius > 0.0 or not 0 <= self._num_frequencies <= 16 or power in (0.0, 1.0):
             raise NotFused("the fast cache's constants are out of range")
+        self._far, self._ladder = np.float32(far), kernels.distance_ladder(near, far, power, premultiplier)
+        if not np.isfinite(self._ladder).all():
+            raise NotFused("the fast cache's distances are not finite")
         self._grid = weights.grid("fast.distance_grid")
         self._code = weights.layers("fast.code.layers")
         self._network = weights.layers("fast.distance_network.layers")
@@ -61,7 +70,18 @@ class FusedFastCache:
 
     def __call__(self, origin: Rows, direction: Rows, out: SecondaryHits) -> None:
         """Write what rays [row, 3] see."""
+        for _ in self.placed(origin, direction, out):
+            pass
+
+    def placed(
+        self, origin: Rows, direction: Rows, out: SecondaryHits
+    ) -> Iterator[tuple[slice, int, Rows, Rows]]:
+        """Write what rays [row, 3] see, block by block, and yield where the samples of each block are.
+
+        Yields its rows, their number, and distances and weights [sample, BLOCK], which are used again.
+        """
         inputs = np.zeros((self._num_code + 2 * self._num_encoded, kernels.BLOCK), np.float32)
+        places, weights = np.zeros((2, self._num_samples, kernels.BLOCK), np.float32)
         for part, points, count in kernels.blocks(origin):
             vectors = np.zeros_like(points)
             vectors[:, :count] = direction[part].T
@@ -73,8 +93,51 @@ class FusedFastCache:
             last = run_layers(self._network, inputs, self._skip)
             raw = run_layers([self._head], last, relu=False)
             kernels.place_samples(
-                raw, count, self._num_samples, *self._curve, out.opacity, out.distance, part.start
+                raw,
+                count,
+                self._ladder,
+                self._far,
+                out.opacity,
+                out.distance,
+                part.start,
+                places,
+                weights,
             )
+            yield part, count, places, weights
+
+
+class FusedAdaptedCache:
+    """Opacity, distance and radiance of secondary rays in the light that a cache was adapted to."""
+
+    def __init__(self, bundle: Bundle, weights: Weights, light: str) -> None:
+        """Collect the network; raises NotFused when the bundle has another one."""
+        self._geometry = FusedFastCache(bundle, weights)
+        path = bundle.graph_path("fast_cache", light)
+        constants = graph_constants(bundle, path, "fast_cache.v1", ("contraction_radius", "colour_bias"))
+        self._radius = np.float32(constants["contraction_radius"])
+        self._bias = np.float32(constants["colour_bias"])
+        prefix = f"adapted.{light}"
+        self._grid = weights.grid(f"{prefix}.feature_grid")
+        self._decoder = weights.layers(f"{prefix}.decoder")
+        self._head = weights.layer(f"{prefix}.decoder_head")
+        width, _ = chained(self._decoder, self._grid.num_outputs)
+        if self._head.weight.shape != (3, width):
+            raise NotFused("the adapted cache's head has another shape")
+
+    def __call__(self, origin: Rows, direction: Rows, out: AdaptedHits) -> None:
+        """Write what rays [row, 3] see, and what arrives along them from there."""
+        for part, count, places, weights in self._geometry.placed(origin, direction, out):
+            origins, directions, points = np.zeros((3, 3, kernels.BLOCK), np.float32)
+            origins[:, :count], directions[:, :count] = origin[part].T, direction[part].T
+            mixed = np.zeros((self._grid.num_outputs, kernels.BLOCK), np.float32)
+            for place, weight in zip(places, weights, strict=True):
+                kernels.points_along(origins, directions, place, count, points)
+                kernels.contract_block(points, count, self._radius)
+                kernels.add_weighted(self._grid.encode(points, count), weight, mixed)
+            colour = run_layers([self._head], run_layers(self._decoder, mixed), relu=False)
+            colour += self._bias
+            kernels.softplus(colour, np.float32(1.0))
+            out.radiance[part] = out.opacity[part] * colour[:, :count].T
 
 
 class FusedMaterials:
@@ -103,6 +166,8 @@ class FusedCaches:
     def __init__(self, bundle: Bundle, *, num_threads: int | None = None) -> None:
         """Collect the networks of `bundle`; raises NotFused, with the reason, when they are not known."""
         weights = Weights(bundle)
+        self._bundle, self._weights = bundle, weights
+        self._adapted: dict[str, FusedAdaptedCache] = {}
         self._fast = FusedFastCache(bundle, weights)
         self._materials = FusedMaterials(bundle, weights)
         self._gbuffer = FusedGbuffer(bundle, weights)
@@ -115,6 +180,12 @@ class FusedCaches:
     def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
         """Return what rays [ray, 3] from offset surface points see."""
         return self._run(SecondaryHits, self._fast, _RAYS_PER_TASK, origin, direction)
+
+    def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
+        """Return what rays [ray, 3] see, and what arrives along them, from the cache adapted to `light`."""
+        if light not in self._adapted:
+            self._adapted[light] = FusedAdaptedCache(self._bundle, self._weights, light)
+        return self._run(AdaptedHits, self._adapted[light], _RAYS_PER_TASK, origin, direction)
 
     def material(self, position: Rows) -> PointMaterials:
         """Return the surface properties at points [point, 3]."""

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 
 from lambent_relight.compiling import COMPILE_OPTIONS
 
+_IN_ORDER = {**COMPILE_OPTIONS, "fastmath": {"contract"}}
+"""For code whose steps undo each other's rounding, so that they may not change places."""
+_LADDER_STEPS = 16_384
+
 BLOCK = 256
 """Rows that are evaluated together."""
 
@@ -92,24 +96,41 @@ def encode_grid(points, count, table, levels, half_extent, output_scale, out):
 
 @njit(**COMPILE_OPTIONS)
 def affine(weights, bias, source, out, relu):
-    """Write weights [out, in] times `source` [in, BLOCK] plus bias to `out` [out, BLOCK]."""
+    """Write weights [out, in] times `source` [in, BLOCK] plus bias to `out` [out, BLOCK].
+
+    Two outputs share what is loaded of four inputs.
+    """
     num_out, num_in = weights.shape
-    for o in range(num_out):
-        target = out[o]
+    zero = np.float32(0.0)
+    for pair in range(0, num_out, 2):
+        o, p = pair, min(pair + 1, num_out - 1)
+        first, second = out[o], out[p]
         for r in range(BLOCK):
-            target[r] = bias[o]
+            first[r] = bias[o]
+            second[r] = bias[p]
         for i in range(0, num_in - 3, 4):
             w0, w1, w2, w3 = weights[o, i], weights[o, i + 1], weights[o, i + 2], weights[o, i + 3]
+            v0, v1, v2, v3 = weights[p, i], weights[p, i + 1], weights[p, i + 2], weights[p, i + 3]
             s0, s1, s2, s3 = source[i], source[i + 1], source[i + 2], source[i + 3]
-            for r in range(BLOCK):
-                target[r] += w0 * s0[r] + w1 * s1[r] + w2 * s2[r] + w3 * s3[r]
+            if o == p:
+                for r in range(BLOCK):
+                    first[r] += w0 * s0[r] + w1 * s1[r] + w2 * s2[r] + w3 * s3[r]
+            else:
+                for r in range(BLOCK):
+                    a, b, c, d = s0[r], s1[r], s2[r], s3[r]
+                    first[r] += w0 * a + w1 * b + w2 * c + w3 * d
+                    second[r] += v0 * a + v1 * b + v2 * c + v3 * d
         for i in range(num_in - num_in % 4, num_in):
-            w0, s0 = weights[o, i], source[i]
+            w0, v0, s0 = weights[o, i], weights[p, i], source[i]
             for r in range(BLOCK):
-                target[r] += w0 * s0[r]
+                first[r] += w0 * s0[r]
+            if o != p:
+                for r in range(BLOCK):
+                    second[r] += v0 * s0[r]
         if relu:
             for r in range(BLOCK):
-                target[r] = max(target[r], np.float32(0.0))
+                first[r] = max(first[r], zero)
+                second[r] = max(second[r], zero)
 
 
 @njit(**COMPILE_OPTIONS)
@@ -163,6 +184,29 @@ def softplus(values, sharpness):
             row[r] = (max(x, np.float32(0.0)) + _log_of_one_plus(t)) / sharpness
 
 
+@njit(**_IN_ORDER)
+def _sines_and_cosines(angles, factor, count, sines, cosines):
+    """Write sin and cos of `angles` times `factor` (Cephes polynomials, error 1e-7), without branches."""
+    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    for r in range(count):
+        x = angles[r] * factor
+        quarters = np.floor(x * np.float32(0.6366197723675814) + half)
+        # A quarter turn in three parts, of which the first has a short product with whole numbers.
+        y = x - quarters * np.float32(1.5703125)
+        y = y - quarters * np.float32(4.837512969970703e-4)
+        y = y - quarters * np.float32(7.549789948768648e-8)
+        z = y * y
+        sine = np.float32(-1.9515295891e-4) * z + np.float32(8.3321608736e-3)
+        sine = (sine * z + np.float32(-1.6666654611e-1)) * z * y + y
+        cosine = np.float32(2.443315711809948e-5) * z + np.float32(-1.388731625493765e-3)
+        cosine = (cosine * z + np.float32(4.166664568298827e-2)) * z * z - half * z + one
+        halves = np.floor(quarters * half)
+        odd = quarters - halves * two
+        later = halves + odd
+        sines[r] = (sine + odd * (cosine - sine)) * (one - two * (halves - two * np.floor(halves * half)))
+        cosines[r] = (cosine + odd * (sine - cosine)) * (one - two * (later - two * np.floor(later * half)))
+
+
 @njit(**COMPILE_OPTIONS)
 def encode_frequencies(vectors, count, num_frequencies, out, first):
     """Write [v, sin(2^j v).., cos(2^j v)..] of `vectors` [3, BLOCK] to rows `first`.. of `out`."""
@@ -173,38 +217,96 @@ def encode_frequencies(vectors, count, num_frequencies, out, first):
         factor = np.float32(1 << octave)
         for axis in range(3):
             sines, cosines = first + 3 + 3 * octave + axis, first + 3 + 3 * (num_frequencies + octave) + axis
-            for r in range(count):
-                out[sines, r] = math.sin(vectors[axis, r] * factor)
-                out[cosines, r] = math.cos(vectors[axis, r] * factor)
+            _sines_and_cosines(vectors[axis], factor, count, out[sines], out[cosines])
 
 
 @njit(**COMPILE_OPTIONS)
-def place_samples(raw, count, num_samples, near, far, power, premultiplier, opacity, distance, first):
-    """Write opacity and expected distance of a block to rows `first`.. of the outputs.
+def exponentials(values, out, bits):
+    """Write exp of `values` [BLOCK] to `out`; `bits` [BLOCK] is int32 scratch. Relative error 2e-7."""
+    power = bits.view(np.float32)
+    log2_of_e, most = np.float32(1.4426950408889634), np.float32(125.0)
+    for r in range(BLOCK):
+        y = np.floor(min(max(values[r] * log2_of_e, -most), most))
+        bits[r] = (np.int32(y) + 128) << 23
+    for r in range(BLOCK):
+        y = min(max(values[r] * log2_of_e, -most), most)
+        # 2^y = 2^(whole + 1) 2^-(1 - rest)
+        out[r] = power[r] * _power_of_half(np.float32(1.0) - (y - np.floor(y)))
 
-    `raw` [3 num_samples + 1, BLOCK] holds offsets, gates, weight logits, and the logit of the sum.
-    Source: docs/reference/bundle-format.md (fast cache).
+
+def distance_ladder(near: float, far: float, power: float, premultiplier: float) -> NDArray[np.float32]:
+    """Return distances at evenly spaced places from 0 to 1 on the fast cache's curve, scene units.
+
+    Between neighbours the curve is straight within 1e-7 of `far` where it is as bent as that of training.
     """
     a = abs(power - 1.0)
-    start = (a / power) * ((premultiplier * near / a + 1.0) ** power - 1.0)
-    end = (a / power) * ((premultiplier * far / a + 1.0) ** power - 1.0)
-    for r in range(count):
-        largest = raw[2 * num_samples, r]
-        for k in range(1, num_samples):
-            largest = max(largest, raw[2 * num_samples + k, r])
-        total, moment = 0.0, 0.0
-        for k in range(num_samples):
-            gate = 1.0 / (1.0 + math.exp(-(raw[num_samples + k, r] - 2.0)))
-            s = k / (num_samples - 1.0) + raw[k, r] / num_samples * gate
-            whole = math.floor(s)
+    start, end = ((a / power) * ((premultiplier * t / a + 1.0) ** power - 1.0) for t in (near, far))
+    y = np.linspace(start, end, _LADDER_STEPS + 1)
+    return ((a / premultiplier) * ((power * y / a + 1.0) ** (1.0 / power) - 1.0)).astype(np.float32)
+
+
+@njit(**COMPILE_OPTIONS)
+def place_samples(raw, count, ladder, far, opacity, distance, first, places, weights):
+    """Write opacity and expected distance of a block to rows `first`.. of the outputs.
+
+    `raw` [3 num_samples + 1, BLOCK] holds offsets, gates, weight logits, and the logit of the sum; `ladder`
+    is `distance_ladder`. `places` and `weights` [num_samples, BLOCK] get the samples' distances and their
+    shares of the opacity. Source: docs/reference/bundle-format.md (fast cache).
+    """
+    num_samples = places.shape[0]
+    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    steps = len(ladder) - 1
+    scale = np.float32(steps)
+    bits = np.empty(BLOCK, np.int32)
+    value, decay = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    total, moment = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+    largest = raw[2 * num_samples].copy()
+    for k in range(1, num_samples):
+        for r in range(BLOCK):
+            largest[r] = max(largest[r], raw[2 * num_samples + k, r])
+    for k in range(num_samples):
+        even, part = np.float32(k / (num_samples - 1.0)), np.float32(1.0 / num_samples)
+        for r in range(BLOCK):
+            value[r] = two - raw[num_samples + k, r]
+        exponentials(value, decay, bits)
+        for r in range(BLOCK):
+            s = even + raw[k, r] * part / (one + decay[r])
+            whole = np.floor(s)
             rest = s - whole
-            if whole % 2.0 != 0.0:
-                rest = 1.0 - rest
-            y = start + rest * (end - start)
-            t = (a / premultiplier) * ((power * y / a + 1.0) ** (1.0 / power) - 1.0)
-            weight = math.exp(raw[2 * num_samples + k, r] - largest)
-            total += weight
-            moment += weight * t
-        seen = 1.0 / (1.0 + math.exp(-(raw[3 * num_samples, r] + 2.0)))
+            odd = whole - two * np.floor(whole * half)
+            rest = (rest + odd * (one - two * rest)) * scale
+            step = min(np.int32(rest), steps - 1)
+            low = ladder[step]
+            places[k, r] = low + (rest - np.float32(step)) * (ladder[step + 1] - low)
+        for r in range(BLOCK):
+            value[r] = raw[2 * num_samples + k, r] - largest[r]
+        exponentials(value, weights[k], bits)
+        for r in range(BLOCK):
+            total[r] += weights[k, r]
+            moment[r] += weights[k, r] * places[k, r]
+    for r in range(BLOCK):
+        value[r] = -two - raw[3 * num_samples, r]
+    exponentials(value, decay, bits)
+    for r in range(count):
+        seen = one / (one + decay[r])
         opacity[first + r, 0] = seen
-        distance[first + r, 0] = far if seen < 1e-3 else moment / total
+        distance[first + r, 0] = far if seen < np.float32(1e-3) else moment[r] / total[r]
+    for k in range(num_samples):
+        for r in range(BLOCK):
+            weights[k, r] /= total[r] * (one + decay[r])
+
+
+@njit(**COMPILE_OPTIONS)
+def points_along(origins, directions, places, count, points):
+    """Write origins + places * directions to `points` [3, BLOCK]; all but `places` [BLOCK] are [3, BLOCK]."""
+    for axis in range(3):
+        for r in range(count):
+            points[axis, r] = origins[axis, r] + places[r] * directions[axis, r]
+
+
+@njit(**COMPILE_OPTIONS)
+def add_weighted(values, weights, total):
+    """Add `values` [n, BLOCK] times `weights` [BLOCK] to `total` [n, BLOCK]."""
+    for i in range(values.shape[0]):
+        for r in range(BLOCK):
+            total[i, r] += values[i, r] * weights[r]

@@ -1,6 +1,7 @@
 """Tensors, layers and feature grids that a bundle keeps in models/weights.bin, for compiled code.
 
-Nothing is copied: arrays look into the file's bytes. Everything compiled code will index is checked here.
+Float32 arrays look into the file's bytes, float16 ones are widened: a processor interpolates those no faster.
+Everything compiled code will index is checked here.
 """
 
 import json
@@ -16,6 +17,7 @@ from lambent_relight.graphs import Rows
 from lambent_relight.onnx_wire import metadata
 
 METADATA_KEY = "lambent.network"
+_DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
 
 
 class NotFused(Exception):  # noqa: N818 - an answer, not a fault
@@ -65,22 +67,25 @@ class Weights:
         return name in self._tensors
 
     def tensor(self, name: str) -> Rows:
-        """Return a float32 tensor; raises NotFused where there is none, BundleError where it is cut off."""
+        """Return a tensor as float32; raises NotFused without one, BundleError where it is cut off."""
         entry = self._tensors.get(name)
-        if entry is None or entry.dtype != "float32":
-            raise NotFused(f"there is no float32 tensor {name!r}")
+        dtype = _DTYPES.get(entry.dtype) if entry is not None else None
+        if entry is None or dtype is None:
+            raise NotFused(f"there is no float32 or float16 tensor {name!r}")
         shape = tuple(entry.shape)
         count = 1
         for size in shape:
             count *= size
-        offset, end = entry.offset_bytes, entry.offset_bytes + 4 * count
-        if not (offset >= 0 and offset % 4 == 0 and 4 * count == entry.size_bytes and end <= len(self._data)):
+        offset, size = entry.offset_bytes, dtype.itemsize * count
+        aligned = offset >= 0 and offset % dtype.itemsize == 0
+        if not (aligned and size == entry.size_bytes and offset + size <= len(self._data)):
             raise BundleError(
                 "bundle.tensor_invalid",
                 f"tensor {name!r} does not lie inside models/weights.bin",
                 "export the bundle again",
             )
-        return np.frombuffer(self._data, np.float32, count, int(offset)).reshape(shape)
+        values = np.frombuffer(self._data, dtype, count, int(offset)).reshape(shape)
+        return values.astype(np.float32, copy=False)
 
     def layer(self, *names: str) -> Layer:
         """Return an affine layer, or several with the same inputs as one, their outputs after each other."""
@@ -128,7 +133,15 @@ def network_constants(
 
     Raises NotFused unless the network is of this `kind`.
     """
-    data = bundle.graph(bundle.graph_path(graph))
+    return graph_constants(bundle, bundle.graph_path(graph), kind, names, optional)
+
+
+def graph_constants(
+    bundle: Bundle, path: str, kind: str, names: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict:
+    """Return what `network_constants` does, of the graph at `path`."""
+    graph = path.rpartition("/")[2]
+    data = bundle.graph(path)
     try:
         text = metadata(data).get(METADATA_KEY, "")
         values = json.loads(text) if text else {}

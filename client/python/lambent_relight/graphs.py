@@ -14,7 +14,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from lambent_relight.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.errors import BundleError
+from lambent_relight.errors import BundleError, UnsupportedQuality
 from lambent_relight.onnx_check import check_onnx
 from lambent_relight.onnx_wire import keep_outputs
 
@@ -47,6 +47,14 @@ class SecondaryHits:
 
 
 @dataclass(frozen=True)
+class AdaptedHits(SecondaryHits):
+    """What rays from a surface see in the light that a fast cache was adapted to."""
+
+    radiance: Rows
+    """What arrives from there, all bounces included: linear, premultiplied by `opacity`, [ray, 3]."""
+
+
+@dataclass(frozen=True)
 class PointMaterials:
     """Surface properties at points."""
 
@@ -60,7 +68,7 @@ class SurfaceCaches(Protocol):
     """What refined relighting asks for; answered by ONNX graphs or by the fused reader."""
 
     name: str
-    """"onnxruntime" or "fused"."""
+    """"onnxruntime", "fused", or "none" where the bundle has no networks to ask."""
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
         """Return what camera rays [ray, 3] see."""
@@ -70,6 +78,36 @@ class SurfaceCaches(Protocol):
 
     def material(self, position: Rows) -> PointMaterials:
         """Return the surface properties at points [point, 3]."""
+
+
+class NoCaches:
+    """The answer of a bundle without networks: an error that says what it can do instead."""
+
+    name = "none"
+
+    def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
+        """Raise UnsupportedQuality."""
+        raise _no_networks()
+
+    def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
+        """Raise UnsupportedQuality."""
+        raise _no_networks()
+
+    def material(self, position: Rows) -> PointMaterials:
+        """Raise UnsupportedQuality."""
+        raise _no_networks()
+
+    def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
+        """Raise UnsupportedQuality."""
+        raise _no_networks()
+
+
+def _no_networks() -> UnsupportedQuality:
+    return UnsupportedQuality(
+        "relight.networks_missing",
+        "the bundle carries baked light transport and no networks",
+        'use the quality "baked" or "preview", or a bundle of the full tier',
+    )
 
 
 def available_threads() -> int:
@@ -148,7 +186,7 @@ class OnnxGraph:
             ) from error
 
 
-_WIDTHS = {"normal": 3, "albedo": 3}
+_WIDTHS = {"normal": 3, "albedo": 3, "radiance": 3}
 
 
 def output_widths(kind: type) -> dict[str, int]:
@@ -167,10 +205,11 @@ class OnnxCaches:
         self._threads = num_threads or available_threads()
         self._opened: dict[str, OnnxGraph] = {}
 
-    def _graph(self, name: str, inputs: tuple[str, ...], kind: type) -> OnnxGraph:
-        if name not in self._opened:
-            path = self._bundle.graph_path(name)
-            self._opened[name] = OnnxGraph(
+    def _graph(self, name: str, inputs: tuple[str, ...], kind: type, light: str = "") -> OnnxGraph:
+        key = f"{name}/{light}"
+        if key not in self._opened:
+            path = self._bundle.graph_path(name, light)
+            self._opened[key] = OnnxGraph(
                 self._bundle,
                 path,
                 inputs,
@@ -178,7 +217,7 @@ class OnnxCaches:
                 threads=self._threads,
                 rows_per_call=_ROWS_PER_CALL[name],
             )
-        return self._opened[name]
+        return self._opened[key]
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
         """Return what camera rays [ray, 3] see."""
@@ -193,3 +232,8 @@ class OnnxCaches:
     def material(self, position: Rows) -> PointMaterials:
         """Return the surface properties at points [point, 3]."""
         return PointMaterials(**self._graph("material", ("position",), PointMaterials)(position))
+
+    def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
+        """Return what rays [ray, 3] see, and what arrives along them, from the cache adapted to `light`."""
+        graph = self._graph("fast_cache", ("origin", "direction"), AdaptedHits, light)
+        return AdaptedHits(**graph(origin, direction))

@@ -4,7 +4,7 @@ PNG: sRGB-encoded 8 bit, straight alpha. EXR: linear Rec. 709 with stated primar
 by alpha as the format demands. Source: docs/reference/conventions.md (colour).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from PIL import Image as PillowImage
 from lambent_relight.aovs import ATTRIBUTES, exr_channels
 from lambent_relight.exr import write_exr
 from lambent_relight.picture import RelitPicture
+from lambent_relight.tone_mapping import tone_mapped
 
 
 def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -27,19 +28,25 @@ def linear_from_srgb(encoded: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def encode_png(picture: RelitPicture) -> NDArray[np.uint8]:
-    """Return 8-bit sRGB pixels [height, width, 4] with straight alpha, or 3 channels if all are opaque."""
-    colour = srgb_from_linear(picture.rgb)
+def encode_png(picture: RelitPicture, *, tone_mapping: str = "linear") -> NDArray[np.uint8]:
+    """Return 8-bit sRGB pixels [height, width, 4] with straight alpha, or 3 channels if all are opaque.
+
+    `tone_mapping` is a name of `lambent_relight.tone_mapping`.
+    """
+    colour = srgb_from_linear(tone_mapped(picture.rgb, tone_mapping))
     if picture.opacity.min() < 1.0:
         colour = np.concatenate([colour, np.clip(picture.opacity, 0.0, 1.0)], axis=-1)
     return np.round(255.0 * colour).astype(np.uint8)
 
 
-def write_png(path: Path | str, picture: RelitPicture) -> None:
-    """Write a picture as sRGB PNG; radiance above 1 is clipped (use `RelitPicture.exposed` before)."""
+def write_png(path: Path | str, picture: RelitPicture, *, tone_mapping: str = "linear") -> None:
+    """Write a picture as sRGB PNG through a curve of `lambent_relight.tone_mapping`.
+
+    The curve `linear` clips radiance above 1; use `RelitPicture.exposed` before.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    PillowImage.fromarray(encode_png(picture)).save(path)
+    PillowImage.fromarray(encode_png(picture, tone_mapping=tone_mapping)).save(path)
 
 
 def write_picture_exr(
@@ -47,13 +54,13 @@ def write_picture_exr(
     picture: RelitPicture,
     *,
     half: bool = True,
-    passes: bool = True,
+    passes: bool | Collection[str] = True,
     attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write a picture as linear EXR with channels R, G, B (times alpha) and A.
 
-    With `passes` also every pass of `lambent_relight.aovs`, as layers. `attributes` are written into the
-    header beside what it says of colour, normals and depth.
+    With `passes` also every pass of `lambent_relight.aovs`, or those that are named, as layers. `attributes`
+    are written into the header beside what it says of colour, normals and depth.
     """
     header = {**ATTRIBUTES, **(attributes or {})}
     write_exr(Path(path), exr_channels(picture, passes=passes), half=half, attributes=header)

@@ -39,6 +39,8 @@ class RelitPicture:
     """Coverage by the object in [0, 1], [height, width, 1], whatever the background."""
     num_samples: int
     """Light directions behind every fully covered pixel; 0 where the light is not sampled."""
+    bounces: str = ""
+    """Where bounced light came from: `adapted:<light>`, `transport`, `one`, or nothing without any."""
 
     def exposed(self, exposure_ev: float) -> "RelitPicture":
         """Return the picture with its radiance multiplied by 2^`exposure_ev`."""

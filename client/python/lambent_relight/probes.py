@@ -1,8 +1,9 @@
 """Pictures of an environment as photographers look at light: a chrome ball, a grey ball, the map itself.
 
-The balls are seen from far away at azimuth `from_deg` in the horizontal plane, z up; at 0 the eye is on +x,
-with +y to the right. A chrome ball shows nearly all directions, those behind the eye in its middle. The grey
-ball reflects 18 % of the light that falls on it, evenly to all sides and without shadows.
+The balls are seen from far away at azimuth `from_deg`, z up; at 0 the eye is on +x, with +y to the right,
+and `elevation_deg` above the horizontal plane. A chrome ball shows nearly all directions, those behind the
+eye in its middle. The grey ball reflects 18 % of the light that falls on it, evenly to all sides and without
+shadows.
 """
 
 import math
@@ -32,17 +33,26 @@ class Ball:
     """Covered share of a pixel, [size, size, 1]."""
 
 
-def chrome_ball(environment: Environment, size: int, *, from_deg: float = 0.0) -> Ball:
+def chrome_ball(
+    environment: Environment, size: int, *, from_deg: float = 0.0, elevation_deg: float = 0.0
+) -> Ball:
     """Return a perfect mirror ball, `size` pixels wide (2 to 4096)."""
-    normals, covered, omega_o = _ball_normals(size, from_deg)
+    normals, covered, omega_o = _ball_normals(size, from_deg, elevation_deg)
     mirrored = 2.0 * dot(normals, np.broadcast_to(omega_o, normals.shape)) * normals - omega_o
     return _mean_of_subpixels(environment.lookup(mirrored), covered, size)
 
 
-def grey_ball(environment: Environment, size: int, *, from_deg: float = 0.0) -> Ball:
+def grey_ball(
+    environment: Environment, size: int, *, from_deg: float = 0.0, elevation_deg: float = 0.0
+) -> Ball:
     """Return a matt ball of albedo 0.18, `size` pixels wide (2 to 4096)."""
-    normals, covered, _ = _ball_normals(size, from_deg)
     light = Environment(irradiance(environment), environment.rotate_deg)
+    return lit_ball(light, size, from_deg=from_deg, elevation_deg=elevation_deg)
+
+
+def lit_ball(light: Environment, size: int, *, from_deg: float, elevation_deg: float) -> Ball:
+    """Return `grey_ball` for a `light` whose map is irradiance over pi already."""
+    normals, covered, _ = _ball_normals(size, from_deg, elevation_deg)
     return _mean_of_subpixels(GREY * light.lookup(normals), covered, size)
 
 
@@ -54,7 +64,7 @@ def upright_map(environment: Environment, height: int) -> NDArray[np.float32]:
     return environment.lookup(directions_of_uv(u, v))
 
 
-def _ball_normals(size: int, from_deg: float) -> tuple[Array, NDArray[np.bool_], Array]:
+def _ball_normals(size: int, from_deg: float, elevation_deg: float) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return normals [n, 3] of all sub-pixels, whether they meet the ball [n], and the eye's direction."""
     if not 2 <= size <= _MAX_SIZE:
         raise SettingError("relight.probe_size", f"{size} pixels", f"use 2 to {_MAX_SIZE}")
@@ -65,11 +75,12 @@ def _ball_normals(size: int, from_deg: float) -> tuple[Array, NDArray[np.bool_],
     covered = squared < 1.0
     towards = np.sqrt(np.maximum(1.0 - squared, 0.0))
     scale = 1.0 / np.sqrt(np.maximum(squared, 1.0))
-    angle = math.radians(from_deg)
-    eye = np.array([math.cos(angle), math.sin(angle), 0.0])
+    angle, height = math.radians(from_deg), math.radians(elevation_deg)
+    around = np.array([math.cos(angle), math.sin(angle), 0.0])
     aside = np.array([-math.sin(angle), math.cos(angle), 0.0])
-    normals = towards[:, None] * eye + (right * scale)[:, None] * aside
-    normals[:, 2] += up * scale
+    eye = math.cos(height) * around + np.array([0.0, 0.0, math.sin(height)])
+    above = -math.sin(height) * around + np.array([0.0, 0.0, math.cos(height)])
+    normals = towards[:, None] * eye + (right * scale)[:, None] * aside + (up * scale)[:, None] * above
     return normals, covered, eye
 
 

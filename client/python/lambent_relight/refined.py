@@ -5,10 +5,10 @@ Outgoing radiance of a visible point x under a new light L:
     L_o = integral of f(omega_i) [(1 - a) L(omega_i) + a L_hit] cos d omega_i,
 
 with a the fast cache's opacity along omega_i. L_hit is what the hit point, at the fast cache's distance,
-sends back: from baked transport, all bounces included (`lambent_relight.baked_hits`), or what it reflects
-straight from L, with its own material (both lobes) and its own fast-cache visibility. The estimate is
-unbiased but for the transport's harmonics. Source: paper Eq. 1 with the visibility of supplement 2.1;
-docs/reference/conventions.md.
+sends back: from a fast cache that was adapted to L (a L_hit at once), or from baked transport
+(`lambent_relight.baked_hits`), all bounces included, or what it reflects straight from L, with its own
+material (both lobes) and its own fast-cache visibility. The estimate is unbiased but for the errors of these.
+Source: paper Eq. 1 with the visibility of supplement 2.1; docs/reference/conventions.md.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from lambent_relight.brdf import cosine_pdf, materials_from_roughness
 from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import Environment
-from lambent_relight.graphs import SurfaceCaches
+from lambent_relight.graphs import AdaptedHits, SurfaceCaches
 from lambent_relight.light_sampling import LightSampler
 from lambent_relight.scattering import SurfacePoints, draw_directions, strategy_shares, whole_shares
 
@@ -50,6 +50,8 @@ class Scene:
     """What differs from the bundle's material."""
     hits: Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]] | None = None
     """Radiance of points [n, 3] towards directions [n, 3]; None: traced once more, see `hit_radiance`."""
+    adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
+    """What rays [n, 3] see and what arrives along them in this very light; it goes before `hits`."""
 
 
 @dataclass(frozen=True)
@@ -141,10 +143,11 @@ def _one_pass(
     active = drawn.active
     origin = rays.position[active] + np.float32(scene.origin_offset) * rays.normal[active]
     direction = drawn.omega_i[active]
-    seen = scene.caches.secondary(origin, direction)
+    adapted = scene.adapted(origin, direction) if indirect and scene.adapted is not None else None
+    seen = scene.caches.secondary(origin, direction) if adapted is None else adapted
     arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
-    bouncing = np.zeros_like(arriving)
-    if indirect:
+    bouncing = np.zeros_like(arriving) if adapted is None else adapted.radiance
+    if indirect and adapted is None:
         # Following a hit with probability a, at full weight, has the mean of following all at weight a.
         hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
         position = origin[hit] + seen.distance[hit] * direction[hit]

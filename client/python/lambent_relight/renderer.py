@@ -3,6 +3,7 @@
 picture = render(load_bundle("cow.relight"), camera, load_environment("sky.exr"), rotate_deg=90)
 """
 
+import functools
 import logging
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.adapted import choose
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle import Bundle
 from lambent_relight.cameras import Camera
@@ -18,16 +20,17 @@ from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import Environment
 from lambent_relight.errors import SettingError, UnsupportedQuality
-from lambent_relight.graphs import OnnxCaches, PrimaryHits, SurfaceCaches
+from lambent_relight.graphs import NoCaches, OnnxCaches, PrimaryHits, SurfaceCaches
 from lambent_relight.light_sampling import LightSampler
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined import Light, Scene
-from lambent_relight.sampling_plan import Bounces, Sampling, estimated
+from lambent_relight.sampling_plan import BOUNCES, Bounces, Sampling, estimated
 from lambent_relight.scattering import SurfacePoints
 from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
     from lambent_relight.baked_renderer import BakedRenderer
+    from lambent_relight.fused import FusedCaches
 
 Background = Literal["transparent", "environment"] | tuple[float, float, float]
 
@@ -36,23 +39,34 @@ Reader = Literal["auto", "fused", "onnx"]
 QUALITIES = ("preview", "baked", "refined")
 
 _LOG = logging.getLogger("lambent_relight")
-_KEPT_RAYS = 3_000_000
-"""Camera rays that are remembered; about 70 bytes each."""
+KEPT_RAYS = 3_000_000
+"""Camera rays that are remembered by default; about 70 bytes each."""
 _MAX_ANTIALIAS = 8
 
 
 class Renderer:
     """Renders views of one bundle; keeps its graphs open and what the last cameras saw."""
 
-    def __init__(self, bundle: Bundle, *, num_threads: int | None = None, reader: Reader = "auto") -> None:
+    def __init__(
+        self,
+        bundle: Bundle,
+        *,
+        num_threads: int | None = None,
+        reader: Reader = "auto",
+        kept_rays: int = KEPT_RAYS,
+    ) -> None:
         """Prepare `bundle` for `num_threads` CPU threads (default: all this process may use).
 
         `reader` says what answers secondary rays: "fused" (compiled code, fast), "onnx" (the bundle's
         graphs), or "auto": fused where the bundle's networks are known, else the graphs, which is logged
         as a warning with the reason. Raises SettingError when "fused" is asked for and impossible.
+        `kept_rays` bounds the views that are remembered, by their camera rays; the last one always is.
         """
         self.bundle = bundle
-        self.caches: SurfaceCaches = _open_caches(bundle, num_threads, reader)
+        self._kept_rays = kept_rays
+        self._networks = _open_caches(bundle, num_threads, reader)
+        self.caches: SurfaceCaches = self._networks
+        self._told = ""
         self._views: dict[tuple[bytes, int], View] = {}
         self._light: tuple[Environment, Light] | None = None
         self._baked: BakedRenderer | None = None
@@ -66,7 +80,10 @@ class Renderer:
         key = (camera.key(), antialias)
         if key not in self._views:
             view = look(self.caches, camera, antialias)
-            while self._views and sum(v.num_rays for v in self._views.values()) + view.num_rays > _KEPT_RAYS:
+            while (
+                self._views
+                and sum(v.num_rays for v in self._views.values()) + view.num_rays > self._kept_rays
+            ):
                 self._views.pop(next(iter(self._views)))
             self._views[key] = view
         return self._views[key]
@@ -93,9 +110,13 @@ class Renderer:
         object_rotate_deg: float = 0.0,
         until_stderr: float = 0.0,
         bounces: Bounces = "auto",
+        soft_edges: bool = True,
         progress: Callable[[float], None] | None = None,
     ) -> RelitPicture:
-        """Return the bundle's object as `camera` sees it in the light of `environment`; see `render`."""
+        """Return the bundle's object as `camera` sees it in the light of `environment`; see `render`.
+
+        Without `soft_edges` the mesh alone draws the outline of a `baked` picture: for a camera that moves.
+        """
         if quality not in QUALITIES:
             raise UnsupportedQuality(
                 "relight.quality_unsupported",
@@ -108,6 +129,8 @@ class Renderer:
             raise SettingError("relight.antialias", f"antialias {antialias}", f"use 1 to {_MAX_ANTIALIAS}")
         if not 0.0 <= until_stderr < 1.0:
             raise SettingError("relight.until_stderr", f"standard error {until_stderr}", "use 0 to 1")
+        if bounces not in BOUNCES:
+            raise SettingError("relight.bounces", f"bounces {bounces!r}", f"use one of {', '.join(BOUNCES)}")
         edit = _combined(self.bundle, edit or MaterialEdit(), albedo_ratio)
         turned = environment.rotated(rotate_deg) if rotate_deg else environment
         if object_rotate_deg:
@@ -125,6 +148,7 @@ class Renderer:
                 antialias=antialias,
                 indirect=indirect,
                 edit=edit,
+                soft_edges=soft_edges,
             )
             if progress is not None:
                 progress(1.0)
@@ -146,8 +170,37 @@ class Renderer:
         from lambent_relight.baked_renderer import BakedRenderer
 
         if self._baked is None:
-            self._baked = BakedRenderer(self.bundle, self.caches)
+            self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
         return self._baked
+
+    def _scene(self, environment: Environment, edit: MaterialEdit, sampling: Sampling) -> tuple[Scene, str]:
+        """Return what refined pictures see, and where their bounced light comes from.
+
+        Raises SettingError where that was asked for by name and is not there.
+        """
+        plain = Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit)
+        if not sampling.indirect:
+            return plain, ""
+        if sampling.bounces in ("auto", "adapted"):
+            insists = sampling.bounces == "adapted"
+            chosen = choose(self.bundle, environment, edit, although_worse=insists)
+            if chosen.light is not None:
+                adapted = functools.partial(self._networks.adapted, chosen.light.name)
+                return replace(plain, adapted=adapted), f"adapted:{chosen.light.name}"
+            if insists:
+                found = chosen.why_not or "the bundle has no adapted caches"
+                advice = "run lambent bake-light for this light, or leave the bounces to auto"
+                raise SettingError("relight.light_not_adapted", found, advice)
+            if chosen.why_not and chosen.why_not != self._told:
+                _LOG.warning("no adapted fast cache fits this picture: %s", chosen.why_not)
+                self._told = chosen.why_not
+        if sampling.bounces == "one":
+            return plain, "one"
+        if self.bundle.manifest.HasField("transport"):
+            return replace(plain, hits=self.baked().hits(environment, edit)), "transport"
+        if sampling.bounces == "transport":
+            self.baked()
+        return plain, "one"
 
     def _refined(
         self,
@@ -167,9 +220,7 @@ class Renderer:
             -view.direction,
             materials_from_roughness(albedo, roughness, seen.metalness),
         )
-        many = self.bundle.manifest.HasField("transport") and sampling.bounces == "auto"
-        hits = self.baked().hits(environment, edit) if many and sampling.indirect else None
-        scene = Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit, hits)
+        scene, bounces = self._scene(environment, edit, sampling)
         radiance = estimated(points, scene, light, sampling, progress)
         coverage = view.coverage()
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
@@ -190,10 +241,15 @@ class Renderer:
             distance=view.mean(seen.distance),
             coverage=coverage,
             num_samples=radiance.num_samples * sampling.antialias**2,
+            bounces=bounces,
         )
 
 
-def _open_caches(bundle: Bundle, num_threads: int | None, reader: Reader) -> SurfaceCaches:
+def _open_caches(
+    bundle: Bundle, num_threads: int | None, reader: Reader
+) -> "NoCaches | OnnxCaches | FusedCaches":
+    if not bundle.has_networks:
+        return NoCaches()
     if reader == "onnx":
         return OnnxCaches(bundle, num_threads=num_threads)
     # Compiled code takes a second to import, which programs that only look at bundles do not pay.
@@ -274,9 +330,11 @@ def render(
     its light, about +z. `quality` is "refined" (Monte Carlo), or "baked" or "preview" (from baked transport,
     without noise; `num_samples` and `seed` have no effect). With `until_stderr` above 0, refined pictures go
     on, `num_samples` at a time and up to 64 times, until their mean standard error is that share of their
-    mean radiance. `bounces` "auto" shades what refined rays hit from baked transport where there is some,
-    all bounces included; "one" traces on once. `progress` is called with
-    the finished fraction. Equal seeds give equal pictures.
+    mean radiance. `bounces` "auto" asks a fast cache that was adapted to this very light and material where
+    the bundle has one that was not found worse than baked transport, and else shades what refined rays hit
+    from baked transport where there is some, all bounces included; "one" traces on once; "adapted" and
+    "transport" insist. The picture's `bounces` says what it was. `progress` is called with the finished
+    fraction. Equal seeds give equal pictures.
 
     Opens the bundle's graphs anew: to render many pictures, make one `Renderer`. Raises SettingError,
     UnsupportedQuality (no such quality, or no baked transport) or BundleError.

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from lambent_relight.refined import Light, Radiance, Scene, outgoing_radiance
 from lambent_relight.scattering import SurfacePoints
 
-Bounces = Literal["auto", "one"]
+Bounces = Literal["auto", "adapted", "transport", "one"]
+BOUNCES: tuple[str, ...] = get_args(Bounces)
 
 MAX_ROUNDS = 64
 """Rounds after which a picture is returned although it is noisier than asked for."""

@@ -1,11 +1,13 @@
 """relight: a bundle under other environments."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 from lambent_relight import MaterialEdit, load_cameras
 from lambent_relight.environment_axes import OURS
+from lambent_relight.sampling_plan import BOUNCES, Bounces
+from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 from lambent.cli.environment_options import (
     EnvAxesOption,
@@ -44,6 +46,7 @@ def relight(
     exposure_ev: Annotated[
         float, typer.Option(help="Brighten the PNG by this many stops; the EXR stays as it is.")
     ] = 0.0,
+    tone_mapping: Annotated[str, typer.Option(help=f"Of the PNG: {', '.join(TONE_MAPPINGS)}.")] = "linear",
     quality: Annotated[
         str, typer.Option(help="preview, baked (both without noise, at once) or refined.")
     ] = "refined",
@@ -67,6 +70,13 @@ def relight(
     indirect: Annotated[
         bool, typer.Option("--indirect/--direct-only", help="Light that bounced once, or not.")
     ] = True,
+    bounces: Annotated[
+        str,
+        typer.Option(
+            help="Of refined pictures: auto (a cache adapted to the light, else baked transport), adapted, "
+            "transport, or one."
+        ),
+    ] = "auto",
     antialias: Annotated[
         int, typer.Option(help="Rays per pixel along each side, at the object.", min=1, max=8)
     ] = 2,
@@ -81,6 +91,8 @@ def relight(
     Run again, it makes only what is missing or has changed; DIR/pictures.json lists everything.
     """
     check_choice("--quality", quality, QUALITIES)
+    check_choice("--tone-mapping", tone_mapping, TONE_MAPPINGS)
+    check_choice("--bounces", bounces, BOUNCES)
     if (cameras is None) == (turntable == 0):
         raise UsageProblemError(
             "cli.cameras", "one of --cameras and --turntable is needed", "for a first look: --turntable 8"
@@ -104,6 +116,7 @@ def relight(
             num_samples=spp,
             seed=seed,
             exposure_ev=exposure_ev,
+            tone_mapping=tone_mapping,
             background=background,
             indirect=indirect,
             antialias=antialias,
@@ -111,5 +124,6 @@ def relight(
             edit=MaterialEdit(albedo_gain=albedo_gain, albedo=albedo, roughness_scale=roughness_scale),
             object_rotate_deg=object_rotate_deg,
             light=light,
+            bounces=cast(Bounces, bounces),
         )
         render_shots(renderer, shots, look, output_folder, Output(as_json))

@@ -3,15 +3,13 @@
 import hashlib
 import json
 import os
-import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from lambent_relight import (
     BundleError,
     Camera,
@@ -19,16 +17,22 @@ from lambent_relight import (
     RelightError,
     Renderer,
     load_bundle,
-    turntable,
+    object_cameras,
     write_picture_exr,
     write_png,
 )
+from lambent_relight.batch.manifest import BACKGROUNDS
 from lambent_relight.environment_input import EnvironmentInput, OpenedEnvironment, open_environment
+from lambent_relight.environments import Environment
+from lambent_relight.picture import RelitPicture
+from lambent_relight.renderer import KEPT_RAYS
+from lambent_relight.sampling_plan import Bounces
 
 from lambent.cli.output import Output, format_duration
 from lambent.errors import LambentError, UsageProblemError
 
-BACKGROUNDS = {"transparent": "transparent", "environment": "environment", "white": (1.0, 1.0, 1.0)}
+if TYPE_CHECKING:
+    from lambent_relight.probe_overlay import LightProbes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,6 +60,18 @@ class Look:
     edit: MaterialEdit = field(default_factory=MaterialEdit)
     object_rotate_deg: float = 0.0
     light: EnvironmentInput = field(default_factory=EnvironmentInput)
+    tone_mapping: str = "linear"
+    bounces: Bounces = "auto"
+    probes: bool = False
+    """Whether a chrome and a grey ball stand in the PNG's corner."""
+
+
+_BOUNCES = {
+    "": "without bounced light",
+    "adapted": "bounced light from the fast cache that was adapted to it",
+    "transport": "bounced light from baked transport",
+    "one": "light that bounced once",
+}
 
 
 @contextmanager
@@ -75,13 +91,13 @@ def check_choice(option: str, value: str, choices: Sequence[str]) -> None:
         raise UsageProblemError("cli.bad_choice", f"{option} {value!r}", f"use one of {', '.join(choices)}")
 
 
-def open_renderer(bundle: Path) -> Renderer:
-    """Return a renderer of a checked bundle folder or zip."""
+def open_renderer(bundle: Path, *, kept_rays: int = KEPT_RAYS) -> Renderer:
+    """Return a renderer of a checked bundle folder or zip; `kept_rays` as in `Renderer`."""
     if not bundle.exists():
         raise UsageProblemError(
             "bundle.missing", f"there is no {bundle}", "fetch one: lambent fetch JOB -o DIR"
         )
-    return Renderer(load_bundle(bundle))
+    return Renderer(load_bundle(bundle), kept_rays=kept_rays)
 
 
 def around_object(
@@ -91,25 +107,32 @@ def around_object(
 
     `size` is the side of the square pictures in pixels; 0 takes the longer side of the first camera.
     """
-    known = renderer.bundle.cameras()
-    bounds = renderer.bundle.manifest.bounds
-    target = (np.array(bounds.minimum) + np.array(bounds.maximum)) / 2.0
-    offsets = [camera.camera_to_world[:3, 3] - target for camera in known]
-    radii = [float(np.linalg.norm(offset)) for offset in offsets]
-    elevations = [
-        float(np.degrees(np.arcsin(np.clip(offset[2] / radius, -1.0, 1.0))))
-        for offset, radius in zip(offsets, radii, strict=True)
-    ]
-    side = size or max(known[0].width, known[0].height)
-    return turntable(
-        num_views,
-        radius=statistics.median(radii),
-        elevation_deg=statistics.median(elevations),
-        target=target.tolist(),
-        width=side,
-        height=side,
-        field_of_view_deg=float(np.degrees(2.0 * np.arctan(0.5 * known[0].width / known[0].focal_x))),
-        start_deg=start_deg,
+    return object_cameras.around_object(renderer.bundle, num_views, size=size, start_deg=start_deg)
+
+
+def render_shot(
+    renderer: Renderer,
+    shot: Shot,
+    look: Look,
+    environment: Environment,
+    progress: Callable[[float], None],
+) -> RelitPicture:
+    """Return one picture made as `look` says, linear radiance; `progress` is told the share that is done."""
+    return renderer.render(
+        shot.camera,
+        environment,
+        rotate_deg=shot.rotate_deg,
+        quality=look.quality,
+        num_samples=look.num_samples,
+        seed=look.seed,
+        indirect=look.indirect,
+        antialias=look.antialias,
+        until_stderr=look.until_stderr,
+        bounces=look.bounces,
+        edit=look.edit,
+        object_rotate_deg=look.object_rotate_deg,
+        background=BACKGROUNDS[look.background],
+        progress=progress,
     )
 
 
@@ -124,8 +147,10 @@ def render_shots(
     index = folder / "pictures.json"
     records = _read_records(index)
     environments: dict[Path, OpenedEnvironment] = {}
+    probes = ProbeDrawer(look)
+    told: set[tuple[Path, str]] = set()
     began, num_made = time.monotonic(), 0
-    with _PictureBar(len(shots), output) as bar:
+    with PictureBar(len(shots), output) as bar:
         for number, shot in enumerate(shots):
             files = [folder / f"{shot.name}{suffix}" for suffix in ((".png", ".exr") if exr else (".png",))]
             key = _key(renderer, shot, look)
@@ -135,29 +160,25 @@ def render_shots(
             if shot.environment not in environments:
                 environments[shot.environment] = _load(shot.environment, look.light, output)
             opened = environments[shot.environment]
-            picture = renderer.render(
-                shot.camera,
+            picture = render_shot(
+                renderer,
+                shot,
+                look,
                 opened.environment,
-                rotate_deg=shot.rotate_deg,
-                quality=look.quality,
-                num_samples=look.num_samples,
-                seed=look.seed,
-                indirect=look.indirect,
-                antialias=look.antialias,
-                until_stderr=look.until_stderr,
-                edit=look.edit,
-                object_rotate_deg=look.object_rotate_deg,
-                background=BACKGROUNDS[look.background],
-                progress=lambda fraction, number=number: bar.move(number + fraction),
+                lambda fraction, number=number: bar.move(number + fraction),
             )
+            shown = probes.over(picture, shot, opened.environment)
             for path in files:
                 partial = path.with_name(f".partial-{path.name}")
                 if path.suffix == ".png":
-                    write_png(partial, picture.exposed(look.exposure_ev))
+                    write_png(partial, shown.exposed(look.exposure_ev), tone_mapping=look.tone_mapping)
                 else:
                     write_picture_exr(partial, picture)
                 os.replace(partial, path)
             num_made += 1
+            if look.quality == "refined" and (shot.environment, picture.bounces) not in told:
+                told.add((shot.environment, picture.bounces))
+                output.note(f"{shot.environment.name}: {_BOUNCES[picture.bounces.partition(':')[0]]}")
             records[shot.name] = {
                 "key": key,
                 "files": [path.relative_to(folder).as_posix() for path in files],
@@ -165,6 +186,7 @@ def render_shots(
                 "environment": shot.environment.name,
                 "rotate_deg": shot.rotate_deg,
                 "num_samples": picture.num_samples,
+                "bounces": picture.bounces,
                 "mean_standard_error": float(picture.standard_error.mean()),
                 "environment_notes": opened.notes(shot.environment.name),
             }
@@ -174,6 +196,25 @@ def render_shots(
     text = f"{folder}  ({num_made} pictures made, {len(shots) - num_made} kept, {format_duration(seconds)})"
     wanted = [records[shot.name] for shot in shots]
     output.result(text, {"path": str(folder), "made": num_made, "pictures": wanted})
+
+
+class ProbeDrawer:
+    """Draws the balls that a look asks for, if it does."""
+
+    def __init__(self, look: Look) -> None:
+        self._wanted = look.probes
+        self._known: tuple[Path, LightProbes] | None = None
+
+    def over(self, picture: RelitPicture, shot: Shot, environment: Environment) -> RelitPicture:
+        """Return the picture of a shot with its balls."""
+        if not self._wanted:
+            return picture
+        if self._known is None or self._known[0] != shot.environment:
+            # Compiled code takes a moment to import, which pictures without balls do not pay.
+            from lambent_relight.probe_overlay import LightProbes
+
+            self._known = (shot.environment, LightProbes(environment))
+        return self._known[1].over(picture, shot.camera, rotate_deg=shot.rotate_deg)
 
 
 def _load(path: Path, light: EnvironmentInput, output: Output) -> OpenedEnvironment:
@@ -213,7 +254,7 @@ def _write_records(index: Path, records: dict[str, dict[str, Any]]) -> None:
     os.replace(partial, index)
 
 
-class _PictureBar:
+class PictureBar:
     """Progress over pictures: a bar on a terminal, one line per picture elsewhere, nothing with JSON."""
 
     def __init__(self, total: int, output: Output) -> None:
@@ -233,7 +274,7 @@ class _PictureBar:
             self._bar = Progress(*columns, console=Console(stderr=True))
             self._task = self._bar.add_task("relight", total=total)
 
-    def __enter__(self) -> "_PictureBar":
+    def __enter__(self) -> "PictureBar":
         if self._bar:
             self._bar.start()
         return self

@@ -1,77 +1,195 @@
-"""turntable: a film of the camera around the object, or of the light around it."""
+"""turntable: a film of one turn of the camera, the light or the object."""
 
-import shutil
-import subprocess
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
+from lambent_relight import Renderer
+from lambent_relight.environment_axes import OURS
+from lambent_relight.environment_input import open_environment
+from lambent_relight.images import encode_png
+from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 from PIL import Image
 
+from lambent import film
+from lambent.cli.environment_options import (
+    EnvAxesOption,
+    MendEnvOption,
+    SunClampOption,
+    environment_input,
+)
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import (
+    BACKGROUNDS,
     Look,
+    PictureBar,
+    ProbeDrawer,
     Shot,
     around_object,
     check_choice,
     open_renderer,
     relight_errors,
+    render_shot,
     render_shots,
 )
-from lambent.errors import LambentError, UsageProblemError
+from lambent.errors import UsageProblemError
+
+TURNS = ("camera", "light", "object")
+ANIMATIONS = ("webp", "gif")
 
 
 def turntable(
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
     env: Annotated[Path, typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr.")],
-    output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where it goes.")],
-    frames: Annotated[int, typer.Option(help="Pictures of one whole turn.", min=2, max=10_000)] = 48,
-    turn: Annotated[str, typer.Option(help="camera: around the object; light: around +z.")] = "camera",
-    fps: Annotated[int, typer.Option(help="Pictures per second.", min=1, max=120)] = 24,
-    film: Annotated[str, typer.Option("--format", help="webp, gif or mp4 (needs ffmpeg).")] = "webp",
+    target: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="OUT", help="A film, .mp4 or .webm, or a folder for pictures."
+        ),
+    ],
+    frames: Annotated[
+        int | None, typer.Option(help="Pictures of one whole turn (48).", min=2, max=100_000)
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Length of one turn, instead of --frames.", min=0.01, max=86_400.0)
+    ] = None,
+    turn: Annotated[
+        str, typer.Option(help="camera: around the object; light: around +z; object: under its light.")
+    ] = "camera",
+    fps: Annotated[int, typer.Option(help="Pictures per second.", min=1, max=240)] = 24,
+    crf: Annotated[
+        int | None,
+        typer.Option(help="Quality of a film: lower is better and larger (18 for .mp4, 24 for .webm)."),
+    ] = None,
+    animation: Annotated[
+        str, typer.Option("--format", help="webp, gif, mp4, webm or none: a film beside a folder's pictures.")
+    ] = "webp",
+    quality: Annotated[
+        str, typer.Option(help="preview, baked (both without noise, at once) or refined.")
+    ] = "refined",
     exposure_ev: Annotated[float, typer.Option(help="Brighten by this many stops.")] = 0.0,
+    tone_mapping: Annotated[str, typer.Option(help=f"{', '.join(TONE_MAPPINGS)}.")] = "linear",
     spp: Annotated[int, typer.Option(help="Light directions per pixel.", min=2, max=65536)] = 32,
     seed: Annotated[int, typer.Option(help="Seed of every random number.", min=0)] = 0,
     background: Annotated[str, typer.Option(help="white, environment or transparent.")] = "white",
     size: Annotated[int, typer.Option(help="Side of the pictures, pixels; 0: as photographed.")] = 0,
+    rotate_deg: Annotated[
+        float, typer.Option(help="Turn the light by this angle about +z before anything else, degrees.")
+    ] = 0.0,
+    probes: Annotated[
+        bool, typer.Option("--probes", help="Draw a chrome and a grey ball into the lower left corner.")
+    ] = False,
+    env_axes: EnvAxesOption = OURS,
+    sun_clamp: SunClampOption = 0.0,
+    mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a whole turn into DIR/frames and DIR/turntable.<format>; run again, it goes on."""
-    check_choice("--turn", turn, ("camera", "light"))
-    check_choice("--format", film, ("webp", "gif", "mp4"))
-    if film == "mp4" and shutil.which("ffmpeg") is None:
-        raise UsageProblemError(
-            "turntable.no_ffmpeg",
-            "mp4 needs the ffmpeg program, which is not here",
-            "install it, or use webp",
-        )
+    """Render a whole turn: straight into a film, or into DIR/frames and DIR/turntable.<format>.
+
+    A folder's pictures resume: run again, only what is missing or has changed is made.
+    """
+    check_choice("--turn", turn, TURNS)
+    check_choice("--format", animation, (*ANIMATIONS, *(suffix[1:] for suffix in film.SUFFIXES), "none"))
+    check_choice("--quality", quality, ("preview", "baked", "refined"))
+    check_choice("--tone-mapping", tone_mapping, TONE_MAPPINGS)
+    check_choice("--background", background, tuple(BACKGROUNDS))
+    count = _num_frames(frames, seconds, fps)
+    straight = bool(target.suffix) and not target.is_dir()
+    is_film = straight or f".{animation}" in film.SUFFIXES
+    whole = target if straight else target / f"turntable.{animation}"
+    if is_film:
+        film.check_film(whole, crf)
+        if background == "transparent":
+            raise UsageProblemError(
+                "turntable.no_alpha", f"{whole.name} cannot be transparent", "use --format webp, or white"
+            )
+    elif crf is not None:
+        raise UsageProblemError("cli.bad_choice", f"--crf with {animation}", "use it for .mp4 and .webm")
     output = Output(as_json)
+    look = Look(
+        quality=quality,
+        num_samples=spp,
+        seed=seed,
+        exposure_ev=exposure_ev,
+        tone_mapping=tone_mapping,
+        background=background,
+        indirect=True,
+        antialias=2,
+        light=environment_input(env_axes, sun_clamp, mend_env),
+        probes=probes,
+    )
     with relight_errors():
-        renderer = open_renderer(bundle)
-        shots = []
-        views = around_object(renderer, frames if turn == "camera" else 1, size=size)
-        for index in range(frames):
-            angle = 0.0 if turn == "camera" else 360.0 * index / frames
-            view = views[index % len(views)]
-            name = f"frames/{index:04d}"
-            shots.append(Shot(name=name, camera=view, environment=env, rotate_deg=angle))
-        look = Look(
-            quality="refined",
-            num_samples=spp,
-            seed=seed,
-            exposure_ev=exposure_ev,
-            background=background,
-            indirect=True,
-            antialias=2,
+        # No view is seen twice, but for the one that a turning light is looked at from.
+        renderer = open_renderer(bundle, kept_rays=1)
+        shots = shots_of_turn(renderer, env, turn, count, size=size, rotate_deg=rotate_deg)
+        if straight:
+            _stream(renderer, shots, look, film.FilmWriter(target, fps=fps, crf=crf), output)
+        else:
+            render_shots(renderer, shots, look, target, output, exr=False)
+    pictures = [target / f"{shot.name}.png" for shot in shots]
+    if animation in ANIMATIONS and not straight:
+        _write_animation(pictures, whole, fps)
+    elif animation == "none" and not straight:
+        whole = target
+    elif not straight:
+        with film.FilmWriter(whole, fps=fps, crf=crf) as writer:
+            for path in pictures:
+                with Image.open(path) as image:
+                    writer.add(np.asarray(image.convert("RGB")))
+    output.result(str(whole), {"film": str(whole), "frames": count, "fps": fps})
+
+
+def shots_of_turn(
+    renderer: Renderer, environment: Path, turn: str, count: int, *, size: int = 0, rotate_deg: float = 0.0
+) -> list[Shot]:
+    """Return the pictures of one whole turn, counter-clockwise as seen from above; `turn` is one of `TURNS`.
+
+    The object turns about the middle of its box: the camera goes the other way, and the light with it.
+    """
+    views = around_object(renderer, 1 if turn == "light" else count, size=size)
+    shots = []
+    for index in range(count):
+        angle = 360.0 * index / count
+        view = views[{"camera": index, "light": 0, "object": -index % count}[turn]]
+        light_deg = rotate_deg + {"camera": 0.0, "light": angle, "object": -angle}[turn]
+        shots.append(
+            Shot(name=f"frames/{index:04d}", camera=view, environment=environment, rotate_deg=light_deg)
         )
-        render_shots(renderer, shots, look, output_folder, output, exr=False)
-    target = output_folder / f"turntable.{film}"
-    pictures = [output_folder / f"{shot.name}.png" for shot in shots]
-    if film == "mp4":
-        _write_mp4(output_folder / "frames" / "%04d.png", target, fps)
-    else:
-        _write_animation(pictures, target, fps)
-    output.result(str(target), {"film": str(target)})
+    return shots
+
+
+def _num_frames(frames: int | None, seconds: float | None, fps: int) -> int:
+    if frames is not None and seconds is not None:
+        raise UsageProblemError("cli.bad_choice", "--frames and --seconds", "give one of them")
+    if seconds is None:
+        return frames or 48
+    return max(math.floor(seconds * fps + 0.5), 2)
+
+
+def _stream(
+    renderer: Renderer, shots: Sequence[Shot], look: Look, writer: film.FilmWriter, output: Output
+) -> None:
+    """Render pictures straight into a film."""
+    opened = open_environment(shots[0].environment, look.light)
+    for note in opened.notes(shots[0].environment.name):
+        output.note(note)
+    probes = ProbeDrawer(look)
+    with writer, PictureBar(len(shots), output) as bar:
+        for number, shot in enumerate(shots):
+            picture = render_shot(
+                renderer,
+                shot,
+                look,
+                opened.environment,
+                lambda fraction, number=number: bar.move(number + fraction),
+            )
+            shown = probes.over(picture, shot, opened.environment).exposed(look.exposure_ev)
+            pixels = encode_png(shown, tone_mapping=look.tone_mapping)
+            writer.add(pixels[..., :3])
+            bar.done(number, f"{number + 1}", "made")
 
 
 def _write_animation(pictures: list[Path], target: Path, fps: int) -> None:
@@ -81,14 +199,3 @@ def _write_animation(pictures: list[Path], target: Path, fps: int) -> None:
         {"lossless": False, "quality": 90, "method": 4} if target.suffix == ".webp" else {"disposal": 2}
     )
     first.save(target, save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, **options)
-
-
-def _write_mp4(pattern: Path, target: Path, fps: int) -> None:
-    """Write H.264 with sides made even, which the format demands."""
-    command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", str(fps), "-i", str(pattern)]
-    command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise LambentError(
-            "turntable.ffmpeg_failed", done.stderr.strip()[-400:], "the frames are there; try --format webp"
-        )
