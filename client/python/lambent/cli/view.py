@@ -1,0 +1,136 @@
+"""view: look at a bundle in a window of this machine, or in a browser."""
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from lambent_relight.environment_axes import OURS
+from lambent_relight.environment_input import EnvironmentInput
+from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
+
+from lambent.cli.environment_options import (
+    EnvAxesOption,
+    MendEnvOption,
+    SunClampOption,
+    environment_input,
+)
+from lambent.cli.output import JsonOption, Output
+from lambent.cli.rendering import check_choice, open_renderer, relight_errors
+from lambent.desktop.channels import RADIANCE, SURFACE
+from lambent.desktop.state import BACKDROPS
+from lambent.desktop.viewer import DesktopOptions, show
+from lambent.errors import UsageProblemError
+
+WEB_VIEW = "lambent.web_view"
+"""Has `view_in_browser(bundle, environments, light, output)`; blocks until it is stopped."""
+_DESKTOP = "With --desktop"
+
+
+def view(
+    context: typer.Context,
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
+    env: Annotated[
+        list[Path] | None,
+        typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr; repeatable."),
+    ] = None,
+    desktop: Annotated[bool, typer.Option("--desktop", help="In a window of this machine.")] = False,
+    screenshot: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT.png", help="Write the window's picture and end.", rich_help_panel=_DESKTOP),
+    ] = None,
+    overlays: Annotated[
+        bool, typer.Option(help="Text and sliders in the screenshot.", rich_help_panel=_DESKTOP)
+    ] = False,
+    size: Annotated[
+        tuple[int, int], typer.Option(metavar="W H", help="Pixels.", rich_help_panel=_DESKTOP)
+    ] = (960, 720),
+    turn_deg: Annotated[
+        float, typer.Option(help="Camera further around the object, degrees.", rich_help_panel=_DESKTOP)
+    ] = 0.0,
+    rotate_deg: Annotated[
+        float, typer.Option(help="Turn the light about +z, degrees.", rich_help_panel=_DESKTOP)
+    ] = 0.0,
+    object_rotate_deg: Annotated[
+        float, typer.Option(help="Turn the object about +z, degrees.", rich_help_panel=_DESKTOP)
+    ] = 0.0,
+    exposure_ev: Annotated[float, typer.Option(help="Stops.", rich_help_panel=_DESKTOP)] = 0.0,
+    tone_mapping: Annotated[
+        str, typer.Option(help=f"{', '.join(TONE_MAPPINGS)}.", rich_help_panel=_DESKTOP)
+    ] = "linear",
+    channel: Annotated[
+        str,
+        typer.Option(help=f"{', '.join((*RADIANCE, *SURFACE))} and more.", rich_help_panel=_DESKTOP),
+    ] = "final",
+    background: Annotated[
+        str, typer.Option(help=f"{', '.join(BACKDROPS)}.", rich_help_panel=_DESKTOP)
+    ] = "grey",
+    photographs: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="The scene's photographs, to compare.", rich_help_panel=_DESKTOP),
+    ] = None,
+    photograph: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Begin beside this photograph.", rich_help_panel=_DESKTOP),
+    ] = "",
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Begin with two maps side by side.", rich_help_panel=_DESKTOP)
+    ] = False,
+    split: Annotated[
+        float,
+        typer.Option(help="Border of a comparison, 0 to 1.", min=0.0, max=1.0, rich_help_panel=_DESKTOP),
+    ] = 0.5,
+    save_to: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where the key s saves.", rich_help_panel=_DESKTOP)
+    ] = Path(),
+    env_axes: EnvAxesOption = OURS,
+    sun_clamp: SunClampOption = 0.0,
+    mend_env: MendEnvOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Look at a bundle from all sides and in any light."""
+    output = Output(as_json)
+    light = environment_input(env_axes, sun_clamp, mend_env)
+    environments = list(env or ())
+    if not desktop:
+        _show_in_browser(context, bundle, environments, light, output)
+        return
+    check_choice("--tone-mapping", tone_mapping, TONE_MAPPINGS)
+    check_choice("--background", background, tuple(BACKDROPS))
+    options = DesktopOptions(
+        environments=tuple(environments),
+        light=light,
+        photographs=photographs,
+        photograph=photograph,
+        compare=compare,
+        split=split,
+        size=size,
+        turn_deg=turn_deg,
+        rotate_deg=rotate_deg,
+        object_rotate_deg=object_rotate_deg,
+        exposure_ev=exposure_ev,
+        tone_mapping=tone_mapping,
+        channel=channel,
+        backdrop=background,
+        save_to=save_to,
+        screenshot=screenshot,
+        overlays=overlays,
+    )
+    with relight_errors():
+        files = show(open_renderer(bundle), options)
+    for file in files:
+        output.result(str(file), {"path": str(file)})
+
+
+def _show_in_browser(
+    context: typer.Context, bundle: Path, environments: list[Path], light: EnvironmentInput, output: Output
+) -> None:
+    if find_spec(WEB_VIEW) is None:
+        raise UsageProblemError("view.no_web", "there are no web pages to show it in", "add --desktop")
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and getattr(parameter, "rich_help_panel", None) == _DESKTOP:
+            output.note(f"{parameter.opts[0]} has no effect without --desktop")
+    import_module(WEB_VIEW).view_in_browser(bundle, environments, light, output)

@@ -1,0 +1,1 @@
+"""The desktop viewer. All but `window` and `opengl` works without a window and without VTK."""

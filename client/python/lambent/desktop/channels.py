@@ -1,0 +1,116 @@
+"""What a viewer can show of a relit picture, as colours for the screen.
+
+Radiance goes through exposure, tone curve and sRGB encoding, and albedo through sRGB encoding. Everything
+else shows numbers: black is 0 and white is 1, normals are 0.5 n + 0.5.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from lambent_relight import Bundle, RelitPicture
+from lambent_relight.directions import rotate_about_z
+from lambent_relight.images import srgb_from_linear
+from lambent_relight.tone_mapping import tone_mapped
+from lambent_relight.uncertainty import UncertaintyGrid
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+RADIANCE = ("final", "direct", "indirect", "diffuse", "specular")
+SURFACE = ("visibility", "albedo", "roughness", "metalness", "normal", "depth")
+UNCERTAIN = "uncertainty: "
+"""Begins the names of what the bundle says about its doubts; the rest is a channel of the grid."""
+_HEAT = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]) / 255.0
+_FIELDS = {"visibility": "visibility", "roughness": "perceptual_roughness", "metalness": "metalness"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Shown:
+    """A channel as colours."""
+
+    image: Image
+    """sRGB-encoded, [height, width, 3]; meaningless where the object is not."""
+    legend: str
+    """What dark and light stand for, where that depends on the view."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Grade:
+    """How radiance becomes a picture."""
+
+    exposure_ev: float = 0.0
+    tone_mapping: str = "linear"
+
+    def __call__(self, radiance: NDArray[np.floating]) -> Image:
+        """Return sRGB-encoded colours of linear radiance [..., 3]."""
+        exposed = np.asarray(radiance, np.float32) * np.float32(2.0**self.exposure_ev)
+        return srgb_from_linear(tone_mapped(exposed, self.tone_mapping)).astype(np.float32)
+
+
+def channel_names(bundle: Bundle) -> tuple[str, ...]:
+    """Return the names of all channels of a bundle; doubts only where the bundle has them."""
+    grid = bundle.uncertainty()
+    doubts = () if grid is None else grid.channels
+    return (*RADIANCE, *SURFACE, *(f"{UNCERTAIN}{name.replace('_', ' ')}" for name in doubts))
+
+
+def shown_channel(
+    picture: RelitPicture,
+    name: str,
+    positions: Callable[[], NDArray[np.floating]],
+    grid: UncertaintyGrid | None,
+) -> Shown:
+    """Return a channel of `picture` that is not radiance.
+
+    `positions` gives the surface points in the object's own frame, [height, width, 3], and is only called for
+    the bundle's doubts, which are in `grid`.
+    """
+    covered = picture.coverage[..., 0] > 0.0
+    if name == "albedo":
+        return Shown(image=srgb_from_linear(picture.albedo).astype(np.float32), legend="")
+    if name == "normal":
+        return Shown(image=0.5 * picture.normal + np.float32(0.5), legend="x, y, z as red, green, blue")
+    if name == "depth":
+        return _depth(picture.distance[..., 0], covered)
+    if name.startswith(UNCERTAIN):
+        return _doubt(name.removeprefix(UNCERTAIN).replace(" ", "_"), positions(), covered, grid)
+    values = np.clip(getattr(picture, _FIELDS[name]), 0.0, 1.0)
+    return Shown(image=np.repeat(values, 3, axis=-1), legend="0 black, 1 white")
+
+
+def _depth(distance: Image, covered: NDArray[np.bool_]) -> Shown:
+    """Near is white."""
+    low, high = _range(distance[covered])
+    near = np.clip((high - distance) / max(high - low, 1e-6), 0.0, 1.0)
+    return Shown(image=np.repeat(near[..., None], 3, axis=-1), legend=f"{low:.3g} white, {high:.3g} black")
+
+
+def _doubt(
+    name: str, positions: NDArray[np.floating], covered: NDArray[np.bool_], grid: UncertaintyGrid | None
+) -> Shown:
+    assert grid is not None, "the channel is offered only where the bundle has a grid"
+    values = np.zeros(covered.shape, np.float32)
+    values[covered] = grid.channel(name, positions[covered])
+    # Counts have no natural end; standard deviations are shown up to one, which is to know nothing.
+    top = max(float(grid.values[..., grid.channels.index(name)].max()), 1.0) if name == "views" else 1.0
+    stops = np.linspace(0.0, top, len(_HEAT))
+    image = np.stack([np.interp(values, stops, _HEAT[:, channel]) for channel in range(3)], axis=-1)
+    return Shown(image=image.astype(np.float32), legend=f"0 violet, {top:.3g} yellow")
+
+
+def _range(values: Image) -> tuple[float, float]:
+    return (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+
+
+def object_positions(
+    directions: NDArray[np.floating],
+    eye: Sequence[float] | NDArray[np.floating],
+    distance: Image,
+    object_rotate_deg: float,
+) -> NDArray[np.floating]:
+    """Return the points that camera rays [pixel, 3] from `eye` see, in the frame of the object as bundled.
+
+    `distance` [height, width, 1] is along the rays; the object was turned by `object_rotate_deg` about +z.
+    """
+    points = np.asarray(eye) + distance.reshape(-1, 1) * directions
+    return rotate_about_z(points, -object_rotate_deg).reshape(*distance.shape[:2], 3)

@@ -1,0 +1,341 @@
+"""What happens in a viewer when a key is pressed, the mouse is moved or a slider is set. Knows no window."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lambent_relight import RelightError
+
+from lambent.desktop.lights import Lights
+from lambent.desktop.photographs import Photograph
+from lambent.desktop.state import (
+    ALBEDO_GAIN,
+    EXPOSURE,
+    LIGHT_STEP_DEG,
+    ROUGHNESS_SCALE,
+    SPLIT,
+    ViewerState,
+    wrapped,
+)
+from lambent.errors import LambentError
+
+ORBIT_STEP_DEG = 5.0
+ZOOM_STEP = 1.1
+_DEGREES_PER_WIDTH = 180.0
+_GRIP_PX = 8
+"""How near to a comparison's border the mouse must be to take it."""
+
+
+class ViewerModel:
+    """A state, what can be chosen, and how input changes it."""
+
+    def __init__(
+        self,
+        state: ViewerState,
+        lights: Lights,
+        photographs: list[Photograph],
+        channels: tuple[str, ...],
+        *,
+        choose_file: Callable[[], Path | None] = lambda: None,
+    ) -> None:
+        """Begin with `state`; `choose_file` asks for an environment map (LambentError where it cannot)."""
+        self.state, self.lights, self.photographs, self.channels = state, lights, photographs, channels
+        self.choose_file = choose_file
+        self.show_help = False
+        self.show_panel = True
+        self.wants_save = False
+        """Set when the picture is to be saved; whoever saves it clears it."""
+        self.wants_quit = False
+        self.message = ""
+        """The last thing that a user should know."""
+        self._first = state
+        self._drag: tuple[str, int, int] | None = None
+
+    def press_key(self, symbol: str) -> bool:
+        """Do what a key stands for; returns whether it stands for anything. `symbol` as X11 names keys."""
+        binding = _BY_SYMBOL.get(symbol)
+        if binding is None:
+            return False
+        self.message = ""
+        binding.act(self)
+        return True
+
+    def press_mouse(self, x: int, y: int, *, button: str, shift: bool = False, control: bool = False) -> None:
+        """Begin to drag; x and y count pixels from the upper left corner, `button` is left or another."""
+        border = round(self.state.split * self.state.width)
+        if self.state.comparison and button == "left" and abs(x - border) <= _GRIP_PX:
+            what = "split"
+        elif button != "left":
+            what = "move"
+        else:
+            what = "light" if shift else "object" if control else "orbit"
+        self._drag = (what, x, y)
+
+    def move_mouse(self, x: int, y: int) -> bool:
+        """Go on dragging; returns whether anything changed."""
+        if self._drag is None:
+            return False
+        what, last_x, last_y = self._drag
+        self._drag = (what, x, y)
+        right, down, state = x - last_x, y - last_y, self.state
+        if (right, down) == (0, 0):
+            return False
+        degrees = _DEGREES_PER_WIDTH / min(state.width, state.height)
+        if what == "split":
+            self.state = state.with_split(x / state.width)
+        elif what == "light":
+            self.state = state.light_turned(right * degrees)
+        elif what == "object":
+            self.state = state.object_turned(right * degrees)
+        elif what == "move":
+            self.state = state.moved(state.orbit.moved(right, down, state.width, state.height))
+        else:
+            self.state = state.moved(state.orbit.turned(-right * degrees, down * degrees))
+        return True
+
+    def release_mouse(self) -> None:
+        """End a drag."""
+        self._drag = None
+
+    def turn_wheel(self, steps: int) -> None:
+        """Come nearer by a number of steps of the wheel, or go away."""
+        self.state = self.state.moved(self.state.orbit.nearer(ZOOM_STEP**steps))
+
+    def set_slider(self, name: str, value: float) -> None:
+        """Follow a slider: light, object [degrees], exposure [EV], albedo or roughness [factors]."""
+        state = self.state
+        changed = {
+            "light": lambda: replace(state, rotate_deg=wrapped(value)),
+            "object": lambda: state.object_turned(value - state.object_rotate_deg),
+            "exposure": lambda: state.with_exposure(value),
+            "albedo": lambda: state.with_material(albedo_gain=value),
+            "roughness": lambda: state.with_material(roughness_scale=value),
+        }
+        self.state = changed[name]()
+
+    def resize(self, width: int, height: int) -> bool:
+        """Follow the window's size in pixels; returns whether it changed."""
+        before = (self.state.width, self.state.height)
+        self.state = self.state.resized(width, height)
+        return before != (self.state.width, self.state.height)
+
+    def open_environment(self, path: Path) -> None:
+        """Show the object in the light of a file; one that cannot be used is named in `message`."""
+        count = len(self.lights)
+        number = self.lights.add_file(path)
+        try:
+            self.lights.environment(number)
+        except RelightError as error:
+            if number == count:
+                self.lights.remove(number)
+            self.message = str(error)
+            return
+        self.message = "; ".join(self.lights.notes(number)) or f"opened {path.name}"
+        ended = self.state.comparison == "photograph"
+        comparison = "" if ended else self.state.comparison
+        self.state = replace(self.state, light=number, comparison=comparison)
+
+    def compare_photograph(self, number: int) -> None:
+        """Compare with a photograph in the recovered light it was taken in."""
+        light = self.lights.recovered(self.photographs[number].light)
+        if light is None:
+            self.message = f"the bundle has no light {self.photographs[number].light!r}"
+            return
+        self.state = self.state.comparing_photograph(number, light)
+
+    def reset(self) -> None:
+        """Go back to the beginning, in a window of the present size."""
+        self.state = self._first.resized(self.state.width, self.state.height)
+
+    def status(self, *, legend: str = "", full: bool = True) -> str:
+        """Return the lines that say what is shown."""
+        state = self.state
+        light = self.lights.name(state.light)
+        if state.comparison == "environment":
+            light = f"left {light}, right {self.lights.name(state.other_light)}"
+        elif state.comparison == "photograph":
+            light = f"{light}; right: photograph {self.photographs[state.photograph].name}"
+        turned = f"light {state.rotate_deg:+.0f} deg, object {state.object_rotate_deg:+.0f} deg"
+        shown = f"{state.channel}{f' ({legend})' if legend else ''}, {state.exposure_ev:+.2f} EV, "
+        shown += state.tone_mapping + ("" if state.indirect else ", direct light only")
+        edit = f"albedo x {state.albedo_gain:.2f}, roughness x {state.roughness_scale:.2f}"
+        lines = [light, turned, shown]
+        lines += [edit] if (state.albedo_gain, state.roughness_scale) != (1.0, 1.0) else []
+        lines += [] if full else ["moving: rough outline; full quality follows"]
+        return "\n".join([*lines, *([self.message] if self.message else [])])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Binding:
+    """Keys that do one thing: their X11 symbols, how they are written, and what they do."""
+
+    symbols: tuple[str, ...]
+    written: str
+    does: str
+    act: Callable[[ViewerModel], None]
+
+
+def _change(new_state: Callable[[ViewerModel], ViewerState]) -> Callable[[ViewerModel], None]:
+    def act(model: ViewerModel) -> None:
+        model.state = new_state(model)
+
+    return act
+
+
+def _orbit(azimuth_deg: float, elevation_deg: float) -> Callable[[ViewerModel], None]:
+    return _change(lambda m: m.state.moved(m.state.orbit.turned(azimuth_deg, elevation_deg)))
+
+
+def _photograph(model: ViewerModel, step: int) -> None:
+    if not model.photographs:
+        model.message = "no photographs are known; start with --photographs FOLDER"
+    elif model.state.comparison == "photograph" and step == 0:
+        model.state = replace(model.state, comparison="")
+    else:
+        model.compare_photograph((model.state.photograph + step) % len(model.photographs))
+
+
+def _compare_environments(model: ViewerModel) -> None:
+    if len(model.lights) < 2:
+        model.message = "there is one environment only; open another with o, or start with more --env"
+        return
+    model.state = model.state.comparing_environments(len(model.lights))
+
+
+def _open(model: ViewerModel) -> None:
+    try:
+        path = model.choose_file()
+    except LambentError as error:
+        model.message = str(error)
+        return
+    if path is not None:
+        model.open_environment(path)
+
+
+def _flag(name: str) -> Callable[[ViewerModel], None]:
+    def act(model: ViewerModel) -> None:
+        setattr(model, name, not getattr(model, name))
+
+    return act
+
+
+def _binding(symbols: str, written: str, does: str, act: Callable[[ViewerModel], None]) -> Binding:
+    return Binding(symbols=tuple(symbols.split()), written=written, does=does, act=act)
+
+
+BINDINGS = (
+    _binding("Left", "Left", "camera to the left", _orbit(-ORBIT_STEP_DEG, 0.0)),
+    _binding("Right", "Right", "camera to the right", _orbit(ORBIT_STEP_DEG, 0.0)),
+    _binding("Up", "Up", "camera up", _orbit(0.0, ORBIT_STEP_DEG)),
+    _binding("Down", "Down", "camera down", _orbit(0.0, -ORBIT_STEP_DEG)),
+    _binding("plus equal KP_Add", "+", "nearer", lambda m: m.turn_wheel(1)),
+    _binding("minus KP_Subtract", "-", "farther", lambda m: m.turn_wheel(-1)),
+    _binding("bracketleft", "[", "light clockwise", _change(lambda m: m.state.light_turned(-LIGHT_STEP_DEG))),
+    _binding(
+        "bracketright",
+        "]",
+        "light counter-clockwise",
+        _change(lambda m: m.state.light_turned(LIGHT_STEP_DEG)),
+    ),
+    _binding("braceleft", "{", "object clockwise", _change(lambda m: m.state.object_turned(-LIGHT_STEP_DEG))),
+    _binding(
+        "braceright",
+        "}",
+        "object counter-clockwise",
+        _change(lambda m: m.state.object_turned(LIGHT_STEP_DEG)),
+    ),
+    _binding("e", "e", "next environment", _change(lambda m: m.state.with_next_light(len(m.lights)))),
+    _binding("E", "E", "environment before", _change(lambda m: m.state.with_next_light(len(m.lights), -1))),
+    _binding("o", "o", "open an environment file", _open),
+    _binding(
+        "comma", ",", "darker", _change(lambda m: m.state.with_exposure(m.state.exposure_ev - EXPOSURE.step))
+    ),
+    _binding(
+        "period",
+        ".",
+        "brighter",
+        _change(lambda m: m.state.with_exposure(m.state.exposure_ev + EXPOSURE.step)),
+    ),
+    _binding("t", "t", "next tone curve", _change(lambda m: m.state.with_next_tone_mapping())),
+    _binding("c", "c", "next channel", _change(lambda m: m.state.with_next_channel(m.channels))),
+    _binding("C", "C", "channel before", _change(lambda m: m.state.with_next_channel(m.channels, -1))),
+    _binding("f", "f", "back to the final picture", _change(lambda m: replace(m.state, channel="final"))),
+    _binding(
+        "i", "i", "indirect light on, off", _change(lambda m: replace(m.state, indirect=not m.state.indirect))
+    ),
+    _binding("b", "b", "next backdrop", _change(lambda m: m.state.with_next_backdrop())),
+    _binding(
+        "g",
+        "g",
+        "darker albedo",
+        _change(lambda m: m.state.with_material(albedo_gain=m.state.albedo_gain - ALBEDO_GAIN.step)),
+    ),
+    _binding(
+        "G",
+        "G",
+        "brighter albedo",
+        _change(lambda m: m.state.with_material(albedo_gain=m.state.albedo_gain + ALBEDO_GAIN.step)),
+    ),
+    _binding(
+        "r",
+        "r",
+        "smoother",
+        _change(
+            lambda m: m.state.with_material(roughness_scale=m.state.roughness_scale - ROUGHNESS_SCALE.step)
+        ),
+    ),
+    _binding(
+        "R",
+        "R",
+        "rougher",
+        _change(
+            lambda m: m.state.with_material(roughness_scale=m.state.roughness_scale + ROUGHNESS_SCALE.step)
+        ),
+    ),
+    _binding("a", "a", "compare with another environment", _compare_environments),
+    _binding(
+        "n",
+        "n",
+        "next environment on the right",
+        _change(lambda m: m.state.with_next_other_light(len(m.lights))),
+    ),
+    _binding("p", "p", "compare with a photograph", lambda m: _photograph(m, 0)),
+    _binding("Next", "Page Down", "next photograph", lambda m: _photograph(m, 1)),
+    _binding("Prior", "Page Up", "photograph before", lambda m: _photograph(m, -1)),
+    _binding(
+        "semicolon",
+        ";",
+        "border to the left",
+        _change(lambda m: m.state.with_split(m.state.split - SPLIT.step)),
+    ),
+    _binding(
+        "apostrophe quoteright",
+        "'",
+        "border to the right",
+        _change(lambda m: m.state.with_split(m.state.split + SPLIT.step)),
+    ),
+    _binding("s", "s", "save PNG and EXR", _flag("wants_save")),
+    _binding("k", "k", "sliders and text on, off", _flag("show_panel")),
+    _binding("h question F1", "h", "this help on, off", _flag("show_help")),
+    _binding("Home", "Home", "back to the beginning", ViewerModel.reset),
+    _binding("q Escape", "q", "quit", _flag("wants_quit")),
+)
+MOUSE_HELP = (
+    ("drag", "camera around the object"),
+    ("Shift-drag", "turn the light"),
+    ("Ctrl-drag", "turn the object"),
+    ("right-drag", "move the picture"),
+    ("wheel", "nearer, farther"),
+    ("drag the line", "border of a comparison"),
+)
+_BY_SYMBOL = {symbol: binding for binding in BINDINGS for symbol in binding.symbols}
+
+
+def help_columns() -> tuple[str, str]:
+    """Return two columns that list every key and what the mouse does."""
+    rows = [(binding.written, binding.does) for binding in BINDINGS] + list(MOUSE_HELP)
+    half = (len(rows) + 1) // 2
+    width = max(len(keys) for keys, _ in rows)
+    columns = (rows[:half], rows[half:])
+    first, second = ("\n".join(f"{keys:>{width}}  {does}" for keys, does in rows) for rows in columns)
+    return first, second

@@ -1,0 +1,157 @@
+"""Everything that decides what a viewer shows, and how it may be changed. No windows, no files."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from lambent_relight import MaterialEdit
+from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
+
+from lambent.desktop.orbit import Orbit
+
+Comparison = Literal["", "environment", "photograph"]
+BACKDROPS: dict[str, tuple[float, float, float] | None] = {
+    "grey": (0.05, 0.05, 0.05),
+    "white": (1.0, 1.0, 1.0),
+    "black": (0.0, 0.0, 0.0),
+    "environment": None,
+}
+"""Linear colours as they appear on the screen, whatever exposure and tone curve; None is the light itself."""
+MIN_SIDE, MAX_SIDE = 16, 8192
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """How far a number can be turned, and by how much a key turns it."""
+
+    low: float
+    high: float
+    step: float
+
+
+EXPOSURE = Limits(low=-8.0, high=8.0, step=0.25)
+ROUGHNESS_SCALE = Limits(low=0.0, high=3.0, step=0.1)
+ALBEDO_GAIN = Limits(low=0.1, high=3.0, step=0.1)
+SPLIT = Limits(low=0.0, high=1.0, step=0.02)
+LIGHT_STEP_DEG = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewerState:
+    """What is looked at, in which light, and how it is shown."""
+
+    orbit: Orbit
+    width: int
+    height: int
+    light: int = 0
+    """Number of the environment, on the left side of a comparison."""
+    other_light: int = 0
+    """Number of the environment on the right side."""
+    rotate_deg: float = 0.0
+    object_rotate_deg: float = 0.0
+    exposure_ev: float = 0.0
+    tone_mapping: str = "linear"
+    channel: str = "final"
+    backdrop: str = "grey"
+    indirect: bool = True
+    albedo_gain: float = 1.0
+    roughness_scale: float = 1.0
+    comparison: Comparison = ""
+    photograph: int = 0
+    split: float = 0.5
+    """Where the right side begins, share of the width."""
+
+    @property
+    def edit(self) -> MaterialEdit:
+        """The change of the material."""
+        return MaterialEdit(albedo_gain=(self.albedo_gain,) * 3, roughness_scale=self.roughness_scale)
+
+    def light_turned(self, degrees: float) -> "ViewerState":
+        """Return the light turned by a further +`degrees`."""
+        return replace(self, rotate_deg=wrapped(self.rotate_deg + degrees))
+
+    def object_turned(self, degrees: float) -> "ViewerState":
+        """Return the object turned by a further +`degrees`; a photograph shows it as it was."""
+        return replace(
+            self, object_rotate_deg=wrapped(self.object_rotate_deg + degrees), **_no_photograph(self)
+        )
+
+    def moved(self, orbit: Orbit) -> "ViewerState":
+        """Return another camera; a photograph has its own, so comparing with one ends."""
+        return replace(self, orbit=orbit, **_no_photograph(self))
+
+    def resized(self, width: int, height: int) -> "ViewerState":
+        """Return a picture of another size, within limits."""
+        sides = (min(max(side, MIN_SIDE), MAX_SIDE) for side in (width, height))
+        return replace(self, **dict(zip(("width", "height"), sides, strict=True)))
+
+    def with_exposure(self, exposure_ev: float) -> "ViewerState":
+        """Return another exposure, within limits."""
+        return replace(self, exposure_ev=_within(exposure_ev, EXPOSURE))
+
+    def with_split(self, split: float) -> "ViewerState":
+        """Return another border between the sides of a comparison, within limits."""
+        return replace(self, split=_within(split, SPLIT))
+
+    def with_material(
+        self, *, albedo_gain: float | None = None, roughness_scale: float | None = None
+    ) -> "ViewerState":
+        """Return another material, within limits; None keeps what is."""
+        gain = self.albedo_gain if albedo_gain is None else _within(albedo_gain, ALBEDO_GAIN)
+        scale = self.roughness_scale if roughness_scale is None else _within(roughness_scale, ROUGHNESS_SCALE)
+        return replace(self, albedo_gain=gain, roughness_scale=scale)
+
+    def with_next_tone_mapping(self) -> "ViewerState":
+        """Return the next tone curve."""
+        return replace(self, tone_mapping=_next(TONE_MAPPINGS, self.tone_mapping))
+
+    def with_next_backdrop(self) -> "ViewerState":
+        """Return the next backdrop."""
+        return replace(self, backdrop=_next(tuple(BACKDROPS), self.backdrop))
+
+    def with_next_channel(self, names: tuple[str, ...], step: int = 1) -> "ViewerState":
+        """Return the next of the channels `names`, or the one before."""
+        return replace(self, channel=_next(names, self.channel, step))
+
+    def with_next_light(self, count: int, step: int = 1) -> "ViewerState":
+        """Return the next of `count` environments, or the one before."""
+        return replace(self, light=(self.light + step) % count, **_no_photograph(self))
+
+    def with_next_other_light(self, count: int) -> "ViewerState":
+        """Return the next environment on the right side."""
+        return replace(self, other_light=(self.other_light + 1) % count)
+
+    def comparing_environments(self, count: int) -> "ViewerState":
+        """Return a comparison with another environment, or its end where there is one."""
+        if self.comparison == "environment":
+            return replace(self, comparison="")
+        other = self.other_light if self.other_light != self.light else (self.light + 1) % count
+        return replace(self, comparison="environment", other_light=other)
+
+    def comparing_photograph(self, photograph: int, light: int) -> "ViewerState":
+        """Return a comparison with a photograph, in the light it was taken in and as it was taken."""
+        return replace(
+            self,
+            comparison="photograph",
+            photograph=photograph,
+            light=light,
+            rotate_deg=0.0,
+            object_rotate_deg=0.0,
+            channel="final",
+        )
+
+
+def wrapped(degrees: float) -> float:
+    """Return an angle in [-180, 180)."""
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+def _no_photograph(state: ViewerState) -> dict[str, Comparison]:
+    return {"comparison": ""} if state.comparison == "photograph" else {}
+
+
+def _within(value: float, limits: Limits) -> float:
+    return min(max(value, limits.low), limits.high)
+
+
+def _next(names: tuple[str, ...], name: str, step: int = 1) -> str:
+    return names[(names.index(name) + step) % len(names)]
