@@ -1,40 +1,51 @@
-"""The page at `/` and its files."""
+"""The web pages and their files."""
 
-from importlib import resources
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Response
-
-from lambent_server.problems import not_found
-from lambent_server.routes.common import problems
+import lambent_pages
+from fastapi import APIRouter, Header, Path, Response
+from starlette.convertors import Convertor, register_url_convertor
+from starlette.exceptions import HTTPException
 
 router = APIRouter(include_in_schema=False)
 
-_TYPES = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css",
-    ".js": "text/javascript",
-    ".svg": "image/svg+xml",
-}
-_FOLDER = resources.files("lambent_server").joinpath("web")
+MatchHeader = Annotated[str | None, Header(alias="If-None-Match", max_length=2000)]
+
+
+class _PagePath(Convertor[str]):
+    """An address outside of the interface."""
+
+    regex = "(?!v1/)[A-Za-z0-9._/-]+"
+
+    def convert(self, value: str) -> str:
+        return value
+
+    def to_string(self, value: str) -> str:
+        return value
+
+
+register_url_convertor("page", _PagePath())
 
 
 @router.get("/", response_class=Response)
-def get_page() -> Response:
-    """Return the page that lists jobs."""
-    return _send("index.html")
+def get_start(if_none_match: MatchHeader = None) -> Response:
+    """Return the page of scenes, jobs and bundles."""
+    return _send("jobs.html", if_none_match)
 
 
-@router.get("/assets/{name}", response_class=Response, responses=problems(404))
-def get_asset(name: Annotated[str, Path(max_length=100)]) -> Response:
-    """Return a file of the page."""
-    return _send(name)
+@router.get("/{path:page}", response_class=Response)
+def get_page(path: Annotated[str, Path(max_length=240)], if_none_match: MatchHeader = None) -> Response:
+    """Return a page, or a file of the pages."""
+    return _send(path, if_none_match)
 
 
-def _send(name: str) -> Response:
-    known = {each.name: each for each in _FOLDER.iterdir() if each.is_file()}
-    suffix = name[name.rfind(".") :] if "." in name else ""
-    if name not in known or suffix not in _TYPES:
-        raise not_found("file", name)
-    headers = {"cache-control": "no-cache"}
-    return Response(known[name].read_bytes(), headers=headers, media_type=_TYPES[suffix])
+def _send(path: str, if_none_match: str | None) -> Response:
+    page = lambent_pages.find(path)
+    if page is None:
+        if path.endswith(".html") and not lambent_pages.are_built():
+            absent = lambent_pages.not_built()
+            return Response(absent.content, status_code=503, headers=absent.headers)
+        raise HTTPException(404)
+    if lambent_pages.is_current(page, if_none_match):
+        return Response(status_code=304, headers=page.headers)
+    return Response(page.content, headers=page.headers)

@@ -1,0 +1,73 @@
+"""Links to one bundle: signed, read-only, with an end, and taken back at any time."""
+
+import hmac
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Connection
+
+from lambent_server.clock import new_id, now
+from lambent_server.database.schema import shares
+from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find, rows
+from lambent_server.problems import not_found
+
+COOKIE = "lambent_share"
+_READS = re.compile(r"/v1/bundles/([^/:]+)(/manifest|/files/.+)")
+_TOKEN = re.compile(r"(share_[a-z0-9]{1,40})\.([0-9a-f]{64})")
+
+Row = Mapping[str, Any]
+
+
+def cookie_path(bundle_id: str) -> str:
+    """Return the only place that a browser sends the secret of a link to."""
+    return f"/v1/bundles/{bundle_id}/"
+
+
+def bundle_read(method: str, path: str) -> str | None:
+    """Return the bundle whose files a request reads, or None where it does anything else."""
+    match = _READS.fullmatch(path)
+    return match.group(1) if match is not None and method in ("GET", "HEAD") else None
+
+
+def sign(secret: str, row: Row) -> str:
+    """Return the secret part of a link: the share's id and a signature of all that it grants."""
+    parts = ("share", row["id"], row["tenant_id"], row["bundle_id"], repr(float(row["expires_at"])))
+    digest = hmac.new(secret.encode(), "\n".join(parts).encode(), "sha256").hexdigest()
+    return f"{row['id']}.{digest}"
+
+
+def create(connection: Connection, tenant: Tenant, bundle_id: str, lifetime_s: float) -> Row:
+    """Add a link to a bundle of `tenant`."""
+    identifier = new_id("share")
+    values = {"id": identifier, "bundle_id": bundle_id, "created_at": now(), "expires_at": now() + lifetime_s}
+    connection.execute(add(tenant, shares, **values))
+    return dict(find(connection, tenant, shares, identifier) or {})
+
+
+def working(connection: Connection, tenant: Tenant, bundle_id: str) -> list[Row]:
+    """Return the links of a bundle that have neither ended nor been taken back, the newest first."""
+    statement = rows(tenant, shares).where(
+        shares.c.bundle_id == bundle_id, shares.c.revoked_at.is_(None), shares.c.expires_at > now()
+    )
+    return [dict(row) for row in connection.execute(statement.order_by(shares.c.id.desc())).mappings()]
+
+
+def revoke(connection: Connection, tenant: Tenant, share_id: str) -> None:
+    """Take a link back; doing it again changes nothing."""
+    if find(connection, tenant, shares, share_id) is None:
+        raise not_found("share", share_id)
+    statement = change(tenant, shares).where(shares.c.id == share_id, shares.c.revoked_at.is_(None))
+    connection.execute(statement.values(revoked_at=now()))
+
+
+def granted(connection: Connection, secret: str, token: str) -> Row | None:
+    """Return the share that a token proves, or None where it is forged, has ended or was taken back."""
+    match = _TOKEN.fullmatch(token)
+    if match is None:
+        return None
+    statement = across_tenants(shares).where(shares.c.id == match.group(1))
+    row = connection.execute(statement).mappings().one_or_none()
+    if row is None or not hmac.compare_digest(sign(secret, dict(row)), token):
+        return None
+    return dict(row) if row["revoked_at"] is None and row["expires_at"] > now() else None
