@@ -1,7 +1,16 @@
-// Generates the TypeScript of proto/ into src/contract, or with --check lists the files that differ.
+// Generates the TypeScript of proto/ and of the REST interface into src/contract, or with --check lists the files
+// that differ.
 // protoc comes with grpcio-tools in the repository's .venv; set PYTHON to use another interpreter.
 import { execFileSync } from "node:child_process";
-import { existsSync, mkdtempSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import {
+  existsSync,
+  mkdtempSync,
+  mkdirSync,
+  readFileSync,
+  readdirSync,
+  rmSync,
+  writeFileSync,
+} from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join, relative, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -45,11 +54,34 @@ function generate(target) {
   );
 }
 
+/** Write the bodies of the REST interface as types; the generator has a lock folder of its own. */
+function generateRest(target) {
+  const tool = join(web, "tools/openapi");
+  const program = join(tool, "node_modules/.bin/openapi-typescript");
+  if (!existsSync(program)) {
+    execFileSync("npm", ["ci", "--no-audit", "--no-fund"], {
+      cwd: tool,
+      stdio: ["ignore", "ignore", "inherit"],
+    });
+  }
+  const { openapi, info, components } = JSON.parse(
+    readFileSync(join(root, "docs/reference/openapi.json"), "utf8"),
+  );
+  const bodies = join(target, "bodies.json");
+  writeFileSync(
+    bodies,
+    JSON.stringify({ openapi, info, paths: {}, components: { schemas: components.schemas } }),
+  );
+  execFileSync(program, [bodies, "-o", join(target, "rest.ts")], { stdio: ["ignore", "ignore", "inherit"] });
+  rmSync(bodies);
+}
+
 function main() {
   const check = process.argv.includes("--check");
   const fresh = mkdtempSync(join(tmpdir(), "lambent-contract-"));
   try {
     generate(fresh);
+    generateRest(fresh);
     const names = filesUnder(fresh);
     const stale = filesUnder(contract).filter((name) => !names.includes(name));
     const differing = names.filter(

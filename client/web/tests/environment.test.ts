@@ -80,7 +80,9 @@ describe("environment orientation", () => {
     const centre = directionOfPixel(one.row, one.column, golden.height, golden.width);
     const turned = rotateAboutZ(centre, one.rotate_deg);
     expectClose(turned, one.direction, 1e-8);
-    const brightest = faces.reduce((best, face) => (dot(face[1], turned) > dot(best[1], turned) ? face : best));
+    const brightest = faces.reduce((best, face) =>
+      dot(face[1], turned) > dot(best[1], turned) ? face : best,
+    );
     expect(brightest[0]).toBe(one.lit_face);
     const [u, v] = lookupUv(turned, one.rotate_deg);
     expect([Math.floor(v * golden.height), Math.floor(u * golden.width)]).toEqual([one.row, one.column]);

@@ -71,7 +71,9 @@ describe("spherical harmonics", () => {
   }>("harmonics");
 
   it("has the golden basis", () => {
-    numbers.directions.forEach((direction, index) => expectClose(basis(direction, 7), numbers.basis[index] ?? []));
+    numbers.directions.forEach((direction, index) => {
+      expectClose(basis(direction, 7), numbers.basis[index] ?? []);
+    });
   });
 
   it("projects a map to the golden coefficients, turned and straight", () => {
@@ -88,7 +90,10 @@ describe("spherical harmonics", () => {
 
   it("puts a constant into band 0 only", () => {
     const coefficients = project(constantMap(6, 12, 0.5), 7);
-    expectClose(coefficients.slice(0, 3), [1, 1, 1].map((one) => one * 0.5 * Math.sqrt(4 * Math.PI)));
+    expectClose(
+      coefficients.slice(0, 3),
+      [1, 1, 1].map((one) => one * 0.5 * Math.sqrt(4 * Math.PI)),
+    );
     expectClose(coefficients.slice(3), new Float64Array(coefficients.length - 3));
   });
 });
@@ -132,15 +137,20 @@ describe("prefiltered levels", () => {
 
 describe("split sum", () => {
   it("has the golden values", () => {
-    const numbers = golden<{ inputs: [number, number][]; scale: number[]; bias: number[]; table_corner: number[][] }>(
-      "split_sum",
-    );
+    const numbers = golden<{
+      inputs: [number, number][];
+      scale: number[];
+      bias: number[];
+      table_corner: number[][];
+    }>("split_sum");
     const table = splitSumTable();
     numbers.inputs.forEach(([cosine, roughness], index) => {
       const { scale, bias } = splitSum(table, cosine, roughness);
       expectClose([scale, bias], [numbers.scale[index] ?? NaN, numbers.bias[index] ?? NaN]);
     });
-    const corners = [0, 31, 31 * 32, 31 * 32 + 31].map((entry) => Array.from(table.slice(2 * entry, 2 * entry + 2)));
+    const corners = [0, 31, 31 * 32, 31 * 32 + 31].map((entry) =>
+      Array.from(table.slice(2 * entry, 2 * entry + 2)),
+    );
     expectClose(corners.flat(), numbers.table_corner.flat());
   });
 });
@@ -158,11 +168,19 @@ describe("dominant lights", () => {
 
   it("are the golden ones", () => {
     expect(lights.length).toBe(numbers.directions.length);
-    expectClose(lights.flatMap((light) => [...light.direction]), numbers.directions.flat());
-    expectClose(lights.flatMap((light) => light.radianceSolidAngle), numbers.radiance_solid_angle.flat());
+    expectClose(
+      lights.flatMap((light) => [...light.direction]),
+      numbers.directions.flat(),
+    );
+    expectClose(
+      lights.flatMap((light) => light.radianceSolidAngle),
+      numbers.radiance_solid_angle.flat(),
+    );
     expectClose(energy(residual), numbers.residual_energy);
     const rows = numbers.residual_rows.map((_, row) =>
-      Array.from(residual.radianceRgb.slice(3 * row * map.width, 3 * (row + 1) * map.width)).reduce((a, b) => a + b),
+      Array.from(residual.radianceRgb.slice(3 * row * map.width, 3 * (row + 1) * map.width)).reduce(
+        (a, b) => a + b,
+      ),
     );
     expectClose(rows, numbers.residual_rows);
   });
@@ -181,7 +199,9 @@ describe("dominant lights", () => {
 });
 
 describe("maps of other programs", () => {
-  const { cases } = golden<{ cases: { axes: MapAxes; row: number; column: number; direction: Direction }[] }>("axes");
+  const { cases } = golden<{ cases: { axes: MapAxes; row: number; column: number; direction: Direction }[] }>(
+    "axes",
+  );
 
   it.each(cases)("$axes: row $row, column $column", ({ axes, row, column, direction }) => {
     expectClose(rotateAboutZ(directionOfPixel(row, column, 8, 16), turnOfAxes(axes)), direction);

@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/bundle.proto.
  */
 export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKyBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSJgoFYXRsYXMYEyABKAsyFy5sYW1iZW50X3Byb3RvLnYxLkF0bGFzEi4KCXRyYW5zcG9ydBgUIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0Gi4KDE1ldHJpY3NFbnRyeRILCgNrZXkYASABKAkSDQoFdmFsdWUYAiABKAE6AjgBIlQKCUdlbmVyYXRvchIMCgRuYW1lGAEgASgJEg8KB3ZlcnNpb24YAiABKAkSFAoMZ2l0X3JldmlzaW9uGAMgASgJEhIKCnRyYWluX3N0ZXAYBCABKA0ibAoFV29ybGQSDwoHdXBfYXhpcxgBIAEoCRISCgpoYW5kZWRuZXNzGAIgASgJEgwKBHVuaXQYAyABKAkSHgoWZW52aXJvbm1lbnRfY29udmVudGlvbhgEIAEoCRIQCghyYWRpYW5jZRgFIAEoCSI9CgVBdGxhcxIMCgRzaXplGAEgASgNEhIKCm51bV90ZXhlbHMYAiABKA0SEgoKdGV4ZWxfc2l6ZRgDIAEoASJBCg1TZWNvbmRhcnlSYXlzEhUKDW9yaWdpbl9vZmZzZXQYASABKAESDAoEbmVhchgCIAEoARILCgNmYXIYAyABKAEiYAoKQnVuZGxlRmlsZRIMCgRwYXRoGAEgASgJEhIKCnNpemVfYnl0ZXMYAiABKAESDgoGc2hhMjU2GAMgASgJEhIKCm1lZGlhX3R5cGUYBCABKAkSDAoEcm9sZRgFIAEoCSJcCgVHcmFwaBIMCgRuYW1lGAEgASgJEgwKBHBhdGgYAiABKAkSDQoFbGlnaHQYAyABKAkSKAoGcGFyaXR5GAQgASgLMhgubGFtYmVudF9wcm90by52MS5QYXJpdHkiVAoLVW5jZXJ0YWludHkSDAoEcGF0aBgBIAEoCRIlCgNib3gYAiABKAsyGC5sYW1iZW50X3Byb3RvLnYxLkJvdW5kcxIQCghjaGFubmVscxgDIAMoCSK8AQoJVHJhbnNwb3J0EgwKBHRpZXIYASABKAkSDAoEc2l6ZRgCIAEoDRISCgpudW1fdGV4ZWxzGAMgASgNEhMKC3RleGVsc19wYXRoGAQgASgJEjEKBnBsYW5lcxgFIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0UGxhbmVzEhgKEHNoYWRvd19iaXRzX3BhdGgYBiABKAkSHQoVbnVtX3NoYWRvd19kaXJlY3Rpb25zGAcgASgNIoMBCg9UcmFuc3BvcnRQbGFuZXMSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWJhbmRzGAMgASgNEhAKCGNoYW5uZWxzGAQgASgNEhIKCm51bV90ZXhlbHMYBSABKA0SDgoGc2NhbGVzGAYgAygBEg8KB29mZnNldHMYByADKAEiRwoGUGFyaXR5EhUKDW1heF9hYnNfZXJyb3IYASABKAESEQoJdG9sZXJhbmNlGAIgASgBEhMKC251bV9zYW1wbGVzGAMgASgNIpIBCgRHcmlkEgwKBG5hbWUYASABKAkSDgoGdGVuc29yGAIgASgJEhQKDG51bV9mZWF0dXJlcxgDIAEoDRITCgtoYWxmX2V4dGVudBgEIAEoARIUCgxvdXRwdXRfc2NhbGUYBSABKAESKwoGbGV2ZWxzGAYgAygLMhsubGFtYmVudF9wcm90by52MS5HcmlkTGV2ZWwicAoJR3JpZExldmVsEhIKCnJlc29sdXRpb24YASABKA0SEQoJZmlyc3Rfcm93GAIgASgNEhAKCG51bV9yb3dzGAMgASgNEhQKDG11bHRpcGxpZXJfeRgEIAEoDRIUCgxtdWx0aXBsaWVyX3oYBSABKA0iYwoLVGVuc29yRW50cnkSDAoEbmFtZRgBIAEoCRINCgVkdHlwZRgCIAEoCRINCgVzaGFwZRgDIAMoDRIUCgxvZmZzZXRfYnl0ZXMYBCABKAESEgoKc2l6ZV9ieXRlcxgFIAEoAWIGcHJvdG8z", [file_lambent_proto_v1_scene]);
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKyBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSJgoFYXRsYXMYEyABKAsyFy5sYW1iZW50X3Byb3RvLnYxLkF0bGFzEi4KCXRyYW5zcG9ydBgUIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0Gi4KDE1ldHJpY3NFbnRyeRILCgNrZXkYASABKAkSDQoFdmFsdWUYAiABKAE6AjgBIlQKCUdlbmVyYXRvchIMCgRuYW1lGAEgASgJEg8KB3ZlcnNpb24YAiABKAkSFAoMZ2l0X3JldmlzaW9uGAMgASgJEhIKCnRyYWluX3N0ZXAYBCABKA0ibAoFV29ybGQSDwoHdXBfYXhpcxgBIAEoCRISCgpoYW5kZWRuZXNzGAIgASgJEgwKBHVuaXQYAyABKAkSHgoWZW52aXJvbm1lbnRfY29udmVudGlvbhgEIAEoCRIQCghyYWRpYW5jZRgFIAEoCSI9CgVBdGxhcxIMCgRzaXplGAEgASgNEhIKCm51bV90ZXhlbHMYAiABKA0SEgoKdGV4ZWxfc2l6ZRgDIAEoASJBCg1TZWNvbmRhcnlSYXlzEhUKDW9yaWdpbl9vZmZzZXQYASABKAESDAoEbmVhchgCIAEoARILCgNmYXIYAyABKAEiYAoKQnVuZGxlRmlsZRIMCgRwYXRoGAEgASgJEhIKCnNpemVfYnl0ZXMYAiABKAESDgoGc2hhMjU2GAMgASgJEhIKCm1lZGlhX3R5cGUYBCABKAkSDAoEcm9sZRgFIAEoCSKKAQoFR3JhcGgSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWxpZ2h0GAMgASgJEigKBnBhcml0eRgEIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuUGFyaXR5EiwKCHJvdW5kaW5nGAUgAygLMhoubGFtYmVudF9wcm90by52MS5Sb3VuZGluZyJZCghSb3VuZGluZxIOCgZvdXRwdXQYASABKAkSFQoNbWF4X2Fic19lcnJvchgCIAEoARIRCglybXNfZXJyb3IYAyABKAESEwoLbnVtX3NhbXBsZXMYBCABKA0iVAoLVW5jZXJ0YWludHkSDAoEcGF0aBgBIAEoCRIlCgNib3gYAiABKAsyGC5sYW1iZW50X3Byb3RvLnYxLkJvdW5kcxIQCghjaGFubmVscxgDIAMoCSK8AQoJVHJhbnNwb3J0EgwKBHRpZXIYASABKAkSDAoEc2l6ZRgCIAEoDRISCgpudW1fdGV4ZWxzGAMgASgNEhMKC3RleGVsc19wYXRoGAQgASgJEjEKBnBsYW5lcxgFIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0UGxhbmVzEhgKEHNoYWRvd19iaXRzX3BhdGgYBiABKAkSHQoVbnVtX3NoYWRvd19kaXJlY3Rpb25zGAcgASgNIoMBCg9UcmFuc3BvcnRQbGFuZXMSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWJhbmRzGAMgASgNEhAKCGNoYW5uZWxzGAQgASgNEhIKCm51bV90ZXhlbHMYBSABKA0SDgoGc2NhbGVzGAYgAygBEg8KB29mZnNldHMYByADKAEiRwoGUGFyaXR5EhUKDW1heF9hYnNfZXJyb3IYASABKAESEQoJdG9sZXJhbmNlGAIgASgBEhMKC251bV9zYW1wbGVzGAMgASgNIpIBCgRHcmlkEgwKBG5hbWUYASABKAkSDgoGdGVuc29yGAIgASgJEhQKDG51bV9mZWF0dXJlcxgDIAEoDRITCgtoYWxmX2V4dGVudBgEIAEoARIUCgxvdXRwdXRfc2NhbGUYBSABKAESKwoGbGV2ZWxzGAYgAygLMhsubGFtYmVudF9wcm90by52MS5HcmlkTGV2ZWwicAoJR3JpZExldmVsEhIKCnJlc29sdXRpb24YASABKA0SEQoJZmlyc3Rfcm93GAIgASgNEhAKCG51bV9yb3dzGAMgASgNEhQKDG11bHRpcGxpZXJfeRgEIAEoDRIUCgxtdWx0aXBsaWVyX3oYBSABKA0iYwoLVGVuc29yRW50cnkSDAoEbmFtZRgBIAEoCRINCgVkdHlwZRgCIAEoCRINCgVzaGFwZRgDIAMoDRIUCgxvZmZzZXRfYnl0ZXMYBCABKAESEgoKc2l6ZV9ieXRlcxgFIAEoAWIGcHJvdG8z", [file_lambent_proto_v1_scene]);
 
 /**
  * manifest.json of a bundle.
@@ -365,6 +365,13 @@ export type Graph = Message<"lambent_proto.v1.Graph"> & {
    * @generated from field: lambent_proto.v1.Parity parity = 4;
    */
   parity?: Parity | undefined;
+
+  /**
+   * What storing feature tables as float16 changed in each output; empty where they are float32.
+   *
+   * @generated from field: repeated lambent_proto.v1.Rounding rounding = 5;
+   */
+  rounding: Rounding[];
 };
 
 /**
@@ -373,6 +380,42 @@ export type Graph = Message<"lambent_proto.v1.Graph"> & {
  */
 export const GraphSchema: GenMessage<Graph> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_bundle, 6);
+
+/**
+ * Answers from float16 tables against those of the trained model: absolute below 1, relative above.
+ *
+ * @generated from message lambent_proto.v1.Rounding
+ */
+export type Rounding = Message<"lambent_proto.v1.Rounding"> & {
+  /**
+   * @generated from field: string output = 1;
+   */
+  output: string;
+
+  /**
+   * @generated from field: double max_abs_error = 2;
+   */
+  maxAbsError: number;
+
+  /**
+   * Root mean square; outputs other than opacity and radiance are weighted by opacity.
+   *
+   * @generated from field: double rms_error = 3;
+   */
+  rmsError: number;
+
+  /**
+   * @generated from field: uint32 num_samples = 4;
+   */
+  numSamples: number;
+};
+
+/**
+ * Describes the message lambent_proto.v1.Rounding.
+ * Use `create(RoundingSchema)` to create a new message.
+ */
+export const RoundingSchema: GenMessage<Rounding> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_bundle, 7);
 
 /**
  * A grid of cell values over a box: value (i, j, k) belongs to the centre of a cell.
@@ -407,7 +450,7 @@ export type Uncertainty = Message<"lambent_proto.v1.Uncertainty"> & {
  * Use `create(UncertaintySchema)` to create a new message.
  */
 export const UncertaintySchema: GenMessage<Uncertainty> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 7);
+  messageDesc(file_lambent_proto_v1_bundle, 8);
 
 /**
  * How light travels over the object, in texels (docs/reference/bundle-format.md).
@@ -466,7 +509,7 @@ export type Transport = Message<"lambent_proto.v1.Transport"> & {
  * Use `create(TransportSchema)` to create a new message.
  */
 export const TransportSchema: GenMessage<Transport> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 8);
+  messageDesc(file_lambent_proto_v1_bundle, 9);
 
 /**
  * Planes of texels, one signed byte each: value = offset + scale * byte.
@@ -519,7 +562,7 @@ export type TransportPlanes = Message<"lambent_proto.v1.TransportPlanes"> & {
  * Use `create(TransportPlanesSchema)` to create a new message.
  */
 export const TransportPlanesSchema: GenMessage<TransportPlanes> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 9);
+  messageDesc(file_lambent_proto_v1_bundle, 10);
 
 /**
  * @generated from message lambent_proto.v1.Parity
@@ -546,7 +589,7 @@ export type Parity = Message<"lambent_proto.v1.Parity"> & {
  * Use `create(ParitySchema)` to create a new message.
  */
 export const ParitySchema: GenMessage<Parity> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 10);
+  messageDesc(file_lambent_proto_v1_bundle, 11);
 
 /**
  * A multi-resolution feature grid with the additive lattice hash.
@@ -594,7 +637,7 @@ export type Grid = Message<"lambent_proto.v1.Grid"> & {
  * Use `create(GridSchema)` to create a new message.
  */
 export const GridSchema: GenMessage<Grid> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 11);
+  messageDesc(file_lambent_proto_v1_bundle, 12);
 
 /**
  * @generated from message lambent_proto.v1.GridLevel
@@ -635,7 +678,7 @@ export type GridLevel = Message<"lambent_proto.v1.GridLevel"> & {
  * Use `create(GridLevelSchema)` to create a new message.
  */
 export const GridLevelSchema: GenMessage<GridLevel> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 12);
+  messageDesc(file_lambent_proto_v1_bundle, 13);
 
 /**
  * @generated from message lambent_proto.v1.TensorEntry
@@ -674,5 +717,5 @@ export type TensorEntry = Message<"lambent_proto.v1.TensorEntry"> & {
  * Use `create(TensorEntrySchema)` to create a new message.
  */
 export const TensorEntrySchema: GenMessage<TensorEntry> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 13);
+  messageDesc(file_lambent_proto_v1_bundle, 14);
 

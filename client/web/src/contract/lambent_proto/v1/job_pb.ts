@@ -53,7 +53,8 @@ export type JobSpec = Message<"lambent_proto.v1.JobSpec"> & {
   labels: { [key: string]: string };
 
   /**
-   * "train" (scene to bundle) or "check" (capture findings only).
+   * "train" (scene to bundle), "check" (capture findings only), "bake" (a bundle's fast cache to a light),
+   * "render" or "batch" (pictures of bundles).
    *
    * @generated from field: string kind = 7;
    */
@@ -79,7 +80,7 @@ export const JobSpecSchema: GenMessage<JobSpec> = /*@__PURE__*/
  */
 export type Progress = Message<"lambent_proto.v1.Progress"> & {
   /**
-   * "ingest", "cache", "joint", "evaluate", "export".
+   * "ingest", "cache", "joint", "evaluate", "export"; "bake"; "render" for pictures.
    *
    * @generated from field: string stage = 1;
    */

@@ -1,0 +1,35 @@
+/** Reads bundles beside the page: fetching, digests and packing cost the main thread nothing. */
+
+import { BundleFault } from "./fault.js";
+import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
+import type { BundleOrigin } from "./source.js";
+
+/** What the worker answers; the last answer is "loaded" or "failed". */
+export type BundleAnswer =
+  | BundleNews
+  | { readonly kind: "loaded"; readonly bundle: LoadedBundle }
+  | { readonly kind: "failed"; readonly code: string; readonly message: string };
+
+const answer = (message: BundleAnswer, transfer: Transferable[] = []): void => {
+  self.postMessage(message, { transfer });
+};
+
+self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
+  try {
+    const bundle = await loadBundle(data, (news) => answer(news));
+    answer({ kind: "loaded", bundle }, buffersOf(bundle));
+  } catch (error) {
+    const code = error instanceof BundleFault ? error.code : "bundle.failed";
+    answer({ kind: "failed", code, message: error instanceof Error ? error.message : String(error) });
+  }
+};
+
+function buffersOf({ mesh, transport }: LoadedBundle): Transferable[] {
+  const { direct, visibility, indirect, material, texelPlane, coarseOfTexel, shadowBits } = transport;
+  const tables = [direct, visibility, indirect, material].map((table) => table.steps.buffer);
+  const shadows = shadowBits === null ? [] : [shadowBits.buffer];
+  return [mesh.positionsXyz.buffer, mesh.uv.buffer, mesh.indices.buffer, ...tables, ...shadows].concat([
+    texelPlane.buffer,
+    coarseOfTexel.buffer,
+  ]);
+}

@@ -1,0 +1,36 @@
+/** Loads bundles by a worker. */
+
+import { BundleFault } from "./fault.js";
+import type { BundleAnswer } from "./bundleWorker.js";
+import type { BundleNews, LoadedBundle } from "./load.js";
+import type { BundleOrigin } from "./source.js";
+
+/** Read a bundle in a worker of its own, which ends with it; `signal` gives up. Throws BundleFault. */
+export function loadInWorker(
+  origin: BundleOrigin,
+  tell: (news: BundleNews) => void,
+  signal: AbortSignal,
+): Promise<LoadedBundle> {
+  const worker = new Worker(new URL("./bundleWorker.ts", import.meta.url), { type: "module" });
+  return new Promise<LoadedBundle>((resolve, reject) => {
+    const end = (): void => worker.terminate();
+    signal.addEventListener("abort", () => {
+      end();
+      reject(signal.reason);
+    });
+    worker.onerror = (event) => {
+      end();
+      reject(new BundleFault("bundle.failed", event.message || "the reader failed", "reload the page"));
+    };
+    worker.onmessage = ({ data }: MessageEvent<BundleAnswer>) => {
+      if (data.kind === "loaded") {
+        end();
+        resolve(data.bundle);
+      } else if (data.kind === "failed") {
+        end();
+        reject(Object.assign(new BundleFault(data.code, "", ""), { message: data.message }));
+      } else tell(data);
+    };
+    worker.postMessage(origin);
+  });
+}

@@ -1,0 +1,130 @@
+/** Everything a viewer needs of a bundle, read and checked. */
+
+import { type PhotoCamera, parseCameras } from "./cameras.js";
+import { BundleFault } from "./fault.js";
+import { openBundle } from "./manifest.js";
+import { type AtlasMesh, meshFromGlb } from "./mesh.js";
+import { type BundleOrigin, openSource } from "./source.js";
+import { type PackedTransport, readTransport } from "./transport.js";
+import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
+
+/** A file of the bundle, as it is. */
+export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };
+
+/** A bundle in memory; only typed arrays and plain values, so that a worker can send it. */
+export type LoadedBundle = {
+  readonly name: string;
+  readonly sceneId: string;
+  readonly preset: string;
+  /** The mesh's box, scene units. */
+  readonly boundsMin: readonly number[];
+  readonly boundsMax: readonly number[];
+  readonly albedoScaleRgb: readonly number[];
+  readonly metrics: Readonly<Record<string, number>>;
+  readonly trainLights: readonly string[];
+  readonly mesh: AtlasMesh;
+  readonly transport: PackedTransport;
+  readonly uncertainty: UncertaintyGrid | null;
+  readonly cameras: readonly PhotoCamera[];
+  /** env/trained_<light>.exr by light. */
+  readonly trainedMaps: readonly BundlePicture[];
+  /** Photographs of preview/ that a camera has the name of. */
+  readonly previews: readonly BundlePicture[];
+};
+
+/** What is told of a bundle before all of it is there, so that its light can be prepared meanwhile. */
+export type BundleNews =
+  | { readonly kind: "progress"; readonly readBytes: number; readonly totalBytes: number }
+  | {
+      readonly kind: "opened";
+      readonly bands: number;
+      readonly hasShadowBits: boolean;
+      /** Lights with a map. */
+      readonly lights: readonly string[];
+    }
+  | { readonly kind: "map"; readonly map: BundlePicture };
+
+/** Read a bundle; `tell` hears what is known of it meanwhile. Throws BundleFault. */
+export async function loadBundle(
+  origin: BundleOrigin,
+  tell: (news: BundleNews) => void,
+): Promise<LoadedBundle> {
+  const { manifest, read } = await openBundle(await openSource(origin));
+  const stated = manifest.transport;
+  if (stated === undefined) {
+    throw new BundleFault(
+      "bundle.transport_missing",
+      "this bundle has no baked light transport",
+      "export it again with a version from 1.1 on",
+    );
+  }
+  const paths = new Set(manifest.files.map((file) => file.path));
+  const sizes = new Map(manifest.files.map((file) => [file.path, file.sizeBytes]));
+  const lights = manifest.trainLights.filter((light) => paths.has(`env/trained_${light}.exr`));
+  const cameraPath = manifest.files.find((file) => file.role === "cameras")?.path;
+  const pictures = manifest.files.filter((file) => file.path.startsWith("preview/")).map((file) => file.path);
+  const wanted = [
+    "mesh/asset.glb",
+    stated.texelsPath,
+    ...stated.planes.map((planes) => planes.path),
+    stated.shadowBitsPath,
+    manifest.uncertainty?.path ?? "",
+    cameraPath ?? "",
+    ...lights.map((light) => `env/trained_${light}.exr`),
+    ...pictures,
+  ].filter((path) => path !== "");
+  const total = wanted.reduce((sum, path) => sum + (sizes.get(path) ?? 0), 0);
+  let arrived = 0;
+  const counted = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
+    const data = await read(path);
+    arrived += data.length;
+    tell({ kind: "progress", readBytes: arrived, totalBytes: total });
+    return data;
+  };
+  const trainedMap = async (name: string): Promise<BundlePicture> => {
+    const map = { name, data: await counted(`env/trained_${name}.exr`) };
+    tell({ kind: "map", map });
+    return map;
+  };
+  const bands = stated.planes.find(({ name }) => name === "direct")?.bands ?? 0;
+  tell({ kind: "opened", bands, hasShadowBits: stated.shadowBitsPath !== "", lights });
+  const uncertainty = manifest.uncertainty;
+  // The maps first: preparing light takes longest.
+  const [trainedMaps, mesh, transport, grid, cameras, previews] = await Promise.all([
+    Promise.all(lights.map(trainedMap)),
+    counted("mesh/asset.glb").then(meshFromGlb),
+    readTransport(stated, counted),
+    uncertainty === undefined
+      ? null
+      : counted(uncertainty.path).then((data) => readUncertainty(uncertainty, data)),
+    cameraPath === undefined ? [] : counted(cameraPath).then(parseCameras),
+    Promise.all(
+      pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
+    ),
+  ]);
+  return {
+    name: manifest.name,
+    sceneId: manifest.sceneId,
+    preset: manifest.preset,
+    ...boundsOf(mesh),
+    albedoScaleRgb: manifest.albedoScaleRgb,
+    metrics: manifest.metrics,
+    trainLights: manifest.trainLights,
+    mesh,
+    transport,
+    uncertainty: grid,
+    cameras,
+    trainedMaps,
+    previews,
+  };
+}
+
+function boundsOf({ positionsXyz }: AtlasMesh): { boundsMin: number[]; boundsMax: number[] } {
+  const boundsMin = [Infinity, Infinity, Infinity];
+  const boundsMax = [-Infinity, -Infinity, -Infinity];
+  positionsXyz.forEach((value, index) => {
+    boundsMin[index % 3] = Math.min(boundsMin[index % 3]!, value);
+    boundsMax[index % 3] = Math.max(boundsMax[index % 3]!, value);
+  });
+  return { boundsMin, boundsMax };
+}

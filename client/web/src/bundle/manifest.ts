@@ -1,0 +1,137 @@
+/** Reading manifest.json and the files it lists, with the checks of `lambent_relight.bundle`. */
+
+import { fromJsonString } from "@bufbuild/protobuf";
+import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_proto/v1/bundle_pb.js";
+import { BundleFault, exportAgain } from "./fault.js";
+import { sha256Hex } from "./sha256.js";
+import type { FileSource } from "./source.js";
+
+const manifestLimit = 16 << 20;
+const fileLimit = 512 << 20;
+const conventions = {
+  upAxis: ["up_axis", "z"],
+  handedness: ["handedness", "right"],
+  environmentConvention: ["environment_convention", "tensoir"],
+  radiance: ["radiance", "linear-rec709"],
+} as const;
+
+/** A bundle whose manifest has been checked; files are checked when they are read. */
+export type OpenBundle = {
+  readonly manifest: BundleManifest;
+  /** Return a listed file's bytes, of the stated size and digest; throws BundleFault otherwise. */
+  readonly read: (path: string) => Promise<Uint8Array<ArrayBuffer>>;
+};
+
+/** Read and check the manifest behind a source. */
+export async function openBundle(source: FileSource): Promise<OpenBundle> {
+  const manifest = parseManifest(await source.read("manifest.json", manifestLimit));
+  checkVersion(manifest);
+  checkFiles(manifest, source.paths);
+  checkValues(manifest);
+  const files = new Map(manifest.files.map((file) => [file.path, file]));
+  const read = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
+    const stated = files.get(path);
+    if (stated === undefined) throw exportAgain("bundle.file_missing", `"${path}" is not in files`);
+    const data = await source.read(path, fileLimit);
+    if (data.length !== stated.sizeBytes || (await sha256Hex(data)) !== stated.sha256) {
+      throw new BundleFault(
+        "bundle.digest_mismatch",
+        `"${path}" is not the file the manifest describes`,
+        "fetch the bundle again",
+      );
+    }
+    return data;
+  };
+  return { manifest, read };
+}
+
+function parseManifest(data: Uint8Array): BundleManifest {
+  try {
+    const text = new TextDecoder("utf-8", { fatal: true }).decode(data);
+    return fromJsonString(BundleManifestSchema, text, { ignoreUnknownFields: true });
+  } catch (error) {
+    const reason = error instanceof Error ? error.message.split("\n")[0]!.slice(0, 200) : "no text";
+    throw new BundleFault(
+      "bundle.manifest_unreadable",
+      `manifest.json cannot be read (${reason})`,
+      "fetch the bundle again",
+    );
+  }
+}
+
+function checkVersion(manifest: BundleManifest): void {
+  const match = /^(\d{1,4})\.(\d{1,4})$/.exec(manifest.schemaVersion);
+  if (match?.[1] !== "1") {
+    throw new BundleFault(
+      "bundle.version_unknown",
+      `schema_version is "${manifest.schemaVersion.slice(0, 32)}", this viewer knows 1.x`,
+      "open it with a newer Lambent, or export it with a matching one",
+    );
+  }
+}
+
+/** Throw unless a path stays inside the bundle, written with forward slashes and no tricks. */
+export function checkPath(path: string): void {
+  const parts = path.split("/");
+  const plain = parts.every((part) => part !== "" && part !== "." && part !== "..");
+  if (!plain || /[\\:\0]/.test(path) || path.length > 1024) {
+    throw new BundleFault(
+      "bundle.path_unsafe",
+      `the path "${path.slice(0, 200)}" leaves the bundle`,
+      "do not use this bundle",
+    );
+  }
+}
+
+function checkFiles(manifest: BundleManifest, present: ReadonlySet<string> | null): void {
+  const stated = new Set(manifest.files.map((file) => file.path));
+  if (manifest.files.length > 4096) {
+    throw new BundleFault("bundle.too_many_files", "more than 4096 files", "do not use this bundle");
+  }
+  for (const path of stated) checkPath(path);
+  if (stated.size !== manifest.files.length)
+    throw exportAgain("bundle.manifest_invalid", "a file is listed twice");
+  if (present === null) return;
+  for (const path of present) checkPath(path);
+  const missing = [...stated].filter((path) => !present.has(path));
+  const extra = [...present].filter((path) => path !== "manifest.json" && !stated.has(path));
+  if (missing.length > 0) {
+    throw new BundleFault(
+      "bundle.file_missing",
+      `${missing.slice(0, 4).join(", ")} are not there`,
+      "fetch the bundle again",
+    );
+  }
+  if (extra.length > 0) {
+    throw new BundleFault(
+      "bundle.file_unlisted",
+      `${extra.slice(0, 4).join(", ")} are not in the manifest`,
+      "remove them",
+    );
+  }
+}
+
+function checkValues(manifest: BundleManifest): void {
+  for (const [field, [name, expected]] of Object.entries(conventions)) {
+    const found = manifest.world?.[field as keyof typeof conventions] ?? "";
+    if (found !== expected) {
+      throw new BundleFault(
+        "bundle.convention_unknown",
+        `world.${name} is "${found.slice(0, 64)}", this viewer knows "${expected}"`,
+        "export the bundle with the conventions of docs/reference/conventions.md",
+      );
+    }
+  }
+  const [low, high] = [manifest.bounds?.minimum ?? [], manifest.bounds?.maximum ?? []];
+  const ordered = low.every((value, axis) => Number.isFinite(value) && value < high[axis]!);
+  if (low.length !== 3 || high.length !== 3 || !ordered || !high.every(Number.isFinite)) {
+    throw exportAgain(
+      "bundle.manifest_invalid",
+      "bounds needs three minimum values below three maximum values",
+    );
+  }
+  const scale = manifest.albedoScaleRgb;
+  if (scale.length !== 3 || !scale.every((value) => value > 0 && Number.isFinite(value))) {
+    throw exportAgain("bundle.manifest_invalid", "albedo_scale_rgb needs three positive numbers");
+  }
+}

@@ -1,0 +1,111 @@
+/** The surface of a bundle, read from its mesh/asset.glb, as `lambent_relight.baked_mesh` does. */
+
+import { type BundleFault, exportAgain } from "./fault.js";
+
+/** Triangles with a place in the atlas; positions are the world's, z up. */
+export type AtlasMesh = {
+  readonly positionsXyz: Float32Array<ArrayBuffer>;
+  /** Pairs in [0, 1], v down from the top row of the atlas. */
+  readonly uv: Float32Array<ArrayBuffer>;
+  readonly indices: Uint32Array<ArrayBuffer>;
+};
+
+type Numbers = Uint8Array | Uint16Array | Uint32Array | Float32Array;
+type Json = { readonly [key: string]: unknown };
+
+const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3: 3 };
+const itemBytes: Readonly<Record<number, 1 | 2 | 4>> = { 5121: 1, 5123: 2, 5125: 4, 5126: 4 };
+
+function invalid(what: string): BundleFault {
+  return exportAgain("bundle.mesh_invalid", `mesh/asset.glb ${what}`);
+}
+
+/** Return the first primitive of a binary glTF file; throws BundleFault for one that cannot be used. */
+export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
+  const { document, payload } = chunks(data);
+  const primitive = object(list(object(list(document.meshes)[0]).primitives)[0]);
+  const attributes = object(primitive.attributes);
+  const positions = accessor(document, payload, attributes.POSITION, "VEC3");
+  const places = accessor(document, payload, attributes.TEXCOORD_0, "VEC2");
+  const found = accessor(document, payload, primitive.indices, "SCALAR");
+  if ((primitive.mode ?? 4) !== 4 || found.length % 3 !== 0 || found instanceof Float32Array) {
+    throw invalid("is not made of triangles");
+  }
+  const numVertices = positions.length / 3;
+  if (!(positions instanceof Float32Array) || places.length !== 2 * numVertices) {
+    throw invalid("has other texture coordinates than positions");
+  }
+  const largest = places instanceof Float32Array ? 1 : 2 ** (8 * places.BYTES_PER_ELEMENT) - 1;
+  const uv = Float32Array.from(places, (value) => value / largest);
+  if (!positions.every(Number.isFinite) || !uv.every((value) => value >= 0 && value <= 1)) {
+    throw invalid("has coordinates out of range");
+  }
+  const indices = Uint32Array.from(found);
+  if (numVertices === 0 || indices.length === 0 || !indices.every((index) => index < numVertices)) {
+    throw invalid("refers to vertices that are not there");
+  }
+  return { positionsXyz: new Float32Array(positions), uv, indices };
+}
+
+function object(value: unknown): Json {
+  if (typeof value !== "object" || value === null || Array.isArray(value))
+    throw invalid("cannot be read as glTF");
+  return value as Json;
+}
+
+function list(value: unknown): readonly unknown[] {
+  if (!Array.isArray(value)) throw invalid("cannot be read as glTF");
+  return value;
+}
+
+function whole(value: unknown): number {
+  if (typeof value !== "number" || !Number.isSafeInteger(value) || value < 0)
+    throw invalid("has a size that is no size");
+  return value;
+}
+
+function chunks(data: Uint8Array<ArrayBuffer>): { document: Json; payload: Uint8Array<ArrayBuffer> } {
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+  if (data.length < 28 || view.getUint32(0, true) !== 0x46546c67 || view.getUint32(4, true) !== 2) {
+    throw invalid("is not a GLB of version 2");
+  }
+  const length = view.getUint32(12, true);
+  const start = 20 + length;
+  if (view.getUint32(16, true) !== 0x4e4f534a || start + 8 > data.length) throw invalid("has no JSON chunk");
+  const end = start + 8 + view.getUint32(start, true);
+  if (view.getUint32(start + 4, true) !== 0x004e4942 || end > data.length)
+    throw invalid("has no binary chunk");
+  try {
+    const document = object(JSON.parse(new TextDecoder().decode(data.subarray(20, start))));
+    return { document, payload: data.slice(start + 8, end) };
+  } catch {
+    throw invalid("cannot be read as glTF");
+  }
+}
+
+function accessor(document: Json, payload: Uint8Array<ArrayBuffer>, index: unknown, kind: string): Numbers {
+  const stated = object(list(document.accessors)[whole(index)]);
+  const view = object(list(document.bufferViews)[whole(stated.bufferView)]);
+  const type = whole(stated.componentType);
+  const size = itemBytes[type];
+  const width = components[kind]!;
+  if (stated.type !== kind || "sparse" in stated || (view.buffer ?? 0) !== 0 || size === undefined) {
+    throw invalid("has an accessor of another form");
+  }
+  const count = whole(stated.count);
+  const stride = whole(view.byteStride ?? size * width);
+  const start = whole(view.byteOffset ?? 0) + whole(stated.byteOffset ?? 0);
+  if (stride < size * width || (count > 0 && start + (count - 1) * stride + size * width > payload.length)) {
+    throw invalid("has an accessor that leaves the file");
+  }
+  const packed = new Uint8Array(count * size * width);
+  for (let row = 0; row < count; row++) {
+    packed.set(
+      payload.subarray(start + row * stride, start + row * stride + size * width),
+      row * size * width,
+    );
+  }
+  if (type === 5126) return new Float32Array(packed.buffer);
+  if (size === 1) return packed;
+  return size === 2 ? new Uint16Array(packed.buffer) : new Uint32Array(packed.buffer);
+}

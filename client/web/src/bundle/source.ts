@@ -1,0 +1,155 @@
+/** Where the files of a bundle come from: a web folder, our server, a zip archive, files that were dropped. */
+
+import { BundleFault } from "./fault.js";
+import { ZipArchive, type RangeReader } from "./zip.js";
+
+type Bytes = Uint8Array<ArrayBuffer>;
+
+/** Read access to the files of a bundle by their path inside it. */
+export type FileSource = {
+  /** All paths, or null where they cannot be listed. */
+  readonly paths: ReadonlySet<string> | null;
+  readonly read: (path: string, limitBytes: number) => Promise<Bytes>;
+};
+
+/** What a bundle is opened from; can be sent to a worker. */
+export type BundleOrigin =
+  | { readonly kind: "url"; readonly url: string }
+  | { readonly kind: "archive"; readonly file: Blob }
+  | { readonly kind: "files"; readonly files: ReadonlyMap<string, Blob> };
+
+/** Return the files behind an origin; throws BundleFault where there are none. */
+export async function openSource(origin: BundleOrigin): Promise<FileSource> {
+  if (origin.kind === "archive") return archiveSource(origin.file);
+  if (origin.kind === "files") return droppedSource(origin.files);
+  const url = new URL(origin.url);
+  if (url.pathname.endsWith(".zip")) return remoteArchive(url);
+  return folderSource(url);
+}
+
+function tooLarge(path: string, limitBytes: number): BundleFault {
+  return new BundleFault(
+    "bundle.too_large",
+    `"${path}" is above ${limitBytes} bytes`,
+    "do not use this bundle",
+  );
+}
+
+async function request(url: URL, headers: Record<string, string> = {}): Promise<Response> {
+  try {
+    return await fetch(url, { headers, credentials: "same-origin" });
+  } catch {
+    throw new BundleFault(
+      "bundle.missing",
+      `nothing answers at ${url.href}`,
+      "check the address, the connection, and that the host allows other sites to read it",
+    );
+  }
+}
+
+/** Files below an address; `.../v1/bundles/ID` of our server keeps them under /files. */
+function folderSource(given: URL): FileSource {
+  const base = new URL(given.href);
+  base.search = "";
+  base.hash = "";
+  if (/\/v1\/bundles\/[^/]+\/?$/.test(base.pathname)) {
+    base.pathname = `${base.pathname.replace(/\/$/, "")}/files/`;
+  }
+  if (!base.pathname.endsWith("/")) base.pathname += "/";
+  return {
+    paths: null,
+    read: async (path, limitBytes) => {
+      const address = new URL(path.split("/").map(encodeURIComponent).join("/"), base);
+      const response = await request(address);
+      if (!response.ok) {
+        const missing = path === "manifest.json" ? "bundle.manifest_missing" : "bundle.file_missing";
+        throw new BundleFault(
+          missing,
+          `"${path}" is not there (${response.status})`,
+          "give the address of the folder that holds manifest.json",
+        );
+      }
+      if (Number(response.headers.get("content-length") ?? 0) > limitBytes) throw tooLarge(path, limitBytes);
+      const data = new Uint8Array(await response.arrayBuffer());
+      if (data.length > limitBytes) throw tooLarge(path, limitBytes);
+      return data;
+    },
+  };
+}
+
+/** A zip archive at an address: fetched by ranges where the host knows them, whole otherwise. */
+async function remoteArchive(url: URL): Promise<FileSource> {
+  const probe = await request(url, { range: "bytes=0-0" });
+  const stated = /\/(\d+)$/.exec(probe.headers.get("content-range") ?? "");
+  if (probe.status === 206 && stated !== null) {
+    await probe.arrayBuffer();
+    const read: RangeReader = async (start, length) => {
+      if (length === 0) return new Uint8Array(0);
+      const response = await request(url, { range: `bytes=${start}-${start + length - 1}` });
+      if (response.status !== 206) {
+        throw new BundleFault("bundle.archive_damaged", `${url.href} stopped answering`, "try again");
+      }
+      return new Uint8Array(await response.arrayBuffer());
+    };
+    return zipSource(await ZipArchive.open(read, Number(stated[1])));
+  }
+  if (!probe.ok) {
+    throw new BundleFault(
+      "bundle.missing",
+      `nothing is at ${url.href} (${probe.status})`,
+      "check the address",
+    );
+  }
+  return archiveSource(await probe.blob());
+}
+
+async function archiveSource(file: Blob): Promise<FileSource> {
+  const read: RangeReader = async (start, length) =>
+    new Uint8Array(await file.slice(start, start + length).arrayBuffer());
+  return zipSource(await ZipArchive.open(read, file.size));
+}
+
+function zipSource(archive: ZipArchive): FileSource {
+  return {
+    paths: new Set(archive.entries.keys()),
+    read: async (path, limitBytes) => {
+      const entry = archive.entries.get(path);
+      if (entry === undefined) throw missing(path);
+      if (entry.sizeBytes > limitBytes) throw tooLarge(path, limitBytes);
+      return archive.file(path);
+    },
+  };
+}
+
+function missing(path: string): BundleFault {
+  return path === "manifest.json"
+    ? new BundleFault(
+        "bundle.manifest_missing",
+        "there is no manifest.json",
+        "drop the folder that holds it, or a .relight.zip",
+      )
+    : new BundleFault("bundle.file_missing", `"${path}" is not there`, "fetch the bundle again");
+}
+
+/** Files of a folder that was dropped; the folder that holds manifest.json is the bundle. */
+function droppedSource(files: ReadonlyMap<string, Blob>): FileSource {
+  const manifest = [...files.keys()]
+    .filter((path) => path === "manifest.json" || path.endsWith("/manifest.json"))
+    .sort((a, b) => a.length - b.length)[0];
+  if (manifest === undefined) throw missing("manifest.json");
+  const root = manifest.slice(0, -"manifest.json".length);
+  const inside = new Map(
+    [...files]
+      .filter(([path]) => path.startsWith(root))
+      .map(([path, file]) => [path.slice(root.length), file]),
+  );
+  return {
+    paths: new Set(inside.keys()),
+    read: async (path, limitBytes) => {
+      const file = inside.get(path);
+      if (file === undefined) throw missing(path);
+      if (file.size > limitBytes) throw tooLarge(path, limitBytes);
+      return new Uint8Array(await file.arrayBuffer());
+    },
+  };
+}

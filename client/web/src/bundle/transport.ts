@@ -1,0 +1,184 @@
+/**
+ * Baked light transport, checked as `lambent_relight.transport` does and laid out for textures.
+ *
+ * Values per covered texel lie in tables `tableWidth` texels wide; texel t is at (t mod tableWidth, t / tableWidth).
+ * Planes keep their signed bytes q, four planes to a layer; value = offset + scale q.
+ * Source: docs/reference/bundle-format.md (transport).
+ */
+
+import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bundle_pb.js";
+import { type BundleFault, exportAgain } from "./fault.js";
+import { spreadTexels } from "./texels.js";
+
+/** Columns of all tables. */
+export const tableWidth = 1024;
+export const numShadowDirections = 256;
+const maxAtlasSize = 8192;
+
+/** Planes of texels in layers of four. */
+export type PlaneTable = {
+  readonly bands: number;
+  readonly layers: number;
+  readonly rows: number;
+  /** [layer, texel, 4], zero where there is none. */
+  readonly steps: Int8Array<ArrayBuffer>;
+  /** One per plane, zero for the planes that fill up the last layer. */
+  readonly scales: Float32Array<ArrayBuffer>;
+  readonly offsets: Float32Array<ArrayBuffer>;
+};
+
+/** The transport of a bundle. */
+export type PackedTransport = {
+  /** Texels along a side of the square atlas. */
+  readonly size: number;
+  readonly numTexels: number;
+  /** Number of the nearest covered texel at every place of the atlas, rows from the top. */
+  readonly texelPlane: Uint32Array<ArrayBuffer>;
+  readonly direct: PlaneTable;
+  readonly visibility: PlaneTable;
+  /** Plane 3 k + c is coefficient k of channel c, over coarse texels. */
+  readonly indirect: PlaneTable;
+  /** Albedo (3), perceptual roughness, metalness, world normal (3). */
+  readonly material: PlaneTable;
+  /** Number of the coarse texel of every texel, as a table. */
+  readonly coarseOfTexel: Uint32Array<ArrayBuffer>;
+  /** 256 bits per texel in two layers of four words, lowest bit first; null where the bundle has none. */
+  readonly shadowBits: Uint32Array<ArrayBuffer> | null;
+};
+
+type Reader = (path: string) => Promise<Uint8Array<ArrayBuffer>>;
+
+// Channels, and the largest number of bands.
+const sets = { direct: [1, 9], visibility: [1, 9], indirect: [3, 9], material: [8, 1] } as const;
+
+function invalid(what: string): BundleFault {
+  return exportAgain("bundle.transport_invalid", `the transport ${what}`);
+}
+
+/** Return how many rows a table of `count` texels has. */
+export function tableRows(count: number): number {
+  return Math.max(1, Math.ceil(count / tableWidth));
+}
+
+/** Read and check the transport that a manifest states. */
+export async function readTransport(stated: Transport, read: Reader): Promise<PackedTransport> {
+  const { size } = stated;
+  if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(`has an atlas of ${size} texels along a side`);
+  const texelIndex = coveredTexels(await read(stated.texelsPath), size);
+  const numTexels = texelIndex.length;
+  if (numTexels !== stated.numTexels || numTexels === 0) {
+    throw invalid(`covers ${numTexels} texels, the manifest states ${stated.numTexels}`);
+  }
+  const { numCoarse, coarseOfTexel } = coarseTexels(texelIndex, size);
+  const load = async (name: keyof typeof sets): Promise<PlaneTable> => {
+    const planes = stated.planes.find((each) => each.name === name);
+    if (planes === undefined) throw invalid(`has no planes "${name}"`);
+    const [channels, most] = sets[name];
+    if (planes.channels !== channels || !(planes.bands >= 1 && planes.bands <= most)) {
+      throw invalid(`has "${name}" in ${planes.bands} bands and ${planes.channels} channels`);
+    }
+    return packPlanes(planes, await read(planes.path), name === "indirect" ? numCoarse : numTexels);
+  };
+  const [direct, visibility, indirect, material] = await Promise.all([
+    load("direct"),
+    load("visibility"),
+    load("indirect"),
+    load("material"),
+  ]);
+  if (indirect.bands > direct.bands) throw invalid("has more bands of indirect than of direct transfer");
+  let shadowBits: Uint32Array<ArrayBuffer> | null = null;
+  if (stated.shadowBitsPath !== "") {
+    if (stated.numShadowDirections !== numShadowDirections) {
+      throw invalid(`has ${stated.numShadowDirections} shadow directions`);
+    }
+    shadowBits = packShadowBits(await read(stated.shadowBitsPath), numTexels);
+  }
+  return {
+    size,
+    numTexels,
+    texelPlane: spreadTexels(texelIndex, size),
+    direct,
+    visibility,
+    indirect,
+    material,
+    coarseOfTexel,
+    shadowBits,
+  };
+}
+
+/** Return the places of covered texels, rising, from one bit per place, lowest first. */
+function coveredTexels(mask: Uint8Array, size: number): Uint32Array {
+  if (mask.length !== Math.ceil((size * size) / 8)) {
+    throw invalid(`has ${mask.length} bytes of mask for ${size} x ${size} texels`);
+  }
+  const found = new Uint32Array(size * size);
+  let count = 0;
+  for (let place = 0; place < size * size; place++) {
+    if ((mask[place >> 3]! >> (place & 7)) & 1) found[count++] = place;
+  }
+  return found.slice(0, count);
+}
+
+/** Number the 2 x 2 blocks with a covered texel in the order of their place. */
+function coarseTexels(
+  texelIndex: Uint32Array,
+  size: number,
+): { numCoarse: number; coarseOfTexel: Uint32Array<ArrayBuffer> } {
+  const half = Math.ceil(size / 2);
+  const blockOf = (place: number): number => (Math.floor(place / size) >> 1) * half + ((place % size) >> 1);
+  const rank = new Int32Array(half * half).fill(-1);
+  for (const place of texelIndex) rank[blockOf(place)] = 0;
+  let numCoarse = 0;
+  rank.forEach((seen, block) => {
+    if (seen === 0) rank[block] = numCoarse++;
+  });
+  const coarseOfTexel = new Uint32Array(tableWidth * tableRows(texelIndex.length));
+  texelIndex.forEach((place, texel) => {
+    coarseOfTexel[texel] = rank[blockOf(place)]!;
+  });
+  return { numCoarse, coarseOfTexel };
+}
+
+function packPlanes(stated: TransportPlanes, data: Uint8Array<ArrayBuffer>, numTexels: number): PlaneTable {
+  const count = stated.bands ** 2 * stated.channels;
+  if (
+    stated.scales.length !== count ||
+    stated.offsets.length !== count ||
+    data.length !== count * numTexels
+  ) {
+    throw invalid(
+      `"${stated.path.slice(0, 200)}" has ${data.length} bytes and ${stated.scales.length} scales ` +
+        `for ${count} planes of ${numTexels} texels`,
+    );
+  }
+  if (![...stated.scales, ...stated.offsets].every(Number.isFinite)) {
+    throw invalid(`"${stated.path.slice(0, 200)}" has a scale that is not finite`);
+  }
+  const layers = Math.ceil(count / 4);
+  const rows = tableRows(numTexels);
+  const steps = new Int8Array(4 * layers * rows * tableWidth);
+  const bytes = new Int8Array(data.buffer, data.byteOffset, data.length);
+  for (let plane = 0; plane < count; plane++) {
+    let target = 4 * (plane >> 2) * rows * tableWidth + (plane & 3);
+    const start = plane * numTexels;
+    for (let texel = 0; texel < numTexels; texel++, target += 4) steps[target] = bytes[start + texel]!;
+  }
+  const scales = new Float32Array(4 * layers);
+  const offsets = new Float32Array(4 * layers);
+  scales.set(stated.scales);
+  offsets.set(stated.offsets);
+  return { bands: stated.bands, layers, rows, steps, scales, offsets };
+}
+
+function packShadowBits(data: Uint8Array<ArrayBuffer>, numTexels: number): Uint32Array<ArrayBuffer> {
+  if (data.length !== (numTexels * numShadowDirections) / 8)
+    throw invalid(`has ${data.length} bytes of shadows`);
+  const words = new Uint32Array(data.buffer.slice(data.byteOffset, data.byteOffset + data.length));
+  const layer = 4 * tableWidth * tableRows(numTexels);
+  const packed = new Uint32Array(2 * layer);
+  for (let texel = 0; texel < numTexels; texel++) {
+    packed.set(words.subarray(8 * texel, 8 * texel + 4), 4 * texel);
+    packed.set(words.subarray(8 * texel + 4, 8 * texel + 8), layer + 4 * texel);
+  }
+  return packed;
+}

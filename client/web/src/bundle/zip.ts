@@ -1,0 +1,127 @@
+/** Zip archives, read in parts: from a file that was dropped, or by ranges of an address. */
+
+import { BundleFault } from "./fault.js";
+
+/** Some bytes of a file; `start` may be negative, counted from the end. */
+export type RangeReader = (start: number, length: number) => Promise<Uint8Array<ArrayBuffer>>;
+
+type Entry = {
+  readonly method: number;
+  readonly sizeBytes: number;
+  readonly packedBytes: number;
+  readonly offset: number;
+};
+
+const endMark = 0x06054b50;
+const entryMark = 0x02014b50;
+const fileMark = 0x04034b50;
+const maxFiles = 4096;
+
+function damaged(what: string): BundleFault {
+  return new BundleFault("bundle.archive_damaged", `the zip archive ${what}`, "fetch it again");
+}
+
+/** An archive whose directory has been read. */
+export class ZipArchive {
+  private constructor(
+    readonly entries: ReadonlyMap<string, Entry>,
+    private readonly read: RangeReader,
+  ) {}
+
+  /** Read the directory of an archive of `totalBytes`; throws BundleFault for anything but a plain zip. */
+  static async open(read: RangeReader, totalBytes: number): Promise<ZipArchive> {
+    const tailLength = Math.min(totalBytes, 65_557);
+    const tail = await read(totalBytes - tailLength, tailLength);
+    const view = new DataView(tail.buffer, tail.byteOffset, tail.byteLength);
+    let end = tail.length - 22;
+    while (end >= 0 && view.getUint32(end, true) !== endMark) end--;
+    if (end < 0) throw damaged("has no directory");
+    const count = view.getUint16(end + 10, true);
+    const length = view.getUint32(end + 12, true);
+    const start = view.getUint32(end + 16, true);
+    if (count === 0xffff || start === 0xffffffff || start + length > totalBytes) {
+      throw damaged("is of the large kind or ends early");
+    }
+    if (count > maxFiles) {
+      throw new BundleFault("bundle.too_many_files", `more than ${maxFiles} files`, "do not use this bundle");
+    }
+    const directory = await read(start, length);
+    return new ZipArchive(parseDirectory(directory, count), read);
+  }
+
+  /** Return the bytes of a file of the archive. */
+  async file(name: string): Promise<Uint8Array<ArrayBuffer>> {
+    const entry = this.entries.get(name);
+    if (entry === undefined) throw damaged(`has no "${name}"`);
+    const head = await this.read(entry.offset, 30);
+    const view = new DataView(head.buffer, head.byteOffset, head.byteLength);
+    if (head.length < 30 || view.getUint32(0, true) !== fileMark) throw damaged(`is damaged at "${name}"`);
+    const start = entry.offset + 30 + view.getUint16(26, true) + view.getUint16(28, true);
+    const packed = await this.read(start, entry.packedBytes);
+    if (packed.length !== entry.packedBytes) throw damaged(`ends early in "${name}"`);
+    if (entry.method === 0) return packed;
+    return inflated(packed, entry.sizeBytes, name);
+  }
+}
+
+async function inflated(
+  packed: Uint8Array<ArrayBuffer>,
+  sizeBytes: number,
+  name: string,
+): Promise<Uint8Array<ArrayBuffer>> {
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
+  const reader = stream.getReader();
+  const whole = new Uint8Array(sizeBytes);
+  let filled = 0;
+  try {
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      if (filled + value.length > sizeBytes) throw damaged(`holds more in "${name}" than it states`);
+      whole.set(value, filled);
+      filled += value.length;
+    }
+  } catch (error) {
+    if (error instanceof BundleFault) throw error;
+    throw damaged(`cannot be unpacked at "${name}"`);
+  }
+  if (filled !== sizeBytes) throw damaged(`holds less in "${name}" than it states`);
+  return whole;
+}
+
+function parseDirectory(directory: Uint8Array, count: number): Map<string, Entry> {
+  const view = new DataView(directory.buffer, directory.byteOffset, directory.byteLength);
+  const entries = new Map<string, Entry>();
+  let place = 0;
+  for (let index = 0; index < count; index++) {
+    if (place + 46 > directory.length || view.getUint32(place, true) !== entryMark) {
+      throw damaged("has a damaged directory");
+    }
+    const flags = view.getUint16(place + 8, true);
+    const nameLength = view.getUint16(place + 28, true);
+    const rest = view.getUint16(place + 30, true) + view.getUint16(place + 32, true);
+    const name = new TextDecoder().decode(directory.subarray(place + 46, place + 46 + nameLength));
+    const kind = (view.getUint32(place + 38, true) >>> 28) & 0xf;
+    const entry = {
+      method: view.getUint16(place + 10, true),
+      packedBytes: view.getUint32(place + 20, true),
+      sizeBytes: view.getUint32(place + 24, true),
+      offset: view.getUint32(place + 42, true),
+    };
+    place += 46 + nameLength + rest;
+    if (name.endsWith("/")) continue;
+    if (flags & 1)
+      throw new BundleFault("bundle.encrypted", `"${name}" is encrypted`, "store the bundle unencrypted");
+    if (kind !== 0 && kind !== 8) {
+      throw new BundleFault(
+        "bundle.not_a_plain_file",
+        `"${name}" is a link or a device`,
+        "replace it by the file",
+      );
+    }
+    if (entry.method !== 0 && entry.method !== 8) throw damaged(`packs "${name}" in an unknown way`);
+    if (entries.has(name)) throw damaged(`holds "${name}" twice`);
+    entries.set(name, entry);
+  }
+  return entries;
+}

@@ -1,0 +1,40 @@
+/** Asks the light worker. */
+
+import { Questions, type Unnumbered } from "../page/questions.js";
+import { MapFault } from "./fault.js";
+import type { LightAnswer, LightQuestion, MapOrigin } from "./lightWorker.js";
+import type { PreparedLight } from "./prepare.js";
+
+/** One worker; questions are answered in order. */
+export class LightClient {
+  readonly #questions = new Questions<LightQuestion, LightAnswer>(
+    new Worker(new URL("./lightWorker.ts", import.meta.url), { type: "module" }),
+  );
+
+  /** Decode and prepare a map for transport of `bands` bands; throws MapFault. */
+  async prepare(origin: MapOrigin, bands: number, dominant: number): Promise<PreparedLight> {
+    const answer = await this.#ask({ ask: "light", origin, bands, dominant });
+    if (answer.kind !== "light") throw new Error("another answer than was asked for");
+    return answer.light;
+  }
+
+  /** Compute the split-sum table. */
+  async splitSum(): Promise<Float32Array<ArrayBuffer>> {
+    const answer = await this.#ask({ ask: "splitSum" });
+    if (answer.kind !== "splitSum") throw new Error("another answer than was asked for");
+    return answer.table;
+  }
+
+  /** End the worker. */
+  dispose(): void {
+    this.#questions.close();
+  }
+
+  async #ask(question: Unnumbered<LightQuestion>): Promise<LightAnswer> {
+    const answer = await this.#questions.ask(question);
+    if (answer.kind === "failed") {
+      throw Object.assign(new MapFault(answer.code, "", ""), { message: answer.message });
+    }
+    return answer;
+  }
+}

@@ -1,0 +1,113 @@
+/** Decodes and prepares environment maps beside the page. */
+
+import { splitSumTable } from "../engine/splitSum.js";
+import { readExr } from "./exrInput.js";
+import { MapFault } from "./fault.js";
+import { type PreparedLight, prepareLight } from "./prepare.js";
+import { type PresetName, presetMap } from "./presets.js";
+import { readRgbe } from "./rgbe.js";
+
+/** Where a map comes from; the format of bytes is seen from their start. */
+export type MapOrigin =
+  | { readonly kind: "preset"; readonly name: PresetName }
+  | { readonly kind: "bytes"; readonly data: Uint8Array<ArrayBuffer> }
+  | { readonly kind: "url"; readonly url: string };
+
+export type LightQuestion =
+  | {
+      readonly id: number;
+      readonly ask: "light";
+      readonly origin: MapOrigin;
+      readonly bands: number;
+      readonly dominant: number;
+    }
+  | { readonly id: number; readonly ask: "splitSum" };
+
+export type LightAnswer =
+  | { readonly id: number; readonly kind: "light"; readonly light: PreparedLight }
+  | { readonly id: number; readonly kind: "splitSum"; readonly table: Float32Array<ArrayBuffer> }
+  | { readonly id: number; readonly kind: "failed"; readonly code: string; readonly message: string };
+
+const maxPixels = 1 << 27;
+
+self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
+  const { id } = question;
+  const answer = (message: LightAnswer, transfer: Transferable[]): void => {
+    self.postMessage(message, { transfer });
+  };
+  try {
+    if (question.ask === "splitSum") {
+      const table = new Float32Array(splitSumTable());
+      answer({ id, kind: "splitSum", table }, [table.buffer]);
+      return;
+    }
+    const light = prepareLight(await openMap(question.origin), question.bands, question.dominant);
+    const buffers = [light.coefficientsRgb.buffer, light.plainRgb.buffer, light.levels.halfRgba.buffer];
+    answer({ id, kind: "light", light }, buffers);
+  } catch (error) {
+    const code = error instanceof MapFault ? error.code : "environment.failed";
+    answer({ id, kind: "failed", code, message: error instanceof Error ? error.message : String(error) }, []);
+  }
+};
+
+async function openMap(origin: MapOrigin) {
+  if (origin.kind === "preset") return presetMap(origin.name);
+  return decode(origin.kind === "bytes" ? origin.data : await fetched(origin.url));
+}
+
+function decode(data: Uint8Array<ArrayBuffer>) {
+  const [first, second, third, fourth] = data;
+  if (first === 0x76 && second === 0x2f && third === 0x31 && fourth === 0x01) return readExr(data, maxPixels);
+  if (first === 0x23 && second === 0x3f) return readRgbe(data, maxPixels);
+  throw new MapFault(
+    "environment.unknown_format",
+    "the file is neither .hdr nor .exr",
+    "convert it to one of them",
+  );
+}
+
+/** Addresses that the page's content security policy has kept from being read. */
+const forbidden = new Set<string>();
+self.addEventListener("securitypolicyviolation", (event) => {
+  if (event.effectiveDirective === "connect-src") forbidden.add(event.blockedURI);
+});
+
+/** Return whether it was the policy that kept an address from being read; browsers tell a moment after. */
+async function isForbidden(url: string): Promise<boolean> {
+  const address = new URL(url);
+  address.hash = "";
+  for (let tries = 0; tries < 10; tries++) {
+    if (forbidden.delete(address.href)) return true;
+    await new Promise((resolve) => setTimeout(resolve, 20));
+  }
+  return false;
+}
+
+async function fetched(url: string): Promise<Uint8Array<ArrayBuffer>> {
+  let response: Response;
+  try {
+    response = await fetch(url);
+  } catch {
+    const { host } = new URL(url);
+    if (await isForbidden(url)) {
+      throw new MapFault(
+        "environment.blocked",
+        `the server of this page lets it read from no other host, so not from ${host}`,
+        "download the map and drop it here",
+      );
+    }
+    throw new MapFault(
+      "environment.missing",
+      `nothing can be read from ${url}`,
+      "check the address, and that its host and this page's allow it; or download the map and drop it here",
+    );
+  }
+  if (!response.ok) {
+    throw new MapFault(
+      "environment.missing",
+      `no map is at ${url} (${response.status})`,
+      "check the address",
+    );
+  }
+  return new Uint8Array(await response.arrayBuffer());
+}

@@ -1,0 +1,196 @@
+import { createHash } from "node:crypto";
+import { describe, expect, it } from "vitest";
+import { BundleFault } from "../src/bundle/fault.js";
+import { loadBundle } from "../src/bundle/load.js";
+import { checkPath, openBundle } from "../src/bundle/manifest.js";
+import { meshFromGlb } from "../src/bundle/mesh.js";
+import { sha256, sha256Hex } from "../src/bundle/sha256.js";
+import { openSource } from "../src/bundle/source.js";
+import { spreadTexels } from "../src/bundle/texels.js";
+import { tableWidth } from "../src/bundle/transport.js";
+import { readUncertainty } from "../src/bundle/uncertainty.js";
+import {
+  allFiles,
+  listFiles,
+  sourceOf,
+  type TinyBundle,
+  tinyBundle,
+  triangleGlb,
+  zipOf,
+} from "./support/bundle.js";
+
+async function faultOf(work: Promise<unknown>): Promise<BundleFault> {
+  try {
+    await work;
+  } catch (error) {
+    if (error instanceof BundleFault) return error;
+    throw error;
+  }
+  throw new Error("nothing was refused");
+}
+
+async function open(bundle: TinyBundle, listed = true): Promise<unknown> {
+  if (listed) listFiles(bundle);
+  const archive = zipOf(allFiles(bundle));
+  return loadBundle({ kind: "archive", file: new Blob([archive]) }, () => {});
+}
+
+describe("digests", () => {
+  it.each([0, 1, 55, 56, 63, 64, 119, 1000])("of %i bytes are SHA-256", async (length) => {
+    const data = Uint8Array.from({ length }, (_, index) => (index * 31) & 255);
+    const expected = createHash("sha256").update(data).digest("hex");
+    expect(Buffer.from(sha256(data)).toString("hex")).toBe(expected);
+    expect(await sha256Hex(data)).toBe(expected);
+  });
+});
+
+describe("a bundle", () => {
+  it("is read from stored and from deflated archives, and from dropped files", async () => {
+    const files = allFiles(tinyBundle());
+    const inFolder = new Map(
+      [...files].map(([path, data]) => [`some/tiny.relight/${path}`, new Blob([data])]),
+    );
+    const origins = [
+      { kind: "archive", file: new Blob([zipOf(files)]) },
+      { kind: "archive", file: new Blob([zipOf(files, { packed: true })]) },
+      { kind: "files", files: inFolder },
+    ] as const;
+    for (const origin of origins) {
+      const shares: number[] = [];
+      const bundle = await loadBundle(origin, (news) => {
+        if (news.kind === "progress") shares.push(news.readBytes / news.totalBytes);
+      });
+      expect(bundle.name).toBe("tiny");
+      expect(shares.at(-1)).toBe(1);
+      expect([...bundle.mesh.indices]).toEqual([0, 1, 2]);
+      const { direct, shadowBits, coarseOfTexel } = bundle.transport;
+      // One plane: the first of four in its layer; the second texel is the second value of the file.
+      expect([direct.steps[0], direct.steps[4], direct.steps[1]]).toEqual([0, 7, 0]);
+      expect(direct.steps.length).toBe(4 * tableWidth);
+      // Texels 0, 1, 4, 5 share the first block of 2 x 2.
+      expect([...coarseOfTexel.subarray(0, 6)]).toEqual([0, 0, 0, 0, 1, 2]);
+      // Byte 16 of texel 1's 32 is the lowest byte of the second layer's first word.
+      expect(shadowBits![4 * tableWidth + 4]! & 255).toBe((32 + 16) % 251);
+    }
+  });
+
+  it("is refused with the reader's codes", async () => {
+    const cases: [string, (bundle: TinyBundle) => void][] = [
+      ["bundle.version_unknown", ({ manifest }) => (manifest.schema_version = "2.0")],
+      [
+        "bundle.convention_unknown",
+        ({ manifest }) => ((manifest.world as { up_axis: string }).up_axis = "y"),
+      ],
+      ["bundle.manifest_invalid", ({ manifest }) => (manifest.albedo_scale_rgb = [1, 0, 1])],
+      [
+        "bundle.manifest_invalid",
+        ({ manifest }) => (manifest.bounds = { minimum: [1, 1, 1], maximum: [1, 1, 1] }),
+      ],
+      ["bundle.transport_invalid", ({ files }) => files.set("transport/texels.bin", new Uint8Array(3))],
+      ["bundle.transport_invalid", ({ files }) => files.set("transport/material.bin", new Uint8Array(3))],
+      ["bundle.transport_invalid", ({ files }) => files.set("transport/shadow_bits.bin", new Uint8Array(3))],
+      ["bundle.transport_missing", ({ manifest }) => delete manifest.transport],
+      ["bundle.mesh_invalid", ({ files }) => files.set("mesh/asset.glb", new Uint8Array(64))],
+      ["bundle.mesh_invalid", ({ files }) => files.set("mesh/asset.glb", triangleGlb(undefined, [0, 1, 3]))],
+      [
+        "bundle.mesh_invalid",
+        ({ files }) => files.set("mesh/asset.glb", triangleGlb([Number.NaN, 0, 0, 1, 0, 0, 0, 1, 0])),
+      ],
+    ];
+    for (const [code, spoil] of cases) {
+      const bundle = tinyBundle();
+      spoil(bundle);
+      expect((await faultOf(open(bundle))).code, spoil.toString()).toBe(code);
+    }
+  });
+
+  it("is refused when files and manifest disagree", async () => {
+    const changed = tinyBundle();
+    changed.files.get("transport/material.bin")![0]! += 1;
+    expect((await faultOf(open(changed, false))).code).toBe("bundle.digest_mismatch");
+    const less = tinyBundle();
+    less.files.delete("transport/material.bin");
+    expect((await faultOf(open(less, false))).code).toBe("bundle.file_missing");
+    const more = tinyBundle();
+    more.files.set("extra.txt", new Uint8Array(1));
+    expect((await faultOf(open(more, false))).code).toBe("bundle.file_unlisted");
+  });
+
+  it("keeps unknown fields of later minor versions out of its way", async () => {
+    const bundle = tinyBundle();
+    bundle.manifest.schema_version = "1.9";
+    bundle.manifest.something_new = { deep: true };
+    expect((await openBundle(sourceOf(bundle))).manifest.name).toBe("tiny");
+  });
+});
+
+describe("an archive", () => {
+  const origin = (data: Uint8Array<ArrayBuffer>) => ({ kind: "archive", file: new Blob([data]) }) as const;
+
+  it("is refused when it is damaged, encrypted or no archive", async () => {
+    const whole = zipOf(allFiles(tinyBundle()));
+    const cases: [string, Uint8Array<ArrayBuffer>][] = [
+      ["bundle.archive_damaged", new Uint8Array(100)],
+      ["bundle.archive_damaged", whole.slice(0, whole.length - 30)],
+      ["bundle.encrypted", zipOf(allFiles(tinyBundle()), { flags: 1 })],
+    ];
+    for (const [code, data] of cases) expect((await faultOf(openSource(origin(data)))).code).toBe(code);
+    const empty = await faultOf(loadBundle(origin(zipOf(new Map())), () => {}));
+    expect(empty.code).toBe("bundle.manifest_missing");
+  });
+});
+
+describe("paths", () => {
+  it.each(["", "/a", "a//b", "../a", "a/../b", "a\\b", "C:a", "a/./b", "a\0b"])("refuses %j", (path) => {
+    expect(() => checkPath(path)).toThrow(/leaves the bundle/);
+  });
+  it("lets plain ones pass", () => {
+    checkPath("models/gbuffer.onnx");
+  });
+});
+
+describe("the mesh", () => {
+  it("has the file's positions and texture coordinates", () => {
+    const mesh = meshFromGlb(triangleGlb());
+    expect([...mesh.positionsXyz]).toEqual([0, 0, 0, 1, 0, 0, 0, 1, 0]);
+    expect([...mesh.uv]).toEqual([0, 0, 1, 0, 0, 1]);
+  });
+});
+
+describe("the uncertainty grid", () => {
+  const stated = {
+    path: "",
+    channels: ["views", "albedo"],
+    box: { minimum: [0, 0, 0], maximum: [1, 1, 1] },
+  } as unknown as Parameters<typeof readUncertainty>[0];
+  const npy = (values: number[]): Uint8Array<ArrayBuffer> => {
+    const text = "{'descr': '<f2', 'fortran_order': False, 'shape': (1, 2, 3, 2), }".padEnd(117, " ");
+    const head = [0x93, ...Buffer.from("NUMPY"), 1, 0, 118, 0, ...Buffer.from(`${text}\n`)];
+    return Uint8Array.from([...head, ...Buffer.from(Uint16Array.from(values).buffer)]);
+  };
+
+  it("gives one channel, x fastest", () => {
+    const grid = readUncertainty(stated, npy(Array.from({ length: 12 }, (_, index) => index)));
+    expect(grid.counts).toEqual([1, 2, 3]);
+    // [x][y][z][channel]: the channel of (0, y, z) is 6 y + 2 z + 1.
+    expect([...grid.albedoHalf]).toEqual([1, 7, 3, 9, 5, 11]);
+  });
+  it("is refused with values that are not finite, or another length", () => {
+    expect(() => readUncertainty(stated, npy(new Array(12).fill(0x7c00)))).toThrow(/finite/);
+    expect(() => readUncertainty(stated, npy(new Array(11).fill(0)))).toThrow(/length/);
+    expect(() => readUncertainty(stated, new Uint8Array(200))).toThrow(/NPY/);
+  });
+});
+
+describe("places outside charts", () => {
+  it("take the nearest covered texel", () => {
+    const owner = spreadTexels(Uint32Array.from([0, 15]), 4);
+    expect([...owner]).toEqual(
+      [0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 1, 1, 0, 1, 1, 1].map((_value, place) => {
+        const [row, column] = [Math.floor(place / 4), place % 4];
+        const [first, second] = [row ** 2 + column ** 2, (3 - row) ** 2 + (3 - column) ** 2];
+        return first === second ? owner[place] : first < second ? 0 : 1;
+      }),
+    );
+  });
+});

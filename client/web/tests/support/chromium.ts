@@ -1,0 +1,34 @@
+/** Starts the system's Chromium for tests in a real browser; WebGL2 in software. */
+
+import { accessSync, constants } from "node:fs";
+import { delimiter, join } from "node:path";
+import { type Browser, chromium } from "playwright-core";
+
+const flags = [
+  "--headless",
+  "--no-sandbox",
+  "--use-angle=swiftshader",
+  "--enable-unsafe-swiftshader",
+  "--disable-background-networking",
+];
+
+/** Return the browser's path; throws where there is none. */
+export function chromiumPath(): string {
+  for (const folder of (process.env.PATH ?? "").split(delimiter)) {
+    for (const name of ["chromium", "chromium-browser"]) {
+      const path = join(folder, name);
+      try {
+        accessSync(path, constants.X_OK);
+        return path;
+      } catch {
+        // Look on.
+      }
+    }
+  }
+  throw new Error("no Chromium in PATH; on Debian: apt-get install chromium");
+}
+
+/** Start a browser; `more` are further flags, such as those of WebGPU. */
+export async function startChromium(more: readonly string[] = []): Promise<Browser> {
+  return chromium.launch({ executablePath: chromiumPath(), args: [...flags, ...more] });
+}
