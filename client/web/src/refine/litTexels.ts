@@ -1,0 +1,117 @@
+/** Irradiance of every texel under a light: `lambent_relight.baked_light`, on the processor. */
+
+import {
+  numShadowDirections,
+  type PackedTransport,
+  type PlaneTable,
+  tableRows,
+  tableWidth,
+} from "../bundle/transport.js";
+import type { Direction } from "../engine/environment.js";
+import { basis } from "../engine/harmonics.js";
+import { shadowDirections, shadowWeights } from "../engine/shadows.js";
+
+/** Light as it falls on the object: turned and scaled; the same as the renderer's `FallingLight`. */
+export type TurnedLight = {
+  /** Harmonics of the light without the dominant lights, [bands^2, 3]. */
+  readonly coefficientsRgb: Float64Array;
+  readonly directions: readonly Direction[];
+  /** Of a surface that faces the light. */
+  readonly irradianceRgb: readonly (readonly number[])[];
+};
+
+const stored = shadowDirections(numShadowDirections);
+
+/** Return what arrives straight from the light at every texel, triples, not below zero. */
+export function directIrradiance(
+  transport: PackedTransport,
+  normals: Float32Array,
+  light: TurnedLight,
+): Float32Array {
+  const { direct, numTexels } = transport;
+  const result = planeSums(direct, numTexels, light.coefficientsRgb, 1);
+  light.directions.forEach((direction, index) => {
+    const irradiance = light.irradianceRgb[index]!;
+    const free =
+      transport.shadowBits === null ? null : freeShares(transport.shadowBits, numTexels, direction);
+    for (let texel = 0; texel < numTexels; texel++) {
+      let cosine = 0;
+      for (let axis = 0; axis < 3; axis++)
+        cosine += normals[3 * texel + axis]! * direction[axis as 0 | 1 | 2];
+      if (cosine <= 0) continue;
+      const share = free === null ? 1 : free[texel]!;
+      for (let channel = 0; channel < 3; channel++) {
+        result[3 * texel + channel]! += cosine * share * irradiance[channel]!;
+      }
+    }
+  });
+  return result.map((value) => Math.max(value, 0));
+}
+
+/**
+ * Return what arrives by way of other surfaces at every texel, triples, not below zero. Dominant lights take part
+ * through their harmonics.
+ */
+export function bouncedIrradiance(
+  transport: PackedTransport,
+  light: TurnedLight,
+  gain: readonly number[],
+): Float32Array {
+  const { indirect, coarseOfTexel, numTexels } = transport;
+  const coefficients = light.coefficientsRgb.slice(0, 3 * indirect.bands ** 2);
+  light.directions.forEach((direction, index) => {
+    basis(direction, indirect.bands).forEach((value, k) => {
+      for (let channel = 0; channel < 3; channel++) {
+        coefficients[3 * k + channel]! += value * light.irradianceRgb[index]![channel]!;
+      }
+    });
+  });
+  let numCoarse = 0;
+  for (let texel = 0; texel < numTexels; texel++) numCoarse = Math.max(numCoarse, coarseOfTexel[texel]! + 1);
+  const coarse = planeSums(indirect, numCoarse, coefficients, 3);
+  const result = new Float32Array(3 * numTexels);
+  for (let texel = 0; texel < numTexels; texel++) {
+    for (let channel = 0; channel < 3; channel++) {
+      const value = coarse[3 * coarseOfTexel[texel]! + channel]! * gain[channel]!;
+      result[3 * texel + channel] = Math.max(value, 0);
+    }
+  }
+  return result;
+}
+
+/** Return sums of planes times coefficients, triples; with 3 channels plane 3 k + c is of channel c alone. */
+function planeSums(
+  table: PlaneTable,
+  count: number,
+  coefficients: ArrayLike<number>,
+  channels: 1 | 3,
+): Float32Array {
+  const result = new Float32Array(3 * count);
+  const layer = 4 * table.rows * tableWidth;
+  for (let plane = 0; plane < table.bands ** 2 * channels; plane++) {
+    const start = (plane >> 2) * layer + (plane & 3);
+    for (let channel = 0; channel < 3; channel++) {
+      if (channels === 3 && plane % 3 !== channel) continue;
+      const value = coefficients[3 * Math.floor(plane / channels) + channel] ?? 0;
+      const [scale, offset] = [value * table.scales[plane]!, value * table.offsets[plane]!];
+      for (let texel = 0; texel < count; texel++) {
+        result[3 * texel + channel]! += offset + scale * table.steps[start + 4 * texel]!;
+      }
+    }
+  }
+  return result;
+}
+
+/** Return how much of a light in a direction reaches every texel: a weighted mean of its nearest shadow bits. */
+function freeShares(bits: Uint32Array, numTexels: number, direction: Direction): Float32Array {
+  const { indices, weights } = shadowWeights(stored, direction);
+  const result = new Float32Array(numTexels);
+  const layer = 4 * tableWidth * tableRows(numTexels);
+  indices.forEach((bit, index) => {
+    const start = (bit >> 7) * layer + ((bit >> 5) & 3);
+    for (let texel = 0; texel < numTexels; texel++) {
+      result[texel]! += weights[index]! * ((bits[start + 4 * texel]! >>> (bit & 31)) & 1);
+    }
+  });
+  return result;
+}

@@ -1,0 +1,48 @@
+/** What page and worker say to each other. */
+
+import type { AtlasMesh } from "../bundle/mesh.js";
+import type { BundleOrigin } from "../bundle/source.js";
+import type { PackedTransport } from "../bundle/transport.js";
+import type { PreparedLight } from "../light/prepare.js";
+import type { RefinedPicture } from "./accumulation.js";
+import type { TurnedLight } from "./litTexels.js";
+import type { Backend, RefineOptions } from "./status.js";
+import type { RefineEdit, SurfaceSamples } from "./surfacePoints.js";
+
+/** Open the networks of a bundle whose baked parts are known already. */
+export type OpenQuestion = {
+  readonly ask: "open";
+  readonly origin: BundleOrigin;
+  readonly sceneId: string;
+  readonly mesh: AtlasMesh;
+  readonly transport: PackedTransport;
+  readonly backend: RefineOptions["backend"];
+};
+
+/** Refine a picture, and forget the one before. */
+export type StartQuestion = {
+  readonly ask: "start";
+  readonly id: number;
+  /** Null where it is the same as before. */
+  readonly levels: PreparedLight["levels"] | null;
+  /** From the light's map to the world, rows of a rotation. */
+  readonly turn: readonly number[];
+  readonly intensity: number;
+  readonly falling: TurnedLight;
+  readonly edit: RefineEdit;
+  readonly indirect: boolean;
+  readonly seen: SurfaceSamples;
+  readonly options: RefineOptions;
+};
+
+export type RefineQuestion = OpenQuestion | StartQuestion | { readonly ask: "stop" };
+
+export type RefineAnswer =
+  | { readonly kind: "opened"; readonly backend: Backend; readonly note: string; readonly slow: boolean }
+  | {
+      readonly kind: "picture";
+      readonly id: number;
+      readonly picture: RefinedPicture;
+      readonly done: boolean;
+    }
+  | { readonly kind: "failed"; readonly code: string; readonly message: string };

@@ -1,0 +1,14 @@
+/** How fine a picture is refined: as fine as it is shown, unless that would never end. */
+
+/** Points that are refined at most, by what computes. */
+export const mostPoints = { quick: 1 << 19, slow: 1 << 14 } as const;
+
+/** A picture of 1 / `step` of the shown one's sides, with `samples` x `samples` points to a pixel. */
+export type RefinePlan = { readonly step: number; readonly samples: 1 | 2 };
+
+/** Return the finest plan with at most `limit` points; `covered` is the share of pixels that show the object. */
+export function planOf(width: number, height: number, covered: number, limit: number): RefinePlan {
+  const pixels = width * height * covered;
+  if (4 * pixels <= limit) return { step: 1, samples: 2 };
+  return { step: Math.max(1, Math.ceil(Math.sqrt(pixels / limit))), samples: 1 };
+}

@@ -1,0 +1,217 @@
+/** Refines the picture of a viewer while nothing moves, and takes the refined one away when something does. */
+
+import type { LoadedBundle } from "../bundle/load.js";
+import type { BundleOrigin } from "../bundle/source.js";
+import type { PreparedLight } from "../light/prepare.js";
+import { turnMatrix } from "../render/light.js";
+import type { LightTurn, Look, ViewCamera } from "../render/looks.js";
+import type { Stage } from "../render/stage.js";
+import type { RefinedPicture } from "./accumulation.js";
+import type { RefineAnswer, RefineQuestion } from "./messages.js";
+import { mostPoints, planOf } from "./plan.js";
+import { RefinedLayer, refinedChannels } from "./refinedLayer.js";
+import { notRefining, type RefineOptions, type RefineStatus } from "./status.js";
+import { readSamples } from "./surfaceReader.js";
+
+/** What is shown now. */
+export type RefineView = {
+  readonly bundle: LoadedBundle;
+  readonly origin: BundleOrigin;
+  /** Of the picture on the canvas, and of the same view in another size. */
+  readonly camera: ViewCamera;
+  readonly cameraOf: (width: number, height: number) => ViewCamera;
+  readonly turn: LightTurn;
+  readonly look: Look;
+  readonly moving: boolean;
+  readonly options: RefineOptions;
+};
+
+/** What a refinement needs of its viewer. */
+export type RefineHost = {
+  readonly stage: Stage;
+  readonly view: () => RefineView;
+  readonly redraw: () => void;
+  readonly tell: (status: RefineStatus) => void;
+};
+
+const restMs = 350;
+const coarseSide = 256;
+
+/** One viewer's refinement. */
+export class Refinement {
+  #status: RefineStatus = notRefining;
+  #worker: Worker | null = null;
+  #opened: Extract<RefineAnswer, { kind: "opened" }> | null = null;
+  #bundle: LoadedBundle | null = null;
+  #sentLight: PreparedLight["levels"] | null = null;
+  #layer: RefinedLayer | null = null;
+  #picture: RefinedPicture | null = null;
+  /** What is refined now, or is to be. */
+  #key = "";
+  #light: PreparedLight | null = null;
+  #id = 0;
+  #rest = 0;
+
+  constructor(private readonly host: RefineHost) {}
+
+  /** What it does now. */
+  get status(): RefineStatus {
+    return this.#status;
+  }
+
+  /** The picture that is shown in place of the baked one, and the camera that saw it; null where none is. */
+  get shown(): { readonly picture: RefinedPicture; readonly camera: ViewCamera } | null {
+    const [picture, camera] = [this.#picture, this.#layer?.shown];
+    if (picture === null || camera === undefined || this.host.stage.overlay === null) return null;
+    return refinedChannels.has(this.host.view().look.channel) ? { picture, camera } : null;
+  }
+
+  /** Something may have changed: where it did, the baked picture comes back. */
+  changed(): void {
+    const view = this.host.view();
+    if (view.bundle !== this.#bundle) this.#close(view.bundle);
+    const light = this.host.stage.light("a")?.prepared ?? null;
+    if (!view.moving && keyOf(view) === this.#key && light === this.#light) return;
+    this.#stop();
+    if (this.#status.phase !== "failed") this.#set({ ...notRefining, phase: "waiting" });
+  }
+
+  /** The picture at rest was drawn: begin soon, unless this picture is refined already. */
+  rest(): void {
+    if (this.#key !== "" || this.#status.phase === "failed") return;
+    clearTimeout(this.#rest);
+    this.#rest = setTimeout(() => this.#begin(), restMs) as unknown as number;
+  }
+
+  /** Give everything back. */
+  dispose(): void {
+    this.#stop();
+    this.#worker?.terminate();
+    this.#worker = null;
+  }
+
+  #set(change: Partial<RefineStatus>): void {
+    this.#status = { ...this.#status, ...change };
+    this.host.tell(this.#status);
+  }
+
+  #close(bundle: LoadedBundle): void {
+    this.dispose();
+    this.#opened = null;
+    this.#sentLight = null;
+    this.#bundle = bundle;
+    this.#set(notRefining);
+  }
+
+  #stop(): void {
+    clearTimeout(this.#rest);
+    this.#key = "";
+    this.#light = null;
+    this.#ask({ ask: "stop" });
+    this.#picture = null;
+    this.host.stage.overlay = null;
+    this.#layer?.dispose();
+    this.#layer = null;
+  }
+
+  #ask(question: RefineQuestion): void {
+    this.#worker?.postMessage(question);
+  }
+
+  #begin(): void {
+    const view = this.host.view();
+    const light = this.host.stage.light("a");
+    if (view.moving || light === null) return;
+    this.#key = keyOf(view);
+    this.#light = light.prepared;
+    if (this.#opened === null) this.#open(view);
+    else this.#start(view);
+  }
+
+  #open({ bundle, origin, options }: RefineView): void {
+    this.#set({ phase: "loading" });
+    if (this.#worker !== null) return;
+    this.#bundle = bundle;
+    const worker = new Worker(new URL("./refineWorker.ts", import.meta.url), { type: "module" });
+    this.#worker = worker;
+    worker.onmessage = ({ data }: MessageEvent<RefineAnswer>) => {
+      if (this.#worker === worker) this.#hear(data);
+    };
+    worker.onerror = (event) => {
+      const message = event.message || "the worker could not be started";
+      if (this.#worker === worker) this.#hear({ kind: "failed", code: "refine.failed", message });
+    };
+    const { sceneId, mesh, transport } = bundle;
+    this.#ask({ ask: "open", origin, sceneId, mesh, transport, backend: options.backend });
+  }
+
+  #start(view: RefineView): void {
+    const { stage } = this.host;
+    const light = stage.light("a");
+    if (light === null) return; // A new bundle is there, and its light is not yet.
+    const { camera, options, turn, look, bundle } = view;
+    const limit = this.#opened!.slow ? mostPoints.slow : mostPoints.quick;
+    const scale = Math.min(1, coarseSide / Math.max(camera.width, camera.height));
+    const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
+    const coarse = view.cameraOf(side(camera.width, scale), side(camera.height, scale));
+    const covered = readSamples(stage.renderer, stage.samples(coarse, 1), coarse, 1).place.length;
+    const { step, samples } = planOf(
+      camera.width,
+      camera.height,
+      covered / (coarse.width * coarse.height),
+      limit,
+    );
+    const size = [side(camera.width, 1 / step), side(camera.height, 1 / step)] as const;
+    const fine = step === 1 ? camera : view.cameraOf(...size);
+    const seen = readSamples(stage.renderer, stage.samples(fine, samples), fine, samples);
+    this.#layer = new RefinedLayer(camera, fine);
+    const { levels } = light.prepared;
+    const known = this.#sentLight === levels;
+    this.#sentLight = levels;
+    this.#ask({
+      ask: "start",
+      id: ++this.#id,
+      levels: known ? null : levels,
+      turn: turnMatrix(turn).flat(),
+      intensity: turn.intensity,
+      falling: light.falling(turn),
+      edit: { ...look.edit, albedoScaleRgb: bundle.albedoScaleRgb },
+      indirect: look.indirect,
+      seen,
+      options,
+    });
+    const { backend, note } = this.#opened!;
+    this.#set({ phase: "running", backend, note, samplesPerPixel: 0, relativeError: 0 });
+  }
+
+  #hear(answer: RefineAnswer): void {
+    if (answer.kind === "failed") {
+      this.#stop();
+      this.#worker?.terminate();
+      this.#worker = null;
+      this.#opened = null;
+      this.#set({ phase: "failed", message: `${answer.message} [${answer.code}]` });
+      this.host.redraw();
+      return;
+    }
+    if (answer.kind === "opened") {
+      this.#opened = answer;
+      // Someone may have moved something while the networks came.
+      if (this.#key !== "") this.#start(this.host.view());
+      return;
+    }
+    if (answer.id !== this.#id || this.#layer === null) return;
+    const { picture, done } = answer;
+    this.#picture = picture;
+    this.#layer.set(picture);
+    this.host.stage.overlay = this.#layer;
+    const { samplesPerPixel, relativeError } = picture;
+    this.#set({ phase: done ? "done" : "running", samplesPerPixel, relativeError });
+    this.host.redraw();
+  }
+}
+
+/** Return a text that is another one where the refined picture would be. */
+function keyOf({ camera, turn, look }: RefineView): string {
+  return JSON.stringify([camera, turn, look.edit, look.indirect]);
+}

@@ -1,0 +1,63 @@
+/** How far refining is, and what may be asked of it. */
+
+/** "wgsl": a shader on graphics hardware; "wasm": onnxruntime on the processor. */
+export type Backend = "wgsl" | "wasm";
+
+/** What the refinement does now. */
+export type RefineStatus = {
+  /** "waiting": something moves, or moved just now; the baked picture is shown. */
+  readonly phase: "off" | "waiting" | "loading" | "running" | "done" | "failed";
+  readonly backend: Backend | null;
+  /** Why it is not a faster one; empty where there is no reason. */
+  readonly note: string;
+  /** Light directions of a pixel so far. */
+  readonly samplesPerPixel: number;
+  /** Mean standard error of a pixel over mean radiance. */
+  readonly relativeError: number;
+  /** What went wrong. */
+  readonly message: string;
+};
+
+export const notRefining: RefineStatus = {
+  phase: "off",
+  backend: null,
+  note: "",
+  samplesPerPixel: 0,
+  relativeError: 0,
+  message: "",
+};
+
+/** When refining stops by itself, and by what it is computed. */
+export type RefineOptions = {
+  readonly backend: Backend | "auto";
+  /** Stop at this relative standard error, */
+  readonly relativeError: number;
+  /** or at so many light directions of a pixel. */
+  readonly samplesPerPixel: number;
+};
+
+export const refineOptions: RefineOptions = { backend: "auto", relativeError: 0.02, samplesPerPixel: 512 };
+
+const places: Readonly<Record<Backend, string>> = {
+  wgsl: "WebGPU",
+  wasm: "WebAssembly, which is slow",
+};
+
+/** Return a status as a sentence. */
+export function statusText({
+  phase,
+  backend,
+  note,
+  samplesPerPixel,
+  relativeError,
+  message,
+}: RefineStatus): string {
+  if (phase === "off") return "";
+  if (phase === "waiting") return "Starts when nothing moves.";
+  if (phase === "loading") return "Fetching the networks…";
+  if (phase === "failed") return `Cannot refine: ${message}`;
+  const by = backend === null ? "" : `, by ${places[backend]}${note === "" ? "" : ` (${note})`}`;
+  const progress = `${samplesPerPixel} samples a pixel, noise ${(100 * relativeError).toPrecision(2)} %${by}`;
+  if (samplesPerPixel === 0) return `First samples${by}…`;
+  return phase === "done" ? `Done: ${progress}.` : `${progress}…`;
+}

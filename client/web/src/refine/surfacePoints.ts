@@ -1,0 +1,128 @@
+/** The surface behind the samples of a picture, from the mesh that the viewer draws and the bundle's texels. */
+
+import type { PackedTransport } from "../bundle/transport.js";
+import { tableWidth } from "../bundle/transport.js";
+import type { MaterialEdit, ViewCamera } from "../render/looks.js";
+import { alphaOf } from "./reflection.js";
+
+/** Points that reflect light towards `omegaO`, triples and numbers per point. */
+export type SurfacePoints = {
+  readonly count: number;
+  /** Pixel of the picture, row * width + column from the top. */
+  readonly pixel: Uint32Array;
+  readonly position: Float32Array;
+  readonly normal: Float32Array;
+  readonly omegaO: Float32Array;
+  readonly albedo: Float32Array;
+  readonly alpha: Float32Array;
+  readonly metalness: Float32Array;
+};
+
+/** Samples of a picture that show the surface; `samples` x `samples` to a pixel. */
+export type SurfaceSamples = {
+  readonly camera: ViewCamera;
+  readonly samples: number;
+  /** Place in the grid of all samples, row * (width samples) + column from the top. */
+  readonly place: Uint32Array<ArrayBuffer>;
+  readonly texel: Uint32Array<ArrayBuffer>;
+  /** From the camera, scene units. */
+  readonly distance: Float32Array<ArrayBuffer>;
+};
+
+/** What differs from the bundle's material, with the bundle's own factor on albedo. */
+export type RefineEdit = MaterialEdit & { readonly albedoScaleRgb: readonly number[] };
+
+/** Texels' materials as numbers. */
+export class TexelMaterials {
+  readonly numTexels: number;
+  readonly albedo: Float32Array;
+  readonly perceptualRoughness: Float32Array;
+  readonly metalness: Float32Array;
+  readonly normal: Float32Array;
+
+  constructor({ material, numTexels }: PackedTransport) {
+    this.numTexels = numTexels;
+    this.albedo = new Float32Array(3 * numTexels);
+    this.perceptualRoughness = new Float32Array(numTexels);
+    this.metalness = new Float32Array(numTexels);
+    this.normal = new Float32Array(3 * numTexels);
+    const layer = 4 * material.rows * tableWidth;
+    const clip = (value: number): number => Math.min(Math.max(value, 0), 1);
+    for (let texel = 0; texel < numTexels; texel++) {
+      const at = (plane: number): number =>
+        material.offsets[plane]! +
+        material.scales[plane]! * material.steps[(plane >> 2) * layer + 4 * texel + (plane & 3)]!;
+      for (let axis = 0; axis < 3; axis++) this.albedo[3 * texel + axis] = clip(at(axis));
+      this.perceptualRoughness[texel] = clip(at(3));
+      this.metalness[texel] = clip(at(4));
+      const length = Math.max(Math.hypot(at(5), at(6), at(7)), 1e-10);
+      for (let axis = 0; axis < 3; axis++) this.normal[3 * texel + axis] = at(5 + axis) / length;
+    }
+  }
+
+  /** Return the materials with an edit applied, as `lambent_relight.edits` does. */
+  edited(edit: RefineEdit): Omit<TexelMaterials, "edited"> {
+    const clip = (value: number): number => Math.min(Math.max(value, 0), 1);
+    const gain = edit.albedoGain.map((value, channel) => value * edit.albedoScaleRgb[channel]!);
+    return {
+      numTexels: this.numTexels,
+      albedo: this.albedo.map((value, index) => clip(value * gain[index % 3]!)),
+      perceptualRoughness: this.perceptualRoughness.map((value) => clip(value * edit.roughnessScale)),
+      metalness: this.metalness.map((value) => clip(value + edit.metalnessShift)),
+      normal: this.normal,
+    };
+  }
+}
+
+/** Return the points of the samples of a picture. */
+export function surfacePoints(
+  seen: SurfaceSamples,
+  materials: Omit<TexelMaterials, "edited">,
+): SurfacePoints {
+  const { camera, samples, place, texel, distance } = seen;
+  const count = place.length;
+  const pose = camera.cameraToWorld;
+  const points = {
+    count,
+    pixel: new Uint32Array(count),
+    position: new Float32Array(3 * count),
+    normal: new Float32Array(3 * count),
+    omegaO: new Float32Array(3 * count),
+    albedo: new Float32Array(3 * count),
+    alpha: new Float32Array(count),
+    metalness: new Float32Array(count),
+  };
+  const across = camera.width * samples;
+  for (let index = 0; index < count; index++) {
+    const row = Math.floor(place[index]! / across);
+    const column = place[index]! - row * across;
+    points.pixel[index] = Math.floor(row / samples) * camera.width + Math.floor(column / samples);
+    const x = ((column + 0.5) / samples - camera.centreX) / camera.focalX;
+    const y = -((row + 0.5) / samples - camera.centreY) / camera.focalY;
+    const length = Math.sqrt(x * x + y * y + 1);
+    const number = texel[index]!;
+    let facing = 0;
+    for (let axis = 0; axis < 3; axis++) {
+      const away = (pose[4 * axis]! * x + pose[4 * axis + 1]! * y - pose[4 * axis + 2]!) / length;
+      points.omegaO[3 * index + axis] = -away;
+      points.position[3 * index + axis] = pose[4 * axis + 3]! + distance[index]! * away;
+      points.normal[3 * index + axis] = materials.normal[3 * number + axis]!;
+      points.albedo[3 * index + axis] = materials.albedo[3 * number + axis]!;
+      facing -= away * materials.normal[3 * number + axis]!;
+    }
+    if (facing < 1e-3) turnTowards(points.normal, points.omegaO, index, facing);
+    points.alpha[index] = alphaOf(materials.perceptualRoughness[number]!);
+    points.metalness[index] = materials.metalness[number]!;
+  }
+  return points;
+}
+
+/** A texel's normal may face away where the mesh does not: bring it to the edge of what is seen. */
+function turnTowards(normal: Float32Array, omegaO: Float32Array, index: number, facing: number): void {
+  let length = 0;
+  for (let axis = 3 * index; axis < 3 * index + 3; axis++) {
+    normal[axis] = normal[axis]! - (facing - 1e-3) * omegaO[axis]!;
+    length += normal[axis]! ** 2;
+  }
+  for (let axis = 3 * index; axis < 3 * index + 3; axis++) normal[axis] = normal[axis]! / Math.sqrt(length);
+}

@@ -1,0 +1,163 @@
+/** What answers secondary rays: the fast cache as a shader on graphics hardware, or its graph in WebAssembly. */
+
+import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import { FusedCache, packFastCache } from "../engine/fusedCache.js";
+import { NotFused } from "../engine/fusedWeights.js";
+import { openGraph } from "../engine/onnxGraphs.js";
+import { loadWasm } from "../engine/onnxWasm.js";
+import type { Backend } from "./status.js";
+
+/** Opacity and distance of rays, one number each. */
+export type Traced = { readonly opacity: Float32Array; readonly distance: Float32Array };
+
+/** The light-independent answers of a fast cache. */
+export type Tracer = {
+  readonly backend: Backend;
+  /** Whether a processor does the work, whatever it is called. */
+  readonly slow: boolean;
+  /** Rays that one call should have, so that none takes long. */
+  readonly raysPerCall: number;
+  /** Return what rays see; `rays` holds origin and unit direction, six floats each. */
+  readonly trace: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>;
+  readonly close: () => Promise<void>;
+};
+
+/** No way to ask the fast cache; the message says why, for people. */
+export class RefineFault extends Error {
+  override readonly name = "RefineFault";
+}
+
+/** A tracer, and why it is not a faster one ("" where there is none). */
+export type OpenedTracer = { readonly tracer: Tracer; readonly note: string };
+
+type Bytes = Uint8Array<ArrayBuffer>;
+/** A fast cache as it lies in a bundle. */
+export type CacheFiles = {
+  readonly manifest: BundleManifest;
+  readonly model: Bytes;
+  readonly weights: Bytes;
+};
+
+const slowMs = 250;
+const quickMs = 60;
+const [leastRays, mostRays] = [1024, 65536];
+
+/** Open the fastest tracer that works here; throws RefineFault where none does. */
+export async function openTracer(files: CacheFiles, wanted: Backend | "auto"): Promise<OpenedTracer> {
+  let reason = "";
+  if (wanted !== "wasm") {
+    const opened = await openWgsl(files);
+    if (typeof opened !== "string") return { tracer: opened, note: "" };
+    reason = opened;
+    if (wanted === "wgsl") throw new RefineFault(`${reason}; use another browser, or WebAssembly`);
+  }
+  try {
+    return { tracer: await openWasm(files), note: reason };
+  } catch (error) {
+    const both = `${reason === "" ? "" : `${reason}, and `}WebAssembly does not work here`;
+    throw new RefineFault(`${both} (${firstLine(error)}); use another browser, or look at the baked picture`);
+  }
+}
+
+/** Return a tracer on graphics hardware, or why there is none. */
+async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Tracer | string> {
+  const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
+  if (!adapter) return "this browser offers no WebGPU";
+  let device: GPUDevice | null = null;
+  try {
+    const packed = packFastCache(manifest, model, weights);
+    const largest = Math.max(packed.tables.byteLength, packed.blocks.byteLength, 24 * mostRays);
+    if (largest > Math.min(adapter.limits.maxStorageBufferBindingSize, adapter.limits.maxBufferSize)) {
+      return "the graphics hardware offers too little memory in one piece";
+    }
+    const opened = await adapter.requestDevice({
+      requiredLimits: { maxStorageBufferBindingSize: largest, maxBufferSize: largest },
+    });
+    device = opened;
+    const cache = await FusedCache.create(opened, packed);
+    let trouble = "";
+    opened.addEventListener("uncapturederror", ({ error }) => {
+      trouble = firstLine(error);
+    });
+    void opened.lost.then(({ message }) => {
+      trouble = message || "the graphics hardware went away";
+    });
+    return new PacedTracer(
+      "wgsl",
+      adapter.info.isFallbackAdapter,
+      async (rays) => {
+        const answers = await cache.run(rays).catch((error: unknown) => {
+          trouble ||= firstLine(error);
+          return null;
+        });
+        if (answers === null || trouble !== "") {
+          throw new RefineFault(`WebGPU failed (${trouble}); switch refining off and on again`);
+        }
+        return answers;
+      },
+      async () => {
+        cache.close();
+        opened.destroy();
+      },
+    );
+  } catch (error) {
+    device?.destroy();
+    if (error instanceof NotFused) return `the bundle's fast cache has another form (${error.message})`;
+    if (error instanceof GPUPipelineError || error instanceof DOMException) {
+      return `WebGPU refused the fast cache (${firstLine(error)})`;
+    }
+    throw error;
+  }
+}
+
+/** Return the first line of what went wrong, short enough for a panel. */
+function firstLine(error: unknown): string {
+  const { message } = Object(error) as { readonly message?: unknown };
+  return (typeof message === "string" ? message : String(error)).split("\n")[0]!.slice(0, 200);
+}
+
+async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
+  const graph = await openGraph(model, weights, {
+    provider: "wasm",
+    runtime: await loadWasm(),
+    outputs: ["opacity", "distance"],
+    halves: true,
+  });
+  const run = async (rays: Float32Array): Promise<Traced> => {
+    const count = rays.length / 6;
+    const [origin, direction] = [new Float32Array(3 * count), new Float32Array(3 * count)];
+    for (let ray = 0; ray < count; ray++) {
+      origin.set(rays.subarray(6 * ray, 6 * ray + 3), 3 * ray);
+      direction.set(rays.subarray(6 * ray + 3, 6 * ray + 6), 3 * ray);
+    }
+    const found = await graph.run({ origin, direction }, { origin: 3, direction: 3 });
+    // The runtime never waits for anything; this lets messages in, of which one may say stop.
+    await new Promise((resolve) => setTimeout(resolve));
+    return { opacity: found.opacity!, distance: found.distance! };
+  };
+  return new PacedTracer("wasm", true, run, () => graph.close());
+}
+
+/** Finds out how many rays a call may have: longer calls waste less, but nothing can be stopped during one. */
+class PacedTracer implements Tracer {
+  raysPerCall = leastRays;
+
+  constructor(
+    readonly backend: Backend,
+    readonly slow: boolean,
+    private readonly run: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>,
+    readonly close: () => Promise<void>,
+  ) {}
+
+  async trace(rays: Float32Array<ArrayBuffer>): Promise<Traced> {
+    if (rays.length === 0) return { opacity: new Float32Array(0), distance: new Float32Array(0) };
+    const start = performance.now();
+    const answers = await this.run(rays);
+    const took = performance.now() - start;
+    if (took > slowMs) this.raysPerCall = Math.max(this.raysPerCall / 2, leastRays);
+    else if (took < quickMs && rays.length >= 3 * this.raysPerCall) {
+      this.raysPerCall = Math.min(2 * this.raysPerCall, mostRays);
+    }
+    return answers;
+  }
+}

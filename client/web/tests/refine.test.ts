@@ -1,0 +1,370 @@
+import { describe, expect, it, vi } from "vitest";
+import { directionOfUv } from "../src/engine/environment.js";
+import { pixelSolidAngle } from "../src/engine/environmentMap.js";
+import { toHalf } from "../src/light/half.js";
+import { Accumulation } from "../src/refine/accumulation.js";
+import type { Hits } from "../src/refine/hitRadiance.js";
+import { cosineLobe, LightSampler, lobeOfAlpha, pixelMasses, tableRow } from "../src/refine/lightSampler.js";
+import { NearestPoint } from "../src/refine/nearestPoint.js";
+import { onePass } from "../src/refine/passes.js";
+import { mostPoints, planOf } from "../src/refine/plan.js";
+import { evenUniforms, Randoms } from "../src/refine/randoms.js";
+import { dielectricF0, Reflection } from "../src/refine/reflection.js";
+import { Scattering, strategyShares, wholeShares } from "../src/refine/scattering.js";
+import { brightness, SkyLight } from "../src/refine/skyLight.js";
+import { notRefining, statusText } from "../src/refine/status.js";
+import type { SurfacePoints } from "../src/refine/surfacePoints.js";
+import type { Tracer } from "../src/refine/tracer.js";
+import { rotated, vector } from "../src/refine/vectors.js";
+
+// Sums over the sphere take half a second on a machine with nothing else to do.
+vi.setConfig({ testTimeout: 60_000 });
+
+type Levels = ConstructorParameters<typeof SkyLight>[0];
+
+const [mapHeight, mapWidth] = [24, 48];
+/** A turn about an axis of no symmetry, rows. */
+const turn = (() => {
+  const [a, b] = [0.7, -0.4];
+  const [ca, sa, cb, sb] = [Math.cos(a), Math.sin(a), Math.cos(b), Math.sin(b)];
+  return [ca * cb, -sa, ca * sb, sa * cb, ca, sa * sb, -sb, 0, cb];
+})();
+
+/** A map with a small bright spot, a coloured wall and a dim rest, twice: as two levels. */
+function levels(): Levels {
+  const halfRgba = new Uint16Array(4 * mapWidth * mapHeight);
+  for (let row = 0; row < mapHeight; row++) {
+    for (let column = 0; column < mapWidth; column++) {
+      const spot = row >= 5 && row < 7 && column >= 20 && column < 22 ? 60 : 0;
+      const wall = column > 36 ? 2 : 0;
+      const rgb = [0.2 + spot, 0.3 + spot, 0.4 + 0.5 * spot + wall];
+      rgb.forEach((value, channel) => {
+        halfRgba[4 * (row * mapWidth + column) + channel] = toHalf(value);
+      });
+    }
+  }
+  const place = [0, 0, mapWidth, mapHeight] as const;
+  return { width: mapWidth, height: mapHeight, halfRgba, places: [place, place] };
+}
+
+const sky = new SkyLight(levels(), turn, 1.5);
+const sampler = new LightSampler(brightness(sky.levels));
+
+function unit(...values: number[]): Float64Array {
+  const length = Math.hypot(...values);
+  return Float64Array.from(values, (value) => value / length);
+}
+
+/** Call with directions of the world spread over the sphere, and the solid angle of each. */
+function overSphere(rows: number, use: (direction: Float64Array, solidAngle: number) => void): void {
+  const direction = vector();
+  for (let row = 0; row < rows; row++) {
+    const solidAngle = pixelSolidAngle(row, rows, 2 * rows);
+    for (let column = 0; column < 2 * rows; column++) {
+      rotated(
+        turn,
+        Float64Array.from(directionOfUv([(column + 0.5) / (2 * rows), (row + 0.5) / rows])),
+        direction,
+      );
+      use(direction, solidAngle);
+    }
+  }
+}
+
+function onePoint(albedo: readonly number[], alpha: number, metalness: number): SurfacePoints {
+  return {
+    count: 1,
+    pixel: Uint32Array.of(0),
+    position: Float32Array.of(0, 0, 0),
+    normal: Float32Array.from(unit(0.2, -0.3, 1)),
+    omegaO: Float32Array.from(unit(0.9, 0.3, 0.7)),
+    albedo: Float32Array.from(albedo),
+    alpha: Float32Array.of(alpha),
+    metalness: Float32Array.of(metalness),
+  };
+}
+
+const surfaces = {
+  "a matt surface": onePoint([0.7, 0.5, 0.2], 1, 0),
+  "a rough metal": onePoint([0.9, 0.7, 0.3], 0.25, 1),
+  "a glossy plastic": onePoint([0.3, 0.1, 0.6], 0.09, 0.1),
+};
+
+/** Every ray meets the same. */
+function evenTracer(opacity: number): Tracer {
+  return {
+    backend: "wasm",
+    slow: true,
+    raysPerCall: 64,
+    trace: async (rays) => ({
+      opacity: new Float32Array(rays.length / 6).fill(opacity),
+      distance: new Float32Array(rays.length / 6).fill(2),
+    }),
+    close: async () => undefined,
+  };
+}
+
+describe("random numbers", () => {
+  it("are even, and another sequence for every point and pass", () => {
+    const randoms = new Randoms();
+    let [sum, squares] = [0, 0];
+    const firsts = new Set<number>();
+    for (let point = 0; point < 200; point++) {
+      for (let pass = 0; pass < 10; pass++) {
+        randoms.begin(1, pass, point);
+        const value = randoms.next();
+        firsts.add(value);
+        sum += value;
+        squares += value * value;
+      }
+    }
+    expect(firsts.size).toBe(2000);
+    expect(Math.abs(sum / 2000 - 1 / 2)).toBeLessThan(5 / Math.sqrt(12 * 2000));
+    expect(Math.abs(squares / 2000 - 1 / 3)).toBeLessThan(5 * Math.sqrt(4 / 45 / 2000));
+  });
+  it("of one point are stratified in their first dimension", () => {
+    const randoms = new Randoms();
+    randoms.begin(1, 2, 3);
+    const triples = new Float64Array(24);
+    evenUniforms(randoms, 8, triples);
+    for (let index = 0; index < 8; index++) expect(Math.floor(8 * triples[3 * index]!)).toBe(index);
+  });
+});
+
+describe("sampling the light", () => {
+  const axis = unit(0.5, -0.2, 0.8);
+
+  it("has a density that integrates to one, for every lobe", () => {
+    for (const lobe of [cosineLobe, lobeOfAlpha(1), lobeOfAlpha(0.3), lobeOfAlpha(0.01)]) {
+      const row = tableRow(axis, lobe);
+      let sum = 0;
+      for (let pixel = 0; pixel < mapWidth * mapHeight; pixel++) {
+        sum +=
+          sampler.density(row, pixel) * pixelSolidAngle(Math.floor(pixel / mapWidth), mapHeight, mapWidth);
+      }
+      expect(sum).toBeCloseTo(1, 9);
+    }
+  });
+
+  it("draws as often as its density says", () => {
+    const row = tableRow(axis, lobeOfAlpha(0.5));
+    const counts = new Float64Array(mapWidth * mapHeight);
+    const direction = vector();
+    const [randoms, total] = [new Randoms(), 60_000];
+    randoms.begin(3, 0, 0);
+    for (let index = 0; index < total; index++) {
+      sampler.sample(randoms.next(), randoms.next(), row, direction);
+      counts[sampler.pixelOf(direction)]!++;
+    }
+    let worst = 0;
+    counts.forEach((count, pixel) => {
+      const solidAngle = pixelSolidAngle(Math.floor(pixel / mapWidth), mapHeight, mapWidth);
+      const expected = total * sampler.density(row, pixel) * solidAngle;
+      worst = Math.max(worst, Math.abs(count - expected) / Math.sqrt(expected + 9));
+    });
+    expect(worst).toBeLessThan(5);
+  });
+
+  it("keeps the sum of a map whose sampling pixels are larger than its own, and of a black one", () => {
+    const values = Float64Array.from({ length: 1024 * 1024 }, (_, index) => (index % 7 === 0 ? 1 : 0));
+    const masses = pixelMasses({ width: 1024, height: 1024, values });
+    expect([masses.width, masses.height]).toEqual([1024, 512]);
+    expect(masses.values.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 9);
+    const black = pixelMasses({ width: 8, height: 4, values: new Float64Array(32) });
+    expect(black.values.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 9);
+    expect(Math.min(...black.values)).toBeGreaterThan(0);
+  });
+});
+
+describe("scattering", () => {
+  it("divides the directions by reflectance, without rest", () => {
+    const shares = new Float64Array(4);
+    strategyShares(0.8, 0, shares);
+    expect(shares.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 12);
+    expect(shares[0]! + shares[1]!).toBeCloseTo(0.9, 12);
+    wholeShares(shares, 4);
+    expect([...shares].map((share) => (4 * share) % 1)).toEqual([0, 0, 0, 0]);
+    expect(shares.reduce((sum, value) => sum + value, 0)).toBe(1);
+  });
+
+  it.each(Object.entries(surfaces))("of %s has a density that integrates to one at most", (_, point) => {
+    const scattering = new Scattering(point, sampler, turn);
+    scattering.aim(0, 1);
+    let sum = 0;
+    overSphere(120, (direction, solidAngle) => {
+      scattering.omegaI.set(direction);
+      sum += scattering.pdf() * solidAngle;
+    });
+    // Mirroring at half vectors may lead into the surface's back, where some of it is lost.
+    expect(sum).toBeLessThan(1.01);
+    expect(sum).toBeGreaterThan(0.9);
+  });
+
+  it.each(Object.entries(surfaces))("of %s gives what a sum over the sphere gives", async (_, point) => {
+    const [expected, reflection, radiance] = [[0, 0, 0], new Reflection(), vector()];
+    let free = 0;
+    const [normal, omegaO] = [Float64Array.from(point.normal), Float64Array.from(point.omegaO)];
+    const [metal, alpha] = [point.metalness[0]!, point.alpha[0]!];
+    overSphere(200, (direction, solidAngle) => {
+      reflection.set(omegaO, direction, normal, alpha);
+      sky.radiance(direction, radiance);
+      free += reflection.cosinePdf * solidAngle;
+      for (let channel = 0; channel < 3; channel++) {
+        const base = point.albedo[channel]!;
+        const f0 = metal * base + (1 - metal) * dielectricF0;
+        const lobes =
+          (1 - metal) * base * reflection.cosinePdf + f0 * reflection.specular + reflection.grazing;
+        expected[channel]! += lobes * radiance[channel]! * solidAngle;
+      }
+    });
+    expect(free).toBeCloseTo(1, 3);
+    const opacity = 0.25;
+    const hits = {
+      radiance: (...[, , , , out]: Parameters<Hits["radiance"]>) => out.set([1, 2, 3]),
+    } as unknown as Hits;
+    const scene = { points: point, light: sky, sampler, hits, originOffset: 0.01 };
+    const sums = new Accumulation(point, { width: 1, height: 1 }, 1);
+    let [bounced, bouncedSquares] = [0, 0];
+    const numPasses = 250;
+    for (let pass = 0; pass < numPasses; pass++) {
+      const means = await onePass({ ...scene }, evenTracer(opacity), 8, 1, pass, () => false);
+      sums.add({ ...means!, indirectRgb: new Float32Array(3) });
+      bounced += means!.indirectRgb[0]!;
+      bouncedSquares += means!.indirectRgb[0]! ** 2;
+    }
+    const picture = sums.picture(8);
+    for (let channel = 0; channel < 3; channel++) {
+      const z =
+        (picture.directRgb[channel]! - (1 - opacity) * expected[channel]!) /
+        picture.standardErrorRgb[channel]!;
+      expect(Math.abs(z)).toBeLessThan(4.5);
+    }
+    expect(picture.relativeError).toBeLessThan(0.06);
+    expect(picture.visibility[0]).toBeCloseTo(1 - opacity, 1);
+    // Bounced light of radiance 1 is the directional albedo times the opacity.
+    let reflectance = 0;
+    overSphere(120, (direction, solidAngle) => {
+      reflection.set(omegaO, direction, normal, alpha);
+      const f0 = metal * point.albedo[0]! + (1 - metal) * dielectricF0;
+      reflectance +=
+        ((1 - metal) * point.albedo[0]! * reflection.cosinePdf +
+          f0 * reflection.specular +
+          reflection.grazing) *
+        solidAngle;
+    });
+    const mean = bounced / numPasses;
+    const error = Math.sqrt((bouncedSquares / numPasses - mean * mean) / (numPasses - 1));
+    expect(Math.abs(mean - opacity * reflectance) / error).toBeLessThan(4.5);
+  });
+
+  it("is the same whatever number of rays is traced at once, and stops when told", async () => {
+    const point = surfaces["a rough metal"];
+    const points: SurfacePoints = {
+      ...point,
+      count: 5,
+      pixel: Uint32Array.of(0, 0, 1, 1, 2),
+      position: new Float32Array(15),
+      normal: Float32Array.from({ length: 15 }, (_, index) => point.normal[index % 3]!),
+      omegaO: Float32Array.from({ length: 15 }, (_, index) => point.omegaO[index % 3]!),
+      albedo: Float32Array.from({ length: 15 }, (_, index) => point.albedo[index % 3]!),
+      alpha: new Float32Array(5).fill(0.25),
+      metalness: new Float32Array(5).fill(1),
+    };
+    const scene = { points, light: sky, sampler, hits: null, originOffset: 0 };
+    const wide = await onePass(scene, { ...evenTracer(0.5), raysPerCall: 1000 }, 4, 1, 0, () => false);
+    const narrow = await onePass(scene, { ...evenTracer(0.5), raysPerCall: 4 }, 4, 1, 0, () => false);
+    expect(narrow).toEqual(wide);
+    expect(new Set(wide!.directRgb).size).toBeGreaterThan(5);
+    expect(wide!.indirectRgb.every((value) => value === 0)).toBe(true);
+    let asked = 0;
+    expect(
+      await onePass(scene, { ...evenTracer(0.5), raysPerCall: 4 }, 4, 1, 0, () => ++asked > 2),
+    ).toBeNull();
+  });
+});
+
+describe("accumulating", () => {
+  it("states mean, coverage and the standard error of the mean", () => {
+    const point = { ...surfaces["a matt surface"], count: 2, pixel: Uint32Array.of(1, 1) };
+    const sums = new Accumulation(point, { width: 2, height: 1 }, 2);
+    const pass = (a: number, b: number) => ({
+      directRgb: Float32Array.of(a, a, a, b, b, b),
+      indirectRgb: new Float32Array(6).fill(1),
+      visibility: Float32Array.of(0.5, 1),
+    });
+    sums.add(pass(1, 4));
+    sums.add(pass(3, 4));
+    const picture = sums.picture(4);
+    expect([...picture.coverage]).toEqual([0, 0.5]);
+    expect([...picture.directRgb]).toEqual([0, 0, 0, 3, 3, 3]);
+    expect([...picture.indirectRgb]).toEqual([0, 0, 0, 1, 1, 1]);
+    expect([...picture.visibility]).toEqual([0, 0.75]);
+    // Values 2 and 4 of one point: their mean has the standard error 1, that of the pixel's two points half of it.
+    expect([...picture.standardErrorRgb]).toEqual([0, 0, 0, 0.5, 0.5, 0.5]);
+    expect(picture.samplesPerPixel).toBe(32);
+    expect(picture.relativeError).toBeCloseTo(3 / 2 / (9 + 15), 6);
+  });
+});
+
+describe("finding a point", () => {
+  it("finds the nearest one beside the surface, and one nearby far from it", () => {
+    const randoms = new Randoms();
+    randoms.begin(5, 0, 0);
+    const points = Float32Array.from({ length: 3 * 2000 }, () => 0);
+    for (let index = 0; index < 2000; index++) {
+      const [z, angle] = [2 * randoms.next() - 1, 2 * Math.PI * randoms.next()];
+      const radius = Math.sqrt(1 - z * z);
+      points.set([radius * Math.cos(angle), radius * Math.sin(angle), 0.5 * z], 3 * index);
+    }
+    const finder = new NearestPoint(points);
+    const away = (index: number, query: readonly number[]): number =>
+      Math.hypot(...query.map((value, axis) => points[3 * index + axis]! - value));
+    for (let index = 0; index < 60; index++) {
+      const start = 3 * Math.floor(2000 * randoms.next());
+      const near = [0, 1, 2].map((axis) => points[start + axis]! + 0.02 * (randoms.next() - 0.5));
+      const far = [0, 1, 2].map(() => 6 * (randoms.next() - 0.5));
+      const best = (query: readonly number[]): number => {
+        let least = Number.POSITIVE_INFINITY;
+        for (let other = 0; other < 2000; other++) least = Math.min(least, away(other, query));
+        return least;
+      };
+      expect(away(finder.at(near[0]!, near[1]!, near[2]!), near)).toBeCloseTo(best(near), 6);
+      expect(away(finder.at(far[0]!, far[1]!, far[2]!), far)).toBeLessThan(best(far) + 0.6);
+    }
+  });
+});
+
+describe("the plan of a picture", () => {
+  it("is as fine as may be, and never finer than allowed", () => {
+    expect(planOf(300, 200, 0.5, mostPoints.quick)).toEqual({ step: 1, samples: 2 });
+    expect(planOf(1600, 1200, 0.2, mostPoints.quick)).toEqual({ step: 1, samples: 1 });
+    for (const [width, height, covered] of [
+      [3840, 2160, 0.5],
+      [640, 480, 0.9],
+      [100, 100, 0],
+    ] as const) {
+      const { step, samples } = planOf(width, height, covered, mostPoints.slow);
+      expect((width / step) * (height / step) * covered * samples ** 2).toBeLessThanOrEqual(mostPoints.slow);
+    }
+  });
+});
+
+describe("the status", () => {
+  it("says what happens, with the noise and what computes", () => {
+    expect(statusText(notRefining)).toBe("");
+    const running = { ...notRefining, phase: "running", backend: "wgsl", samplesPerPixel: 64 } as const;
+    expect(statusText({ ...running, relativeError: 0.0234 })).toBe(
+      "64 samples a pixel, noise 2.3 %, by WebGPU…",
+    );
+    const slow = {
+      ...running,
+      phase: "done",
+      backend: "wasm",
+      note: "this browser offers no WebGPU",
+    } as const;
+    expect(statusText({ ...slow, relativeError: 0.01 })).toContain("no WebGPU");
+    expect(statusText({ ...notRefining, phase: "failed", message: "no networks" })).toBe(
+      "Cannot refine: no networks",
+    );
+  });
+});
