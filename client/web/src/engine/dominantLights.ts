@@ -28,15 +28,15 @@ type Pixel = { readonly index: number; readonly direction: Direction; readonly s
 
 /** Return up to `count` lights of an unturned map and what is left of it. */
 export function splitDominantLights(map: EnvironmentMap, count: number): DominantLights {
-  const image = Float64Array.from(map.radianceRgb);
+  const image = new Float64Array(map.radianceRgb);
   const total = sum(energy(map));
   const candidates = new Float64Array(map.height * map.width);
-  candidates.forEach((_, pixel) => {
+  for (let pixel = 0; pixel < candidates.length; pixel++) {
     candidates[pixel] = image[3 * pixel]! + image[3 * pixel + 1]! + image[3 * pixel + 2]!;
-  });
+  }
   const lights: DirectionalLight[] = [];
   for (let trial = 0; trial < maxTrials && lights.length < count && total > 0; trial++) {
-    const peak = candidates.reduce((best, value, pixel) => (value > candidates[best]! ? pixel : best), 0);
+    const peak = placeOfLargest(candidates);
     if (candidates[peak]! <= 0) break;
     const { disk, ring } = diskAndRing(map, peak);
     if (ring.length === 0) break;
@@ -46,7 +46,14 @@ export function splitDominantLights(map: EnvironmentMap, count: number): Dominan
     if (light !== null) lights.push(light);
   }
   lights.sort((a, b) => sum(b.radianceSolidAngle) - sum(a.radianceSolidAngle));
-  return { lights, residual: { ...map, radianceRgb: Float32Array.from(image) } };
+  return { lights, residual: { ...map, radianceRgb: new Float32Array(image) } };
+}
+
+/** Return the first place of the largest value. */
+function placeOfLargest(values: Float64Array): number {
+  let best = 0;
+  for (let place = 1; place < values.length; place++) if (values[place]! > values[best]!) best = place;
+  return best;
 }
 
 function sum([red, green, blue]: Rgb): number {
@@ -81,7 +88,7 @@ function takeOut(
       flux[channel] += part;
       together += part;
     }
-    pixel.direction.forEach((value, axis) => (centre[axis] = centre[axis]! + together * value));
+    for (const axis of [0, 1, 2] as const) centre[axis] = centre[axis]! + together * pixel.direction[axis];
   }
   if (sum(flux) < least) return null;
   for (const pixel of disk) {
@@ -97,29 +104,46 @@ function takeOut(
 
 /** Return the pixels within 8 degrees of a pixel, and those from there to 12 degrees. */
 function diskAndRing(map: EnvironmentMap, peak: number): { disk: Pixel[]; ring: Pixel[] } {
+  const [inner, outer] = [Math.cos((radiusDeg * Math.PI) / 180), Math.cos((1.5 * radiusDeg * Math.PI) / 180)];
+  const disk: Pixel[] = [];
+  let ring: Pixel[] = [];
+  for (const { pixel, cosine } of around(map, peak, outer)) {
+    if (cosine >= inner || pixel.index === peak) disk.push(pixel);
+    else if (cosine >= outer) ring.push(pixel);
+  }
+  if (ring.length === 0) {
+    // Pixels are larger than the ring: the nearest ones outside take its place.
+    const taken = new Set(disk.map((pixel) => pixel.index));
+    const outside = around(map, peak, -1).filter(({ pixel }) => !taken.has(pixel.index));
+    const nearest = outside.map(({ cosine }) => cosine).sort((a, b) => b - a);
+    const least = nearest[Math.min(3, nearest.length - 1)] ?? 0;
+    ring = outside.filter(({ cosine }) => cosine >= least).map(({ pixel }) => pixel);
+  }
+  return { disk, ring };
+}
+
+/** Return the pixels near a pixel's row whose directions have at least this cosine with its own, and itself. */
+function around(map: EnvironmentMap, peak: number, least: number): { pixel: Pixel; cosine: number }[] {
   const { height, width } = map;
   const row = Math.floor(peak / width);
   const centre = directionOfPixel(row, peak % width, height, width);
   const reach = ((1.5 * radiusDeg) / 180) * height + 1;
-  const [inner, outer] = [Math.cos((radiusDeg * Math.PI) / 180), Math.cos((1.5 * radiusDeg * Math.PI) / 180)];
-  const disk: Pixel[] = [];
-  const outside: { readonly pixel: Pixel; readonly cosine: number }[] = [];
+  const level = Math.hypot(centre[0], centre[1]);
+  const found: { pixel: Pixel; cosine: number }[] = [];
   for (let r = Math.max(Math.floor(row - reach), 0); r < Math.min(row + reach + 1, height); r++) {
     const solidAngle = pixelSolidAngle(r, height, width);
+    const polar = (Math.PI * (r + 0.5)) / height;
+    const [along, across] = [centre[2] * Math.cos(polar), level * Math.sin(polar)];
+    // The nearest column tells whether any can be near enough.
+    if (along + across < least - 1e-9 && r !== row) continue;
     for (let c = 0; c < width; c++) {
+      const turned = ((c - (peak % width)) * 2 * Math.PI) / width;
+      const index = r * width + c;
+      if (least > -1 && along + across * Math.cos(turned) < least - 1e-9 && index !== peak) continue;
       const direction = directionOfPixel(r, c, height, width);
       const cosine = direction[0] * centre[0] + direction[1] * centre[1] + direction[2] * centre[2];
-      const pixel = { index: r * width + c, direction, solidAngle };
-      if (cosine >= inner || pixel.index === peak) disk.push(pixel);
-      else outside.push({ pixel, cosine });
+      found.push({ pixel: { index, direction, solidAngle }, cosine });
     }
   }
-  let ring = outside.filter(({ cosine }) => cosine >= outer);
-  if (ring.length === 0 && outside.length > 0) {
-    // Pixels are larger than the ring: the nearest ones outside take its place.
-    const nearest = outside.map(({ cosine }) => cosine).sort((a, b) => b - a);
-    const least = nearest[Math.min(3, nearest.length - 1)]!;
-    ring = outside.filter(({ cosine }) => cosine >= least);
-  }
-  return { disk, ring: ring.map(({ pixel }) => pixel) };
+  return found;
 }

@@ -8,10 +8,12 @@
 
 import type { Direction } from "./environment.js";
 import { lookupTurned, pixelSolidAngle, resized, type EnvironmentMap, type Rgb } from "./environmentMap.js";
-import { Fourier } from "./fourier.js";
+import { EvenFourier, Fourier } from "./fourier.js";
 
 const narrowest = 64;
 const widest = 512;
+/** Smaller parts of a kernel's transform, relative to its mean, are left out: rows far apart have few waves in common. */
+const negligible = 1e-12;
 
 /** Levels of an environment, from the sharpest to roughness 1. */
 export type Prefiltered = readonly EnvironmentMap[];
@@ -25,14 +27,20 @@ export function levelWidth(alpha: number): number {
 export function prefilter(map: EnvironmentMap, numLevels: number): Prefiltered {
   if (!(numLevels >= 2 && numLevels <= 16)) throw new RangeError(`${numLevels} levels; use 2 to 16`);
   const levels: EnvironmentMap[] = [map];
-  const sources = new Map<number, EnvironmentMap>();
+  let source: EnvironmentMap | null = null;
   for (let index = 1; index < numLevels; index++) {
     const alpha = (index / (numLevels - 1)) ** 2;
     const width = levelWidth(alpha);
-    const source = sources.get(width) ?? resized(map, width / 2, width);
-    sources.set(width, source);
+    if (source?.width !== width) {
+      // Means of means are means; what was interpolated is not.
+      const fine: boolean = source !== null && source.width <= map.width && source.height <= map.height;
+      source = resized(fine ? source! : map, width / 2, width);
+    }
     levels.push(
-      zonalMean(source, (cosine) => Math.max(cosine, 0) / (0.5 * (1 + cosine) * alpha * alpha + 0.5 * (1 - cosine)) ** 2),
+      zonalMean(source, (cosine) => {
+        const spread = 0.5 * (1 + cosine) * alpha * alpha + 0.5 * (1 - cosine);
+        return cosine > 0 ? cosine / (spread * spread) : 0;
+      }),
     );
   }
   return levels;
@@ -58,43 +66,60 @@ export function lookupLevels(
 }
 
 /**
- * Return the mean of a map under kernel(cosine) about every pixel. The width must be a power of two, the height
- * even.
+ * Return the mean of a map under kernel(cosine) about every pixel; the kernel is zero where the cosine is not
+ * positive. The width must be a power of two, the height even.
  *
- * Rows are convolved with each other in azimuth. Kernels are even, so their transforms are real, and two of them
- * go through one complex transform. A row and its mirror image use the same kernels.
+ * Rows are convolved with each other in azimuth. Kernels are even, so that their transforms are real, and the one
+ * of two rows serves four pairs: the rows may change places, and so may north and south.
  */
 export function zonalMean(source: EnvironmentMap, kernel: (cosine: number) => number): EnvironmentMap {
   const { height, width } = source;
   const fourier = new Fourier(width);
+  const even = new EvenFourier(width / 2);
   const frequencies = width / 2 + 1;
+  const stride = 6 * frequencies;
   const spectra = rowSpectra(source, fourier);
-  const radianceRgb = new Float64Array(3 * height * width);
+  const sums = new Float64Array(height * stride);
+  const norms = new Float64Array(height);
   const cosines = Float64Array.from({ length: frequencies }, (_, k) => Math.cos((2 * Math.PI * k) / width));
-  const parts = [new Float64Array(width), new Float64Array(width)] as const;
+  const solidAngles = Float64Array.from({ length: height }, (_, row) => pixelSolidAngle(row, height, width));
+  const parts = [new Float64Array(frequencies), new Float64Array(frequencies)] as const;
+  // Rows between which no cosine is positive have nothing in common.
+  const apart = (row: number, other: number): boolean =>
+    Math.cos((Math.PI * Math.abs(row - other)) / height) <= 0;
+  const add = (to: number, from: number, part: Float64Array, count: number): void => {
+    norms[to] = norms[to]! + part[0]! * solidAngles[from]!;
+    for (let channel = 0; channel < stride; channel += frequencies) {
+      addProducts(sums, stride * to + channel, part, spectra, stride * from + channel, count);
+    }
+  };
   for (let row = 0; row < height / 2; row++) {
-    const sums = new Float64Array(6 * frequencies);
-    const mirroredSums = new Float64Array(6 * frequencies);
+    const mirrored = height - 1 - row;
     const polar = (Math.PI * (row + 0.5)) / height;
-    let norm = 0;
-    for (let first = 0; first < height; first += 2) {
+    for (let first = row; first <= mirrored && !apart(row, first); first += 2) {
       parts.forEach((part, offset) => {
         const other = (Math.PI * (first + offset + 0.5)) / height;
         const along = Math.cos(polar) * Math.cos(other);
         const across = Math.sin(polar) * Math.sin(other);
         for (let k = 0; k < frequencies; k++) part[k] = kernel(along + across * cosines[k]!);
-        for (let k = 1; k < frequencies - 1; k++) part[width - k] = part[k]!;
       });
-      fourier.forward(...parts);
+      even.forward(...parts);
       parts.forEach((part, offset) => {
         const other = first + offset;
-        norm += part[0]! * pixelSolidAngle(other, height, width);
-        addProducts(sums, part, spectra, 6 * frequencies * other, frequencies);
-        addProducts(mirroredSums, part, spectra, 6 * frequencies * (height - 1 - other), frequencies);
+        if (other > mirrored || apart(row, other)) return;
+        const count = numWaves(part);
+        add(row, other, part, count);
+        if (other !== row) add(other, row, part, count);
+        if (other === mirrored) return;
+        add(mirrored, height - 1 - other, part, count);
+        if (other !== row) add(height - 1 - other, mirrored, part, count);
       });
     }
-    writeRow(radianceRgb, sums, row, width, norm, fourier);
-    writeRow(radianceRgb, mirroredSums, height - 1 - row, width, norm, fourier);
+  }
+  const radianceRgb = new Float64Array(3 * height * width);
+  for (let row = 0; row < height; row++) {
+    const own = sums.subarray(stride * row, stride * (row + 1));
+    writeRow(radianceRgb, own, row, width, norms[row]!, fourier);
   }
   return { height, width, radianceRgb };
 }
@@ -121,17 +146,24 @@ function rowSpectra(source: EnvironmentMap, fourier: Fourier): Float64Array {
   return spectra;
 }
 
-/** Add a kernel's real transform times the spectra of one row, which start at `from`, to `sums`. */
+/** Return how many values of a transform are worth adding. */
+function numWaves(transform: Float64Array): number {
+  const least = negligible * transform[0]!;
+  let count = transform.length;
+  while (count > 1 && Math.abs(transform[count - 1]!) < least) count--;
+  return count;
+}
+
+/** Add the first `count` values of a transform times those of a spectrum to sums. */
 function addProducts(
   sums: Float64Array,
-  kernel: Float64Array,
+  to: number,
+  transform: Float64Array,
   spectra: Float64Array,
   from: number,
-  frequencies: number,
+  count: number,
 ): void {
-  for (let part = 0; part < 6 * frequencies; part += frequencies) {
-    for (let k = 0; k < frequencies; k++) sums[part + k]! += kernel[k]! * spectra[from + part + k]!;
-  }
+  for (let k = 0; k < count; k++) sums[to + k] = sums[to + k]! + transform[k]! * spectra[from + k]!;
 }
 
 /** Transform three channels back and write them, over `norm`, as one row of the result. */

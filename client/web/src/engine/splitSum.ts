@@ -14,6 +14,10 @@ const numAzimuth = 32;
 /** What the specular lobe reflects of even light is F0 * scale + bias. */
 export type SplitSum = { readonly scale: number; readonly bias: number };
 
+const azimuthCosines = Float64Array.from({ length: numAzimuth }, (_, j) =>
+  Math.cos((Math.PI * (j + 0.5)) / numAzimuth),
+);
+
 /** Return one entry by midpoint sums over half vectors; `cosine` = n.omega_o. */
 export function integrate(cosine: number, perceptualRoughness: number): SplitSum {
   const alpha = Math.max(perceptualRoughness * perceptualRoughness, minAlpha);
@@ -28,12 +32,14 @@ export function integrate(cosine: number, perceptualRoughness: number): SplitSum
     const cosH = 1 / Math.sqrt(1 + tanSquared);
     const sinH = Math.sqrt(tanSquared) * cosH;
     for (let j = 0; j < numAzimuth; j++) {
-      const cosOH = cosine * cosH + sine * sinH * Math.cos((Math.PI * (j + 0.5)) / numAzimuth);
+      const cosOH = cosine * cosH + sine * sinH * azimuthCosines[j]!;
       const cosI = 2 * cosOH * cosH - cosine;
       if (!(cosI > 0 && cosOH > 0)) continue;
       const shadowing = cosI / (cosI * (1 - k) + k);
       const weight = (share * shadowing * cosOH) / (cosH * (cosine * (1 - k) + k));
-      const fresnel = (1 - Math.min(cosOH, 1)) ** 5;
+      const glancing = 1 - Math.min(cosOH, 1);
+      const squared = glancing * glancing;
+      const fresnel = squared * squared * glancing;
       scale += weight * (1 - fresnel);
       bias += weight * fresnel;
     }

@@ -1,0 +1,88 @@
+/**
+ * A bundle's graphs run by onnxruntime-web. Answers equal those of onnxruntime on a processor within 1e-5.
+ *
+ * The runtime is given, by `onnxWasm.ts` or `onnxWebgpu.ts`: a page that needs one kind does not carry the other.
+ */
+
+import type { InferenceSession, Tensor } from "onnxruntime-web";
+import type * as runtimes from "onnxruntime-web/wasm";
+import { keepOutputs, withoutHalves } from "./onnxModel.js";
+
+/** "wasm" runs on the processor, "webgpu" on the graphics hardware and nowhere else. */
+export type Provider = "wasm" | "webgpu";
+
+/** The parts of onnxruntime-web that are used here. */
+export type Runtime = Pick<typeof runtimes, "env" | "InferenceSession" | "Tensor">;
+
+/** Rows of numbers, [row, width] after each other. */
+export type RowsOf = Readonly<Record<string, Float32Array>>;
+
+/** What a graph is opened with. */
+export type GraphOptions = {
+  readonly provider: Provider;
+  /** Of the same provider. */
+  readonly runtime: Runtime;
+  /** Outputs to compute; all when left out. */
+  readonly outputs?: readonly string[];
+  /** Whether the hardware computes with halves; without, float16 tables are widened first. */
+  readonly halves: boolean;
+  /** Folder with onnxruntime's .wasm files, ending in "/"; without, where the packager put them. */
+  readonly wasmFolder?: string;
+};
+
+/** An open graph. */
+export class OnnxGraph {
+  constructor(
+    private readonly session: InferenceSession,
+    private readonly makeTensor: (values: Float32Array, width: number) => Tensor,
+  ) {}
+
+  /** Return outputs by name for inputs [row, width], which have the same number of rows. */
+  async run(inputs: RowsOf, widths: Readonly<Record<string, number>>): Promise<Record<string, Float32Array>> {
+    const feed = Object.fromEntries(
+      Object.entries(inputs).map(([name, values]) => [name, this.makeTensor(values, widths[name] ?? 3)]),
+    );
+    const found = await this.session.run(feed);
+    const answers: Record<string, Float32Array> = {};
+    for (const [name, tensor] of Object.entries(found)) {
+      answers[name] = (await tensor.getData()) as Float32Array;
+      tensor.dispose();
+    }
+    return answers;
+  }
+
+  /** Free what the runtime holds. */
+  async close(): Promise<void> {
+    await this.session.release();
+  }
+}
+
+/**
+ * Open a graph of a bundle; `weights` are the bytes of models/weights.bin. With "webgpu" a graph that would need
+ * the processor for any node is refused, so that nothing is slow in silence. Throws what onnxruntime throws.
+ */
+export async function openGraph(
+  model: Uint8Array<ArrayBuffer>,
+  weights: Uint8Array<ArrayBuffer>,
+  options: GraphOptions,
+): Promise<OnnxGraph> {
+  const { runtime } = options;
+  // Threads need a page that is isolated from other origins, which a viewer inside a page is not.
+  runtime.env.wasm.numThreads = 1;
+  if (options.wasmFolder !== undefined) runtime.env.wasm.wasmPaths = options.wasmFolder;
+  const trimmed = options.outputs === undefined ? model : keepOutputs(model, options.outputs);
+  const stored =
+    options.provider === "webgpu" && !options.halves
+      ? withoutHalves(trimmed, weights)
+      : { model: trimmed, weights };
+  const session = await runtime.InferenceSession.create(stored.model, {
+    executionProviders: [options.provider],
+    externalData: [{ path: "weights.bin", data: stored.weights }],
+    logSeverityLevel: 3,
+    ...(options.provider === "webgpu" ? { extra: { session: { disable_cpu_ep_fallback: "1" } } } : {}),
+  });
+  return new OnnxGraph(
+    session,
+    (values, width) => new runtime.Tensor("float32", values, [values.length / width, width]),
+  );
+}

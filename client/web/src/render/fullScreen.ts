@@ -1,0 +1,63 @@
+/** Draws programs over a whole target. */
+
+import {
+  BufferAttribute,
+  BufferGeometry,
+  Camera,
+  GLSL3,
+  Mesh,
+  NoBlending,
+  RawShaderMaterial,
+  Scene,
+  type WebGLRenderer,
+  type WebGLRenderTarget,
+} from "three";
+import { coverVertex } from "./glsl.js";
+
+/** Return a program that writes every pixel of a target, with these uniforms yet to be given. */
+export function screenProgram(fragmentShader: string, names: readonly string[]): RawShaderMaterial {
+  return new RawShaderMaterial({
+    glslVersion: GLSL3,
+    vertexShader: coverVertex,
+    fragmentShader,
+    uniforms: Object.fromEntries(names.map((name) => [name, { value: null }])),
+    depthTest: false,
+    depthWrite: false,
+    blending: NoBlending,
+  });
+}
+
+/** One triangle that covers everything. */
+export class FullScreen {
+  readonly #geometry = new BufferGeometry();
+  readonly #mesh: Mesh;
+  readonly #scene = new Scene();
+  readonly #camera = new Camera();
+
+  constructor(private readonly renderer: WebGLRenderer) {
+    const corners = new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]);
+    this.#geometry.setAttribute("position", new BufferAttribute(corners, 3));
+    this.#mesh = new Mesh(this.#geometry);
+    this.#mesh.frustumCulled = false;
+    this.#scene.add(this.#mesh);
+    this.#scene.matrixWorldAutoUpdate = false;
+  }
+
+  /** Draw a program into a target, or onto the canvas. */
+  draw(material: RawShaderMaterial, target: WebGLRenderTarget | null): void {
+    this.#mesh.material = material;
+    this.renderer.setRenderTarget(target);
+    this.renderer.render(this.#scene, this.#camera);
+  }
+
+  /** Let the browser compile a program before it is needed. */
+  compile(material: RawShaderMaterial): void {
+    this.#mesh.material = material;
+    this.renderer.compile(this.#scene, this.#camera);
+  }
+
+  /** Give the memory back. */
+  dispose(): void {
+    this.#geometry.dispose();
+  }
+}

@@ -1,0 +1,277 @@
+/**
+ * The shadow on level ground below the object: per point of the ground, the share of its irradiance that the
+ * object keeps away.
+ *
+ * The mesh is drawn along a direction onto the ground, which gives exactly the points that it hides from that
+ * direction: once per bundle along 256 directions of the sky, and along a few directions inside every dominant
+ * light whenever that moves. The share is then a sum with the light's irradiance as weights.
+ */
+
+import {
+  AddEquation,
+  CustomBlending,
+  DataTexture,
+  DoubleSide,
+  FloatType,
+  GLSL3,
+  HalfFloatType,
+  LessDepth,
+  LinearFilter,
+  Mesh,
+  OneFactor,
+  Camera,
+  RawShaderMaterial,
+  RedFormat,
+  RGBAFormat,
+  Scene,
+  type BufferGeometry,
+  UnsignedByteType,
+  type WebGLRenderer,
+  WebGLRenderTarget,
+} from "three";
+import type { Direction } from "../engine/environment.js";
+import { maxDominant } from "../light/prepare.js";
+import { type FullScreen, screenProgram } from "./fullScreen.js";
+import { header } from "./glsl.js";
+import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
+
+/** Half the side of the square of ground that is drawn, in radii of the object's box. */
+export const reachInRadii = 2.5;
+const tilesAcross = Math.sqrt(numSky);
+const skySide = 128;
+const lightSide = 512;
+/** Directions inside a light, in motion and at rest; shares of them are whole steps of a byte. */
+const discSamples = { moving: 5, still: 15 } as const;
+
+/** A square on level ground. */
+export type GroundPlace = {
+  readonly centre: readonly [x: number, y: number];
+  readonly height: number;
+  /** Half its side. */
+  readonly reach: number;
+};
+
+/** Return the ground under a box: the plane of its lowest points. */
+export function groundUnder(low: readonly number[], high: readonly number[]): GroundPlace {
+  const radius = 0.5 * Math.hypot(...low.map((value, axis) => high[axis]! - value));
+  return {
+    centre: [0.5 * (low[0]! + high[0]!), 0.5 * (low[1]! + high[1]!)],
+    height: low[2]!,
+    reach: reachInRadii * radius,
+  };
+}
+
+const castVertex = `${header}
+in vec3 position;
+uniform vec4 place;
+uniform vec2 slope;
+uniform float layer;
+void main() {
+  vec2 shadow = position.xy - slope * (position.z - place.z);
+  gl_Position = vec4((shadow - place.xy) / place.w, layer, 1.0);
+}`;
+
+const castFragment = `${header}
+out vec4 result;
+uniform float share;
+void main() { result = vec4(share); }`;
+
+/** Light of the sky that is kept away. */
+const skyProgram = `${header}
+uniform sampler2D tiles;
+uniform sampler2D skyLight;
+out vec4 result;
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec3 sum = vec3(0.0);
+  for (int index = 0; index < ${numSky}; index++) {
+    ivec2 tile = ivec2(index % ${tilesAcross}, index / ${tilesAcross}) * ${skySide};
+    sum += texelFetch(tiles, tile + at, 0).r * texelFetch(skyLight, ivec2(index, 0), 0).rgb;
+  }
+  result = vec4(sum, 0.0);
+}`;
+
+/** Shares of red, green, blue and luminance that are kept away. */
+const shareProgram = `${header}
+uniform sampler2D sky;
+uniform sampler2D lights;
+uniform vec3 lightsRgb[${maxDominant}];
+uniform int numLights;
+uniform vec3 whole;
+out vec4 result;
+void main() {
+  vec2 at = gl_FragCoord.xy / ${lightSide.toFixed(1)};
+  // Four bilinear looks around the point hide the steps between the tiles' pixels.
+  vec2 step = vec2(${(0.5 / skySide).toFixed(8)}, ${(-0.5 / skySide).toFixed(8)});
+  vec3 blocked = 0.25 * (texture(sky, at + step.xx).rgb + texture(sky, at + step.xy).rgb
+    + texture(sky, at + step.yx).rgb + texture(sky, at + step.yy).rgb);
+  for (int light = 0; light < numLights; light++) {
+    ivec2 tile = ivec2(light % 2, light / 2) * ${lightSide};
+    blocked += texelFetch(lights, tile + ivec2(gl_FragCoord.xy), 0).r * lightsRgb[light];
+  }
+  vec3 weights = vec3(0.2126, 0.7152, 0.0722);
+  result = clamp(vec4(blocked / max(whole, 1e-20), dot(blocked, weights) / max(dot(whole, weights), 1e-20)), 0.0, 1.0);
+}`;
+
+function bytes(side: number, depthBuffer: boolean): WebGLRenderTarget {
+  return new WebGLRenderTarget(side, side, {
+    format: RedFormat,
+    type: UnsignedByteType,
+    minFilter: LinearFilter,
+    magFilter: LinearFilter,
+    depthBuffer,
+    generateMipmaps: false,
+  });
+}
+
+function shares(side: number): WebGLRenderTarget {
+  return new WebGLRenderTarget(side, side, {
+    format: RGBAFormat,
+    type: HalfFloatType,
+    minFilter: LinearFilter,
+    magFilter: LinearFilter,
+    depthBuffer: false,
+    generateMipmaps: false,
+  });
+}
+
+/** A light as it stands over the ground. */
+export type GroundLights = {
+  readonly directions: readonly Direction[];
+  /** Radii of their discs. */
+  readonly radiiRad: readonly number[];
+};
+
+/** The ground under one object. */
+export class Ground {
+  readonly #tiles = bytes(tilesAcross * skySide, false);
+  readonly #lights = bytes(2 * lightSide, true);
+  readonly #sky = shares(skySide);
+  readonly #skyLight = new DataTexture(new Float32Array(4 * numSky), numSky, 1, RGBAFormat, FloatType);
+  readonly #skyPass = screenProgram(skyProgram, ["tiles", "skyLight"]);
+  readonly #sharePass = screenProgram(shareProgram, ["sky", "lights", "lightsRgb", "numLights", "whole"]);
+  readonly #cast: RawShaderMaterial;
+  readonly #scene = new Scene();
+  readonly #camera = new Camera();
+  #known = false;
+
+  constructor(
+    geometry: BufferGeometry,
+    readonly place: GroundPlace,
+  ) {
+    const { centre, height, reach } = place;
+    this.#cast = new RawShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: castVertex,
+      fragmentShader: castFragment,
+      uniforms: {
+        place: { value: [...centre, height, reach] },
+        slope: { value: [0, 0] },
+        layer: { value: 0 },
+        share: { value: 1 },
+      },
+      side: DoubleSide,
+      depthFunc: LessDepth,
+      blending: CustomBlending,
+      blendEquation: AddEquation,
+      blendSrc: OneFactor,
+      blendDst: OneFactor,
+    });
+    const mesh = new Mesh(geometry, this.#cast);
+    mesh.frustumCulled = false;
+    this.#scene.add(mesh);
+    this.#scene.matrixWorldAutoUpdate = false;
+    this.#skyPass.uniforms.tiles!.value = this.#tiles.texture;
+    this.#skyPass.uniforms.skyLight!.value = this.#skyLight;
+    this.#sharePass.uniforms.sky!.value = this.#sky.texture;
+    this.#sharePass.uniforms.lights!.value = this.#lights.texture;
+  }
+
+  /** Draw the shares that a light loses into a table; `still` draws discs finely. */
+  draw(
+    renderer: WebGLRenderer,
+    screen: FullScreen,
+    light: GroundLight,
+    lights: GroundLights,
+    into: WebGLRenderTarget,
+    still: boolean,
+  ): void {
+    if (!this.#known) this.#drawTiles(renderer);
+    this.#drawLights(renderer, lights, still ? discSamples.still : discSamples.moving);
+    (this.#skyLight.image.data as Float32Array).set(light.skyRgba);
+    this.#skyLight.needsUpdate = true;
+    screen.draw(this.#skyPass, this.#sky);
+    const rgb = new Float32Array(3 * maxDominant);
+    light.lightsRgb.slice(0, maxDominant).forEach((value, index) => {
+      rgb.set(value, 3 * index);
+    });
+    const values = {
+      lightsRgb: rgb,
+      numLights: Math.min(light.lightsRgb.length, maxDominant),
+      whole: light.wholeRgb,
+    };
+    for (const [name, value] of Object.entries(values)) this.#sharePass.uniforms[name]!.value = value;
+    screen.draw(this.#sharePass, into);
+  }
+
+  /** Draw everything again when it is next asked for. */
+  forget(): void {
+    this.#known = false;
+  }
+
+  /** Give the memory back. */
+  dispose(): void {
+    for (const target of [this.#tiles, this.#lights, this.#sky]) target.dispose();
+    for (const pass of [this.#skyPass, this.#sharePass, this.#cast]) pass.dispose();
+    this.#skyLight.dispose();
+  }
+
+  #drawTiles(renderer: WebGLRenderer): void {
+    clear(renderer, this.#tiles);
+    skyDirections(numSky).forEach((direction, index) => {
+      const corner = [index % tilesAcross, Math.floor(index / tilesAcross)];
+      this.#tiles.viewport.set(corner[0]! * skySide, corner[1]! * skySide, skySide, skySide);
+      this.#castAlong(renderer, direction, 0, 1, this.#tiles);
+    });
+    this.#known = true;
+  }
+
+  #drawLights(renderer: WebGLRenderer, { directions, radiiRad }: GroundLights, count: number): void {
+    clear(renderer, this.#lights);
+    directions.slice(0, maxDominant).forEach((centre, light) => {
+      this.#lights.viewport.set((light % 2) * lightSide, (light >> 1) * lightSide, lightSide, lightSide);
+      // Each direction lies nearer than the one before, so that every pixel counts it once however often it is hit.
+      discDirections(centre, radiiRad[light]!, count).forEach((direction, index) => {
+        this.#castAlong(renderer, direction, 0.9 - index / count, 1 / count, this.#lights);
+      });
+    });
+  }
+
+  #castAlong(
+    renderer: WebGLRenderer,
+    [x, y, z]: Direction,
+    layer: number,
+    share: number,
+    target: WebGLRenderTarget,
+  ): void {
+    const { uniforms } = this.#cast;
+    uniforms.slope!.value = [x / z, y / z];
+    uniforms.layer!.value = layer;
+    uniforms.share!.value = share;
+    this.#cast.uniformsNeedUpdate = true;
+    renderer.setRenderTarget(target);
+    renderer.render(this.#scene, this.#camera);
+  }
+}
+
+/** Return a table of shares for one light. */
+export function groundTable(): WebGLRenderTarget {
+  return shares(lightSide);
+}
+
+function clear(renderer: WebGLRenderer, target: WebGLRenderTarget): void {
+  target.viewport.set(0, 0, target.width, target.height);
+  renderer.setRenderTarget(target);
+  renderer.setClearColor(0x000000, 0);
+  renderer.clear();
+}

@@ -1,0 +1,272 @@
+/**
+ * Irradiance of every texel under a light, drawn into small tables whenever the light changes or turns.
+ *
+ * direct: E = sum_k direct_k l_k + dominant lights with shadow bits; indirect: per channel, over coarse texels.
+ * The same sums as `lambent_relight.baked_light`.
+ */
+
+import { HalfFloatType, NearestFilter, type RawShaderMaterial, RGBAFormat, WebGLRenderTarget } from "three";
+import type { PlaneTable } from "../bundle/transport.js";
+import { tableWidth } from "../bundle/transport.js";
+import type { Direction } from "../engine/environment.js";
+import { basis } from "../engine/harmonics.js";
+import { type ShadowWeights, shadowDirections, shadowWeights } from "../engine/shadows.js";
+import { maxDominant } from "../light/prepare.js";
+import { header } from "./glsl.js";
+import { type FullScreen, screenProgram } from "./fullScreen.js";
+import type { BundleTextures } from "./textures.js";
+
+const storedDirections = shadowDirections(256);
+
+/** Light as it falls on the object now: turned, and brighter or darker. */
+export type FallingLight = {
+  /** Without the dominant lights, [bands^2, 3]. */
+  readonly coefficientsRgb: Float64Array;
+  readonly bands: number;
+  readonly directions: readonly Direction[];
+  /** Of a surface that faces the light. */
+  readonly irradianceRgb: readonly (readonly number[])[];
+};
+
+function planeSum(layers: number): string {
+  return `
+uniform isampler2DArray planes;
+uniform vec4 red[${layers}];
+uniform vec4 green[${layers}];
+uniform vec4 blue[${layers}];
+uniform vec3 base;
+vec3 planeSum(ivec2 where) {
+  vec3 sum = base;
+  for (int layer = 0; layer < ${layers}; layer++) {
+    vec4 q = vec4(texelFetch(planes, ivec3(where, layer), 0));
+    sum += vec3(dot(q, red[layer]), dot(q, green[layer]), dot(q, blue[layer]));
+  }
+  return sum;
+}
+`;
+}
+
+/** How much of a dominant light reaches a texel: a weighted mean of its nearest shadow bits, zero where it faces away. */
+const shadows = `
+uniform isampler2DArray material;
+uniform vec4 materialScales[2];
+uniform vec4 materialOffsets[2];
+uniform usampler2DArray shadowBits;
+uniform int numLights;
+uniform vec3 lightDirections[${maxDominant}];
+uniform int neighbours[${6 * maxDominant}];
+uniform float weights[${6 * maxDominant}];
+vec4 only(int light) { return vec4(equal(ivec4(light), ivec4(0, 1, 2, 3))); }
+vec3 normalAt(ivec2 where) {
+  vec4 second = materialOffsets[1] + materialScales[1] * vec4(texelFetch(material, ivec3(where, 1), 0));
+  return second.yzw / max(length(second.yzw), 1e-12);
+}
+float freeAt(ivec2 where, int light) {
+  uvec4 low = texelFetch(shadowBits, ivec3(where, 0), 0);
+  uvec4 high = texelFetch(shadowBits, ivec3(where, 1), 0);
+  float free = 0.0;
+  for (int n = 0; n < 6; n++) {
+    int bit = neighbours[6 * light + n];
+    uint word = (bit < 128 ? low : high)[(bit >> 5) & 3];
+    free += weights[6 * light + n] * float((word >> uint(bit & 31)) & 1u);
+  }
+  return free;
+}
+`;
+
+const lightSum = `
+uniform sampler2D shares;
+uniform vec3 lightIrradiance[${maxDominant}];
+vec3 lightSum(ivec2 where) {
+  vec3 normal = normalAt(where);
+  vec4 share = texelFetch(shares, where, 0);
+  vec3 sum = vec3(0.0);
+  for (int light = 0; light < numLights; light++) {
+    sum += max(dot(normal, lightDirections[light]), 0.0) * dot(share, only(light)) * lightIrradiance[light];
+  }
+  return sum;
+}
+`;
+
+const shareProgram = `${header}${shadows}
+out vec4 result;
+void main() {
+  ivec2 where = ivec2(gl_FragCoord.xy);
+  vec3 normal = normalAt(where);
+  result = vec4(0.0);
+  for (int light = 0; light < numLights; light++) {
+    if (dot(normal, lightDirections[light]) > 0.0) result += freeAt(where, light) * only(light);
+  }
+}`;
+
+function program(layers: number, lights: boolean): string {
+  return `${header}${planeSum(layers)}${lights ? shadows + lightSum : ""}
+out vec4 result;
+void main() {
+  ivec2 where = ivec2(gl_FragCoord.xy);
+  result = vec4(planeSum(where)${lights ? " + lightSum(where)" : ""}, 1.0);
+}`;
+}
+
+function target(rows: number): WebGLRenderTarget {
+  return new WebGLRenderTarget(tableWidth, rows, {
+    format: RGBAFormat,
+    type: HalfFloatType,
+    minFilter: NearestFilter,
+    magFilter: NearestFilter,
+    depthBuffer: false,
+    generateMipmaps: false,
+  });
+}
+
+const sumNames = ["planes", "red", "green", "blue", "base"];
+const shadowNames = [
+  ...["material", "materialScales", "materialOffsets", "shadowBits"],
+  ...["numLights", "lightDirections", "neighbours", "weights"],
+];
+
+/** Draws irradiance tables of one object. */
+export class IrradiancePasses {
+  readonly #direct: RawShaderMaterial;
+  readonly #indirect: RawShaderMaterial;
+  readonly #shares: RawShaderMaterial | null;
+
+  constructor(private readonly textures: BundleTextures) {
+    const { direct, indirect, material } = textures.transport;
+    const lights = textures.shadowBits !== null;
+    const more = lights ? [...shadowNames, "shares", "lightIrradiance"] : [];
+    this.#direct = screenProgram(program(direct.layers, lights), [...sumNames, ...more]);
+    this.#indirect = screenProgram(program(indirect.layers, false), sumNames);
+    this.#shares = lights ? screenProgram(shareProgram, shadowNames) : null;
+    this.#direct.uniforms.planes!.value = textures.direct;
+    this.#indirect.uniforms.planes!.value = textures.indirect;
+    for (const pass of [this.#direct, this.#shares]) {
+      if (pass === null || !lights) continue;
+      const values = { material: textures.material, shadowBits: textures.shadowBits };
+      set(pass, { ...values, materialScales: material.scales, materialOffsets: material.offsets });
+    }
+  }
+
+  /** All programs. */
+  get programs(): RawShaderMaterial[] {
+    return [this.#direct, this.#indirect, ...(this.#shares === null ? [] : [this.#shares])];
+  }
+
+  /** Draw all tables for a light. */
+  draw(screen: FullScreen, light: FallingLight, into: IrradianceTables): void {
+    const { direct, indirect } = this.textures.transport;
+    setSums(this.#direct, direct, light.coefficientsRgb, 1);
+    if (this.#shares !== null) {
+      const lights = lightUniforms(light);
+      set(this.#shares, lights.shadows);
+      screen.draw(this.#shares, into.shares);
+      const { irradiance } = lights;
+      set(this.#direct, { ...lights.shadows, lightIrradiance: irradiance, shares: into.shares.texture });
+    }
+    // Dominant lights take part in indirect light through their harmonics.
+    const count = indirect.bands ** 2;
+    const coefficients = light.coefficientsRgb.slice(0, 3 * count);
+    light.directions.forEach((direction, index) => {
+      basis(direction, indirect.bands).forEach((value, k) => {
+        for (let channel = 0; channel < 3; channel++) {
+          coefficients[3 * k + channel] =
+            coefficients[3 * k + channel]! + value * light.irradianceRgb[index]![channel]!;
+        }
+      });
+    });
+    setSums(this.#indirect, indirect, coefficients, 3);
+    screen.draw(this.#direct, into.direct);
+    screen.draw(this.#indirect, into.indirect);
+  }
+
+  /** Give the programs back. */
+  dispose(): void {
+    this.#direct.dispose();
+    this.#indirect.dispose();
+    this.#shares?.dispose();
+  }
+}
+
+/** What one light does to every texel. */
+export class IrradianceTables {
+  readonly direct: WebGLRenderTarget;
+  readonly indirect: WebGLRenderTarget;
+  /** How much of each dominant light reaches a texel, one channel each. */
+  readonly shares: WebGLRenderTarget;
+
+  constructor(textures: BundleTextures) {
+    this.direct = target(textures.transport.direct.rows);
+    this.indirect = target(textures.transport.indirect.rows);
+    this.shares = target(textures.shadowBits === null ? 1 : textures.transport.direct.rows);
+  }
+
+  /** Give the memory back. */
+  dispose(): void {
+    this.direct.dispose();
+    this.indirect.dispose();
+    this.shares.dispose();
+  }
+}
+
+/**
+ * Set the factors of the planes' bytes. Plane p holds coefficient p / channels of channel p mod channels, or of all
+ * three where there is one channel.
+ */
+export function sumFactors(table: PlaneTable, coefficientsRgb: ArrayLike<number>, channels: 1 | 3) {
+  const rgb = [0, 1, 2].map(() => new Float32Array(4 * table.layers));
+  const base = [0, 0, 0];
+  const count = table.bands ** 2 * channels;
+  for (let plane = 0; plane < count; plane++) {
+    for (let channel = 0; channel < 3; channel++) {
+      if (channels === 3 && plane % 3 !== channel) continue;
+      const value = coefficientsRgb[3 * Math.floor(plane / channels) + channel] ?? 0;
+      rgb[channel]![plane] = value * table.scales[plane]!;
+      base[channel] = base[channel]! + value * table.offsets[plane]!;
+    }
+  }
+  return { red: rgb[0]!, green: rgb[1]!, blue: rgb[2]!, base };
+}
+
+function set(pass: RawShaderMaterial, values: Readonly<Record<string, unknown>>): void {
+  for (const [name, value] of Object.entries(values)) {
+    const uniform = pass.uniforms[name];
+    if (uniform !== undefined) uniform.value = value;
+  }
+}
+
+function setSums(
+  pass: RawShaderMaterial,
+  table: PlaneTable,
+  coefficients: ArrayLike<number>,
+  channels: 1 | 3,
+): void {
+  set(pass, sumFactors(table, coefficients, channels));
+}
+
+/** Return the uniforms of dominant lights: those of their shadows, and their irradiance. */
+function lightUniforms(light: FallingLight) {
+  const { numLights, lightDirections, lightIrradiance } = dominantUniforms(light);
+  const neighbours = new Int32Array(6 * maxDominant);
+  const weights = new Float32Array(6 * maxDominant);
+  for (let index = 0; index < numLights; index++) {
+    const near: ShadowWeights = shadowWeights(storedDirections, light.directions[index]!);
+    neighbours.set(near.indices, 6 * index);
+    weights.set(near.weights, 6 * index);
+  }
+  return { shadows: { numLights, lightDirections, neighbours, weights }, irradiance: lightIrradiance };
+}
+
+/** Return number, directions and irradiance of dominant lights for a shader. */
+export function dominantUniforms({
+  directions,
+  irradianceRgb,
+}: Pick<FallingLight, "directions" | "irradianceRgb">) {
+  const numLights = Math.min(directions.length, maxDominant);
+  const lightDirections = new Float32Array(3 * maxDominant);
+  const lightIrradiance = new Float32Array(3 * maxDominant);
+  for (let index = 0; index < numLights; index++) {
+    lightDirections.set(directions[index]!, 3 * index);
+    lightIrradiance.set(irradianceRgb[index]!, 3 * index);
+  }
+  return { numLights, lightDirections, lightIrradiance };
+}

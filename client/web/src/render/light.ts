@@ -1,0 +1,134 @@
+/** A prepared light on the graphics card, turned as asked. */
+
+import type { DataTexture, WebGLRenderTarget } from "three";
+import type { Direction } from "../engine/environment.js";
+import { cosineFactors, type Matrix3, rotate, rotateZ } from "../engine/harmonics.js";
+import type { PreparedLight } from "../light/prepare.js";
+import { groundTable } from "./ground.js";
+import { type FallingLight, IrradianceTables } from "./irradiance.js";
+import type { LightTurn } from "./looks.js";
+import { type BundleTextures, levelsTexture } from "./textures.js";
+
+type Tilted = {
+  readonly key: string;
+  readonly coefficientsRgb: Float64Array;
+  readonly plainRgb: Float64Array;
+};
+
+const radians = Math.PI / 180;
+
+/** Return rows of the matrix of a turn: about +x by roll, then about +y by pitch, then about +z by yaw. */
+export function turnMatrix({ yawDeg, pitchDeg, rollDeg }: LightTurn): Matrix3 {
+  const [cy, sy] = [Math.cos(yawDeg * radians), Math.sin(yawDeg * radians)];
+  const tilt = tiltMatrix(pitchDeg, rollDeg);
+  return [
+    row((c) => cy * tilt[0][c] - sy * tilt[1][c]),
+    row((c) => sy * tilt[0][c] + cy * tilt[1][c]),
+    tilt[2],
+  ];
+}
+
+function row(at: (column: 0 | 1 | 2) => number): Direction {
+  return [at(0), at(1), at(2)];
+}
+
+function tiltMatrix(pitchDeg: number, rollDeg: number): Matrix3 {
+  const [cp, sp] = [Math.cos(pitchDeg * radians), Math.sin(pitchDeg * radians)];
+  const [cr, sr] = [Math.cos(rollDeg * radians), Math.sin(rollDeg * radians)];
+  return [
+    [cp, sp * sr, sp * cr],
+    [0, cr, -sr],
+    [-sp, cp * sr, cp * cr],
+  ];
+}
+
+/** One light and the irradiance it gives. */
+export class StageLight {
+  readonly levels: DataTexture;
+  readonly places: Int32Array;
+  readonly tables: IrradianceTables;
+  /** Of the turn whose irradiance `tables` holds. */
+  drawnTurn: string | null = null;
+  /** Turn, and fineness, of the shadow that `ground` holds. */
+  drawnGround: string | null = null;
+  #ground: WebGLRenderTarget | null = null;
+  #tilted: Tilted | null = null;
+
+  constructor(
+    readonly prepared: PreparedLight,
+    textures: BundleTextures,
+  ) {
+    this.levels = levelsTexture(prepared);
+    this.places = Int32Array.from(prepared.levels.places.flat());
+    this.tables = new IrradianceTables(textures);
+  }
+
+  /** Its shadow on the ground; there is none before it is asked for. */
+  get ground(): WebGLRenderTarget {
+    this.#ground ??= groundTable();
+    return this.#ground;
+  }
+
+  /** Return the light as it falls after a turn. */
+  falling(turn: LightTurn): FallingLight {
+    const { bands } = this.prepared;
+    const { intensity } = turn;
+    return {
+      coefficientsRgb: rotateZ(this.#tilt(turn).coefficientsRgb, bands, turn.yawDeg).map(
+        (value) => value * intensity,
+      ),
+      bands,
+      ...this.dominant(turn),
+    };
+  }
+
+  /** Return where the dominant lights stand after a turn, and what they give. */
+  dominant(turn: LightTurn): Pick<FallingLight, "directions" | "irradianceRgb"> {
+    const { lights } = this.prepared;
+    const matrix = turnMatrix(turn);
+    return {
+      directions: lights.map(({ direction }) => apply(matrix, direction)),
+      irradianceRgb: lights.map(({ radianceSolidAngle }) =>
+        radianceSolidAngle.map((value) => value * turn.intensity),
+      ),
+    };
+  }
+
+  /** Return harmonics of irradiance without shadows, three bands, [9, 3]. */
+  plainIrradiance(turn: LightTurn): Float32Array {
+    const turned = rotateZ(this.#tilt(turn).plainRgb, 3, turn.yawDeg);
+    const factors = cosineFactors(3);
+    return Float32Array.from(
+      turned,
+      (value, index) => value * factors[Math.floor(index / 3)]! * turn.intensity,
+    );
+  }
+
+  /** Tilting costs more than turning about +z, so that its result is kept. */
+  #tilt({ pitchDeg, rollDeg }: LightTurn): Tilted {
+    const key = `${pitchDeg} ${rollDeg}`;
+    if (this.#tilted?.key !== key) {
+      const { coefficientsRgb, plainRgb, bands } = this.prepared;
+      const level = pitchDeg === 0 && rollDeg === 0;
+      const matrix = tiltMatrix(pitchDeg, rollDeg);
+      this.#tilted = {
+        key,
+        coefficientsRgb: level ? coefficientsRgb : rotate(coefficientsRgb, bands, matrix),
+        plainRgb: level ? plainRgb : rotate(plainRgb, 3, matrix),
+      };
+    }
+    return this.#tilted;
+  }
+
+  /** Give the memory back. */
+  dispose(): void {
+    this.levels.dispose();
+    this.tables.dispose();
+    this.#ground?.dispose();
+  }
+}
+
+function apply(matrix: Matrix3, [x, y, z]: Direction): Direction {
+  const at = (r: 0 | 1 | 2): number => matrix[r][0] * x + matrix[r][1] * y + matrix[r][2] * z;
+  return [at(0), at(1), at(2)];
+}

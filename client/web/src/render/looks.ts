@@ -1,0 +1,77 @@
+/** What can be asked of the renderer. */
+
+/** Numbers of the channels, as the shaders know them. */
+export const channels = {
+  final: 0,
+  direct: 1,
+  indirect: 2,
+  visibility: 3,
+  albedo: 4,
+  roughness: 5,
+  metalness: 6,
+  normal: 7,
+  depth: 8,
+  uncertainty: 9,
+} as const;
+export type Channel = keyof typeof channels;
+
+export const toneCurves = { linear: 0, neutral: 1, agx: 2, aces: 3 } as const;
+export type ToneCurve = keyof typeof toneCurves;
+
+export const backgrounds = { transparent: 0, colour: 1, environment: 2, blurred: 3 } as const;
+export type BackgroundKind = keyof typeof backgrounds;
+
+/** Red, green, blue. */
+export type Rgb = readonly [number, number, number];
+
+/** What differs from the bundle's material, as `lambent_relight.edits` applies it. */
+export type MaterialEdit = {
+  /** Factor on albedo; the product is clipped to [0, 1]. */
+  readonly albedoGain: Rgb;
+  /** Factor on perceptual roughness; the product is clipped to [0, 1]. */
+  readonly roughnessScale: number;
+  /** Added to metalness; the sum is clipped to [0, 1]. */
+  readonly metalnessShift: number;
+};
+
+/** How radiance becomes a picture. */
+export type Look = {
+  readonly channel: Channel;
+  readonly tone: ToneCurve;
+  readonly exposureEv: number;
+  readonly background: BackgroundKind;
+  /** sRGB-encoded, 0 to 1. */
+  readonly backgroundSrgb: Rgb;
+  readonly edit: MaterialEdit;
+  /** Whether light that was reflected once before is added. */
+  readonly indirect: boolean;
+  /** Whether level ground under the object shows its shadow. */
+  readonly ground: boolean;
+};
+
+/** How the environment is turned and how bright it is. */
+export type LightTurn = {
+  /** About +z; the same as `--rotate-deg`. */
+  readonly yawDeg: number;
+  /** About +y, before the turn about +z. */
+  readonly pitchDeg: number;
+  /** About +x, before both. */
+  readonly rollDeg: number;
+  /** Factor on radiance. */
+  readonly intensity: number;
+};
+
+/** "baked": with transport; "plain": image-based lighting without shadows and bounces. */
+export type Method = "baked" | "plain";
+
+/** A picture's size and lens in pixels, rows from the top, and a pose: x right, y up, looking along -z. */
+export type ViewCamera = {
+  readonly width: number;
+  readonly height: number;
+  readonly focalX: number;
+  readonly focalY: number;
+  readonly centreX: number;
+  readonly centreY: number;
+  /** Row-major 4 x 4. */
+  readonly cameraToWorld: readonly number[];
+};

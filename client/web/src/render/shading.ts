@@ -1,0 +1,256 @@
+/**
+ * What the object sends to the camera: the formula of `lambent_relight.baked`, per pixel.
+ *
+ *     radiance = (1 - m) albedo / pi (E_direct + E_indirect)
+ *              + (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings) + dominant lights
+ *
+ * Materials, visibility and irradiance are means over the samples of a pixel; the rest is computed once.
+ */
+
+import { type DataTexture, GLSL3, NoBlending, RawShaderMaterial, type Texture } from "three";
+import type { LoadedBundle } from "../bundle/load.js";
+import * as glsl from "./glsl.js";
+import { dominantUniforms } from "./irradiance.js";
+import { type StageLight, turnMatrix } from "./light.js";
+import { channels, type LightTurn, type Look, type Method, type ViewCamera } from "./looks.js";
+import type { BundleTextures } from "./textures.js";
+
+function fragment(bands: number, hasGrid: boolean): string {
+  const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
+  const layers = Math.ceil((bands * bands) / 4);
+  return `${glsl.header}${glsl.tables}${glsl.environment}${glsl.splitSum}${glsl.glints}${glsl.freeShare(bands)}
+out vec4 result;
+uniform usampler2D seen;
+uniform int samples;
+uniform vec2 size;
+uniform vec4 lens;
+uniform mat3 cameraTurn;
+uniform vec3 eye;
+uniform usampler2D coarseOfTexel;
+uniform isampler2DArray material;
+uniform vec4 materialScales[2];
+uniform vec4 materialOffsets[2];
+uniform isampler2DArray direct;
+uniform vec2 directConstant;
+uniform sampler2D irradiance;
+uniform sampler2D bounced;
+uniform sampler2D shares;
+uniform vec3 plainIrradiance[9];
+uniform int channel;
+uniform bool plain;
+uniform bool indirect;
+uniform vec3 albedoGain;
+uniform vec3 bounceGain;
+uniform float roughnessScale;
+uniform float metalnessShift;
+uniform vec2 depthRange;
+${hasGrid ? "uniform sampler3D uncertainty;\nuniform vec3 gridLow;\nuniform vec3 gridSize;" : ""}
+
+vec3 plainSum(vec3 n) {
+  float x = n.x, y = n.y, z = n.z;
+  vec3 sum = vec3(0.0);
+  ${plain}
+  return max(sum, 0.0);
+}
+
+void main() {
+  vec2 pixel = gl_FragCoord.xy;
+  ivec2 first = ivec2(pixel) * samples;
+  float count = 0.0, distance = 0.0, roughness = 0.0, metalness = 0.0, openness = 0.0, surroundings = 0.0;
+  vec3 albedo = vec3(0.0), normal = vec3(0.0), arriving = vec3(0.0), bounce = vec3(0.0);
+  vec4 lightShares = vec4(0.0);
+  vec4 open[${layers}];
+  for (int layer = 0; layer < ${layers}; layer++) open[layer] = vec4(0.0);
+  bool lit = channel <= ${channels.indirect};
+  for (int index = 0; index < samples * samples; index++) {
+    uvec2 found = texelFetch(seen, first + ivec2(index % samples, index / samples), 0).rg;
+    if (found.r == 0u) continue;
+    ivec2 where = placeOf(found.r - 1u);
+    count += 1.0;
+    distance += uintBitsToFloat(found.g);
+    vec4 low = materialOffsets[0] + materialScales[0] * vec4(texelFetch(material, ivec3(where, 0), 0));
+    vec4 high = materialOffsets[1] + materialScales[1] * vec4(texelFetch(material, ivec3(where, 1), 0));
+    albedo += clamp(low.rgb, 0.0, 1.0);
+    roughness += clamp(low.a, 0.0, 1.0);
+    metalness += clamp(high.x, 0.0, 1.0);
+    normal += high.yzw / max(length(high.yzw), 1e-12);
+    float constant = directConstant.x + directConstant.y * float(texelFetch(direct, ivec3(where, 0), 0).r);
+    float free = clamp(constant / (0.5 * sqrt(pi)), 0.0, 1.0);
+    openness += free;
+    surroundings += 1.0 / (pi * max(1.0 - free, 0.05));
+    if (!lit || plain) continue;
+    for (int layer = 0; layer < ${layers}; layer++) {
+      open[layer] += vec4(texelFetch(visibility, ivec3(where, layer), 0));
+    }
+    arriving += texelFetch(irradiance, where, 0).rgb;
+    if (numLights > 0) lightShares += texelFetch(shares, where, 0);
+    if (indirect) bounce += texelFetch(bounced, placeOf(texelFetch(coarseOfTexel, where, 0).r), 0).rgb;
+  }
+  if (count == 0.0) {
+    result = vec4(0.0);
+    return;
+  }
+  float share = 1.0 / count;
+  albedo = clamp(albedo * share * albedoGain, 0.0, 1.0);
+  roughness = clamp(roughness * share * roughnessScale, 0.0, 1.0);
+  metalness = clamp(metalness * share + metalnessShift, 0.0, 1.0);
+  openness *= share;
+  distance *= share;
+  vec3 ray = vec3((pixel.x - lens.z) / lens.x, -(size.y - pixel.y - lens.w) / lens.y, -1.0);
+  vec3 toViewer = -normalize(cameraTurn * ray);
+  normal = normalize(normal * share);
+  // A mean normal may face away at a silhouette, where the true one cannot.
+  normal = normalize(normal - min(dot(normal, toViewer) - 1e-3, 0.0) * toViewer);
+
+  vec3 shown;
+  if (lit) {
+    float cosine = dot(normal, toViewer);
+    vec3 mirror = 2.0 * cosine * normal - toViewer;
+    vec2 table = splitSum(cosine, roughness);
+    vec3 f0 = mix(vec3(0.04), albedo, metalness);
+    vec3 reflectance = f0 * table.x + table.y;
+    vec3 diffuse = (1.0 - metalness) * albedo / pi;
+    vec3 prefiltered = radianceFrom(mirror, roughness);
+    if (plain) {
+      shown = channel == ${channels.indirect} ? vec3(0.0) : diffuse * plainSum(normal) + reflectance * prefiltered;
+    } else {
+      for (int layer = 0; layer < ${layers}; layer++) {
+        open[layer] = visibilityOffsets[layer] + visibilityScales[layer] * open[layer] * share;
+      }
+      float free = freeShare(open, mirror, roughness);
+      arriving = max(arriving * share, 0.0);
+      bounce = max(bounce * share * bounceGain, 0.0);
+      float alpha = max(roughness * roughness, 1e-4);
+      vec3 single = glints(normal, toViewer, mirror, alpha, f0, lightShares * share, prefiltered);
+      vec3 straight = diffuse * arriving + reflectance * free * prefiltered + single;
+      vec3 again = diffuse * bounce + reflectance * (1.0 - free) * surroundings * share * bounce;
+      shown = channel == ${channels.direct} ? straight : channel == ${channels.indirect} ? again : straight + again;
+    }
+  } else if (channel == ${channels.visibility}) shown = vec3(openness);
+  else if (channel == ${channels.albedo}) shown = albedo;
+  else if (channel == ${channels.roughness}) shown = vec3(roughness);
+  else if (channel == ${channels.metalness}) shown = vec3(metalness);
+  else if (channel == ${channels.normal}) shown = 0.5 + 0.5 * normal;
+  else if (channel == ${channels.depth}) {
+    shown = vec3(1.0 - clamp((distance - depthRange.x) / (depthRange.y - depthRange.x), 0.0, 1.0));
+  } else {
+    vec3 world = eye - distance * toViewer;
+    shown = vec3(${hasGrid ? "min(texture(uncertainty, (world - gridLow) / gridSize).r, 1.0)" : "0.0"});
+  }
+  float coverage = count / float(samples * samples);
+  result = vec4(shown * coverage, coverage);
+}`;
+}
+
+const uniformNames = [
+  ...["seen", "samples", "size", "lens", "cameraTurn", "eye"],
+  ...["coarseOfTexel", "material", "materialScales", "materialOffsets", "direct", "directConstant"],
+  ...[
+    "visibility",
+    "visibilityScales",
+    "visibilityOffsets",
+    "lobeTable",
+    "splitSumTable",
+    "levels",
+    "levelPlaces",
+  ],
+  ...["toMap", "lightScale", "irradiance", "bounced", "plainIrradiance", "channel", "plain", "indirect"],
+  ...["numLights", "lightDirections", "lightIrradiance", "shares"],
+  ...["albedoGain", "bounceGain", "roughnessScale", "metalnessShift", "depthRange"],
+  ...["uncertainty", "gridLow", "gridSize"],
+] as const;
+
+/** The pass that shades what the samples show. */
+export class Shading {
+  readonly material: RawShaderMaterial;
+
+  constructor(
+    private readonly bundle: LoadedBundle,
+    textures: BundleTextures,
+    splitSumTable: DataTexture,
+  ) {
+    const { transport } = textures;
+    const grid = bundle.uncertainty;
+    this.material = new RawShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: glsl.coverVertex,
+      fragmentShader: fragment(transport.visibility.bands, grid !== null),
+      uniforms: Object.fromEntries(uniformNames.map((name) => [name, { value: null }])),
+      depthTest: false,
+      depthWrite: false,
+      blending: NoBlending,
+    });
+    this.#set({
+      coarseOfTexel: textures.coarseOfTexel,
+      material: textures.material,
+      materialScales: transport.material.scales,
+      materialOffsets: transport.material.offsets,
+      direct: textures.direct,
+      directConstant: [transport.direct.offsets[0]!, transport.direct.scales[0]!],
+      visibility: textures.visibility,
+      visibilityScales: transport.visibility.scales,
+      visibilityOffsets: transport.visibility.offsets,
+      lobeTable: textures.lobeTable,
+      splitSumTable,
+      uncertainty: textures.uncertainty,
+      gridLow: grid?.low ?? [0, 0, 0],
+      gridSize: grid?.high.map((value, axis) => value - grid.low[axis]!) ?? [1, 1, 1],
+    });
+  }
+
+  /** Set which samples are shaded, and for which camera. */
+  aim(seen: Texture, samples: number, camera: ViewCamera, depthRange: readonly number[]): void {
+    const pose = camera.cameraToWorld;
+    this.#set({ seen, samples, depthRange, ...cameraUniforms(camera), eye: [pose[3]!, pose[7]!, pose[11]!] });
+  }
+
+  /** Set how they are lit. */
+  light(look: Look, method: Method, light: StageLight, turn: LightTurn): void {
+    const gain = look.edit.albedoGain.map((value, channel) => value * this.bundle.albedoScaleRgb[channel]!);
+    this.#set({
+      ...lightUniforms(light, turn),
+      ...dominantUniforms(light.dominant(turn)),
+      shares: light.tables.shares.texture,
+      irradiance: light.tables.direct.texture,
+      bounced: light.tables.indirect.texture,
+      plainIrradiance: light.plainIrradiance(turn),
+      channel: channels[look.channel],
+      plain: method === "plain",
+      indirect: look.indirect,
+      albedoGain: gain,
+      bounceGain: gain,
+      roughnessScale: look.edit.roughnessScale,
+      metalnessShift: look.edit.metalnessShift,
+    });
+  }
+
+  #set(values: Partial<Record<(typeof uniformNames)[number], unknown>>): void {
+    for (const [name, value] of Object.entries(values)) this.material.uniforms[name]!.value = value;
+  }
+
+  /** Give the program back. */
+  dispose(): void {
+    this.material.dispose();
+  }
+}
+
+/** Return the uniforms of `glsl.environment`. */
+export function lightUniforms(light: StageLight, turn: LightTurn): Record<string, unknown> {
+  return {
+    levels: light.levels,
+    levelPlaces: light.places,
+    // A matrix by rows, read by columns, is its transpose: from the world to the map.
+    toMap: turnMatrix(turn).flat(),
+    lightScale: turn.intensity,
+  };
+}
+
+/** Return the uniforms that give the ray of a pixel. */
+export function cameraUniforms(camera: ViewCamera): Record<string, unknown> {
+  const pose = camera.cameraToWorld;
+  return {
+    size: [camera.width, camera.height],
+    lens: [camera.focalX, camera.focalY, camera.centreX, camera.centreY],
+    cameraTurn: [0, 4, 8, 1, 5, 9, 2, 6, 10].map((index) => pose[index]!),
+  };
+}

@@ -1,0 +1,382 @@
+/** Draws a bundle under lights: onto a canvas, or into arrays. */
+
+import {
+  HalfFloatType,
+  Matrix4,
+  NearestFilter,
+  PerspectiveCamera,
+  RGBAFormat,
+  Scene,
+  type TextureDataType,
+  UnsignedByteType,
+  WebGLRenderer,
+  WebGLRenderTarget,
+} from "three";
+import type { DataTexture } from "three";
+import type { LoadedBundle } from "../bundle/load.js";
+import type { PreparedLight } from "../light/prepare.js";
+import { FullScreen } from "./fullScreen.js";
+import { IrradiancePasses } from "./irradiance.js";
+import { Ground, groundUnder } from "./ground.js";
+import { groundLight } from "./groundLight.js";
+import { StageLight } from "./light.js";
+import type { LightTurn, Look, Method, ViewCamera } from "./looks.js";
+import { type outputs, Resolve } from "./resolve.js";
+import { Shading } from "./shading.js";
+import { Surface, sampleTarget } from "./surface.js";
+import { BundleTextures, splitSumTexture } from "./textures.js";
+
+/** One half of the picture, or all of it. */
+export type Side = {
+  readonly light: string;
+  readonly turn: LightTurn;
+  readonly look: Look;
+  readonly method: Method;
+  /** Columns of the picture, as shares of its width. */
+  readonly from: number;
+  readonly to: number;
+};
+
+type Scenery = {
+  readonly bundle: LoadedBundle;
+  readonly textures: BundleTextures;
+  readonly passes: IrradiancePasses;
+  readonly surface: Surface;
+  readonly shading: Shading;
+  readonly scene: Scene;
+  /** Made when it is first asked for. */
+  ground: Ground | null;
+};
+
+const tileSide = 1024;
+
+/** Thrown where the browser cannot draw what the viewer needs. */
+export class GraphicsFault extends Error {
+  override readonly name = "GraphicsFault";
+}
+
+/** What may be drawn in place of the light "a" with baked transport. */
+export type Overlay = {
+  /** Draw what a camera sees into `target`, radiance multiplied by coverage; false where it is not known. */
+  readonly draw: (screen: FullScreen, camera: ViewCamera, look: Look, target: WebGLRenderTarget) => boolean;
+};
+
+/** A canvas with a bundle and lights by name. */
+export class Stage {
+  readonly renderer: WebGLRenderer;
+  readonly #screen: FullScreen;
+  readonly #resolve = new Resolve();
+  readonly #splitSum: DataTexture;
+  readonly #camera = new PerspectiveCamera();
+  readonly #lights = new Map<string, StageLight>();
+  /** Draws a finer picture in place of the baked one, where it has one. */
+  overlay: Overlay | null = null;
+  #radiance: WebGLRenderTarget | null = null;
+  #seen: WebGLRenderTarget | null = null;
+  /** Camera and samples that `#seen` holds. */
+  #seenKey = "";
+  #scenery: Scenery | null = null;
+
+  /** Throws GraphicsFault where there is no WebGL2 or no target for radiance. */
+  constructor(canvas: HTMLCanvasElement, splitSumTable: Float32Array<ArrayBuffer>) {
+    try {
+      this.renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
+    } catch {
+      throw new GraphicsFault("this browser offers no WebGL 2");
+    }
+    const context = this.renderer.getContext();
+    if (
+      !context.getExtension("EXT_color_buffer_float") &&
+      !context.getExtension("EXT_color_buffer_half_float")
+    ) {
+      this.renderer.dispose();
+      throw new GraphicsFault("this graphics card cannot draw into half floats");
+    }
+    this.renderer.autoClear = false;
+    this.renderer.debug.checkShaderErrors = true;
+    this.#screen = new FullScreen(this.renderer);
+    this.#splitSum = splitSumTexture(splitSumTable);
+    this.#camera.matrixAutoUpdate = false;
+    this.#camera.matrixWorldAutoUpdate = false;
+  }
+
+  /** The bundle that is shown. */
+  get bundle(): LoadedBundle | null {
+    return this.#scenery?.bundle ?? null;
+  }
+
+  /** Show another bundle; lights go with the one before. */
+  setBundle(bundle: LoadedBundle): void {
+    this.#clear();
+    const textures = new BundleTextures(bundle.transport, bundle.uncertainty);
+    const surface = new Surface(bundle.mesh, textures);
+    const shading = new Shading(bundle, textures, this.#splitSum);
+    const scene = new Scene();
+    scene.matrixWorldAutoUpdate = false;
+    scene.add(surface.mesh);
+    const passes = new IrradiancePasses(textures);
+    this.#scenery = { bundle, textures, passes, surface, shading, scene, ground: null };
+    // Programs are compiled and tables sent while the light is still being prepared.
+    this.renderer.compile(scene, this.#camera);
+    for (const each of [...passes.programs, shading.material, this.#resolve.material]) {
+      this.#screen.compile(each);
+    }
+    for (const texture of textures.all) this.renderer.initTexture(texture);
+  }
+
+  /** Keep a light under a name, in place of the one before. */
+  setLight(name: string, prepared: PreparedLight): void {
+    if (this.#scenery === null) throw new Error("a light needs a bundle");
+    this.#lights.get(name)?.dispose();
+    this.#lights.set(name, new StageLight(prepared, this.#scenery.textures));
+  }
+
+  /** Forget a light. */
+  dropLight(name: string): void {
+    this.#lights.get(name)?.dispose();
+    this.#lights.delete(name);
+  }
+
+  /** Return a light, or null. */
+  light(name: string): StageLight | null {
+    return this.#lights.get(name) ?? null;
+  }
+
+  /** Return a target that holds which texel every sample of a picture shows, until something else is drawn. */
+  samples(camera: ViewCamera, samples: number): WebGLRenderTarget {
+    if (this.#scenery === null) throw new Error("no bundle is open");
+    this.#look(camera, samples, this.#scenery);
+    return this.#seen!;
+  }
+
+  /** Forget what was drawn before the context was lost. */
+  restored(): void {
+    for (const light of this.#lights.values()) {
+      light.drawnTurn = null;
+      light.drawnGround = null;
+    }
+    this.#scenery?.ground?.forget();
+    this.#seenKey = "";
+  }
+
+  /** Draw onto the canvas, which takes the camera's size. */
+  draw(camera: ViewCamera, sides: readonly Side[], samples: number): void {
+    const canvas = this.renderer.domElement;
+    if (canvas.width !== camera.width || canvas.height !== camera.height) {
+      this.renderer.setSize(camera.width, camera.height, false);
+    }
+    this.renderer.setRenderTarget(null);
+    this.renderer.setScissorTest(false);
+    this.renderer.setClearColor(0x000000, 0);
+    this.renderer.clear();
+    for (const side of sides) this.#drawSide(camera, side, samples, null, "canvas");
+  }
+
+  /** Return the picture as RGBA bytes, rows from the top, straight alpha. */
+  readBytes(camera: ViewCamera, sides: readonly Side[], samples: number): Uint8ClampedArray<ArrayBuffer> {
+    const result = new Uint8ClampedArray(4 * camera.width * camera.height);
+    this.#tiles(camera, sides, samples, "straight", UnsignedByteType, Uint8Array, (row, start) => {
+      result.set(row, start);
+    });
+    return result;
+  }
+
+  /** Return linear radiance as RGBA half floats, rows from the top, multiplied by alpha. */
+  readHalf(camera: ViewCamera, sides: readonly Side[], samples: number): Uint16Array<ArrayBuffer> {
+    const result = new Uint16Array(4 * camera.width * camera.height);
+    this.#tiles(camera, sides, samples, "linear", HalfFloatType, Uint16Array, (row, start) => {
+      result.set(row, start);
+    });
+    return result;
+  }
+
+  /** Give all memory back. */
+  dispose(): void {
+    this.#clear();
+    this.#radiance?.dispose();
+    this.#seen?.dispose();
+    this.#splitSum.dispose();
+    this.#resolve.dispose();
+    this.#screen.dispose();
+    this.renderer.dispose();
+  }
+
+  #clear(): void {
+    for (const name of [...this.#lights.keys()]) this.dropLight(name);
+    this.#scenery?.ground?.dispose();
+    this.#scenery?.surface.dispose();
+    this.#scenery?.shading.dispose();
+    this.#scenery?.passes.dispose();
+    this.#scenery?.textures.dispose();
+    this.#scenery = null;
+    this.#seenKey = "";
+  }
+
+  /** Draw a picture of any size in tiles and hand out its rows. */
+  #tiles<T extends Uint8Array | Uint16Array>(
+    camera: ViewCamera,
+    sides: readonly Side[],
+    samples: number,
+    output: keyof typeof outputs,
+    type: TextureDataType,
+    kind: new (length: number) => T,
+    take: (row: T, start: number) => void,
+  ): void {
+    for (let top = 0; top < camera.height; top += tileSide) {
+      for (let left = 0; left < camera.width; left += tileSide) {
+        const width = Math.min(tileSide, camera.width - left);
+        const height = Math.min(tileSide, camera.height - top);
+        const target = new WebGLRenderTarget(width, height, { format: RGBAFormat, type, depthBuffer: false });
+        const tile = {
+          ...camera,
+          width,
+          height,
+          centreX: camera.centreX - left,
+          centreY: camera.centreY - top,
+        };
+        const share = (at: number): number => Math.min(Math.max((at * camera.width - left) / width, 0), 1);
+        for (const side of sides) {
+          const part = { ...side, from: share(side.from), to: share(side.to) };
+          if (part.to > part.from) this.#drawSide(tile, part, samples, target, output);
+        }
+        const pixels = new kind(4 * width * height);
+        this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
+        target.dispose();
+        for (let row = 0; row < height; row++) {
+          const source = 4 * width * (height - 1 - row);
+          const line = pixels.subarray(source, source + 4 * width) as T;
+          take(line, 4 * ((top + row) * camera.width + left));
+        }
+      }
+    }
+  }
+
+  #drawSide(
+    camera: ViewCamera,
+    side: Side,
+    samples: number,
+    target: WebGLRenderTarget | null,
+    output: keyof typeof outputs,
+  ): void {
+    const light = this.#lights.get(side.light);
+    const scenery = this.#scenery;
+    if (light === undefined || scenery === null) return;
+    const { turn } = side;
+    const key = turnKey(turn);
+    if (light.drawnTurn !== key && side.method === "baked") {
+      this.renderer.setScissorTest(false);
+      scenery.passes.draw(this.#screen, light.falling(turn), light.tables);
+      light.drawnTurn = key;
+    }
+    const { width, height } = camera;
+    this.#look(camera, samples, scenery);
+    this.#radiance = this.#fitting(this.#radiance, width, height, radianceTarget);
+    const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
+    scenery.shading.light(side.look, side.method, light, turn);
+    this.#scissor(this.#radiance, columns, height);
+    const finer = side.light === "a" && side.method === "baked" ? this.overlay : null;
+    if (!finer?.draw(this.#screen, camera, side.look, this.#radiance)) {
+      this.#screen.draw(scenery.shading.material, this.#radiance);
+    }
+    const ground = this.#ground(side, light, samples > 1, scenery);
+    this.#resolve.prepare(this.#radiance.texture, camera, side.look, light, turn, output, ground);
+    this.#scissor(target, columns, height);
+    this.#screen.draw(this.#resolve.material, target);
+    this.#scissor(null, null, 0);
+  }
+
+  /** Draw the shadow on the ground where one is asked for; returns where the ground is, or null. */
+  #ground({ look, method, turn }: Side, light: StageLight, still: boolean, scenery: Scenery) {
+    const lit = look.channel === "final" || look.channel === "direct";
+    if (!look.ground || !lit || method !== "baked") return null;
+    const { boundsMin, boundsMax } = scenery.bundle;
+    scenery.ground ??= new Ground(scenery.surface.mesh.geometry, groundUnder(boundsMin, boundsMax));
+    const key = turnKey(turn);
+    if (
+      light.drawnGround !== `${key} still` &&
+      light.drawnGround !== `${key} ${still ? "still" : "moving"}`
+    ) {
+      const falling = light.falling(turn);
+      const discs = { directions: falling.directions, radiiRad: light.prepared.lightRadiiRad };
+      this.renderer.setScissorTest(false);
+      scenery.ground.draw(this.renderer, this.#screen, groundLight(falling), discs, light.ground, still);
+      light.drawnGround = `${key} ${still ? "still" : "moving"}`;
+    }
+    return scenery.ground.place;
+  }
+
+  /** Draw which texel every sample shows, unless that is known. */
+  #look(camera: ViewCamera, samples: number, scenery: Scenery): void {
+    const key = `${samples} ${Object.values(camera).flat().join(" ")}`;
+    if (this.#seenKey === key) return;
+    const depthRange = this.#aim(camera, scenery.bundle);
+    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
+    this.renderer.setRenderTarget(this.#seen);
+    this.renderer.setClearColor(0x000000, 0);
+    this.renderer.clear();
+    this.renderer.render(scenery.scene, this.#camera);
+    scenery.shading.aim(this.#seen.texture, samples, camera, depthRange);
+    this.#seenKey = key;
+  }
+
+  #scissor(target: WebGLRenderTarget | null, columns: readonly number[] | null, height: number): void {
+    const on = columns !== null;
+    const [from, to] = columns ?? [0, 0];
+    if (target === null) {
+      this.renderer.setScissorTest(on);
+      if (on) this.renderer.setScissor(from!, 0, to! - from!, height);
+    } else {
+      target.scissorTest = on;
+      target.scissor.set(from!, 0, to! - from!, height);
+    }
+  }
+
+  /** Set the camera and return the range of distances of the object. */
+  #aim(camera: ViewCamera, { boundsMin, boundsMax }: LoadedBundle): readonly [number, number] {
+    const pose = camera.cameraToWorld;
+    const centre = boundsMin.map((value, axis) => 0.5 * (value + boundsMax[axis]!));
+    const radius = 0.5 * Math.hypot(...boundsMin.map((value, axis) => boundsMax[axis]! - value));
+    const away = Math.hypot(...centre.map((value, axis) => value - pose[4 * axis + 3]!));
+    const near = Math.max(away - radius, 0.01 * radius);
+    const far = away + 1.1 * radius;
+    const { focalX, focalY, centreX, centreY, width, height } = camera;
+    const matrix = new Matrix4().fromArray(pose as number[]).transpose();
+    this.#camera.matrixWorld.copy(matrix);
+    this.#camera.matrixWorldInverse.copy(matrix).invert();
+    this.#camera.projectionMatrix.makePerspective(
+      (-centreX / focalX) * near,
+      ((width - centreX) / focalX) * near,
+      (centreY / focalY) * near,
+      (-(height - centreY) / focalY) * near,
+      near,
+      far,
+    );
+    return [Math.max(away - radius, 0), away + radius];
+  }
+
+  #fitting(
+    target: WebGLRenderTarget | null,
+    width: number,
+    height: number,
+    create: (width: number, height: number) => WebGLRenderTarget,
+  ): WebGLRenderTarget {
+    if (target === null) return create(width, height);
+    if (target.width !== width || target.height !== height) target.setSize(width, height);
+    return target;
+  }
+}
+
+function turnKey({ yawDeg, pitchDeg, rollDeg, intensity }: LightTurn): string {
+  return `${yawDeg} ${pitchDeg} ${rollDeg} ${intensity}`;
+}
+
+function radianceTarget(width: number, height: number): WebGLRenderTarget {
+  return new WebGLRenderTarget(width, height, {
+    format: RGBAFormat,
+    type: HalfFloatType,
+    minFilter: NearestFilter,
+    magFilter: NearestFilter,
+    depthBuffer: false,
+    generateMipmaps: false,
+  });
+}

@@ -1,0 +1,124 @@
+/** A bundle's tables as textures. */
+
+import {
+  ByteType,
+  ClampToEdgeWrapping,
+  Data3DTexture,
+  DataArrayTexture,
+  DataTexture,
+  FloatType,
+  HalfFloatType,
+  LinearFilter,
+  type PixelFormat,
+  RedFormat,
+  RedIntegerFormat,
+  RGBAFormat,
+  RGBAIntegerFormat,
+  RGFormat,
+  type Texture,
+  UnsignedIntType,
+} from "three";
+import type { UncertaintyGrid } from "../bundle/uncertainty.js";
+import { type PackedTransport, type PlaneTable, tableRows, tableWidth } from "../bundle/transport.js";
+import { ggxBands, numLobeSteps } from "../engine/lobes.js";
+import { tableSide } from "../engine/splitSum.js";
+import type { PreparedLight } from "../light/prepare.js";
+
+function ready<T extends Texture>(texture: T, internal: T["internalFormat"]): T {
+  texture.internalFormat = internal;
+  texture.needsUpdate = true;
+  return texture;
+}
+
+function planes(table: PlaneTable): DataArrayTexture {
+  const texture = new DataArrayTexture(table.steps, tableWidth, table.rows, table.layers);
+  texture.format = RGBAIntegerFormat;
+  texture.type = ByteType;
+  return ready(texture, "RGBA8I");
+}
+
+function numbers(data: Uint32Array<ArrayBuffer>, width: number): DataTexture {
+  const format = RedIntegerFormat as PixelFormat;
+  return ready(new DataTexture(data, width, data.length / width, format, UnsignedIntType), "R32UI");
+}
+
+/** Textures of one bundle, whatever the light. */
+export class BundleTextures {
+  readonly direct: DataArrayTexture;
+  readonly visibility: DataArrayTexture;
+  readonly indirect: DataArrayTexture;
+  readonly material: DataArrayTexture;
+  readonly texelPlane: DataTexture;
+  readonly coarseOfTexel: DataTexture;
+  readonly shadowBits: DataArrayTexture | null = null;
+  readonly lobeTable: DataTexture;
+  readonly uncertainty: Data3DTexture | null = null;
+
+  constructor(
+    readonly transport: PackedTransport,
+    grid: UncertaintyGrid | null,
+  ) {
+    this.direct = planes(transport.direct);
+    this.visibility = planes(transport.visibility);
+    this.indirect = planes(transport.indirect);
+    this.material = planes(transport.material);
+    this.texelPlane = numbers(transport.texelPlane, transport.size);
+    this.coarseOfTexel = numbers(transport.coarseOfTexel, tableWidth);
+    if (transport.shadowBits !== null) {
+      const rows = tableRows(transport.numTexels);
+      const bits = new DataArrayTexture(transport.shadowBits, tableWidth, rows, 2);
+      bits.format = RGBAIntegerFormat;
+      bits.type = UnsignedIntType;
+      this.shadowBits = ready(bits, "RGBA32UI");
+    }
+    this.lobeTable = lobeTexture(transport.visibility.bands);
+    if (grid !== null) this.uncertainty = gridTexture(grid);
+  }
+
+  /** All of them. */
+  get all(): Texture[] {
+    const { direct, visibility, indirect, material, texelPlane, coarseOfTexel, lobeTable } = this;
+    const always = [direct, visibility, indirect, material, texelPlane, coarseOfTexel, lobeTable];
+    return [...always, ...[this.shadowBits, this.uncertainty].filter((each) => each !== null)];
+  }
+
+  /** Give the memory back. */
+  dispose(): void {
+    for (const texture of this.all) texture.dispose();
+  }
+}
+
+function lobeTexture(bands: number): DataTexture {
+  const table = ggxBands(bands);
+  const rows = Math.ceil(bands / 4);
+  const data = new Float32Array(4 * rows * numLobeSteps);
+  table.forEach((value, index) => {
+    const [step, band] = [Math.floor(index / bands), index % bands];
+    data[4 * ((band >> 2) * numLobeSteps + step) + (band & 3)] = value;
+  });
+  return ready(new DataTexture(data, numLobeSteps, rows, RGBAFormat, FloatType), "RGBA32F");
+}
+
+function gridTexture(grid: UncertaintyGrid): Data3DTexture {
+  const texture = new Data3DTexture(grid.albedoHalf, ...grid.counts);
+  texture.format = RedFormat;
+  texture.type = HalfFloatType;
+  texture.minFilter = LinearFilter;
+  texture.magFilter = LinearFilter;
+  texture.wrapS = ClampToEdgeWrapping;
+  texture.wrapT = ClampToEdgeWrapping;
+  texture.wrapR = ClampToEdgeWrapping;
+  texture.unpackAlignment = 1;
+  return ready(texture, "R16F");
+}
+
+/** Return the split-sum table: roughness across, the cosine's root down. */
+export function splitSumTexture(table: Float32Array<ArrayBuffer>): DataTexture {
+  return ready(new DataTexture(table, tableSide, tableSide, RGFormat, FloatType), "RG32F");
+}
+
+/** Return the levels of a light. */
+export function levelsTexture({ levels }: PreparedLight): DataTexture {
+  const { halfRgba, width, height } = levels;
+  return ready(new DataTexture(halfRgba, width, height, RGBAFormat, HalfFloatType), "RGBA16F");
+}

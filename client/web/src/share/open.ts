@@ -1,0 +1,24 @@
+/** What the page behind a share link does: it swaps the secret in its fragment for a cookie, and goes on. */
+
+import { viewerAddress } from "../page/addresses.js";
+import { type Api, Refused } from "../page/rest.js";
+
+export type Opened = { readonly viewer: string } | { readonly message: string };
+
+/** Return where the viewer shows the bundle of a link, or what to tell the visitor. */
+export async function openShare(fragment: string, api: Pick<Api, "openShare">): Promise<Opened> {
+  const [token = "", view] = fragment.replace(/^#/, "").split(/&(.*)/s);
+  if (token === "")
+    return { message: "This address is not complete. Open the whole link that you were sent." };
+  try {
+    const opened = await api.openShare(token);
+    return { viewer: viewerAddress(opened.bundle_id, view) };
+  } catch (error) {
+    if (error instanceof Refused && error.status < 500) {
+      return {
+        message: "This link is wrong, has ended, or was taken back. Ask whoever sent it for another one.",
+      };
+    }
+    return { message: "The server does not answer. Load this page again in a moment." };
+  }
+}

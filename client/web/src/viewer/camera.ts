@@ -1,0 +1,66 @@
+/** From an orbit to a camera, and what a photograph's camera becomes on a canvas. */
+
+import type { PhotoCamera } from "../bundle/cameras.js";
+import type { ViewCamera } from "../render/looks.js";
+import type { OrbitPose } from "./state.js";
+
+/** Vertical field of view on a square canvas. */
+export const fieldOfViewDeg = 35;
+
+/** The object's box as a sphere. */
+export type Ball = { readonly centre: readonly number[]; readonly radius: number };
+
+/** Return the sphere around a box. */
+export function ballOf(low: readonly number[], high: readonly number[]): Ball {
+  const centre = low.map((value, axis) => 0.5 * (value + high[axis]!));
+  return { centre, radius: 0.5 * Math.hypot(...low.map((value, axis) => high[axis]! - value)) };
+}
+
+/** Return the camera of an orbit; the field of view fits into the shorter side. */
+export function orbitCamera(pose: OrbitPose, ball: Ball, width: number, height: number): ViewCamera {
+  const [azimuth, elevation] = [(pose.azimuthDeg * Math.PI) / 180, (pose.elevationDeg * Math.PI) / 180];
+  const back = [
+    Math.cos(azimuth) * Math.cos(elevation),
+    Math.sin(azimuth) * Math.cos(elevation),
+    Math.sin(elevation),
+  ];
+  const right = [-Math.sin(azimuth), Math.cos(azimuth), 0];
+  const up = [
+    -Math.cos(azimuth) * Math.sin(elevation),
+    -Math.sin(azimuth) * Math.sin(elevation),
+    Math.cos(elevation),
+  ];
+  const eye = ball.centre.map(
+    (value, axis) => value + ball.radius * (pose.target[axis]! + pose.distance * back[axis]!),
+  );
+  const focal = (0.5 * Math.min(width, height)) / Math.tan((fieldOfViewDeg * Math.PI) / 360);
+  return {
+    width,
+    height,
+    focalX: focal,
+    focalY: focal,
+    centreX: width / 2,
+    centreY: height / 2,
+    cameraToWorld: [
+      ...[0, 1, 2].flatMap((axis) => [right[axis]!, up[axis]!, back[axis]!, eye[axis]!]),
+      0,
+      0,
+      0,
+      1,
+    ],
+  };
+}
+
+/** Return a photograph's camera on a canvas: the whole photograph fits, in the middle. */
+export function photoCamera(photo: PhotoCamera, width: number, height: number): ViewCamera {
+  const scale = Math.min(width / photo.width, height / photo.height);
+  return {
+    width,
+    height,
+    focalX: photo.focalX * scale,
+    focalY: photo.focalY * scale,
+    centreX: photo.centreX * scale + 0.5 * (width - photo.width * scale),
+    centreY: photo.centreY * scale + 0.5 * (height - photo.height * scale),
+    cameraToWorld: photo.cameraToWorld,
+  };
+}

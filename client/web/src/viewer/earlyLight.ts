@@ -1,0 +1,68 @@
+/** The light of a bundle, prepared while the rest of the bundle is still being read. */
+
+import type { BundleNews } from "../bundle/load.js";
+import type { MapOrigin } from "../light/lightWorker.js";
+import { maxDominant, type PreparedLight } from "../light/prepare.js";
+
+/** Return the light to show: the wanted one where the bundle has it, its first one, or a preset. */
+export function lightFor(wanted: string, trained: readonly string[]): string {
+  const known = wanted !== "" && (!wanted.startsWith("trained:") || trained.includes(wanted.slice(8)));
+  if (known) return wanted;
+  return trained[0] === undefined ? "preset:studio" : `trained:${trained[0]}`;
+}
+
+/** How many lights are split off for a bundle. */
+export function dominantFor(hasShadowBits: boolean): number {
+  return hasShadowBits ? maxDominant : 0;
+}
+
+type Host = {
+  /** The light that is asked for now. */
+  readonly wanted: () => string;
+  /** Where a light that is not the bundle's comes from; throws where there is none. */
+  readonly originOf: (name: string) => MapOrigin;
+  readonly prepare: (origin: MapOrigin, bands: number, dominant: number) => Promise<PreparedLight>;
+};
+
+/** Listens to the reading of one bundle. */
+export class EarlyLight {
+  #name = "";
+  #bands = 0;
+  #dominant = 0;
+  #light: Promise<PreparedLight> | null = null;
+
+  constructor(private readonly host: Host) {}
+
+  /** Begin as soon as enough is known. */
+  hear(news: BundleNews): void {
+    if (news.kind === "opened") {
+      this.#name = lightFor(this.host.wanted(), news.lights);
+      this.#bands = news.bands;
+      this.#dominant = dominantFor(news.hasShadowBits);
+      if (!this.#name.startsWith("trained:")) this.#begin(() => this.host.originOf(this.#name));
+    } else if (news.kind === "map" && this.#name === `trained:${news.map.name}`) {
+      this.#begin(() => ({ kind: "bytes", data: news.map.data }));
+    }
+  }
+
+  /** Return what was begun for a light, once, or null. */
+  take(name: string, bands: number, dominant: number): Promise<PreparedLight> | null {
+    const fits = this.#name === name && this.#bands === bands && this.#dominant === dominant;
+    const light = fits ? this.#light : null;
+    this.#light = null;
+    return light;
+  }
+
+  #begin(origin: () => MapOrigin): void {
+    // Planes of other sizes are refused when they have been read.
+    if (!(this.#bands >= 1 && this.#bands <= 9)) return;
+    try {
+      this.#light = this.host.prepare(origin(), this.#bands, this.#dominant);
+      // Whoever takes it hears of a failure.
+      this.#light.catch(() => {});
+    } catch {
+      // Told when the light is asked for again.
+      this.#light = null;
+    }
+  }
+}

@@ -1,0 +1,16 @@
+/** The viewer's page: one element that fills it, and an address that remembers what is shown. */
+
+import { defineViewer, type LambentViewerElement } from "./element.js";
+
+defineViewer();
+
+const parameters = new URLSearchParams(location.hash.slice(1));
+const element = document.createElement("lambent-viewer") as LambentViewerElement;
+element.setAttribute("controls", "");
+element.setAttribute("state", parameters.toString());
+const source = parameters.get("src") ?? new URLSearchParams(location.search).get("src");
+if (source !== null) element.setAttribute("src", source);
+document.querySelector("main")?.append(element);
+element.viewer?.on("load", (bundle) => {
+  document.title = `${bundle.name} · Lambent viewer`;
+});

@@ -1,0 +1,322 @@
+/** The controls, beside the picture. */
+
+import { presetNames } from "../light/presets.js";
+import type { BackgroundKind, Channel, LightTurn, Look, MaterialEdit, ToneCurve } from "../render/looks.js";
+import { button, check, choice, type Field, make, section, slider } from "./fields.js";
+import { sharing } from "./sharing.js";
+import { type Comparison, limits, type ViewerState } from "./state.js";
+import type { Viewer } from "./viewer.js";
+import { statusText } from "../refine/status.js";
+
+/** What the panel can ask for beyond a change of state. */
+export type PanelActions = {
+  readonly change: (change: Partial<ViewerState>) => void;
+  readonly openBundle: () => void;
+  readonly openFolder: () => void;
+  readonly openMap: () => void;
+  readonly openAddress: (address: string) => void;
+  readonly reset: () => void;
+  readonly savePng: (width: number, height: number) => void;
+  readonly saveExr: (width: number, height: number) => void;
+  readonly film: (kind: "turntable" | "light") => void;
+  readonly copyLink: () => void;
+};
+
+const channelTexts: readonly (readonly [Channel, string])[] = [
+  ["final", "Final picture"],
+  ["direct", "Direct light"],
+  ["indirect", "Indirect light"],
+  ["visibility", "Visibility of the sky"],
+  ["albedo", "Albedo"],
+  ["roughness", "Perceptual roughness"],
+  ["metalness", "Metalness"],
+  ["normal", "Normals"],
+  ["depth", "Depth"],
+  ["uncertainty", "Uncertainty of albedo"],
+];
+const toneTexts: readonly (readonly [ToneCurve, string])[] = [
+  ["neutral", "Neutral"],
+  ["agx", "AgX"],
+  ["aces", "ACES"],
+  ["linear", "Linear (clipped)"],
+];
+const backgroundTexts: readonly (readonly [BackgroundKind, string])[] = [
+  ["environment", "Environment"],
+  ["blurred", "Environment, blurred"],
+  ["colour", "Colour"],
+  ["transparent", "Transparent"],
+];
+
+/** Build the panel; the result follows the viewer's state. */
+export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLElement; show: () => void } {
+  const shown: (() => void)[] = [];
+  const follow = <T>(field: Field<T>, value: (state: ViewerState) => T): HTMLElement => {
+    shown.push(() => field.show(value(viewer.state)));
+    return field.element;
+  };
+  const look = (part: Partial<Look>): void => act.change({ look: { ...viewer.state.look, ...part } });
+  const edit = (part: Partial<MaterialEdit>): void => look({ edit: { ...viewer.state.look.edit, ...part } });
+  const turn = (part: Partial<LightTurn>): void => act.change({ turn: { ...viewer.state.turn, ...part } });
+
+  const lightTexts = (): [string, string][] => [
+    ...(viewer.bundle?.trainedMaps ?? []).map(({ name }): [string, string] => [
+      `trained:${name}`,
+      `As photographed (${name})`,
+    ]),
+    ...Object.entries(presetNames).map(([name, text]): [string, string] => [`preset:${name}`, text]),
+    ...viewer.mapNames.map((name): [string, string] => [`file:${name}`, name]),
+    ...[viewer.state.environment, viewer.state.environmentB]
+      .filter((name, index, all) => name.startsWith("url:") && all.indexOf(name) === index)
+      .map((name): [string, string] => [name, name.split("/").at(-1) ?? name]),
+  ];
+  const lights = choice("Environment", lightTexts, (environment) => act.change({ environment }));
+  const lightsB = choice("On the right", lightTexts, (environmentB) => act.change({ environmentB }));
+  const address = make("input", {
+    type: "url",
+    placeholder: "https://…/map.exr",
+    ariaLabel: "Address of a map",
+  });
+  const useAddress = (): void => {
+    if (address.value !== "") act.openAddress(address.value);
+  };
+  address.addEventListener("keydown", (event) => {
+    if (event.key === "Enter") useAddress();
+  });
+  const angle = (label: string, part: "yawDeg" | "pitchDeg" | "rollDeg"): HTMLElement =>
+    follow(
+      slider({ label, range: limits.angle, step: 1, unit: "°", change: (value) => turn({ [part]: value }) }),
+      (state) => state.turn[part],
+    );
+  const photos = choice(
+    "Photograph",
+    () => photoNames(viewer).map((name) => [name, name] as const),
+    (photo) => act.change({ photo }),
+  );
+  const compare = choice<Comparison>(
+    "Compare",
+    () => [
+      ["off", "Nothing"],
+      ["environment", "Two environments"],
+      ["plain", "With plain image-based light"],
+      ...(photoNames(viewer).length > 0 ? ([["photo", "With a photograph"]] as const) : []),
+    ],
+    (next) => {
+      const photo = viewer.state.photo || (photoNames(viewer)[0] ?? "");
+      act.change({ compare: next, photo });
+    },
+  );
+  const share = sharing(viewer);
+  shown.unshift(() => {
+    share.show();
+    for (const list of [lights, lightsB, compare, photos]) list.refill();
+  });
+  const size = [
+    make("input", { type: "number", value: "1600", min: "16", max: "8192", ariaLabel: "Width in pixels" }),
+  ];
+  size.push(
+    make("input", { type: "number", value: "1200", min: "16", max: "8192", ariaLabel: "Height in pixels" }),
+  );
+  const inSize = (save: (width: number, height: number) => void) => () => {
+    const [width, height] = size.map((field) =>
+      Math.min(Math.max(Math.round(field.valueAsNumber), 16), 8192),
+    );
+    if (Number.isFinite(width) && Number.isFinite(height)) save(width!, height!);
+  };
+
+  const refining = make("p", { className: "hint", hidden: true });
+  viewer.on("refine", (status) => {
+    refining.textContent = statusText(status);
+    refining.hidden = refining.textContent === "";
+  });
+
+  const element = make(
+    "details",
+    { className: "panel", open: true },
+    make("summary", { textContent: "Controls" }),
+  );
+  element.append(
+    section(
+      "Light",
+      true,
+      follow(lights, (state) => state.environment),
+      make("div", { className: "row" }, button("Use address", useAddress), address),
+      make("div", { className: "buttons" }, button("Open map…", act.openMap), button("Reset", act.reset)),
+      angle("Rotate", "yawDeg"),
+      follow(
+        slider({
+          label: "Intensity",
+          range: limits.intensity,
+          step: 0.05,
+          change: (intensity) => turn({ intensity }),
+        }),
+        (state) => state.turn.intensity,
+      ),
+    ),
+    section("Tilt of the light", false, angle("About y", "pitchDeg"), angle("About x", "rollDeg")),
+    section(
+      "Picture",
+      true,
+      follow(
+        choice(
+          "Show",
+          () => channelTexts,
+          (channel) => look({ channel }),
+        ),
+        (state) => state.look.channel,
+      ),
+      follow(
+        slider({
+          label: "Exposure",
+          range: limits.exposure,
+          step: 0.1,
+          unit: "EV",
+          change: (exposureEv) => look({ exposureEv }),
+        }),
+        (state) => state.look.exposureEv,
+      ),
+      follow(
+        choice(
+          "Tone curve",
+          () => toneTexts,
+          (tone) => look({ tone }),
+        ),
+        (state) => state.look.tone,
+      ),
+      follow(
+        choice(
+          "Background",
+          () => backgroundTexts,
+          (background) => look({ background }),
+        ),
+        (state) => state.look.background,
+      ),
+      follow(
+        colourField((backgroundSrgb) => look({ backgroundSrgb, background: "colour" })),
+        (state) => state.look.backgroundSrgb,
+      ),
+      follow(
+        check("Light from other parts of the object", (indirect) => look({ indirect })),
+        (state) => state.look.indirect,
+      ),
+      follow(
+        check("Refine while nothing moves", (refine) => act.change({ refine })),
+        (state) => state.refine,
+      ),
+      refining,
+      follow(
+        check("Shadow on the ground", (ground) => look({ ground })),
+        (state) => state.look.ground,
+      ),
+    ),
+    section(
+      "Material",
+      false,
+      follow(
+        slider({
+          label: "Albedo ×",
+          range: limits.gain,
+          step: 0.05,
+          change: (gain) => edit({ albedoGain: [gain, gain, gain] }),
+        }),
+        (state) => state.look.edit.albedoGain[1],
+      ),
+      follow(
+        slider({
+          label: "Roughness ×",
+          range: limits.roughness,
+          step: 0.05,
+          change: (roughnessScale) => edit({ roughnessScale }),
+        }),
+        (state) => state.look.edit.roughnessScale,
+      ),
+      follow(
+        slider({
+          label: "Metalness +",
+          range: limits.metalness,
+          step: 0.05,
+          change: (metalnessShift) => edit({ metalnessShift }),
+        }),
+        (state) => state.look.edit.metalnessShift,
+      ),
+    ),
+    section(
+      "Compare",
+      false,
+      follow(compare, (state) => state.compare),
+      follow(lightsB, (state) => state.environmentB),
+      follow(photos, (state) => state.photo),
+      follow(
+        slider({ label: "Divide at", range: [0, 1], step: 0.01, change: (split) => act.change({ split }) }),
+        (state) => state.split,
+      ),
+    ),
+    section(
+      "Save",
+      false,
+      make("div", { className: "buttons" }, ...size),
+      make(
+        "div",
+        { className: "buttons" },
+        button("Save PNG", inSize(act.savePng)),
+        button("Save EXR", inSize(act.saveExr)),
+      ),
+      make(
+        "div",
+        { className: "buttons" },
+        button("Film: turntable", () => act.film("turntable")),
+        button("Film: turn light", () => act.film("light")),
+      ),
+      button("Copy link to this view", act.copyLink),
+    ),
+    share.element,
+    section(
+      "Open and help",
+      false,
+      make(
+        "div",
+        { className: "buttons" },
+        button("Open bundle…", act.openBundle),
+        button("Open folder…", act.openFolder),
+      ),
+      make("p", {
+        className: "hint",
+        textContent:
+          "Drag or arrow keys: turn the camera. Shift and drag, [ and ]: turn the light. Wheel, two fingers, + and -: " +
+          "nearer. Ctrl and drag, Shift and up or down: move.",
+      }),
+    ),
+  );
+  return {
+    element,
+    show: () => {
+      for (const each of shown) each();
+    },
+  };
+}
+
+/** Names of photographs that the bundle has both a picture and a camera of. */
+export function photoNames(viewer: Viewer): string[] {
+  const { cameras = [], previews = [] } = viewer.bundle ?? {};
+  return cameras
+    .map(({ name }) => name)
+    .filter((name) => previews.some((each) => each.name === `photo_${name}.png`));
+}
+
+function colourField(change: (rgb: readonly [number, number, number]) => void): Field<readonly number[]> {
+  const input = make("input", { type: "color" });
+  input.addEventListener("input", () => {
+    const byte = (start: number): number => Number.parseInt(input.value.slice(start, start + 2), 16) / 255;
+    change([byte(1), byte(3), byte(5)]);
+  });
+  return {
+    element: make("label", {}, "Its colour", input),
+    show: (rgb) => {
+      const hex = rgb.map((value) =>
+        Math.round(255 * value)
+          .toString(16)
+          .padStart(2, "0"),
+      );
+      input.value = `#${hex.join("")}`;
+    },
+  };
+}

@@ -1,0 +1,77 @@
+/** The look of the viewer; a constructed sheet, so that a strict content security policy lets it pass. */
+
+const text = `
+:host { display: block; position: relative; min-height: 12rem; background: #17191c; color: #f2f3f5;
+  font: 0.9rem/1.4 system-ui, sans-serif; overflow: hidden; container-type: size; color-scheme: dark; }
+* { box-sizing: border-box; }
+.view { position: absolute; inset: 0; }
+canvas { position: absolute; inset: 0; width: 100%; height: 100%; touch-action: none; cursor: grab; display: block; }
+canvas:active { cursor: grabbing; }
+:host([data-background=transparent]) canvas { background: repeating-conic-gradient(#26292d 0 25%, #1d2023 0 50%) 0 0 / 24px 24px; }
+:focus-visible { outline: 3px solid #8ec7ff; outline-offset: 2px; }
+canvas:focus-visible { outline-offset: -4px; }
+.panel { position: absolute; top: 0.75rem; right: 0.75rem; width: 19rem; max-height: calc(100% - 1.5rem); overflow: auto;
+  background: rgb(24 27 31 / 94%); border: 1px solid #4b525b; border-radius: 0.6rem; padding: 0.25rem 0.75rem; }
+.panel > summary { padding: 0.4rem 0; font-weight: 600; cursor: pointer; }
+.panel details > summary { cursor: pointer; padding: 0.35rem 0; color: #dfe4ea; }
+.panel details { border-top: 1px solid #3a4048; }
+.fields { display: grid; gap: 0.45rem; padding-bottom: 0.6rem; }
+label, .row { display: grid; grid-template-columns: 6.5rem 1fr; align-items: center; gap: 0.5rem; }
+label.check { grid-template-columns: 1.2rem 1fr; }
+.slide { display: grid; grid-template-columns: 1fr 4.4rem; gap: 0.4rem; }
+input, select, button { font: inherit; color: inherit; background: #2a2f36; border: 1px solid #6b7480; border-radius: 0.35rem;
+  min-height: 1.9rem; padding: 0 0.45rem; width: 100%; min-width: 0; }
+input[type=range] { padding: 0; accent-color: #8ec7ff; background: none; border: 0; }
+input[type=checkbox] { min-height: 1.2rem; width: 1.2rem; accent-color: #8ec7ff; }
+input[type=color] { padding: 0.1rem; }
+button { cursor: pointer; }
+button:hover { background: #394049; }
+.buttons { display: grid; grid-template-columns: 1fr 1fr; gap: 0.45rem; }
+.message { position: absolute; left: 0.75rem; bottom: 0.75rem; max-width: min(34rem, calc(100% - 1.5rem)); padding: 0.5rem 0.8rem;
+  border-radius: 0.4rem; background: rgb(24 27 31 / 94%); border: 1px solid #4b525b; overflow-wrap: anywhere; }
+.message:empty { display: none; }
+.message[data-problem] { border-color: #ff9b8f; border-left-width: 6px; }
+.welcome { position: absolute; inset: 0; display: grid; place-content: center; text-align: center; padding: 1rem; gap: 0.6rem; }
+.welcome[hidden] { display: none; }
+.welcome h1 { font-size: 1.3rem; margin: 0; }
+.welcome p { margin: 0; max-width: 32rem; }
+progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff; }
+.dropping::after { content: "Drop a bundle, its folder, or a .hdr or .exr map"; position: absolute; inset: 0.5rem; display: grid;
+  place-content: center; border: 3px dashed #8ec7ff; border-radius: 0.8rem; background: rgb(23 25 28 / 80%); pointer-events: none; }
+.split { position: absolute; top: 0; bottom: 0; width: 0; left: 50%; pointer-events: none; }
+.split[hidden] { display: none; }
+.split::before { content: ""; position: absolute; top: 0; bottom: 0; left: -1px; width: 2px; background: #fff; box-shadow: 0 0 3px #000; }
+.split input { position: absolute; }
+.handle { position: absolute; top: 50%; left: -1.4rem; width: 2.8rem; height: 2.8rem; margin-top: -1.4rem; border-radius: 50%;
+  background: #17191c; border: 2px solid #fff; pointer-events: auto; touch-action: none; cursor: ew-resize; display: grid; place-content: center; }
+.sides { position: absolute; top: 0.75rem; left: 0.75rem; display: flex; gap: 0.5rem; pointer-events: none; }
+.sides[hidden] { display: none; }
+.sides span { background: rgb(24 27 31 / 94%); border-radius: 0.3rem; padding: 0.15rem 0.5rem; }
+.photo { position: absolute; object-fit: fill; pointer-events: none; }
+.photo[hidden] { display: none; }
+.fields h3 { font-size: 1rem; margin: 0; }
+.faint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
+.hint:empty, .faint:empty { display: none; }
+.actions { display: grid; grid-template-columns: auto 1fr; gap: 0.45rem; align-items: center; }
+.actions label { display: contents; }
+.actions button { grid-column: 1 / -1; }
+.shares { list-style: none; margin: 0; padding: 0; display: grid; gap: 0.6rem; }
+.shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
+.shares li > input, .shares li > span { grid-column: 1 / -1; }
+.hint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
+.quiet { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+@container (min-width: 40rem) { .view:has(~ .panel[open]) { right: 20.5rem; } }
+@container (max-width: 40rem) {
+  .panel { top: auto; bottom: 0; right: 0; left: 0; width: auto; max-height: 55%; border-radius: 0.8rem 0.8rem 0 0; }
+  .message { bottom: 3.4rem; }
+  label, .row { grid-template-columns: 7.5rem 1fr; }
+}
+@media (prefers-reduced-motion: no-preference) { .panel { transition: opacity 0.15s; } }
+`;
+
+/** Return the sheet. */
+export function viewerSheet(): CSSStyleSheet {
+  const sheet = new CSSStyleSheet();
+  sheet.replaceSync(text);
+  return sheet;
+}

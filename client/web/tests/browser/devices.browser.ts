@@ -1,0 +1,184 @@
+import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
+import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import { startChromium } from "../support/chromium.js";
+import { meanDifference, openViewer, pictureOf } from "./support.js";
+
+const size = { width: 96, height: 72 };
+let browser: Browser;
+
+const state = (page: Page) => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
+
+beforeAll(async () => {
+  browser = await startChromium();
+});
+afterAll(() => browser.close());
+
+describe("on a telephone", () => {
+  let context: BrowserContext;
+  let page: Page;
+  let session: CDPSession;
+
+  beforeAll(async () => {
+    context = await browser.newContext({
+      ...{ viewport: { width: 390, height: 700 }, hasTouch: true, isMobile: true },
+      ...{ deviceScaleFactor: 1, reducedMotion: "reduce" },
+    });
+    page = await context.newPage();
+    page.setDefaultTimeout(120_000);
+    session = await context.newCDPSession(page);
+    await page.goto(`${inject("site")}/viewer.html#src=data/bundle/&env=preset:even`);
+    await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
+    await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
+  });
+  afterAll(() => context.close());
+
+  /** Move fingers from places to places. */
+  async function fingers(from: readonly [number, number][], to: readonly [number, number][]): Promise<void> {
+    const points = (places: readonly [number, number][]) => places.map(([x, y], id) => ({ x, y, id }));
+    await session.send("Input.dispatchTouchEvent", { type: "touchStart", touchPoints: points(from) });
+    for (const share of [0.25, 0.5, 0.75, 1]) {
+      const between = from.map(([x, y], index): [number, number] => {
+        const [endX, endY] = to[index]!;
+        return [x + share * (endX - x), y + share * (endY - y)];
+      });
+      await session.send("Input.dispatchTouchEvent", { type: "touchMove", touchPoints: points(between) });
+    }
+    await session.send("Input.dispatchTouchEvent", { type: "touchEnd", touchPoints: [] });
+  }
+
+  it("the picture comes first: the controls are closed, and nothing is wider than the page", async () => {
+    const found = await page.evaluate(() => {
+      const root = document.querySelector("lambent-viewer")!.shadowRoot!;
+      const [panel, canvas] = [
+        root.querySelector<HTMLDetailsElement>(".panel")!,
+        root.querySelector("canvas")!,
+      ];
+      return {
+        open: panel.open,
+        overflow: document.documentElement.scrollWidth - innerWidth,
+        panelTop: panel.getBoundingClientRect().top,
+        canvas: [canvas.clientWidth, canvas.clientHeight],
+      };
+    });
+    expect(found.open).toBe(false);
+    expect(found.overflow).toBeLessThanOrEqual(0);
+    expect(found.canvas).toEqual([390, 700]);
+    expect(found.panelTop).toBeGreaterThan(600);
+  });
+
+  it("one finger turns the camera", async () => {
+    const before = await state(page);
+    await fingers([[120, 250]], [[160, 270]]);
+    const after = await state(page);
+    expect(after.pose.azimuthDeg).toBeCloseTo(before.pose.azimuthDeg - 14, 3);
+    expect(after.pose.elevationDeg).toBeCloseTo(before.pose.elevationDeg + 7, 3);
+    expect(after.pose.distance).toBe(before.pose.distance);
+  });
+
+  it("two fingers that part come nearer, and closer together go away", async () => {
+    const before = await state(page);
+    await fingers(
+      [
+        [150, 300],
+        [240, 300],
+      ],
+      [
+        [105, 300],
+        [285, 300],
+      ],
+    );
+    const near = await state(page);
+    expect(near.pose.distance).toBeCloseTo(before.pose.distance / 2, 3);
+    expect(near.pose.azimuthDeg).toBe(before.pose.azimuthDeg);
+    await fingers(
+      [
+        [105, 300],
+        [285, 300],
+      ],
+      [
+        [150, 300],
+        [240, 300],
+      ],
+    );
+    expect((await state(page)).pose.distance).toBeCloseTo(before.pose.distance, 3);
+    // The page itself was neither scrolled nor enlarged.
+    expect(await page.evaluate(() => [scrollY, visualViewport!.scale])).toEqual([0, 1]);
+  });
+
+  it("opened controls leave room for the picture, and can be hit by a finger", async () => {
+    await page.tap("summary:text-is('Controls')");
+    const found = await page.evaluate(() => {
+      const root = document.querySelector("lambent-viewer")!.shadowRoot!;
+      const panel = root.querySelector(".panel")!.getBoundingClientRect();
+      const heights = [...root.querySelectorAll("select, button, summary")]
+        .map((field) => field.getBoundingClientRect().height)
+        .filter((height) => height > 0);
+      return {
+        free: panel.top,
+        least: Math.min(...heights),
+        overflow: document.documentElement.scrollWidth - innerWidth,
+      };
+    });
+    expect(found.free).toBeGreaterThan(0.35 * 700);
+    expect(found.least).toBeGreaterThanOrEqual(24);
+    expect(found.overflow).toBeLessThanOrEqual(0);
+  });
+
+  it("where less motion is wanted nothing moves by itself", async () => {
+    const found = await page.evaluate(async () => {
+      const element = document.querySelector("lambent-viewer")!;
+      const moving = [...element.shadowRoot!.querySelectorAll("*")].filter((each) => {
+        const { transitionDuration, animationName } = getComputedStyle(each);
+        return (
+          transitionDuration.split(",").some((part) => Number.parseFloat(part) > 0) ||
+          animationName !== "none"
+        );
+      });
+      // The picture at rest first.
+      await new Promise((resolve) => setTimeout(resolve, 1000));
+      element.viewer!.drawNow(2);
+      let draws = 0;
+      const stop = element.viewer!.on("draw", () => {
+        draws += 1;
+      });
+      await new Promise((resolve) => setTimeout(resolve, 500));
+      stop();
+      return { moving: moving.map((each) => each.className), draws };
+    });
+    expect(found).toEqual({ moving: [], draws: 0 });
+  });
+});
+
+describe("a graphics card that is taken away", () => {
+  it("is told, and when it comes back everything is drawn as before", async () => {
+    const page = await openViewer(
+      browser,
+      { env: "preset:sky", ground: "1", background: "transparent" },
+      "data/bundle/",
+      { width: 320, height: 240 },
+    );
+    page.setDefaultTimeout(120_000);
+    const before = await pictureOf(page, size);
+    await page.evaluate(() => {
+      const { canvas } = document.querySelector("lambent-viewer")!.viewer!;
+      const lose = canvas.getContext("webgl2")!.getExtension("WEBGL_lose_context")!;
+      Object.assign(globalThis, { lose });
+      lose.loseContext();
+    });
+    await page.waitForFunction(() =>
+      document
+        .querySelector("lambent-viewer")!
+        .shadowRoot!.querySelector("[data-problem]")
+        ?.textContent?.includes("graphics card was taken away"),
+    );
+    await page.evaluate(() => {
+      (globalThis as unknown as { lose: WEBGL_lose_context }).lose.restoreContext();
+    });
+    await page.waitForFunction(
+      () =>
+        document.querySelector("lambent-viewer")!.shadowRoot!.querySelector(".message")!.textContent === "",
+    );
+    expect(meanDifference(before, await pictureOf(page, size))).toBe(0);
+    await page.close();
+  });
+});

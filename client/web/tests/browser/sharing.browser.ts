@@ -1,0 +1,90 @@
+import type { Browser, BrowserContext, Page } from "playwright-core";
+import { afterAll, beforeAll, expect, inject, it } from "vitest";
+import { startChromium } from "../support/chromium.js";
+
+type Link = { id: string; bundle_id: string; url: string; expires_at: string };
+
+let browser: Browser;
+let context: BrowserContext;
+let page: Page;
+let loggedIn = true;
+const links: Link[] = [];
+const asked: { expires_in_s: number }[] = [];
+
+/** The part of the REST interface that is about links; a real server is behind tests/pages. */
+async function answerLinks(page: Page): Promise<void> {
+  await page.route("**/v1/bundles/bundle_1/shares", async (route) => {
+    if (!loggedIn) return route.fulfill({ status: 401, json: { code: "unauthenticated", detail: "log in" } });
+    if (route.request().method() === "GET") return route.fulfill({ json: { items: links } });
+    expect(route.request().headers()["x-lambent-csrf"]).toBe("1");
+    asked.push(route.request().postDataJSON());
+    const id = `share_${links.length + 1}`;
+    const url = `${inject("site")}/share.html#${id}.secret`;
+    links.push({ id, bundle_id: "bundle_1", url, expires_at: "2030-01-02T00:00:00Z" });
+    return route.fulfill({ status: 201, json: links.at(-1) });
+  });
+  await page.route("**/v1/shares/*", (route) => {
+    const id = route.request().url().split("/").at(-1);
+    links.splice(
+      links.findIndex((link) => link.id === id),
+      1,
+    );
+    return route.fulfill({ status: 204 });
+  });
+  await page.route("**/v1/shares:open", (route) =>
+    route.fulfill({ json: { bundle_id: "bundle_1", expires_at: "2030-01-02T00:00:00Z" } }),
+  );
+}
+
+beforeAll(async () => {
+  browser = await startChromium();
+  context = await browser.newContext({ viewport: { width: 900, height: 700 } });
+  await context.grantPermissions(["clipboard-read", "clipboard-write"]);
+  page = await context.newPage();
+  await answerLinks(page);
+});
+afterAll(() => browser.close());
+
+/** Open the viewer's page on a bundle. */
+async function open(src: string): Promise<void> {
+  await page.goto("about:blank");
+  await page.goto(`${inject("site")}/viewer.html#src=${src}&rotate=40,0,0`);
+  await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
+}
+
+it("a bundle of the server is shared by a link with the view, which ends and is taken back", async () => {
+  await open("/v1/bundles/bundle_1");
+  await page.click("summary:text-is('Share')");
+  await page.selectOption("#lifetime", { label: "30 days" });
+  await page.click("text=Make a link");
+  await page.waitForSelector("text=The link is made and copied.");
+  expect(asked).toEqual([{ expires_in_s: 30 * 24 * 3600 }]);
+  const copied = await page.evaluate(() => navigator.clipboard.readText());
+  const parameters = await page.evaluate(() => document.querySelector("lambent-viewer")!.parameters);
+  expect(copied).toBe(`${links[0]!.url}&${parameters}`);
+  expect(parameters).toContain("rotate=40");
+  const guest = await context.newPage();
+  await answerLinks(guest);
+  await guest.goto(copied);
+  await guest.waitForURL(/viewer\.html/);
+  await guest.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
+  const seen = await guest.evaluate(() => document.querySelector("lambent-viewer")!.state.turn.yawDeg);
+  expect(seen).toBe(40);
+  expect(guest.url()).not.toContain("secret");
+  await guest.close();
+  await page.click("text=Take back");
+  await page.waitForSelector("text=does not work any more");
+  expect(links).toEqual([]);
+});
+
+it("whoever is not logged in is told so", async () => {
+  loggedIn = false;
+  await open("/v1/bundles/bundle_1");
+  await page.click("summary:text-is('Share')");
+  await page.waitForSelector("text=This browser is not logged in");
+});
+
+it("a bundle of another kind of host offers no links", async () => {
+  await open("data/bundle/");
+  expect(await page.locator("summary:text-is('Share')").isVisible()).toBe(false);
+});

@@ -1,0 +1,101 @@
+/** A page with a viewer, for tests. */
+
+import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { join, resolve } from "node:path";
+import type { Browser, Page } from "playwright-core";
+import { inject } from "vitest";
+import type { LambentViewerElement } from "../../src/viewer/element.js";
+import type { ViewCamera } from "../../src/render/looks.js";
+
+export type Expected = {
+  readonly file: string;
+  readonly map: string;
+  readonly rotateDeg: number;
+  readonly camera: ViewCamera;
+  readonly albedoGain: readonly [number, number, number];
+  readonly roughnessScale: number;
+};
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "lambent-viewer": LambentViewerElement;
+  }
+}
+
+/** Pictures that Python drew. */
+export function expectedPictures(): Expected[] {
+  return JSON.parse(readFileSync(join(inject("fixture"), "expected.json"), "utf8")) as Expected[];
+}
+
+/** The bytes of a file of the fixture. */
+export function fixtureFile(name: string): Buffer {
+  return readFileSync(join(inject("fixture"), name));
+}
+
+/** Open the viewer's page; `parameters` follow the hash, with src unless it is null. */
+export async function openViewer(
+  browser: Browser,
+  parameters: Record<string, string> = {},
+  src: string | null = "data/bundle/",
+  size = { width: 640, height: 480 },
+): Promise<Page> {
+  const page = await browser.newPage({ viewport: size });
+  page.on("pageerror", (error) => {
+    throw error;
+  });
+  const hash = new URLSearchParams(parameters);
+  if (src !== null) hash.set("src", new URL(src, `${inject("site")}/`).href);
+  await page.goto(`${inject("site")}/viewer.html#${hash}`);
+  await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer != null);
+  if (src !== null) await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
+  return page;
+}
+
+/** Return straight RGBA bytes of what the viewer shows, or of what a camera sees. */
+export async function pictureOf(
+  page: Page,
+  size: { width: number; height: number } | ViewCamera,
+  samples = 2,
+): Promise<Uint8Array> {
+  const text = await page.evaluate(
+    ([asked, count]) => {
+      const { data } = document.querySelector("lambent-viewer")!.picture(asked, count);
+      let binary = "";
+      for (let start = 0; start < data.length; start += 32768) {
+        binary += String.fromCharCode(...data.subarray(start, start + 32768));
+      }
+      return btoa(binary);
+    },
+    [size, samples] as const,
+  );
+  return Uint8Array.from(Buffer.from(text, "base64"));
+}
+
+/** Return the mean absolute difference of two pictures over white, in steps of 1/255. */
+export function meanDifference(a: Uint8Array, b: Uint8Array): number {
+  if (a.length !== b.length) throw new Error(`${a.length} and ${b.length} bytes`);
+  let sum = 0;
+  for (let pixel = 0; pixel < a.length; pixel += 4) {
+    for (let channel = 0; channel < 3; channel++) {
+      const over = (bytes: Uint8Array): number => {
+        const alpha = bytes[pixel + 3]! / 255;
+        return bytes[pixel + channel]! * alpha + 255 * (1 - alpha);
+      };
+      sum += Math.abs(over(a) - over(b));
+    }
+  }
+  return sum / (0.75 * a.length);
+}
+
+/** Keep a picture for people who ask why a test failed. */
+export function keep(name: string, rgba: Uint8Array, width: number): void {
+  const folder = resolve(import.meta.dirname, "../../build/browser-tests");
+  mkdirSync(folder, { recursive: true });
+  const header = `P6 ${width} ${rgba.length / 4 / width} 255\n`;
+  const rgb = Buffer.alloc((rgba.length / 4) * 3);
+  for (let pixel = 0; pixel < rgba.length / 4; pixel++) {
+    const alpha = rgba[4 * pixel + 3]! / 255;
+    for (let c = 0; c < 3; c++) rgb[3 * pixel + c] = rgba[4 * pixel + c]! * alpha + 255 * (1 - alpha);
+  }
+  writeFileSync(join(folder, `${name}.ppm`), Buffer.concat([Buffer.from(header), rgb]));
+}

@@ -1,0 +1,124 @@
+import { describe, expect, it } from "vitest";
+import { ballOf, orbitCamera, photoCamera } from "../src/viewer/camera.js";
+import { afterKey, orbited, panned, zoomed } from "../src/viewer/orbit.js";
+import { encodeExr, momentOf } from "../src/viewer/save.js";
+import {
+  fromParameters,
+  initialState,
+  toParameters,
+  type ViewerState,
+  wrapped,
+} from "../src/viewer/state.js";
+import { readExr } from "../src/light/exrInput.js";
+import { toHalf } from "../src/light/half.js";
+
+describe("an address", () => {
+  const other: ViewerState = {
+    environment: "preset:sky",
+    turn: { yawDeg: 90, pitchDeg: -20, rollDeg: 5, intensity: 2 },
+    look: {
+      channel: "albedo",
+      tone: "agx",
+      exposureEv: -1.5,
+      background: "colour",
+      backgroundSrgb: [0.2, 0.4, 0.6],
+      edit: { albedoGain: [1.5, 1, 0.5], roughnessScale: 0.5, metalnessShift: 0.25 },
+      indirect: false,
+      ground: true,
+    },
+    pose: { azimuthDeg: -120, elevationDeg: 45, distance: 2.5, target: [0.1, -0.2, 0.3] },
+    compare: "environment",
+    environmentB: "preset:even",
+    split: 0.25,
+    photo: "r_012",
+    refine: true,
+  };
+
+  it("brings back every part of the state", () => {
+    expect(fromParameters(toParameters(other))).toEqual(other);
+    expect(fromParameters(new URLSearchParams(toParameters(other).toString()))).toEqual(other);
+  });
+  it("says nothing of what is as at the start, and nothing of files that are at no address", () => {
+    expect(toParameters(initialState).toString()).toBe("");
+    expect(toParameters({ ...initialState, environment: "file:my.exr" }).toString()).toBe("");
+  });
+  it("is kept within limits, and nonsense is ignored", () => {
+    const text = "ev=99&camera=1,2&tone=none&rotate=725,0,0&intensity=NaN&split=-1&gain=9,9,9&compare=x";
+    const state = fromParameters(new URLSearchParams(text));
+    expect(state.look.exposureEv).toBe(8);
+    expect(state.pose).toEqual(initialState.pose);
+    expect(state.look.tone).toBe("neutral");
+    expect(state.turn.yawDeg).toBe(5);
+    expect([state.turn.intensity, state.split, state.compare]).toEqual([1, 0, "off"]);
+    expect(state.look.edit.albedoGain).toEqual([4, 4, 4]);
+  });
+});
+
+describe("the camera", () => {
+  const ball = ballOf([-1, -2, -2], [3, 2, 2]);
+
+  it("stands where the orbit says and looks at the middle", () => {
+    expect(ball.centre).toEqual([1, 0, 0]);
+    const pose = { azimuthDeg: 90, elevationDeg: 0, distance: 2, target: [0, 0, 0] } as const;
+    const { cameraToWorld, centreX, focalX } = orbitCamera(pose, ball, 200, 100);
+    // Columns: right, up, back, position. From +y with z up, right is -x.
+    const expected = [-1, 0, 0, 1, 0, 0, 1, 2 * ball.radius, 0, 1, 0, 0, 0, 0, 0, 1];
+    expect(Math.max(...cameraToWorld.map((value, index) => Math.abs(value - expected[index]!)))).toBeLessThan(
+      1e-12,
+    );
+    expect(centreX).toBe(100);
+    expect(focalX).toBeCloseTo(50 / Math.tan((17.5 * Math.PI) / 180), 9);
+  });
+  it("of a photograph fits the whole photograph into the canvas", () => {
+    const photo = {
+      ...{ name: "a", width: 100, height: 50, focalX: 120, focalY: 110, centreX: 49, centreY: 26 },
+      cameraToWorld: [],
+    };
+    const found = photoCamera(photo, 400, 400);
+    expect([found.focalX, found.focalY, found.centreX, found.centreY]).toEqual([480, 440, 196, 204]);
+  });
+});
+
+describe("turning", () => {
+  const { pose, turn } = initialState;
+
+  it("stops at the poles and wraps around", () => {
+    expect(orbited(pose, 0, 500).elevationDeg).toBe(89);
+    expect(orbited({ ...pose, azimuthDeg: 170 }, 20, 0).azimuthDeg).toBe(-170);
+    expect([wrapped(180), wrapped(-540), wrapped(-180)]).toEqual([-180, -180, -180]);
+    expect(zoomed(pose, 1000).distance).toBe(20);
+  });
+  it("moves the target in the picture's plane", () => {
+    const moved = panned({ ...pose, azimuthDeg: 0, elevationDeg: 0, distance: 2 }, 0.1, 0.2).target;
+    expect(moved.map((value) => Number(value.toFixed(12)))).toEqual([0, 0.2, 0.4]);
+  });
+  it.each([
+    ["ArrowLeft", false, { pose: orbited(pose, -5, 0) }],
+    ["ArrowUp", false, { pose: orbited(pose, 0, 5) }],
+    ["ArrowRight", true, { turn: { ...turn, yawDeg: 5 } }],
+    ["[", false, { turn: { ...turn, yawDeg: -5 } }],
+    ["+", false, { pose: zoomed(pose, 1 / 1.1) }],
+    ["q", false, null],
+  ] as const)("by the key %s", (key, shiftKey, expected) => {
+    const event = { key, shiftKey, altKey: false, ctrlKey: false, metaKey: false };
+    expect(afterKey(event, { pose, turn })).toEqual(expected);
+  });
+});
+
+describe("a film", () => {
+  it("turns the camera or the light once", () => {
+    expect(momentOf(initialState, "turntable", 0.5).pose?.azimuthDeg).toBe(-150);
+    expect(momentOf(initialState, "light", 0.25).turn?.yawDeg).toBe(90);
+  });
+});
+
+describe("an EXR picture", () => {
+  it("is read back as it was written", () => {
+    const [width, height] = [3, 2];
+    const values = Array.from({ length: 4 * width * height }, (_, index) => 0.25 * index);
+    const map = readExr(encodeExr(Uint16Array.from(values, toHalf), width, height), 100);
+    expect([map.width, map.height]).toEqual([3, 2]);
+    const expected = values.filter((_, index) => index % 4 < 3);
+    expect([...map.radianceRgb]).toEqual(expected);
+  });
+});
