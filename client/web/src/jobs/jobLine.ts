@@ -1,0 +1,97 @@
+/** A job in a list, and what is said of one in a line. */
+
+import { jobAddress } from "../page/addresses.js";
+import { h, replaceKeyed, setText } from "../page/dom.js";
+import { formatDuration, formatTime } from "../page/format.js";
+import type { Job } from "../page/rest.js";
+import { isFinal } from "./store.js";
+import { stateLabel } from "./view.js";
+
+export const stageNames: ReadonlyMap<string, string> = new Map([
+  ["ingest", "reading the photographs"],
+  ["cache", "training the radiance cache"],
+  ["joint", "training materials and light"],
+  ["evaluate", "evaluating"],
+  ["export", "writing the bundle"],
+]);
+
+const purposes: ReadonlyMap<string, string> = new Map([
+  ["check", "check of the scene"],
+  ["bake", "fast cache for another light"],
+  ["render", "pictures of a bundle"],
+  ["batch", "part of a batch of pictures"],
+]);
+
+/** Return what a job does. */
+export function purpose(job: Job): string {
+  return purposes.get(job.kind) ?? `preset ${job.preset}`;
+}
+
+/** Return what a job is called in lists: by its scene, where it has one. */
+export function jobName(job: Job, sceneName: string | undefined): string {
+  return sceneName ?? (job.scene_id || purpose(job));
+}
+
+/** Return how long a job took, or how far it is; empty where nothing is known. */
+export function progressText(job: Job): string {
+  if (isFinal(job)) {
+    if (job.started_at === null || job.finished_at === null) return "";
+    return `took ${formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000)}`;
+  }
+  const { progress } = job;
+  if (progress === null) return "";
+  const parts = [stageNames.get(progress.stage) ?? progress.stage];
+  if (progress.num_steps > 1) parts.push(`step ${progress.step} of ${progress.num_steps}`);
+  if (progress.psnr > 0) parts.push(`PSNR ${progress.psnr.toFixed(1)} dB`);
+  if (progress.eta_s > 0) parts.push(`about ${formatDuration(progress.eta_s)} to go`);
+  return parts.join(" · ");
+}
+
+/** Return the share of a job that is done. */
+export function fractionDone(job: Job): number {
+  return job.state === "succeeded" ? 1 : (job.progress?.fraction ?? 0);
+}
+
+/** A card of a list that is changed in place, so that focus stays where it is. */
+export function jobLine(first: Job, name: string): { element: HTMLLIElement; update: (job: Job) => void } {
+  const state = h("span");
+  const bar = h("progress", { max: 1, "aria-label": "share of the job that is done" });
+  const figures = h("p", { class: "figures" });
+  const element = h(
+    "li",
+    { class: "card" },
+    h("div", { class: "line" }, h("h3", {}, h("a", { href: jobAddress(first.id) }, name)), state),
+    h("p", { class: "faint" }, `${purpose(first)} · ${formatTime(first.created_at)}`),
+    bar,
+    figures,
+  );
+  const update = (job: Job) => {
+    replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
+    bar.value = fractionDone(job);
+    bar.hidden = isFinal(job) || job.state === "queued";
+    setText(figures, progressText(job));
+    figures.hidden = figures.textContent === "";
+  };
+  update(first);
+  return { element, update };
+}
+
+/** Keep a list of jobs in step with what is known of them; jobs of the same place keep their element. */
+export function jobList(label: string, nameOf: (job: Job) => string) {
+  const element = h("ol", { class: "list", "aria-label": label });
+  const lines = new Map<string, ReturnType<typeof jobLine>>();
+  const update = (jobs: readonly Job[]) => {
+    jobs.forEach((job, place) => {
+      let line = lines.get(job.id);
+      if (line === undefined) {
+        line = jobLine(job, nameOf(job));
+        lines.set(job.id, line);
+      } else line.update(job);
+      if (element.children[place] !== line.element)
+        element.insertBefore(line.element, element.children[place] ?? null);
+    });
+    while (element.children.length > jobs.length) element.lastElementChild?.remove();
+    element.hidden = jobs.length === 0;
+  };
+  return { element, update };
+}

@@ -1,0 +1,126 @@
+/** One job: live while it runs, its results when it is done. */
+
+import { button } from "../page/actions.js";
+import { jobAddress, sceneAddress } from "../page/addresses.js";
+import { h, replaceKeyed, setText } from "../page/dom.js";
+import { formatDuration, formatTime } from "../page/format.js";
+import type { Job } from "../page/rest.js";
+import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
+import { curves, previews, stageList } from "./live.js";
+import { logView } from "./log.js";
+import { resultSection } from "./results.js";
+import { isFinal } from "./store.js";
+import { type Context, stateLabel, stateNames, type View } from "./view.js";
+
+/** Return the page of a job. */
+export async function jobView(context: Context, jobId: string): Promise<View> {
+  const { api, store, fail } = context;
+  await store.loadHistory(jobId);
+  const first = store.get(jobId)!.job;
+  // A scene that was removed has no name any more, and some jobs have none; the jobs stay.
+  const scene = first.scene_id === "" ? null : await api.scene(first.scene_id).catch(() => null);
+  const name = jobName(first, scene?.name);
+
+  const state = h("span");
+  const news = h("p", { class: "sr", role: "status" });
+  const bar = h("progress", { max: 1, "aria-label": "share of the job that is done" });
+  const figures = h("p", { class: "figures" });
+  const fault = h("div");
+  const parts = [stageList(), previews(), curves()] as const;
+  const [stages, pictures, plots] = parts;
+  const results = h("div");
+  const log = logView(context, jobId);
+  const cancel = button("Cancel", async () => store.put(await api.cancel(jobId)), context);
+  const retry = button(
+    "Run again",
+    async () => {
+      const fresh = await api.retry(jobId);
+      store.put(fresh);
+      location.hash = jobAddress(fresh.id);
+    },
+    context,
+  );
+
+  function draw(): void {
+    const record = store.get(jobId)!;
+    const { job } = record;
+    replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
+    setText(news, `Job ${stateNames.get(job.state) ?? job.state}`);
+    bar.value = fractionDone(job);
+    bar.hidden = isFinal(job);
+    setText(figures, statusText(job));
+    replaceKeyed(fault, JSON.stringify([job.error, job.state]), () => faultNotice(job));
+    stages.element.hidden = job.kind !== "train" || job.started_at === null;
+    for (const part of parts) part.update(record);
+    cancel.hidden = isFinal(job) || job.state === "cancelling";
+    retry.hidden = job.state !== "failed" && job.state !== "cancelled";
+    replaceKeyed(results, `${job.state} ${job.bundle_id}`, () => [resultSection(context, job, name)]);
+    log.update(job);
+  }
+  draw();
+
+  return {
+    title: `${name}: ${purpose(first)}`,
+    element: h(
+      "div",
+      {},
+      h("p", {}, h("a", { href: "#/" }, "All jobs and scenes")),
+      h("h1", { tabindex: -1 }, name, " ", state),
+      news,
+      h(
+        "p",
+        { class: "faint" },
+        `${purpose(first)} · ${formatTime(first.created_at)}`,
+        scene !== null && " · ",
+        scene !== null && h("a", { href: sceneAddress(scene.id) }, "the scene and its findings"),
+      ),
+      bar,
+      figures,
+      fault,
+      h("div", { class: "actions" }, cancel, retry),
+      results,
+      h(
+        "section",
+        {},
+        h("h2", {}, "Progress"),
+        stages.element,
+        h("div", { class: "live" }, pictures.element, plots.element),
+      ),
+      log.element,
+    ),
+    update: (changed) => {
+      if (changed === null) store.loadHistory(jobId).catch(fail);
+      else if (changed === jobId) draw();
+    },
+    close: log.close,
+  };
+}
+
+/** Return the line below the bar. */
+export function statusText(job: Job): string {
+  const parts = [];
+  if (job.state === "queued") parts.push("waiting for its turn");
+  if (job.state === "cancelling") parts.push("stopping; the process writes what it has and ends");
+  const progress = progressText(job);
+  if (progress !== "") parts.push(progress);
+  if (job.run > 1) parts.push(`run ${job.run}`);
+  if (job.state === "retry_wait" && job.retry_at !== null) {
+    const seconds = (Date.parse(job.retry_at) - Date.now()) / 1000;
+    parts.push(`next try in ${formatDuration(seconds)}`);
+  }
+  return parts.join(" · ");
+}
+
+function faultNotice(job: Job): HTMLElement[] {
+  if (job.error === null || job.state === "succeeded") return [];
+  const role = job.state === "failed" ? "alert" : null;
+  return [
+    h(
+      "div",
+      { class: "notice bad", role },
+      h("b", {}, job.state === "failed" ? "The job has failed. " : "The last run ended badly. "),
+      `${job.error.message} `,
+      h("code", { class: "faint" }, job.error.code),
+    ),
+  ];
+}

@@ -1,0 +1,152 @@
+/** What is seen of a job while it runs: stages, pictures, curves. */
+
+import { h, replaceKeyed, setText } from "../page/dom.js";
+import { formatDuration } from "../page/format.js";
+import type { Job } from "../page/rest.js";
+import { chart, thinned } from "./curves.js";
+import { stageNames } from "./jobLine.js";
+import type { JobRecord, Sample } from "./store.js";
+
+const width = 400;
+const height = 100;
+const maxSamples = 240;
+const svgSpace = "http://www.w3.org/2000/svg";
+
+type Part = { readonly element: HTMLElement; readonly update: (record: JobRecord) => void };
+export type StageState = "done" | "now" | "waiting";
+
+/** Return the state of each stage of a job, in their order. */
+export function stageStates(job: Job): [string, StageState][] {
+  const names = [...stageNames.keys()];
+  if (job.state === "succeeded") return names.map((name) => [name, "done"]);
+  const now = names.indexOf(job.progress?.stage ?? "");
+  return names.map((name, place) => [name, place < now ? "done" : place === now ? "now" : "waiting"]);
+}
+
+/** Return the time a stage has taken so far, in seconds; null where that is not known. */
+export function stageSeconds(record: JobRecord, stage: string): number | null {
+  const began = record.stages.get(stage);
+  if (began === undefined) return null;
+  const later = [...record.stages.values()].filter((at) => at > began);
+  const finished = record.job.finished_at;
+  const end = later.length > 0 ? Math.min(...later) : finished === null ? null : Date.parse(finished) / 1000;
+  return end === null ? null : Math.max(end - began, 0);
+}
+
+/** The list of stages, each with its own bar. */
+export function stageList(): Part {
+  const rows = [...stageNames].map(([stage, name]) => {
+    const mark = h("span", { "aria-hidden": "true" });
+    const text = h("span", {}, name);
+    const time = h("span", { class: "figures" });
+    const bar = h("progress", { max: 1, value: 0, "aria-label": `progress of ${name}` });
+    return { stage, name, mark, text, time, bar, element: h("li", {}, mark, text, time, bar) };
+  });
+  const marks: Record<StageState, string> = { done: "✓", now: "▸", waiting: "·" };
+  const words: Record<StageState, string> = { done: " (done)", now: "", waiting: " (to come)" };
+  const hidden = rows.map(() => h("span", { class: "sr" }));
+  rows.forEach((row, place) => {
+    row.text.append(hidden[place]!);
+  });
+  return {
+    element: h("ol", { class: "stages", "aria-label": "Stages" }, ...rows.map((row) => row.element)),
+    update: (record) => {
+      const states = new Map(stageStates(record.job));
+      rows.forEach((row, place) => {
+        const state = states.get(row.stage) ?? "waiting";
+        const { progress } = record.job;
+        row.element.dataset.state = state;
+        setText(row.mark, marks[state]);
+        setText(hidden[place]!, words[state]);
+        row.bar.hidden = state !== "now";
+        if (state === "now" && progress !== null) {
+          row.bar.value = progress.num_steps > 0 ? progress.step / progress.num_steps : 0;
+          const steps = progress.num_steps > 1 ? `${progress.step} of ${progress.num_steps}` : "";
+          const speed = progress.steps_per_s > 0 ? ` · ${progress.steps_per_s.toFixed(1)} a second` : "";
+          setText(row.time, `${steps}${speed}`);
+        } else {
+          const seconds = stageSeconds(record, row.stage);
+          setText(row.time, state === "done" && seconds !== null ? formatDuration(seconds) : "");
+        }
+      });
+    },
+  };
+}
+
+/** The pictures that a run has sent, the newest by itself, the others by a slider. */
+export function previews(): Part {
+  const image = h("img", { alt: "" });
+  const caption = h("figcaption", { class: "faint" });
+  const slider = h("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": "earlier pictures" });
+  const element = h("figure", { hidden: true }, image, caption, slider);
+  let shown: JobRecord | null = null;
+  let follows = true;
+  const draw = () => {
+    const all = shown?.previews ?? [];
+    const place = Math.min(Number(slider.value), all.length - 1);
+    const preview = all[place];
+    if (preview === undefined) return;
+    const source = `/v1/blobs/${preview.sha256}`;
+    if (image.getAttribute("src") !== source) image.src = source;
+    image.alt = `Rendering of the model: ${preview.name || "preview"}, picture ${place + 1} of ${all.length}`;
+    setText(caption, `${preview.name || "preview"} · picture ${place + 1} of ${all.length}`);
+  };
+  slider.addEventListener("input", () => {
+    follows = Number(slider.value) === Number(slider.max);
+    draw();
+  });
+  return {
+    element,
+    update: (record) => {
+      shown = record;
+      const last = record.previews.length - 1;
+      element.hidden = last < 0;
+      slider.hidden = last < 1;
+      slider.max = String(Math.max(last, 0));
+      if (follows) slider.value = slider.max;
+      draw();
+    },
+  };
+}
+
+/** PSNR and loss over time, a curve for each stage. */
+export function curves(): Part {
+  const psnr = plot("PSNR on training pixels", "dB", 1, false);
+  const loss = plot("Loss (logarithmic)", "", 4, true);
+  return {
+    element: h("div", { class: "charts" }, psnr.element, loss.element),
+    update: (record) => {
+      psnr.update(record.psnr);
+      loss.update(record.loss);
+    },
+  };
+}
+
+function plot(name: string, unit: string, digits: number, logarithmic: boolean) {
+  const picture = document.createElementNS(svgSpace, "svg");
+  picture.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  picture.setAttribute("preserveAspectRatio", "none");
+  picture.setAttribute("role", "img");
+  picture.setAttribute("class", "chart");
+  const caption = h("figcaption", { class: "faint" });
+  const element = h("figure", { hidden: true }, caption, picture as unknown as HTMLElement);
+  const number = (value: number) => `${value.toFixed(digits)}${unit === "" ? "" : ` ${unit}`}`;
+  const update = (samples: readonly Sample[]) => {
+    const drawn = chart(thinned(samples, maxSamples), width, height, logarithmic);
+    element.hidden = drawn === null;
+    if (drawn === null) return;
+    const now = samples.at(-1)!.value;
+    const range = `${number(drawn.lowest)} to ${number(drawn.highest)}`;
+    setText(caption, `${name}: now ${number(now)} (${range} in ${formatDuration(drawn.spanS)})`);
+    picture.setAttribute("aria-label", `${name} over time, from ${range}, now ${number(now)}`);
+    const key = drawn.curves.map((curve) => curve.points).join("|");
+    replaceKeyed(picture as unknown as HTMLElement, key, () =>
+      drawn.curves.map((curve) => {
+        const line = document.createElementNS(svgSpace, "polyline");
+        line.setAttribute("points", curve.points);
+        return line;
+      }),
+    );
+  };
+  return { element, update };
+}

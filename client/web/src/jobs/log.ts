@@ -1,0 +1,45 @@
+/** What the run processes of a job wrote, when somebody wants to see it. */
+
+import { h, setText } from "../page/dom.js";
+import type { Job } from "../page/rest.js";
+import { isFinal } from "./store.js";
+import type { Context } from "./view.js";
+
+const everyMs = 3000;
+
+/** Return the section, closed at first; while it is open and the job runs it is kept current. */
+export function logView({ api, fail }: Context, jobId: string) {
+  const text = h("pre", { tabindex: 0, "aria-label": "Log" });
+  const all = h(
+    "a",
+    { href: `/v1/jobs/${jobId}/log`, target: "_blank", rel: "noopener" },
+    "The whole log (opens in a new tab)",
+  );
+  const details = h("details", {}, h("summary", {}, "Log"), text, h("p", {}, all));
+  let ended = false;
+  let timer: ReturnType<typeof setInterval> | undefined;
+
+  async function load(): Promise<void> {
+    const atEnd = text.scrollTop + text.clientHeight >= text.scrollHeight - 8;
+    setText(text, (await api.log(jobId)) || "Nothing yet.");
+    if (atEnd) text.scrollTop = text.scrollHeight;
+  }
+  const stop = () => clearInterval(timer);
+  details.addEventListener("toggle", () => {
+    stop();
+    if (!details.open) return;
+    load().catch(fail);
+    // A server that is away shows in the header; the next round asks again.
+    if (!ended) timer = setInterval(() => void load().catch(() => {}), everyMs);
+  });
+  return {
+    element: h("section", { "aria-label": "Log" }, details),
+    update: (job: Job) => {
+      if (ended || !isFinal(job)) return;
+      ended = true;
+      stop();
+      if (details.open) load().catch(fail);
+    },
+    close: stop,
+  };
+}

@@ -1,0 +1,118 @@
+/** The page of scenes, jobs and bundles: one stream of events, and one view at a time. */
+
+import { explain } from "../page/actions.js";
+import { placeOf } from "../page/addresses.js";
+import { h, setText } from "../page/dom.js";
+import { createApi } from "../page/rest.js";
+import { createUploads } from "../upload/uploads.js";
+import { jobView } from "./jobView.js";
+import { sceneView } from "./sceneView.js";
+import { startView } from "./startView.js";
+import { JobStore } from "./store.js";
+import { follow } from "./stream.js";
+import type { Context, View } from "./view.js";
+
+const api = createApi();
+const store = new JobStore(api);
+const message = document.querySelector<HTMLElement>("#message")!;
+const connection = document.querySelector<HTMLElement>("#connection")!;
+const main = document.querySelector<HTMLElement>("#main")!;
+
+const context: Context = {
+  api,
+  store,
+  uploads: createUploads(api),
+  fail: (error) => {
+    message.textContent = explain(error);
+    message.hidden = false;
+  },
+};
+
+let shown: View | null = null;
+let number = 0;
+
+async function show(): Promise<void> {
+  number += 1;
+  const mine = number;
+  message.hidden = true;
+  const place = placeOf(location.hash);
+  let view: View;
+  try {
+    if (place.kind === "scene") view = await sceneView(context, place.id);
+    else if (place.kind === "job") view = await jobView(context, place.id);
+    else view = startView(context);
+  } catch (error) {
+    context.fail(error);
+    view = { title: "Lambent", element: h("p", {}, h("a", { href: "#/" }, "All jobs and scenes")) };
+  }
+  // The visitor went on meanwhile.
+  if (mine !== number) {
+    view.close?.();
+    return;
+  }
+  const isFirst = shown === null;
+  shown?.close?.();
+  shown = view;
+  main.replaceChildren(view.element);
+  document.title = view.title === "Lambent" ? view.title : `${view.title} · Lambent`;
+  if (isFirst) return;
+  // What a link has led to is where a reader goes on.
+  scrollTo(0, 0);
+  main.querySelector<HTMLElement>("h1")?.focus();
+}
+
+/** Swap the code of a one-time link for a session, and take it out of the address. */
+async function logIn(): Promise<void> {
+  const code = new URLSearchParams(location.hash.slice(1)).get("code");
+  if (code === null) return;
+  history.replaceState(null, "", location.pathname);
+  await api.logIn(code);
+}
+
+let wasAway = false;
+
+function showConnection(connected: boolean): void {
+  setText(connection, connected ? "live" : "the server does not answer; trying again …");
+  if (connected && wasAway) shown?.update?.(null);
+  wasAway = !connected;
+}
+
+let pending = new Set<string>();
+
+/** Draw at most once a frame, however many messages come. */
+function changed(jobId: string): void {
+  if (pending.size === 0) {
+    requestAnimationFrame(() => {
+      const now = pending;
+      pending = new Set();
+      for (const id of now) shown?.update?.(id);
+    });
+  }
+  pending.add(jobId);
+}
+
+async function run(): Promise<void> {
+  try {
+    await logIn();
+  } catch {
+    // The link was used before; this browser may have been the one that used it.
+  }
+  store.listen(changed);
+  addEventListener("hashchange", () => {
+    // A login link that was pasted into the page that is open.
+    if (location.hash.startsWith("#code=")) location.reload();
+    else void show();
+  });
+  await show();
+  await follow({
+    api,
+    onMessage: (one) => store.receive(one),
+    onConnection: showConnection,
+    signal: new AbortController().signal,
+  });
+}
+
+run().catch((error) => {
+  setText(connection, "");
+  context.fail(error);
+});

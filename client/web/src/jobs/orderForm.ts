@@ -1,0 +1,130 @@
+/** The form that starts a job: a preset with an estimate of its time, and settings over it. */
+
+import { button } from "../page/actions.js";
+import { jobAddress } from "../page/addresses.js";
+import { h, setText } from "../page/dom.js";
+import { formatAbout, plural } from "../page/format.js";
+import type { Estimate, Preset } from "../page/rest.js";
+import type { Context } from "./view.js";
+
+/** A line of the settings that is none. */
+export class BadSetting extends Error {
+  override readonly name = "BadSetting";
+}
+
+/** Return the settings of lines such as "stage_two.num_rays=512"; throws BadSetting for a line that is none. */
+export function parseSettings(text: string): Record<string, string> {
+  const found: Record<string, string> = {};
+  for (const line of text.split("\n").map((each) => each.trim())) {
+    if (line === "") continue;
+    const match = /^([a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)*)\s*=\s*(.*)$/.exec(line);
+    if (match === null) throw new BadSetting(`"${line}" is no setting; write one as name=value`);
+    found[match[1]!] = match[2]!;
+  }
+  return found;
+}
+
+/** Return what is said of a preset's time. */
+export function estimateText(estimate: Estimate): string {
+  if (estimate.seconds === null) return "no time is known yet";
+  const about = `about ${formatAbout(estimate.seconds)}`;
+  if (estimate.num_measured === 0) return `${about} on the hardware it is made for`;
+  return `${about}, as ${plural(estimate.num_measured, "job")} took here`;
+}
+
+/** Return the form. */
+export function orderForm(context: Context, sceneId: string): HTMLElement {
+  const { api, store, fail } = context;
+  // One press is one job, however often the request is sent.
+  let key = newKey();
+  const options = h("div", { class: "presets" });
+  const queue = h("p", { class: "faint" });
+  const seed = h("input", { type: "number", id: "seed", min: 0, max: 2 ** 31 - 1, step: 1, value: 0 });
+  const settings = h("textarea", { id: "settings", rows: 3, spellcheck: "false" });
+  const start = button(
+    "Start the job",
+    async () => {
+      const preset = options.querySelector<HTMLInputElement>("input:checked")?.value;
+      if (preset === undefined) throw new BadSetting("Choose a preset first.");
+      const order = {
+        scene_id: sceneId,
+        preset,
+        seed: Number(seed.value),
+        params: parseSettings(settings.value),
+      };
+      const job = await api.submit(order, key);
+      key = newKey();
+      store.put(job);
+      location.hash = jobAddress(job.id);
+    },
+    context,
+    "first",
+  );
+
+  async function load(): Promise<void> {
+    const [presets, limits] = await Promise.all([api.presets(), api.limits()]);
+    const estimates = await Promise.all(presets.items.map((preset) => api.estimate(preset.name)));
+    options.replaceChildren(
+      ...presets.items.map((preset, place) =>
+        option(preset, estimates[place]!, preset.gpus <= limits.max_gpus, preset.name === presets.default),
+      ),
+    );
+    const ahead = estimates[0]?.num_ahead ?? 0;
+    setText(queue, ahead > 0 ? `${plural(ahead, "job")} may go first.` : "");
+  }
+  load().catch(fail);
+
+  return h(
+    "section",
+    {},
+    h("h2", {}, "Train it"),
+    h("fieldset", {}, h("legend", {}, "Preset"), options),
+    h(
+      "details",
+      {},
+      h("summary", {}, "More settings"),
+      h("p", {}, h("label", { for: "seed" }, "Seed of every random number"), " ", seed),
+      h(
+        "p",
+        {},
+        h(
+          "label",
+          { for: "settings" },
+          "Settings over the preset, one a line, such as stage_two.num_rays=512",
+        ),
+        settings,
+      ),
+    ),
+    h("div", { class: "actions" }, start, queue),
+  );
+}
+
+function newKey(): string {
+  // Not crypto.randomUUID: that one is missing where a page came over plain HTTP.
+  const parts = crypto.getRandomValues(new Uint32Array(4));
+  return `page-${Array.from(parts, (part) => part.toString(16)).join("")}`;
+}
+
+function option(preset: Preset, estimate: Estimate, available: boolean, chosen: boolean): HTMLElement {
+  const time = available ? estimateText(estimate) : "needs a GPU, and this server has none";
+  return h(
+    "label",
+    {},
+    h("input", {
+      type: "radio",
+      name: "preset",
+      value: preset.name,
+      disabled: !available,
+      checked: chosen && available,
+    }),
+    h(
+      "span",
+      {},
+      h("b", {}, preset.name),
+      h("br"),
+      h("span", { class: "faint" }, preset.description),
+      h("br"),
+      h("span", { class: available ? "estimate" : "faint" }, time),
+    ),
+  );
+}

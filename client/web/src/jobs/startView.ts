@@ -1,0 +1,163 @@
+/** The start: drop a capture; jobs, scenes and bundles. */
+
+import { button } from "../page/actions.js";
+import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
+import { h } from "../page/dom.js";
+import { formatSize, formatTime, plural } from "../page/format.js";
+import type { Bundle, Job, Scene } from "../page/rest.js";
+import { jobList, jobName } from "./jobLine.js";
+import { uploadPanel } from "./uploadPanel.js";
+import { type Context, stateLabel, type View } from "./view.js";
+
+type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | null };
+
+/** Return the start of the page. */
+export function startView(context: Context): View {
+  const { api, store, fail } = context;
+  const names = new Map<string, string>();
+  const panel = uploadPanel(context, null);
+  const jobs = jobList("Jobs, the newest first", (job: Job) => jobName(job, names.get(job.scene_id)));
+  const noJobs = h("p", { class: "faint" }, "None yet.");
+  const scenes = pagedList("Scenes, the newest first", sceneLine, api.scenes, context);
+  const bundles = pagedList("Bundles, the newest first", bundleLine, api.bundles, context);
+
+  const drawJobs = () => {
+    // Checks belong to their scene and are shown there.
+    const found = store.all().filter(({ job }) => job.kind !== "check");
+    jobs.update(found.map(({ job }) => job));
+    noJobs.hidden = found.length > 0;
+  };
+
+  let cursor: string | null = null;
+  const older = button(
+    "Show older jobs",
+    async () => {
+      const page = await api.jobs(cursor);
+      cursor = page.next_cursor;
+      older.hidden = cursor === null;
+      for (const job of page.items) store.put(job);
+    },
+    context,
+  );
+  older.hidden = true;
+
+  async function load(): Promise<void> {
+    // The names first: a job is shown by that of its scene.
+    const found = await scenes.load();
+    for (const scene of found) names.set(scene.id, scene.name);
+    const [page] = await Promise.all([api.jobs(), bundles.load()]);
+    cursor = page.next_cursor;
+    older.hidden = cursor === null;
+    for (const job of page.items) store.put(job);
+    drawJobs();
+  }
+  load().catch(fail);
+
+  const seen = new Set<string>();
+  const stopUploads = context.uploads.listen(() => void scenes.load().catch(() => {}));
+  return {
+    title: "Lambent",
+    element: h(
+      "div",
+      {},
+      h("h1", { tabindex: -1 }, "Relight your photographs"),
+      h("section", { "aria-label": "New scene" }, panel.element),
+      h("section", {}, h("h2", {}, "Jobs"), noJobs, jobs.element, h("div", { class: "actions" }, older)),
+      h(
+        "div",
+        { class: "columns" },
+        h("section", {}, h("h2", {}, "Scenes"), scenes.element),
+        h("section", {}, h("h2", {}, "Bundles"), bundles.element),
+      ),
+    ),
+    update: (jobId) => {
+      if (jobId === null) {
+        load().catch(fail);
+        return;
+      }
+      const record = store.get(jobId);
+      if (record === undefined) return;
+      if (record.job.scene_id !== "" && !names.has(record.job.scene_id) && !seen.has(jobId)) {
+        seen.add(jobId);
+        load().catch(() => {});
+      }
+      if (record.job.state === "succeeded" && !seen.has(`${jobId} done`)) {
+        seen.add(`${jobId} done`);
+        bundles.load().catch(() => {});
+      }
+      drawJobs();
+    },
+    close: () => {
+      panel.close();
+      stopUploads();
+    },
+  };
+}
+
+function sceneLine(scene: Scene): HTMLLIElement {
+  const size =
+    scene.num_files > 0 ? `${plural(scene.num_files, "file")}, ${formatSize(scene.size_bytes)} · ` : "";
+  return h(
+    "li",
+    { class: "card" },
+    h(
+      "div",
+      { class: "line" },
+      h("h3", {}, h("a", { href: sceneAddress(scene.id) }, scene.name)),
+      stateLabel(scene.state),
+    ),
+    h("p", { class: "faint" }, `${size}${formatTime(scene.created_at)}`),
+  );
+}
+
+function bundleLine(bundle: Bundle): HTMLLIElement {
+  const name = bundle.scene_name || bundle.scene_id;
+  return h(
+    "li",
+    { class: "card" },
+    h("div", { class: "line" }, h("h3", {}, h("a", { href: jobAddress(bundle.job_id) }, name))),
+    h("p", { class: "faint" }, `${formatSize(bundle.size_bytes)} · ${formatTime(bundle.created_at)}`),
+    h("div", {}, h("a", { class: "button", href: viewerAddress(bundle.id) }, `View ${name}`)),
+  );
+}
+
+/** Return a list that is loaded page by page. */
+function pagedList<T>(
+  label: string,
+  line: (item: T) => HTMLLIElement,
+  ask: (cursor: string | null) => Promise<Page<T>>,
+  context: Context,
+) {
+  const list = h("ol", { class: "list", "aria-label": label });
+  const empty = h("p", { class: "faint", hidden: true }, "None yet.");
+  let cursor: string | null = null;
+  const more = button(
+    "Show older ones",
+    async () => {
+      const page = await ask(cursor);
+      list.append(...page.items.map(line));
+      cursor = page.next_cursor;
+      more.hidden = cursor === null;
+    },
+    context,
+  );
+  more.hidden = true;
+  let shown = "";
+  return {
+    element: h("div", {}, empty, list, h("div", { class: "actions" }, more)),
+    /** Fetch the first page again. */
+    load: async (): Promise<readonly T[]> => {
+      const page = await ask(null);
+      const text = JSON.stringify(page);
+      if (text !== shown) {
+        shown = text;
+        list.replaceChildren(...page.items.map(line));
+        cursor = page.next_cursor;
+        more.hidden = cursor === null;
+        empty.hidden = page.items.length > 0;
+        list.hidden = page.items.length === 0;
+      }
+      return page.items;
+    },
+  };
+}

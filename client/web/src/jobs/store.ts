@@ -1,0 +1,151 @@
+/** What the page knows about jobs: fed by the stream, asked by the views. */
+
+import type { Api, Job, JobEvent } from "../page/rest.js";
+import type { StreamMessage } from "./stream.js";
+
+/** A value of a curve; `atS` is Unix seconds. */
+export type Sample = { readonly atS: number; readonly stage: string; readonly value: number };
+export type Preview = { readonly sha256: string; readonly name: string };
+
+/** Everything a job's page shows. Only what a page asked for has a history. */
+export type JobRecord = {
+  job: Job;
+  /** Number of the last event that the history holds; -1: it was not asked for. */
+  seq: number;
+  psnr: Sample[];
+  loss: Sample[];
+  previews: Preview[];
+  /** When each stage was first heard of, Unix seconds. */
+  stages: Map<string, number>;
+};
+
+export const finalStates: ReadonlySet<string> = new Set(["succeeded", "failed", "cancelled"]);
+
+/** Return whether a job has ended; a state that is not known has not. */
+export function isFinal(job: Pick<Job, "state">): boolean {
+  return finalStates.has(job.state);
+}
+
+/** The jobs, and who wants to hear of changes. */
+export class JobStore {
+  readonly #api: Pick<Api, "job" | "events">;
+  readonly #records = new Map<string, JobRecord>();
+  readonly #listeners = new Set<(jobId: string) => void>();
+  readonly #loading = new Map<string, Promise<void>>();
+
+  constructor(api: Pick<Api, "job" | "events">) {
+    this.#api = api;
+  }
+
+  /** Call `listener` with the id of each job that changes; returns the function that ends it. */
+  listen(listener: (jobId: string) => void): () => void {
+    this.#listeners.add(listener);
+    return () => this.#listeners.delete(listener);
+  }
+
+  get(jobId: string): JobRecord | undefined {
+    return this.#records.get(jobId);
+  }
+
+  /** All jobs, the newest first: identifiers sort by the time they were made. */
+  all(): JobRecord[] {
+    return [...this.#records.values()].sort((a, b) => (a.job.id < b.job.id ? 1 : -1));
+  }
+
+  /** Take a job as the server shows it; older news than what is known changes nothing. */
+  put(job: Job): void {
+    const known = this.#records.get(job.id);
+    if (known === undefined) {
+      this.#records.set(job.id, {
+        job,
+        seq: -1,
+        psnr: [],
+        loss: [],
+        previews: [],
+        stages: new Map(),
+      });
+    } else if (job.last_event >= known.job.last_event) {
+      known.job = job;
+    }
+    this.#tell(job.id);
+  }
+
+  /** Ask the server for a job. */
+  async refresh(jobId: string): Promise<void> {
+    this.put(await this.#api.job(jobId));
+  }
+
+  /** Fetch a job and its history, or what is missing of it; calling it again while it runs is one request. */
+  loadHistory(jobId: string): Promise<void> {
+    let loading = this.#loading.get(jobId);
+    if (loading === undefined) {
+      loading = this.#load(jobId).finally(() => this.#loading.delete(jobId));
+      this.#loading.set(jobId, loading);
+    }
+    return loading;
+  }
+
+  async #load(jobId: string): Promise<void> {
+    await this.refresh(jobId);
+    const record = this.#records.get(jobId)!;
+    record.seq = Math.max(record.seq, 0);
+    for (;;) {
+      const { items } = await this.#api.events(jobId, record.seq);
+      for (const event of items) addToHistory(record, event);
+      if (items.length === 0 || record.seq >= record.job.last_event) break;
+    }
+    this.#tell(jobId);
+  }
+
+  /** Take a message of the stream. */
+  receive(message: StreamMessage): void {
+    if (message.event === "snapshot") {
+      const job = JSON.parse(message.data) as Job;
+      const before = this.#records.get(job.id);
+      this.put(job);
+      // While the stream was away things may have happened that the history lacks.
+      if (before !== undefined && before.seq >= 0 && before.seq < job.last_event) this.#catchUp(job.id);
+      return;
+    }
+    if (message.event !== "event") return;
+    const event = JSON.parse(message.data) as JobEvent;
+    const record = this.#records.get(event.job_id);
+    if (record === undefined || event.type === "state") {
+      // What a state brings with it (times, error, bundle) is in the job only.
+      this.refresh(event.job_id).catch(() => {});
+    } else if (event.seq > record.job.last_event) {
+      const progress = event.progress ?? record.job.progress;
+      record.job = { ...record.job, progress, run: event.run || record.job.run, last_event: event.seq };
+    }
+    if (record === undefined) return;
+    if (record.seq >= 0) {
+      if (event.seq === record.seq + 1) addToHistory(record, event);
+      else if (event.seq > record.seq) this.#catchUp(event.job_id);
+    }
+    this.#tell(event.job_id);
+  }
+
+  #catchUp(jobId: string): void {
+    // A server that is away will be asked again with the next message.
+    this.loadHistory(jobId).catch(() => {});
+  }
+
+  #tell(jobId: string): void {
+    for (const listener of this.#listeners) listener(jobId);
+  }
+}
+
+/** Take the part of an event that curves, stages and pictures show; an event that is known changes nothing. */
+export function addToHistory(record: JobRecord, event: JobEvent): void {
+  if (event.seq <= record.seq) return;
+  record.seq = event.seq;
+  const atS = Date.parse(event.at) / 1000;
+  if (event.type === "preview" && event.sha256 !== "") {
+    record.previews.push({ sha256: event.sha256, name: event.name });
+  }
+  if (event.progress === null) return;
+  const { stage, psnr, loss } = event.progress;
+  if (!record.stages.has(stage)) record.stages.set(stage, atS);
+  if (psnr > 0) record.psnr.push({ atS, stage, value: psnr });
+  if (loss > 0) record.loss.push({ atS, stage, value: loss });
+}

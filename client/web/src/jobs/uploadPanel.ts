@@ -1,0 +1,138 @@
+/** Where photographs are dropped or chosen, and the uploads that go on. */
+
+import { sceneAddress } from "../page/addresses.js";
+import { h, setText } from "../page/dom.js";
+import { formatSize, plural } from "../page/format.js";
+import type { Scene } from "../page/rest.js";
+import { type Candidate, chosenFiles, collect, droppedFiles } from "../upload/collect.js";
+import type { UploadStep } from "../upload/upload.js";
+import type { Running } from "../upload/uploads.js";
+import type { Context } from "./view.js";
+
+const texts: Record<UploadStep["what"], string> = {
+  hash: "reading the files",
+  send: "sending what the server lacks",
+  wait: "the server does not answer; going on as soon as it does",
+  commit: "finishing",
+};
+
+/** Return what an upload is doing, in a line. */
+export function describe(step: UploadStep): string {
+  const parts = [texts[step.what]];
+  if (step.totalBytes > 0) parts.push(`${formatSize(step.doneBytes)} of ${formatSize(step.totalBytes)}`);
+  if (step.numKnown > 0) parts.push(`${plural(step.numKnown, "file")} there already`);
+  return parts.join(" · ");
+}
+
+/** Return the panel; `scene` is one whose upload was broken off, null makes new ones. */
+export function uploadPanel(
+  context: Context,
+  scene: Scene | null,
+): { element: HTMLElement; close: () => void } {
+  const { uploads, fail } = context;
+
+  async function take(files: Promise<ReadonlyMap<string, File>> | ReadonlyMap<string, File>): Promise<void> {
+    await send(context, await collect(await files), scene?.id ?? null);
+  }
+
+  const chooser = (kind: "folder" | "archive") => {
+    const input = h("input", { type: "file", hidden: true, "aria-hidden": "true", tabindex: -1 });
+    if (kind === "folder") input.webkitdirectory = true;
+    else input.accept = ".zip,.tar,.tgz,.tar.gz";
+    input.addEventListener("change", () => {
+      const files = chosenFiles(input.files ?? []);
+      input.value = "";
+      if (files.size > 0) take(files).catch(fail);
+    });
+    return input;
+  };
+  const [folder, archive] = [chooser("folder"), chooser("archive")];
+  const area = h(
+    "div",
+    { class: "drop" },
+    h(
+      "p",
+      {},
+      scene === null
+        ? "Drop the folder of one capture here, or a zip of it."
+        : "Drop the same folder again: only what is missing is sent.",
+    ),
+    h(
+      "p",
+      { class: "faint" },
+      "Photographs with camera poses: COLMAP, nerfstudio, Blender and three more layouts.",
+    ),
+    h(
+      "div",
+      { class: "actions" },
+      h("button", { type: "button", class: "first", onclick: () => folder.click() }, "Choose a folder"),
+      h("button", { type: "button", onclick: () => archive.click() }, "Choose an archive"),
+    ),
+    folder,
+    archive,
+  );
+  area.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    area.classList.add("over");
+  });
+  area.addEventListener("dragleave", () => area.classList.remove("over"));
+  area.addEventListener("drop", (event) => {
+    event.preventDefault();
+    area.classList.remove("over");
+    take(droppedFiles(event.dataTransfer?.items ?? [])).catch(fail);
+  });
+
+  const list = h("ul", { class: "list", "aria-label": "Uploads" });
+  const rows = new Map<Promise<unknown>, { element: HTMLElement; update: (one: Running) => void }>();
+  const draw = () => {
+    const shown = uploads.all().filter((one) => one.sceneId === (scene?.id ?? null));
+    for (const [done, row] of rows) {
+      if (shown.some((one) => one.done === done)) continue;
+      row.element.remove();
+      rows.delete(done);
+    }
+    for (const one of shown) {
+      let row = rows.get(one.done);
+      if (row === undefined) {
+        row = uploadRow(one);
+        rows.set(one.done, row);
+        list.append(row.element);
+      }
+      row.update(one);
+    }
+    list.hidden = shown.length === 0;
+    area.hidden = scene !== null && shown.length > 0;
+  };
+  draw();
+  return { element: h("div", { class: "upload" }, area, list), close: uploads.listen(draw) };
+}
+
+function uploadRow(one: Running): { element: HTMLElement; update: (one: Running) => void } {
+  const bar = h("progress", { max: 1, value: 0, "aria-label": `upload of ${one.name}` });
+  const text = h("p", { class: "figures" });
+  const stop = h("button", { type: "button", onclick: one.stop }, "Stop");
+  const element = h("li", { class: "card" }, h("h3", {}, one.name), bar, text, h("div", {}, stop));
+  return {
+    element,
+    update: ({ step }) => {
+      bar.value = step.totalBytes > 0 ? step.doneBytes / step.totalBytes : 0;
+      setText(text, describe(step));
+    },
+  };
+}
+
+/** Send a candidate, have the scene looked at, and go to its page. */
+export async function send(context: Context, candidate: Candidate, sceneId: string | null): Promise<void> {
+  const { api, store, uploads } = context;
+  let result: Awaited<Running["done"]>;
+  try {
+    result = await uploads.begin(candidate, sceneId).done;
+  } catch (error) {
+    if (error instanceof DOMException && error.name === "AbortError") return;
+    throw error;
+  }
+  const { scene } = result;
+  const job = await api.submit({ scene_id: scene.id, kind: "check" }, `check-${scene.id}`);
+  store.put(job);
+  location.hash = sceneAddress(scene.id);
+}

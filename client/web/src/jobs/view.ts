@@ -1,0 +1,38 @@
+/** What every view of the page is given, and what it gives back. */
+
+import { h } from "../page/dom.js";
+import type { Api } from "../page/rest.js";
+import type { Uploads } from "../upload/uploads.js";
+import type { JobStore } from "./store.js";
+
+export type Context = {
+  readonly api: Api;
+  readonly store: JobStore;
+  readonly uploads: Uploads;
+  /** Tell what went wrong with something the visitor did. */
+  readonly fail: (error: unknown) => void;
+};
+
+/** One place of the page. */
+export type View = {
+  readonly title: string;
+  readonly element: HTMLElement;
+  /** A job has changed; without an id the connection has come back. */
+  readonly update?: (jobId: string | null) => void;
+  readonly close?: () => void;
+};
+
+/** Return a paragraph for a state, with the name that people use. */
+export function stateLabel(state: string): HTMLElement {
+  return h("span", { class: "state", "data-state": state }, stateNames.get(state) ?? state);
+}
+
+export const stateNames: ReadonlyMap<string, string> = new Map([
+  ["queued", "waiting"],
+  ["retry_wait", "waiting for the next try"],
+  ["succeeded", "done"],
+  ["open", "upload not finished"],
+  ["uploaded", "not checked yet"],
+  ["ready", "ready"],
+  ["rejected", "cannot be used"],
+]);

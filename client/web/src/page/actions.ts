@@ -1,0 +1,38 @@
+/** Buttons that ask the server for something, and what is told when it says no. */
+
+import { h } from "./dom.js";
+import { Refused, Unreachable } from "./rest.js";
+
+/** Return what to tell a visitor about an error. */
+export function explain(error: unknown): string {
+  if (error instanceof Unreachable) return "The server does not answer. Is it running?";
+  if (error instanceof Refused && error.status === 401) {
+    return "This browser is not logged in. Open the one-time link that `lambent serve` printed.";
+  }
+  if (error instanceof Refused) {
+    const details = error.errors
+      .slice(0, 5)
+      .map((each) => `${each.pointer.replace(/^#\/?/, "")}: ${each.message}`);
+    return [error.message, ...details].join("\n");
+  }
+  return error instanceof Error ? error.message : String(error);
+}
+
+/** Return a button that is not available while what it does goes on. */
+export function button(
+  text: string,
+  action: () => Promise<void>,
+  { fail }: { readonly fail: (error: unknown) => void },
+  className = "",
+): HTMLButtonElement {
+  const element = h("button", { type: "button", class: className === "" ? null : className }, text);
+  element.addEventListener("click", () => {
+    element.disabled = true;
+    action()
+      .catch(fail)
+      .finally(() => {
+        element.disabled = false;
+      });
+  });
+  return element;
+}

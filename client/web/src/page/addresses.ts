@@ -1,0 +1,38 @@
+/** Addresses inside this site. */
+
+/** Return the address of the viewer with a bundle of this server; `view` are parameters of what it shows. */
+export function viewerAddress(bundleId: string, view = ""): string {
+  const parameters = new URLSearchParams(view);
+  parameters.set("src", `/v1/bundles/${bundleId}`);
+  return `viewer.html#${parameters}`;
+}
+
+/** Return the id of the bundle at an address, where that is one of the server that `page` came from; else null. */
+export function bundleAt(address: string, page: string): string | null {
+  const url = new URL(address, page);
+  if (url.origin !== new URL(page).origin) return null;
+  return /^\/v1\/bundles\/([a-z0-9_]{1,64})\/?$/.exec(url.pathname)?.[1] ?? null;
+}
+
+/** Return the address of a scene's page. */
+export function sceneAddress(sceneId: string): string {
+  return `#/scenes/${sceneId}`;
+}
+
+/** Return the address of a job's page. */
+export function jobAddress(jobId: string): string {
+  return `#/jobs/${jobId}`;
+}
+
+/** Where an address of this page leads. */
+export type Place =
+  | { readonly kind: "start" }
+  | { readonly kind: "scene"; readonly id: string }
+  | { readonly kind: "job"; readonly id: string };
+
+/** Return the place that a fragment names; what is none leads to the start. */
+export function placeOf(fragment: string): Place {
+  const found = /^#\/(scenes|jobs)\/([a-z0-9_]{1,64})$/.exec(fragment);
+  if (found === null) return { kind: "start" };
+  return { kind: found[1] === "jobs" ? "job" : "scene", id: found[2]! };
+}

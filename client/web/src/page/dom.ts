@@ -1,0 +1,36 @@
+/** Elements in one expression. */
+
+type Child = Node | string | null | undefined | false;
+type Value = string | number | boolean | null | undefined | ((event: never) => void);
+
+/**
+ * Return a new element. Attributes that are `false`, `null` or `undefined` are left out, `true` is an empty one,
+ * a function is a listener ("onclick"). Text is never parsed as markup.
+ */
+export function h<Name extends keyof HTMLElementTagNameMap>(
+  name: Name,
+  attributes: Readonly<Record<string, Value>> = {},
+  ...children: readonly Child[]
+): HTMLElementTagNameMap[Name] {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (typeof value === "function") element.addEventListener(key.slice(2), value as EventListener);
+    else if (value !== false && value !== null && value !== undefined) {
+      element.setAttribute(key, value === true ? "" : String(value));
+    }
+  }
+  element.append(...children.filter((child): child is Node | string => Boolean(child)));
+  return element;
+}
+
+/** Change the text of an element only where it differs, so that readers hear what is new and nothing twice. */
+export function setText(element: Element, text: string): void {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Replace the children of an element unless the new ones stand for the same. */
+export function replaceKeyed(element: HTMLElement, key: string, make: () => readonly Child[]): void {
+  if (element.dataset.key === key) return;
+  element.dataset.key = key;
+  element.replaceChildren(...make().filter((child): child is Node | string => Boolean(child)));
+}

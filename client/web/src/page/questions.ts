@@ -1,0 +1,43 @@
+/** Numbered questions to a worker and their answers. */
+
+export type Unnumbered<T> = T extends { readonly id: number } ? Omit<T, "id"> : never;
+type Waiting<Answer> = {
+  readonly resolve: (answer: Answer) => void;
+  readonly reject: (fault: Error) => void;
+};
+
+/** The page's side of a worker; one that cannot be started rejects what is asked, now and later. */
+export class Questions<Question extends { readonly id: number }, Answer extends { readonly id: number }> {
+  readonly #waiting = new Map<number, Waiting<Answer>>();
+  #fault: Error | null = null;
+  #next = 1;
+
+  constructor(private readonly worker: Worker) {
+    worker.addEventListener("message", ({ data }: MessageEvent<Answer>) => {
+      this.#waiting.get(data.id)?.resolve(data);
+      this.#waiting.delete(data.id);
+    });
+    worker.addEventListener("error", (event) => {
+      const fault = new Error(event.message || "a part of this page could not be started; reload the page");
+      // Only a script that did not come has no message; after any other error the worker goes on.
+      if (!event.message) this.#fault = fault;
+      for (const { reject } of this.#waiting.values()) reject(fault);
+      this.#waiting.clear();
+    });
+  }
+
+  /** Ask, and return the answer to it. */
+  ask(question: Unnumbered<Question>): Promise<Answer> {
+    if (this.#fault !== null) return Promise.reject(this.#fault);
+    const id = this.#next++;
+    return new Promise((resolve, reject) => {
+      this.#waiting.set(id, { resolve, reject });
+      this.worker.postMessage({ ...question, id });
+    });
+  }
+
+  /** End the worker; what is not answered yet stays so. */
+  close(): void {
+    this.worker.terminate();
+  }
+}

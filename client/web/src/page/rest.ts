@@ -1,0 +1,143 @@
+/** The REST interface as the pages use it: typed bodies, problems as exceptions. */
+
+import type { components } from "../contract/rest.js";
+
+export type Schemas = components["schemas"];
+export type Job = Schemas["Job"];
+export type JobEvent = Schemas["Event"];
+export type Progress = Schemas["Progress"];
+export type Scene = Schemas["Scene"];
+export type SceneReport = Schemas["SceneReportAnswer"];
+export type Finding = Schemas["Finding"];
+export type Preset = Schemas["Preset"];
+export type Estimate = Schemas["Estimate"];
+export type Bundle = Schemas["Bundle"];
+export type BundleDetail = Schemas["BundleDetail"];
+export type Artifact = Schemas["Artifact"];
+export type Share = Schemas["Share"];
+export type PlannedFile = Schemas["PlannedFile"];
+
+/** Everything that was refused: the server's problem document (RFC 9457). */
+export class Refused extends Error {
+  override readonly name = "Refused";
+
+  constructor(
+    readonly status: number,
+    readonly code: string,
+    detail: string,
+    readonly retryable: boolean,
+    readonly findings: readonly Finding[] = [],
+    readonly errors: readonly Schemas["ProblemDetail"][] = [],
+  ) {
+    super(detail);
+  }
+}
+
+/** The server did not answer at all. */
+export class Unreachable extends Error {
+  override readonly name = "Unreachable";
+}
+
+/** Throw what a server's answer says is wrong; a good answer passes. */
+export async function requireOk(response: Response): Promise<Response> {
+  if (response.ok) return response;
+  let problem: Partial<Schemas["ProblemDocument"]> = {};
+  try {
+    problem = await response.json();
+  } catch {
+    // Something between us and the server answered.
+  }
+  throw new Refused(
+    response.status,
+    problem.code ?? `http_${response.status}`,
+    problem.detail ?? `the server answered ${response.status}`,
+    problem.retryable ?? response.status >= 500,
+    problem.findings ?? [],
+    problem.errors ?? [],
+  );
+}
+
+export type Api = ReturnType<typeof createApi>;
+
+/** Return the operations of the server at this address; `send` is `fetch`, or what stands in for it. */
+export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
+  async function request(method: string, path: string, init: RequestInit = {}): Promise<Response> {
+    let response: Response;
+    try {
+      response = await send(path, { ...init, method, headers: { "x-lambent-csrf": "1", ...init.headers } });
+    } catch (error) {
+      if (init.signal?.aborted) throw error;
+      throw new Unreachable("the server does not answer");
+    }
+    return requireOk(response);
+  }
+
+  async function json<T>(method: string, path: string, body?: unknown, headers = {}): Promise<T> {
+    const init: RequestInit =
+      body === undefined
+        ? { headers }
+        : { body: JSON.stringify(body), headers: { "content-type": "application/json", ...headers } };
+    const response = await request(method, path, init);
+    return response.status === 204 ? (null as T) : ((await response.json()) as T);
+  }
+
+  const list = (path: string, limit: number, cursor: string | null) =>
+    `${path}?limit=${limit}${cursor === null ? "" : `&cursor=${encodeURIComponent(cursor)}`}`;
+
+  return {
+    logIn: (code: string) => json<null>("POST", "/v1/login", { code }),
+    scenes: (cursor: string | null = null) =>
+      json<Schemas["SceneList"]>("GET", list("/v1/scenes", 50, cursor)),
+    scene: (id: string) => json<Scene>("GET", `/v1/scenes/${id}`),
+    report: (id: string) =>
+      json<SceneReport>("GET", `/v1/scenes/${id}/report?format=json`, undefined, {
+        accept: "application/json",
+      }),
+    createScene: (name: string) => json<Scene>("POST", "/v1/scenes", { name }),
+    planFiles: (id: string, files: readonly PlannedFile[]) =>
+      json<Schemas["Plan"]>("POST", `/v1/scenes/${id}/files:plan`, files),
+    putFile: (id: string, sha256: string, body: Blob, signal: AbortSignal) =>
+      request("PUT", `/v1/scenes/${id}/files/${sha256}`, {
+        body,
+        signal,
+        headers: { "content-type": "application/octet-stream" },
+      }),
+    putArchive: async (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
+      const headers = { "content-type": mediaType };
+      const response = await request("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
+      return (await response.json()) as Scene;
+    },
+    commit: (id: string) => json<Scene>("POST", `/v1/scenes/${id}:commit`),
+    deleteScene: (id: string) => json<null>("DELETE", `/v1/scenes/${id}`),
+    presets: () => json<Schemas["PresetList"]>("GET", "/v1/presets"),
+    limits: () => json<Schemas["Limits"]>("GET", "/v1/limits"),
+    estimate: (preset: string) => json<Estimate>("POST", "/v1/estimates", { preset }),
+    jobs: (cursor: string | null = null) => json<Schemas["JobList"]>("GET", list("/v1/jobs", 50, cursor)),
+    job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
+    /** The same `key` never makes a second job. */
+    submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
+      json<Job>("POST", "/v1/jobs", order, { "idempotency-key": key }),
+    cancel: (id: string) => json<Job>("POST", `/v1/jobs/${id}:cancel`),
+    retry: (id: string) => json<Job>("POST", `/v1/jobs/${id}:retry`),
+    events: (id: string, after: number) =>
+      json<Schemas["EventList"]>("GET", `/v1/jobs/${id}/events?after=${after}&limit=1000`),
+    log: async (id: string) => (await request("GET", `/v1/jobs/${id}/log?tail_bytes=65536`)).text(),
+    artifacts: (id: string) => json<Schemas["ArtifactList"]>("GET", `/v1/jobs/${id}/artifacts`),
+    bundles: (cursor: string | null = null) =>
+      json<Schemas["BundleList"]>("GET", list("/v1/bundles", 50, cursor)),
+    bundle: (id: string) => json<BundleDetail>("GET", `/v1/bundles/${id}`),
+    shares: (id: string) => json<Schemas["ShareList"]>("GET", `/v1/bundles/${id}/shares`),
+    createShare: (id: string, expiresInS: number) =>
+      json<Share>("POST", `/v1/bundles/${id}/shares`, { expires_in_s: expiresInS }),
+    revokeShare: (id: string) => json<null>("DELETE", `/v1/shares/${id}`),
+    openShare: (token: string) => json<Schemas["OpenedShare"]>("POST", "/v1/shares:open", { token }),
+    /** A JSON file among a job's artifacts. */
+    document: async <T>(url: string) => (await (await request("GET", url)).json()) as T,
+    /** The answer whose body is the stream of events. */
+    stream: (lastEventId: string, signal: AbortSignal) =>
+      request("GET", "/v1/events", {
+        signal,
+        headers: lastEventId === "" ? {} : { "last-event-id": lastEventId },
+      }),
+  };
+}

@@ -1,0 +1,134 @@
+/** What a visitor drops or chooses, as the files of one scene. */
+
+import { BundleFault } from "../bundle/fault.js";
+import { type RangeReader, ZipArchive } from "../bundle/zip.js";
+
+/** A file of a scene whose bytes are read when they are needed. */
+export type SceneFile = {
+  /** Inside the scene, with forward slashes. */
+  readonly path: string;
+  readonly sizeBytes: number;
+  readonly read: () => Promise<Blob>;
+};
+
+/** A scene to be: its files, or one archive that only the server can open. */
+export type Candidate =
+  | { readonly kind: "files"; readonly name: string; readonly files: readonly SceneFile[] }
+  | { readonly kind: "archive"; readonly name: string; readonly file: File; readonly mediaType: string };
+
+/** What was dropped cannot be a scene; the message says what to do. */
+export class NotAScene extends Error {
+  override readonly name = "NotAScene";
+}
+
+const archives: ReadonlyMap<string, string> = new Map([
+  [".tar", "application/x-tar"],
+  [".tar.gz", "application/gzip"],
+  [".tgz", "application/gzip"],
+]);
+const maxName = 100;
+
+/** Return the candidate of files with paths such as "bowl/images/001.png", as folder choosers give them. */
+export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candidate> {
+  const all = [...chosen].filter(([path]) => !path.split("/").some((part) => part.startsWith(".")));
+  const [only] = all;
+  if (only === undefined) throw new NotAScene("There are no files in it. Choose the folder of one capture.");
+  const [path, file] = only;
+  if (all.length === 1 && !path.includes("/")) {
+    const name = file.name.toLowerCase();
+    if (name.endsWith(".zip")) return zipped(file);
+    for (const [suffix, mediaType] of archives) {
+      if (name.endsWith(suffix)) return { kind: "archive", name: plainName(file.name), file, mediaType };
+    }
+    throw new NotAScene(
+      `"${file.name}" alone is no capture. Choose its folder, or a zip or tar archive of it.`,
+    );
+  }
+  const { name, inside } = withoutTopFolder(all);
+  const files = inside.map(([inner, each]) => ({
+    path: inner,
+    sizeBytes: each.size,
+    read: () => Promise.resolve<Blob>(each),
+  }));
+  return { kind: "files", name: name === "" ? "photographs" : plainName(name), files: sorted(files) };
+}
+
+/** Return the files of a zip archive, each of which is unpacked when it is read. */
+async function zipped(file: File): Promise<Candidate> {
+  const range: RangeReader = async (start, length) =>
+    new Uint8Array(await file.slice(start, start + length).arrayBuffer());
+  let archive: ZipArchive;
+  try {
+    archive = await ZipArchive.open(range, file.size);
+  } catch (error) {
+    if (!(error instanceof BundleFault)) throw error;
+    if (error.code === "bundle.encrypted" || error.code === "bundle.not_a_plain_file") {
+      throw new NotAScene(`"${file.name}": ${error.message}`);
+    }
+    // A large or unusual archive: the server has a reader that knows more kinds, and says what is wrong.
+    return { kind: "archive", name: plainName(file.name), file, mediaType: "application/zip" };
+  }
+  const entries = [...archive.entries]
+    .filter(([path]) => !path.split("/").some((part) => part.startsWith(".") || part === "__MACOSX"))
+    .map(([path, { sizeBytes }]) => [path, { stored: path, sizeBytes }] as const);
+  if (entries.length === 0) throw new NotAScene(`"${file.name}" holds no files.`);
+  const files = withoutTopFolder(entries).inside.map(([path, { stored, sizeBytes }]) => ({
+    path,
+    sizeBytes,
+    read: async () => new Blob([await archive.file(stored)]),
+  }));
+  return { kind: "files", name: plainName(file.name), files: sorted(files) };
+}
+
+/** Take away the folder that everything lies in, where there is one. */
+function withoutTopFolder<T>(entries: readonly (readonly [string, T])[]): {
+  name: string;
+  inside: (readonly [string, T])[];
+} {
+  const top = entries[0]![0].split("/")[0]!;
+  if (!entries.every(([path]) => path.startsWith(`${top}/`))) return { name: "", inside: [...entries] };
+  return { name: top, inside: entries.map(([path, value]) => [path.slice(top.length + 1), value] as const) };
+}
+
+function plainName(name: string): string {
+  const whole = name.replace(/\.(zip|tar|tgz|tar\.gz)$/i, "");
+  // biome-ignore lint/suspicious/noControlCharactersInRegex: they are what the server refuses in a name
+  return whole.replace(/[\u0000-\u001f\u007f]/g, "").slice(0, maxName) || "scene";
+}
+
+function sorted(files: readonly SceneFile[]): SceneFile[] {
+  return [...files].sort((a, b) => (a.path < b.path ? -1 : 1));
+}
+
+/** Return the files of a folder chooser, or of one for single files, by their paths. */
+export function chosenFiles(list: Iterable<File>): Map<string, File> {
+  return new Map([...list].map((file) => [file.webkitRelativePath || file.name, file]));
+}
+
+/** Return the files that were dropped, folders opened. Must be called while the drop is handled. */
+export async function droppedFiles(items: Iterable<DataTransferItem>): Promise<Map<string, File>> {
+  // The entries are gone as soon as this waits for anything.
+  const entries = [...items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
+  const found = new Map<string, File>();
+  for (const entry of entries) await walk(entry, found);
+  return found;
+}
+
+async function walk(entry: FileSystemEntry, found: Map<string, File>): Promise<void> {
+  if (entry.isFile) {
+    const file = await new Promise<File>((resolve, reject) =>
+      (entry as FileSystemFileEntry).file(resolve, reject),
+    );
+    found.set(entry.fullPath.replace(/^\//, ""), file);
+    return;
+  }
+  const reader = (entry as FileSystemDirectoryEntry).createReader();
+  for (;;) {
+    // A folder is told in portions; an empty one ends it.
+    const some = await new Promise<FileSystemEntry[]>((resolve, reject) =>
+      reader.readEntries(resolve, reject),
+    );
+    if (some.length === 0) return;
+    for (const each of some) await walk(each, found);
+  }
+}

@@ -1,0 +1,150 @@
+/** Sends a scene: hashes it, asks what the server lacks, sends that, and ends the upload. */
+
+import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
+import type { Candidate, SceneFile } from "./collect.js";
+import type { Hash } from "./hashing.js";
+
+export type UploadStep = {
+  readonly what: "hash" | "send" | "wait" | "commit";
+  readonly doneBytes: number;
+  readonly totalBytes: number;
+  /** Files that the server had already. */
+  readonly numKnown: number;
+};
+
+export type UploadResult = {
+  readonly scene: Scene;
+  readonly numSent: number;
+  readonly numKnown: number;
+  /** Paths of files that have no place in a scene. */
+  readonly unsupported: readonly string[];
+};
+
+export type UploadTools = {
+  readonly api: Pick<Api, "createScene" | "planFiles" | "putFile" | "putArchive" | "commit" | "scene">;
+  readonly hash: Hash;
+  readonly onStep: (step: UploadStep) => void;
+  readonly signal: AbortSignal;
+  /** Wait so many milliseconds; rejects when `signal` does. */
+  readonly wait?: (milliseconds: number, signal: AbortSignal) => Promise<void>;
+};
+
+const parallel = 3;
+const longestPauseMs = 15_000;
+
+/**
+ * Send a candidate as a new scene, or as the scene `sceneId` whose upload was broken off, and return it.
+ *
+ * A server that is away is waited for. What it has is not sent again, so broken uploads are continued by repeating
+ * them. Throws Refused where the server declines, and the signal's reason when it is aborted.
+ */
+export async function upload(
+  candidate: Candidate,
+  tools: UploadTools,
+  sceneId: string | null = null,
+): Promise<UploadResult> {
+  const patient = patience(tools);
+  const id = sceneId ?? (await patient(() => tools.api.createScene(candidate.name))).id;
+  if (candidate.kind === "archive") {
+    const { file, mediaType } = candidate;
+    tools.onStep({ what: "send", doneBytes: 0, totalBytes: file.size, numKnown: 0 });
+    const scene = await patient(() => sendArchive(tools, id, file, mediaType));
+    return { scene, numSent: 1, numKnown: 0, unsupported: [] };
+  }
+  const hashed = await hashAll(candidate.files, tools);
+  const plan = await patient(() => tools.api.planFiles(id, hashed.planned));
+  const missing = new Set(plan.missing);
+  const unique = [...hashed.bySha256].filter(([sha256]) => missing.has(sha256));
+  const numKnown = hashed.bySha256.size - unique.length;
+  const totalBytes = unique.reduce((sum, [, file]) => sum + file.sizeBytes, 0);
+  let doneBytes = 0;
+  const tell = (what: "send" | "wait" | "commit") => tools.onStep({ what, doneBytes, totalBytes, numKnown });
+  const send = async ([sha256, file]: [string, SceneFile]) => {
+    const body = await file.read();
+    await patience(tools, () => tell("wait"))(() => tools.api.putFile(id, sha256, body, tools.signal));
+    doneBytes += file.sizeBytes;
+    tell("send");
+  };
+  tell("send");
+  const queue = [...unique];
+  const worker = async () => {
+    for (let next = queue.shift(); next !== undefined; next = queue.shift()) {
+      tools.signal.throwIfAborted();
+      await send(next);
+    }
+  };
+  await Promise.all(Array.from({ length: parallel }, worker));
+  tell("commit");
+  const scene = await patient(() => tools.api.commit(id));
+  return { scene, numSent: unique.length, numKnown, unsupported: plan.unsupported };
+}
+
+async function sendArchive(tools: UploadTools, id: string, file: File, mediaType: string): Promise<Scene> {
+  try {
+    return await tools.api.putArchive(id, file, mediaType, tools.signal);
+  } catch (error) {
+    // The first try got through and only its answer was lost.
+    if (error instanceof Refused && error.code === "scene_committed") return tools.api.scene(id);
+    throw error;
+  }
+}
+
+async function hashAll(
+  files: readonly SceneFile[],
+  { hash, onStep, signal }: UploadTools,
+): Promise<{ planned: PlannedFile[]; bySha256: Map<string, SceneFile> }> {
+  const totalBytes = files.reduce((sum, file) => sum + file.sizeBytes, 0);
+  let doneBytes = 0;
+  const planned: PlannedFile[] = [];
+  const bySha256 = new Map<string, SceneFile>();
+  onStep({ what: "hash", doneBytes, totalBytes, numKnown: 0 });
+  for (const file of files) {
+    signal.throwIfAborted();
+    const sha256 = await hash(await file.read());
+    planned.push({ path: file.path, size: file.sizeBytes, sha256 });
+    // Two files with the same bytes are one upload.
+    bySha256.set(sha256, file);
+    doneBytes += file.sizeBytes;
+    onStep({ what: "hash", doneBytes, totalBytes, numKnown: 0 });
+  }
+  return { planned, bySha256 };
+}
+
+/** Return a function that repeats what failed for want of a server, with growing pauses, until `signal`. */
+function patience(
+  { signal, wait = waitFor }: UploadTools,
+  onWait: () => void = () => {},
+): <T>(action: () => Promise<T>) => Promise<T> {
+  return async (action) => {
+    for (let pauseMs = 500; ; pauseMs = Math.min(2 * pauseMs, longestPauseMs)) {
+      signal.throwIfAborted();
+      try {
+        return await action();
+      } catch (error) {
+        const passing = error instanceof Unreachable || (error instanceof Refused && isPassing(error));
+        if (!passing) throw error;
+      }
+      onWait();
+      await wait(pauseMs, signal);
+    }
+  };
+}
+
+function isPassing(refused: Refused): boolean {
+  return refused.retryable && [408, 502, 503, 504].includes(refused.status);
+}
+
+function waitFor(milliseconds: number, signal: AbortSignal): Promise<void> {
+  return new Promise((resolve, reject) => {
+    const over = new AbortController();
+    const timer = setTimeout(() => {
+      over.abort();
+      resolve();
+    }, milliseconds);
+    const stop = () => {
+      clearTimeout(timer);
+      reject(signal.reason);
+    };
+    signal.addEventListener("abort", stop, { once: true, signal: over.signal });
+  });
+}

@@ -1,0 +1,70 @@
+/** The uploads of this tab: they go on while the visitor looks at other places of the page. */
+
+import type { Api } from "../page/rest.js";
+import type { Candidate } from "./collect.js";
+import { startHashing } from "./hashing.js";
+import { type UploadResult, type UploadStep, upload } from "./upload.js";
+
+/** One upload and how far it is. */
+export type Running = {
+  readonly name: string;
+  /** The scene it continues; null: a new one. */
+  readonly sceneId: string | null;
+  readonly step: UploadStep;
+  readonly done: Promise<UploadResult>;
+  readonly stop: () => void;
+};
+
+export type Uploads = ReturnType<typeof createUploads>;
+
+/** Return the uploads of a tab. */
+export function createUploads(api: Api, start: typeof startHashing = startHashing) {
+  const listeners = new Set<() => void>();
+  const running = new Map<number, Running>();
+  let number = 0;
+  const tell = () => {
+    for (const listener of listeners) listener();
+  };
+
+  // Leaving the page ends them: the browser asks first.
+  globalThis.addEventListener?.("beforeunload", (event) => {
+    if (running.size > 0) event.preventDefault();
+  });
+
+  return {
+    listen: (listener: () => void): (() => void) => {
+      listeners.add(listener);
+      return () => listeners.delete(listener);
+    },
+    all: (): Running[] => [...running.values()],
+    /** Start to send a candidate as a new scene, or as the one whose upload was broken off. */
+    begin: (candidate: Candidate, sceneId: string | null): Running => {
+      number += 1;
+      const mine = number;
+      const controller = new AbortController();
+      const { hash, close } = start();
+      const onStep = (step: UploadStep) => {
+        const before = running.get(mine);
+        if (before !== undefined) running.set(mine, { ...before, step });
+        tell();
+      };
+      const done = upload(candidate, { api, hash, onStep, signal: controller.signal }, sceneId).finally(
+        () => {
+          close();
+          running.delete(mine);
+          tell();
+        },
+      );
+      const one: Running = {
+        name: candidate.name,
+        sceneId,
+        step: { what: "hash", doneBytes: 0, totalBytes: 0, numKnown: 0 },
+        done,
+        stop: () => controller.abort(new DOMException("stopped by the visitor", "AbortError")),
+      };
+      running.set(mine, one);
+      tell();
+      return one;
+    },
+  };
+}

@@ -1,0 +1,161 @@
+import { describe, expect, it } from "vitest";
+import { estimateText, parseSettings } from "../src/jobs/orderForm.js";
+import { measured, ordered } from "../src/jobs/report.js";
+import { metricRows } from "../src/jobs/results.js";
+import { explain } from "../src/page/actions.js";
+import { bundleAt, jobAddress, placeOf, sceneAddress, viewerAddress } from "../src/page/addresses.js";
+import { formatAbout, formatDuration, formatSize } from "../src/page/format.js";
+import { createApi, Refused, requireOk, type SceneReport, Unreachable } from "../src/page/rest.js";
+import { openShare } from "../src/share/open.js";
+
+describe("addresses", () => {
+  it("lead back to what they were made of", () => {
+    expect(placeOf(jobAddress("job_1"))).toEqual({ kind: "job", id: "job_1" });
+    expect(placeOf(sceneAddress("scene_1"))).toEqual({ kind: "scene", id: "scene_1" });
+    for (const odd of ["", "#/", "#/jobs/", "#/jobs/../x", "#/bundles/x", "#code=abc"]) {
+      expect(placeOf(odd)).toEqual({ kind: "start" });
+    }
+    expect(viewerAddress("bundle_1")).toBe("viewer.html#src=%2Fv1%2Fbundles%2Fbundle_1");
+    const page = "http://here:8020/viewer.html";
+    expect(bundleAt("/v1/bundles/bundle_1", page)).toBe("bundle_1");
+    expect(bundleAt("http://here:8020/v1/bundles/bundle_1/", page)).toBe("bundle_1");
+    for (const other of ["data/bundle/", "http://there/v1/bundles/bundle_1", "/v1/bundles/a/files/"]) {
+      expect(bundleAt(other, page)).toBeNull();
+    }
+  });
+});
+
+describe("numbers", () => {
+  it("are told as people read them", () => {
+    expect([0, 61, 3725, -3].map(formatDuration)).toEqual(["0:00", "1:01", "1:02:05", "0:00"]);
+    expect([2, 44, 360, 9000].map(formatAbout)).toEqual([
+      "5 seconds",
+      "45 seconds",
+      "6 minutes",
+      "2.5 hours",
+    ]);
+    expect([12, 1536, 5 * 2 ** 20, 2 ** 31].map(formatSize)).toEqual([
+      "12 B",
+      "1.5 KiB",
+      "5.0 MiB",
+      "2.0 GiB",
+    ]);
+  });
+
+  it("of an estimate say where they come from", () => {
+    const estimate = {
+      preset: "fast",
+      seconds: 360,
+      shortest_s: null,
+      longest_s: null,
+      num_measured: 0,
+      num_ahead: 0,
+    };
+    expect(estimateText(estimate)).toBe("about 6 minutes on the hardware it is made for");
+    expect(estimateText({ ...estimate, num_measured: 3 })).toBe("about 6 minutes, as 3 jobs took here");
+    expect(estimateText({ ...estimate, seconds: null })).toBe("no time is known yet");
+  });
+
+  it("of an evaluation carry unit and standard error", () => {
+    const metrics = [
+      { name: "nvs/psnr", value: 31.234, unit: "dB", standard_error: 0.5 },
+      { name: "nvs/ssim", value: 0.98765, unit: "1", standard_error: 0 },
+    ];
+    expect(metricRows({ metrics })).toEqual([
+      ["nvs/psnr", "31.23 dB", "± 0.50"],
+      ["nvs/ssim", "0.9877", ""],
+    ]);
+    expect(metricRows({})).toEqual([]);
+  });
+});
+
+describe("settings", () => {
+  it("are lines of name and value", () => {
+    expect(parseSettings(" stage_two.num_rays = 512 \n\nlights=a,b=c")).toEqual({
+      "stage_two.num_rays": "512",
+      lights: "a,b=c",
+    });
+    for (const wrong of ["num_rays", "=1", "A=1", "a..b=1"])
+      expect(() => parseSettings(wrong)).toThrow(wrong);
+  });
+});
+
+describe("a report", () => {
+  const finding = (code: string, severity: "warning" | "error") => ({
+    code,
+    severity,
+    message: "m",
+    subject: "",
+  });
+  const report = { layout: "colmap", num_train_frames: 40, num_test_frames: 6, figures: null } as SceneReport;
+
+  it("tells errors first", () => {
+    const found = ordered([finding("a", "warning"), finding("b", "error"), finding("c", "warning")]);
+    expect(found.map((each) => each.code)).toEqual(["b", "a", "c"]);
+  });
+
+  it("says what was measured, and nothing where nothing was", () => {
+    expect(measured(report)).toEqual([
+      ["Layout", "COLMAP"],
+      ["Views", "40 to train on, 6 to test"],
+    ]);
+    expect(measured({ ...report, layout: "", num_train_frames: 0, num_test_frames: 0 })).toEqual([]);
+  });
+});
+
+describe("the interface", () => {
+  const answer = (status: number, body: unknown) => new Response(JSON.stringify(body), { status });
+
+  it("turns a problem document into an exception with its code and pointers", async () => {
+    const problem = {
+      code: "quota_jobs",
+      detail: "too many",
+      retryable: true,
+      errors: [{ pointer: "#/x", message: "y" }],
+    };
+    const refused = await requireOk(answer(429, problem)).catch((error) => error);
+    expect(refused).toBeInstanceOf(Refused);
+    expect(refused).toMatchObject({ status: 429, code: "quota_jobs", retryable: true });
+    expect(explain(refused)).toBe("too many\nx: y");
+    const proxy = await requireOk(new Response("<html>", { status: 502 })).catch((error) => error);
+    expect(proxy).toMatchObject({ code: "http_502", retryable: true });
+  });
+
+  it("sends the header that other sites cannot, and tells when nobody answers", async () => {
+    const seen: [string, RequestInit | undefined][] = [];
+    const api = createApi(async (path, init) => {
+      seen.push([String(path), init]);
+      return answer(202, { id: "job_1" });
+    });
+    await api.submit({ scene_id: "scene_1" }, "key-1");
+    expect(seen[0]![0]).toBe("/v1/jobs");
+    expect(seen[0]![1]!.headers).toMatchObject({ "x-lambent-csrf": "1", "idempotency-key": "key-1" });
+    const away = createApi(() => Promise.reject(new TypeError("network")));
+    await expect(away.jobs()).rejects.toThrow(Unreachable);
+  });
+});
+
+describe("a share link", () => {
+  const opened = { bundle_id: "bundle_1", expires_at: "2026-01-01T00:00:00Z" };
+
+  it("leads to the viewer, or says why not", async () => {
+    const tokens: string[] = [];
+    const api = {
+      openShare: async (token: string) => {
+        tokens.push(token);
+        return opened;
+      },
+    };
+    expect(await openShare("#share_1.ab", api)).toEqual({ viewer: viewerAddress("bundle_1") });
+    expect(await openShare("#share_1.ab&rotate=40,0,0&src=elsewhere", api)).toEqual({
+      viewer: viewerAddress("bundle_1", "rotate=40,0,0"),
+    });
+    expect(tokens).toEqual(["share_1.ab", "share_1.ab"]);
+    expect(await openShare("", api)).toMatchObject({ message: expect.stringContaining("not complete") });
+    const fail = (error: Error) => ({ openShare: () => Promise.reject(error) });
+    const ended = await openShare("#x", fail(new Refused(401, "share_invalid", "no", false)));
+    expect(ended).toMatchObject({ message: expect.stringContaining("taken back") });
+    const away = await openShare("#x", fail(new Unreachable("away")));
+    expect(away).toMatchObject({ message: expect.stringContaining("does not answer") });
+  });
+});

@@ -1,0 +1,251 @@
+import type { Browser, BrowserContext, Page } from "playwright-core";
+import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import { startChromium } from "../support/chromium.js";
+import { JobServer } from "./server.js";
+import { choose, folderOf, keepPicture, live, overflowOnPhone, serious } from "./support.js";
+
+const capture = { "transforms_train.json": "{}", "train/1.png": "one", "train/2.png": "two" };
+
+let server: JobServer;
+let browser: Browser;
+let context: BrowserContext;
+let page: Page;
+const complaints: string[] = [];
+
+beforeAll(async () => {
+  server = new JobServer(true);
+  [browser] = await Promise.all([startChromium(), server.start()]);
+  context = await browser.newContext({ viewport: { width: 1100, height: 800 } });
+  page = await context.newPage();
+  page.on("pageerror", (error) => complaints.push(error.message));
+  page.on("console", (message) => {
+    if (message.type() === "error") complaints.push(message.text());
+  });
+  await page.goto(server.link);
+  await live(page);
+});
+afterAll(async () => {
+  await browser?.close();
+  await server?.close();
+});
+
+/** Upload a capture from the start of the page and return the id of its scene. */
+async function uploaded(name: string, contents: Readonly<Record<string, string>>): Promise<string> {
+  await page.goto(`${server.url}/#/`);
+  await choose(page, folderOf(name, contents));
+  await page.waitForURL(/#\/scenes\//);
+  return page.url().split("/").at(-1)!;
+}
+
+/** Order a job of the sleeping trainer on a scene's page and return its id. */
+async function ordered(scene: string, settings: string): Promise<string> {
+  await page.goto(`${server.url}/#/scenes/${scene}`);
+  await page.check("input[value=tiny]");
+  await page.click("text=More settings");
+  await page.fill("#settings", settings);
+  await page.click("text=Start the job");
+  await page.waitForURL(/#\/jobs\//);
+  return page.url().split("/").at(-1)!;
+}
+
+const stateIs = (text: string) => page.waitForSelector(`h1 .state:text-is("${text}")`);
+
+describe("logging in", () => {
+  it("leaves no code in the address, and works once", async () => {
+    expect(page.url()).toBe(`${server.url}/`);
+    expect(await page.evaluate(() => document.cookie)).toBe("");
+    const stranger = await browser.newContext();
+    const other = await stranger.newPage();
+    await other.goto(server.link);
+    await other.waitForSelector("#message:has-text('not logged in')");
+    expect(await serious(other)).toEqual([]);
+    await stranger.close();
+  });
+
+  it("comes before everything: the start is empty, usable by all, and fits a phone", async () => {
+    await page.waitForSelector("text=None yet.");
+    expect(await serious(page)).toEqual([]);
+    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+  });
+});
+
+describe("an upload", () => {
+  it("leads to the findings and to a choice of presets with their times", async () => {
+    await uploaded("bowl", { ...capture, "notes.pdf": "left out" });
+    await stateIs("ready");
+    await page.waitForSelector("text=NeRF-Blender");
+    await page.waitForSelector("text=3 to train on, 1 to test");
+    await page.waitForSelector(".presets :text('about 45 seconds')");
+    expect(await page.isDisabled("input[value=standard]")).toBe(true);
+    expect(await page.isChecked("input[value=fast]")).toBe(true);
+    expect(await serious(page)).toEqual([]);
+    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await keepPicture(page, "scene");
+  });
+
+  it("goes on after the page was loaded again, and sends only what is missing", async () => {
+    const folder = folderOf(
+      "vase",
+      Object.fromEntries(Array.from({ length: 8 }, (_, place) => [`train/${place}.png`, `vase ${place}`])),
+    );
+    let sent = 0;
+    let allowed = 3;
+    await page.route("**/v1/scenes/*/files/*", async (route) => {
+      if (route.request().method() !== "PUT") return route.continue();
+      sent += 1;
+      // The others wait for ever, as on a bad line.
+      return sent <= allowed ? route.continue() : undefined;
+    });
+    await page.goto(`${server.url}/#/`);
+    await choose(page, folder);
+    await page.waitForSelector(".upload :text('sending what the server lacks · 18 B of 48 B')");
+    page.once("dialog", (dialog) => dialog.accept());
+    await page.reload();
+    await live(page);
+    allowed = 100;
+    sent = 0;
+    await page.click("li:has-text('upload not finished') a");
+    await page.waitForSelector("text=Drop the same folder again");
+    expect(await serious(page)).toEqual([]);
+    await choose(page, folder);
+    await stateIs("ready");
+    expect(sent).toBe(5);
+    await page.unroute("**/v1/scenes/*/files/*");
+  });
+
+  it("that is not one is explained", async () => {
+    await page.goto(`${server.url}/#/`);
+    await choose(page, folderOf("papers", { "a.pdf": "x", "b.pdf": "y" }));
+    await page.waitForSelector("#message:has-text('no file is planned')");
+    const file = (name: string, text: string) => ({ name, mimeType: "", buffer: Buffer.from(text) });
+    await page.setInputFiles("input[accept*=zip]", file("photo.jpg", "x"));
+    await page.waitForSelector("#message:has-text('alone is no capture')");
+    await page.setInputFiles("input[accept*=zip]", file("broken.zip", "PK but no directory"));
+    await page.waitForSelector("#message:has-text('archive cannot be read')");
+    expect(await serious(page)).toEqual([]);
+    // What the server answers to mistakes is logged by the browser, and is no fault of the page.
+    complaints.splice(0);
+  });
+
+  it("of a capture that cannot be used says what to mend, and offers no training", async () => {
+    await uploaded("bad", { ...capture, "reject.txt": "x" });
+    await stateIs("cannot be used");
+    await page.waitForSelector(".findings li:has-text('mend reject.txt')");
+    expect(await page.$("text=Start the job")).toBeNull();
+    expect(await serious(page)).toEqual([]);
+  });
+});
+
+describe("a job", () => {
+  let scene: string;
+  beforeAll(async () => {
+    scene = await uploaded("bowl", capture);
+    await stateIs("ready");
+  });
+
+  it("goes on being shown when the server was killed and started again, and ends with its results", async () => {
+    await ordered(scene, "num_steps=120\nstep_s=0.05");
+    await page.waitForSelector("text=/step \\d+ of 120/");
+    await page.waitForFunction(() => document.querySelector<HTMLImageElement>(".live img")!.naturalWidth > 0);
+    await server.kill();
+    await page.waitForSelector("#connection:has-text('does not answer')");
+    await server.start();
+    await live(page);
+    await stateIs("done");
+    await page.waitForSelector(".chart polyline");
+    expect(await page.getAttribute(".chart", "aria-label")).toMatch(/^PSNR on training pixels over time/);
+    const link = (await page.getAttribute(".downloads a:text-is('report.json')", "href"))!;
+    expect(await page.evaluate(async (url) => (await fetch(url)).json(), link)).toEqual({ metrics: [] });
+    expect(await page.$$eval(".downloads a", (all) => all.map((each) => each.textContent))).toEqual([
+      "report.json",
+      "manifest.json",
+      "models/weights.bin",
+    ]);
+    expect(await page.getAttribute("a.button.first", "href")).toMatch(
+      /^viewer\.html#src=%2Fv1%2Fbundles%2Fbundle_/,
+    );
+    // Of all requests only those to a server that was away may have failed.
+    const told = complaints.filter(
+      (text) => !/ERR_CONNECTION|ERR_INCOMPLETE|ERR_EMPTY|Failed to load resource/.test(text),
+    );
+    expect(told).toEqual([]);
+    expect(await serious(page)).toEqual([]);
+    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await keepPicture(page, "job");
+  });
+
+  it("is shown to others by a link, which opens nothing else and is taken back", async () => {
+    await page.selectOption("#lifetime", { label: "one day" });
+    await page.click("text=Make a link");
+    const link = await page.inputValue(".shares input");
+    const stranger = await browser.newContext();
+    const guest = await stranger.newPage();
+    await guest.goto(link);
+    await guest.waitForURL(/viewer\.html/);
+    expect(guest.url()).not.toContain("share_");
+    const bundle = decodeURIComponent(/src=([^&]+)/.exec(guest.url())![1]!);
+    const status = (path: string) => guest.evaluate(async (url) => (await fetch(url)).status, path);
+    expect(await status(`${bundle}/manifest`)).toBe(200);
+    for (const path of ["/v1/jobs", "/v1/bundles", bundle, `/v1/scenes/${scene}`])
+      expect(await status(path)).toBe(401);
+    await page.click("text=Take back");
+    await page.waitForSelector("text=does not work any more");
+    expect(await status(`${bundle}/manifest`)).toBe(401);
+    await guest.goto("about:blank");
+    await guest.goto(link);
+    await guest.waitForSelector("text=taken back");
+    expect(await serious(guest)).toEqual([]);
+    await stranger.close();
+  });
+
+  it("is cancelled and run again by keyboard", async () => {
+    await ordered(scene, "num_steps=5000\nstep_s=0.05");
+    await stateIs("running");
+    const press = async (name: string) => {
+      await page.locator("h1").focus();
+      for (let tries = 0; tries < 30; tries++) {
+        await page.keyboard.press("Tab");
+        if ((await page.evaluate(() => document.activeElement?.textContent)) === name) break;
+      }
+      expect(await page.evaluate(() => document.activeElement?.textContent)).toBe(name);
+      await page.keyboard.press("Enter");
+    };
+    await press("Cancel");
+    await stateIs("cancelled");
+    const before = page.url();
+    await press("Run again");
+    await page.waitForURL((url) => url.href !== before);
+    await page.waitForSelector("button:text-is('Cancel'):visible");
+    await page.click("text=Cancel");
+    await stateIs("cancelled");
+  });
+
+  it("that has failed says why, and shows its log", async () => {
+    await ordered(scene, "num_steps=20\nfail_at=3\nfail_how=worker_error");
+    await stateIs("failed");
+    await page.waitForSelector(".notice:has-text('the test asked for it'):has-text('test.failed')");
+    await page.click("summary:text-is('Log')");
+    await page.waitForSelector("pre:has-text('== run 1 ==')");
+    expect(await serious(page)).toEqual([]);
+  });
+
+  it("with a setting that is none is not started", async () => {
+    await page.goto(`${server.url}/#/scenes/${scene}`);
+    await page.check("input[value=tiny]");
+    await page.click("text=More settings");
+    await page.fill("#settings", "rays 512");
+    await page.click("text=Start the job");
+    await page.waitForSelector("#message:has-text('is no setting')");
+  });
+
+  it("stands in the list with its scene's name, in dark colours too", async () => {
+    await page.emulateMedia({ colorScheme: "dark" });
+    await page.goto(`${server.url}/#/`);
+    await page.waitForSelector("ol[aria-label^=Jobs] li:has-text('bowl') .state[data-state=succeeded]");
+    await page.waitForSelector("ol[aria-label^=Bundles] li:has-text('View bowl')");
+    expect(await serious(page)).toEqual([]);
+    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await keepPicture(page, "start-dark");
+    await page.emulateMedia({ colorScheme: "light" });
+  });
+});

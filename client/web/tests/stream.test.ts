@@ -1,0 +1,151 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+import { follow, parse, type StreamMessage } from "../src/jobs/stream.js";
+import { Refused, Unreachable } from "../src/page/rest.js";
+
+const block = (id: string, data: string, event = "event") => `event: ${event}\nid: ${id}\ndata: ${data}\n\n`;
+
+describe("parse", () => {
+  it("returns whole messages and keeps the rest", () => {
+    const text = `: hello\n\n${block("a:1", '{"x":": "}')}event: snapshot\nid: a`;
+    const { messages, rest } = parse(text);
+    expect(messages).toEqual([{ event: "event", id: "a:1", data: '{"x":": "}' }]);
+    expect(rest).toBe("event: snapshot\nid: a");
+  });
+});
+
+/** A server whose streams a test writes by hand. */
+class FakeServer {
+  readonly asked: string[] = [];
+  answers: (() => Response | Promise<Response>)[] = [];
+  current: ReadableStreamDefaultController<Uint8Array> | null = null;
+  cancelled = 0;
+
+  readonly stream = async (last: string, signal: AbortSignal): Promise<Response> => {
+    this.asked.push(last);
+    const answer = this.answers.shift();
+    if (answer !== undefined) return answer();
+    const body = new ReadableStream<Uint8Array>({
+      start: (controller) => {
+        this.current = controller;
+      },
+      cancel: () => {
+        this.cancelled += 1;
+      },
+    });
+    signal.throwIfAborted();
+    return new Response(body);
+  };
+
+  write(text: string): void {
+    this.current!.enqueue(new TextEncoder().encode(text));
+  }
+}
+
+describe("follow", () => {
+  let server: FakeServer;
+  let heard: StreamMessage[];
+  let states: boolean[];
+  let end: AbortController;
+  let following: Promise<void>;
+
+  beforeEach(() => {
+    vi.useFakeTimers();
+    [server, heard, states, end] = [new FakeServer(), [], [], new AbortController()];
+  });
+  afterEach(async () => {
+    end.abort();
+    await vi.advanceTimersByTimeAsync(20_000);
+    await following.catch(() => {});
+    vi.useRealTimers();
+  });
+
+  const start = () => {
+    following = follow({
+      api: server,
+      onMessage: (message) => heard.push(message),
+      onConnection: (connected) => states.push(connected),
+      signal: end.signal,
+    });
+    following.catch(() => {});
+    return vi.advanceTimersByTimeAsync(0);
+  };
+
+  it("goes on behind the last message after a break", async () => {
+    await start();
+    server.write(block("a:1", "{}").slice(0, 9));
+    server.write(block("a:1", "{}").slice(9) + block("a:1,b:4", "{}"));
+    await vi.advanceTimersByTimeAsync(0);
+    server.current!.close();
+    await vi.advanceTimersByTimeAsync(600);
+    expect(server.asked).toEqual(["", "a:1,b:4"]);
+    expect(heard.map((message) => message.id)).toEqual(["a:1", "a:1,b:4"]);
+    expect(states).toEqual([true, false, true]);
+  });
+
+  it("waits longer each time for a server that is away, and not for ever", async () => {
+    server.answers = Array.from({ length: 40 }, () => () => {
+      throw new Unreachable("away");
+    });
+    await start();
+    await vi.advanceTimersByTimeAsync(60_000);
+    // 0.5 + 1 + 2 + 4 + 8 s, then every 10 s.
+    expect(server.asked.length).toBeGreaterThanOrEqual(9);
+    expect(server.asked.length).toBeLessThanOrEqual(12);
+  });
+
+  it("opens a connection anew that has been quiet for too long", async () => {
+    await start();
+    for (let minute = 0; minute < 4; minute++) {
+      await vi.advanceTimersByTimeAsync(15_000);
+      server.write(": ping\n\n");
+    }
+    await vi.advanceTimersByTimeAsync(0);
+    expect(server.asked).toHaveLength(1);
+    await vi.advanceTimersByTimeAsync(50_000);
+    expect(server.cancelled).toBe(1);
+    expect(server.asked).toHaveLength(2);
+  });
+
+  it("opens the connection anew at once when the machine has slept", async () => {
+    await start();
+    server.write(block("a:7", "{}"));
+    await vi.advanceTimersByTimeAsync(5_000);
+    // The clock runs on while timers stand still.
+    vi.setSystemTime(Date.now() + 3_600_000);
+    await vi.advanceTimersByTimeAsync(5_100);
+    expect(server.asked).toEqual(["", "a:7"]);
+  });
+
+  it("begins with snapshots where the server cannot use the positions", async () => {
+    await start();
+    server.write(block("a:7", "{}"));
+    await vi.advanceTimersByTimeAsync(0);
+    server.answers = [
+      () => {
+        throw new Refused(422, "last_event_id", "no", false);
+      },
+    ];
+    server.current!.close();
+    await vi.advanceTimersByTimeAsync(3_000);
+    expect(server.asked).toEqual(["", "a:7", ""]);
+  });
+
+  it("does not send positions that are longer than a server reads", async () => {
+    await start();
+    server.write(block(`${"a".repeat(8000)}:1`, "{}"));
+    await vi.advanceTimersByTimeAsync(0);
+    server.current!.close();
+    await vi.advanceTimersByTimeAsync(600);
+    expect(server.asked).toEqual(["", ""]);
+  });
+
+  it("gives up where the browser is not logged in", async () => {
+    server.answers = [
+      () => {
+        throw new Refused(401, "not_authenticated", "no", false);
+      },
+    ];
+    await start();
+    await expect(following).rejects.toThrow(Refused);
+  });
+});
