@@ -1,4 +1,11 @@
 # The whole of Lambent on the CPU: server, worker and client in one image, run as an ordinary user.
+FROM node:20-slim AS pages
+WORKDIR /opt/lambent/client/web
+COPY client/web/package.json client/web/package-lock.json ./
+RUN npm ci --no-audit --no-fund
+COPY client/web ./
+RUN npm run build
+
 FROM python:3.11-slim-bookworm
 
 RUN useradd --uid 10001 --create-home --shell /usr/sbin/nologin lambent \
@@ -17,6 +24,8 @@ COPY proto proto
 COPY server server
 COPY worker worker
 COPY client/python client/python
+COPY scripts scripts
+COPY --from=pages /opt/lambent/client/python/lambent_pages/dist client/python/lambent_pages/dist
 RUN pip install --no-cache-dir -c constraints.txt '.[server,worker,client]'
 
 # Waiting threads sleep; compiled kernels are kept where the user may write.

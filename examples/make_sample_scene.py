@@ -81,8 +81,11 @@ def focal_length(resolution: int) -> float:
 
 
 def llvm_library() -> str | None:
-    """Return the LLVM library that Dr.Jit is to use: the one it was told, or Debian's newest."""
-    found = sorted(glob.glob("/usr/lib/*/libLLVM-1[5-9].so") + glob.glob("/usr/lib/*/libLLVM-2?.so"))
+    """Return the LLVM library that Dr.Jit is to use: the one it was told, or Debian's newest from 16 on.
+
+    With 15, which comes with some graphics drivers, differentiating a picture ended the process.
+    """
+    found = sorted(glob.glob("/usr/lib/*/libLLVM-1[6-9].so") + glob.glob("/usr/lib/*/libLLVM-2?.so"))
     return os.environ.get("DRJIT_LIBLLVM_PATH") or (found[-1] if found else None)
 
 

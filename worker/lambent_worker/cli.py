@@ -57,7 +57,7 @@ def _tell(error: WorkerError, *, as_json: bool) -> None:
 
 
 @contextmanager
-def _stopping_on_signals(request_stop: Callable[[], None]) -> Iterator[None]:
+def stopping_on_signals(request_stop: Callable[[], None]) -> Iterator[None]:
     """Ask the run to end on the first Ctrl-C or SIGTERM; a second one ends the process at once."""
 
     def handle(number: int, frame: object) -> None:
@@ -89,6 +89,15 @@ def train(
         typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
     ] = None,
     layout: Layout = "",
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks named like the pictures; they go before others.")
+    ] = None,
+    no_masks: Annotated[
+        bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
+    ] = False,
+    poses: Annotated[
+        str, typer.Option(help="auto: SCENE_DIR holds photographs without cameras; COLMAP finds them.")
+    ] = "",
     seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
     device: Device = "",
     settings: Annotated[
@@ -115,6 +124,7 @@ def train(
         found = plan(config_for(preset, overrides), num_lights=num_lights, device=device)
         typer.echo(json.dumps(found) if as_json else as_text(found))
         return
+    photographs, scene_dir = scene_dir, capture_of(scene_dir, out, poses)
     run = prepare_run(
         scene_dir,
         out,
@@ -126,11 +136,17 @@ def train(
         overrides=overrides,
         resume=resume,
         known_lights=known_light or (),
+        masks=None if poses else masks,
+        whole_view=no_masks,
     )
+    if poses:
+        from lambent_worker.poses_cli import solve_for_run
+
+        solve_for_run(photographs, scene_dir, masks, run.seed, quiet=as_json)
     from lambent_worker.console import ConsoleReporter
     from lambent_worker.pipeline import run_pipeline
 
-    with ConsoleReporter(out, as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
+    with ConsoleReporter(out, as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
         run_pipeline(
             scene_dir,
             out,
@@ -141,6 +157,7 @@ def train(
             lights=run.lights,
             layout=run.layout,
             known_lights=run.known_lights,
+            masks=run.masks,
         )
     if not as_json:
         typer.echo(f"bundle: {out / 'bundle'}")
@@ -187,7 +204,7 @@ def evaluate(
         lpips_weights=tuple(lpips_weights or ()),
         exr=exr,
     )
-    with ConsoleReporter(as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
+    with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
         report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
     if not as_json:
         for metric in report.metrics:
@@ -203,6 +220,12 @@ def evaluate(
 def export(
     run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Bundle folder; must not exist yet.")],
+    tier: Annotated[
+        str, typer.Option(help="full, or lite: less baked transport and no networks, for phones.")
+    ] = "",
+    weights: Annotated[
+        str, typer.Option(help="fp16, fp32, none, or auto: fp16 unless that moves the answers.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Write the relightable bundle of a trained run into a folder of its own."""
@@ -212,10 +235,20 @@ def export(
     from lambent_worker.console import ConsoleReporter
     from lambent_worker.training_run import export_run
 
-    with ConsoleReporter(as_json=as_json) as reporter, _stopping_on_signals(reporter.request_stop):
-        export_run(run_dir, out, reporter)
+    with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
+        export_run(run_dir, out, reporter, tier=tier, weights=weights)
     if not as_json:
         typer.echo(f"bundle: {out}")
+
+
+def capture_of(scene_dir: Path, run_dir: Path, poses: str) -> Path:
+    """Return the folder that is trained on: in the run where cameras are found first.
+
+    Raises `UsageError` where `poses` is neither empty nor "auto".
+    """
+    if poses not in ("", "auto"):
+        raise UsageError("config.poses_unknown", f'--poses "{poses}" must be auto, or left out')
+    return run_dir / "capture" if poses else scene_dir
 
 
 def parse_settings(items: list[str]) -> dict[str, str]:

@@ -1,6 +1,5 @@
 """The run's line to the server: it survives outages and ends the run when the server has given it up."""
 
-import hashlib
 import json
 import os
 import random
@@ -13,6 +12,8 @@ from typing import Any
 
 import grpc
 from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
+
+from lambent_worker.run_folder import file_sha256
 
 CHUNK_BYTES = 1024 * 1024
 CALL_TIMEOUT_S = 30.0
@@ -74,12 +75,6 @@ class Identity:
         return worker_pb2.Fence(job_id=self.job_id, run=self.run)
 
 
-def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file, lower-case hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 class Connection:
     """Calls that are tried again until the server answers. Safe to use from several threads."""
 
@@ -133,7 +128,7 @@ class Connection:
 
     def put_file(self, path: Path, media_type: str = "application/octet-stream") -> worker_pb2.PublishedFile:
         """Send a file and return what it is called by; it must not change meanwhile."""
-        sha256, size = hash_file(path), path.stat().st_size
+        sha256, size = file_sha256(path), path.stat().st_size
         header = worker_pb2.BlobHeader(
             fence=self.identity.fence, sha256=sha256, size_bytes=float(size), media_type=media_type
         )
@@ -153,7 +148,7 @@ class Connection:
 
     def get_file(self, sha256: str, target: Path) -> None:
         """Fetch a file; `target` appears only when it is whole and has the hash."""
-        if target.exists() and hash_file(target) == sha256:
+        if target.exists() and file_sha256(target) == sha256:
             return
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
@@ -166,7 +161,7 @@ class Connection:
                     file.write(message.data)
 
         self._persist(attempt)
-        if hash_file(partial) != sha256:
+        if file_sha256(partial) != sha256:
             partial.unlink()
             raise RefusedError(f"the server's file {sha256} has another hash")
         partial.replace(target)

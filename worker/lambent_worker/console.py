@@ -16,6 +16,7 @@ STAGE_TITLES = {
     "joint": "training materials and light",
     "evaluate": "evaluating",
     "export": "writing the bundle",
+    "bake": "adapting to the light",
 }
 PLAIN_INTERVAL_S = 5.0
 

@@ -1,5 +1,7 @@
 """Errors that are meant for the person who started the work: a stable code, what was found, what to do."""
 
+from collections.abc import Iterable
+
 from lambent_proto.v1 import scene_pb2
 
 
@@ -32,6 +34,11 @@ class SceneRefusedError(WorkerError):
             "scene.refused", f"the scene cannot be used; {len(errors)} problem(s) to mend first:\n{shown}"
         )
         self.report = report
+
+    @classmethod
+    def of(cls, findings: Iterable[scene_pb2.Finding], layout: str = "") -> "SceneRefusedError":
+        """Return the refusal of a capture with these findings, at least one of them an error."""
+        return cls(scene_pb2.SceneReport(usable=False, layout=layout, findings=findings))
 
 
 class Stopped(WorkerError):  # noqa: N818 - not a mistake of anyone

@@ -28,7 +28,7 @@ from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.world import in_world, world_matrix
 from lambent_worker.steps.evaluate import evaluated_views, with_progress
-from lambent_worker.steps.ingest import read_manifest
+from lambent_worker.steps.ingest import read_manifest, use_own_masks
 from lambent_worker.steps.training import load_trained, read_scene
 from lambent_worker.training_run import open_run, step_context
 
@@ -63,7 +63,7 @@ def evaluate_run(
     lpips = load_lpips(request.lpips_weights) if request.lpips_weights else None
     _prepare_out(out, digest(trained, settings, [float(image.sum()) for _, image in sorted(maps.items())]))
     views, held_out = evaluated_views(scene, request.num_views)
-    model = load_trained(context, _trained_scene(context), "joint")
+    model = load_trained(context, trained_scene(context), "joint")
     subject = Subject(
         model=model,
         scene=scene,
@@ -129,6 +129,7 @@ def _scene_to_compare(
         )
     manifest = select_lights(full, trained_lights)
     in_world(manifest, world_matrix(trained))
+    use_own_masks(context, scene_dir, manifest, trained)
     if any(frame.split == scene_pb2.SPLIT_TEST for frame in manifest.frames):
         frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST]
         del manifest.frames[:]
@@ -136,7 +137,7 @@ def _scene_to_compare(
     return load_scene(scene_dir, manifest, max_side=request.max_side or ANY_SIZE), manifest
 
 
-def _trained_scene(context: StepContext) -> Scene:
+def trained_scene(context: StepContext) -> Scene:
     """Return the scene the model was trained in, without pictures: the space it lives in."""
     manifest = read_manifest(context)
     del manifest.frames[:]

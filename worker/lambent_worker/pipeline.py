@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from hashlib import file_digest
 from pathlib import Path
 
 from flashcache.config import Config, to_dict
@@ -15,6 +14,7 @@ from lambent_worker.run_folder import (
     begin_step,
     digest,
     done_inputs,
+    file_sha256,
     finish_step,
     locked,
     step_folder,
@@ -80,6 +80,8 @@ class StepContext:
     """Layout to read the scene as; empty to detect it."""
     known_lights: Mapping[str, str] = field(default_factory=dict)
     """Names of kept environment files by light; see `known_lights`."""
+    masks: str = ""
+    """Where masks come from; see `RunSettings.masks`."""
     clock: Clock = field(default_factory=lambda: Clock(before=0.0, share=1.0, job_started=0.0))
 
     @property
@@ -121,6 +123,7 @@ def run_pipeline(
     lights: tuple[str, ...] = (),
     layout: str = "",
     known_lights: Mapping[str, str] | None = None,
+    masks: str = "",
 ) -> None:
     """Run `steps` in order, leaving out those whose results are there already.
 
@@ -135,7 +138,7 @@ def run_pipeline(
         )
     with locked(run_dir):
         known_lights = known_lights or {}
-        hashes = input_hashes(scene_dir, config, seed, lights, layout, known_lights)
+        hashes = input_hashes(scene_dir, config, seed, lights, layout, known_lights, masks)
         total = sum(SHARES[name] for name in steps)
         done = {name for name in steps if done_inputs(run_dir, name) == hashes[name]}
         context = StepContext(
@@ -148,6 +151,7 @@ def run_pipeline(
             lights=lights,
             layout=layout,
             known_lights=known_lights,
+            masks=masks,
             clock=Clock(before=0.0, share=0.0, job_started=sum(SHARES[name] for name in done) / total),
         )
         before = 0.0
@@ -207,9 +211,11 @@ def input_hashes(
     lights: tuple[str, ...],
     layout: str,
     known_lights: Mapping[str, str] | None = None,
+    masks: str = "",
 ) -> dict[str, str]:
     """Return for every step the hash of everything its result depends on."""
-    given = [dict(known_lights)] if known_lights else []
+    given: list[object] = [dict(known_lights)] if known_lights else []
+    given += [{"masks": masks}] if masks else []
     hashes = {"ingest": digest("ingest", scene_hash(scene_dir), list(lights), layout, *given)}
     for name in STEPS[1:]:
         hashes[name] = step_inputs(name, hashes[PREVIOUS[name]], config, seed)
@@ -230,9 +236,4 @@ def scene_hash(scene_dir: Path) -> str:
     """
     files = sorted(path for path in scene_dir.rglob("*") if path.is_file() and not path.name.startswith("."))
     names = [path.relative_to(scene_dir).as_posix() for path in files]
-    return digest([[name, _file_hash(path)] for name, path in zip(names, files, strict=True)])
-
-
-def _file_hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return file_digest(file, "sha256").hexdigest()
+    return digest([[name, file_sha256(path)] for name, path in zip(names, files, strict=True)])

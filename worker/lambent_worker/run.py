@@ -7,12 +7,12 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
 from flashcache.errors import ConfigError, TrainingError
-from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
+from lambent_proto.v1 import job_pb2, render_pb2, scene_pb2, worker_pb2
 
 from lambent_worker.check_result import CaptureCheck
 from lambent_worker.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
@@ -34,6 +34,8 @@ class Task:
     device: str
     adjustments: worker_pb2.Adjustments
     reporter: Reporter
+    render: render_pb2.RenderTask = field(default_factory=render_pb2.RenderTask)
+    """The pictures to make; empty for other kinds."""
 
 
 Pipeline = Callable[[Task], Path | None]
@@ -44,13 +46,18 @@ Check = Callable[[Path], CaptureCheck]
 def train(task: Task) -> Path | None:
     """Run the steps of `lambent_worker.pipeline` and return the bundle's folder."""
     from lambent_worker.known_lights import keep_known_lights, names_by_content, parse_known_lights
+    from lambent_worker.masks.run_masks import keep_masks, masks_setting
     from lambent_worker.pipeline import run_pipeline
-    from lambent_worker.run_config import config_of, known_lights_of
+    from lambent_worker.run_config import config_of, known_lights_of, masks_of
     from lambent_worker.run_folder import step_folder
 
     config, lights, layout = config_of(task.spec, task.adjustments)
     known = parse_known_lights(known_lights_of(task.spec, task.scene_dir))
     keep_known_lights(task.run_dir, known)
+    masks, whole_view = masks_of(task.spec, task.scene_dir)
+    setting = masks_setting(masks, whole_view=whole_view)
+    if masks is not None:
+        keep_masks(task.run_dir, masks)
     run_pipeline(
         task.scene_dir,
         task.run_dir,
@@ -61,8 +68,28 @@ def train(task: Task) -> Path | None:
         lights=lights,
         layout=layout,
         known_lights=names_by_content(known),
+        masks=setting,
     )
     return step_folder(task.run_dir, "export")
+
+
+def perform(task: Task) -> Path | None:
+    """Train, or adapt a bundle to a light, as the order's kind says."""
+    return bake(task) if task.spec.kind == "bake" else train(task)
+
+
+def bake(task: Task) -> Path:
+    """Adapt a bundle's fast cache to an environment and return the folder of the bundle that has it."""
+    from lambent_worker.light_bake.job import run_bake
+
+    return run_bake(task.spec, task.scene_dir, task.run_dir, task.device, task.reporter)
+
+
+def render(task: Task) -> None:
+    """Make pictures of bundles; they are artifacts of the job."""
+    from lambent_worker.render_job import render_pictures
+
+    render_pictures(task)
 
 
 def check(scene_dir: Path) -> CaptureCheck:
@@ -72,7 +99,7 @@ def check(scene_dir: Path) -> CaptureCheck:
     return check_capture(scene_dir)
 
 
-def work(pipeline: Pipeline = train, check: Check = check) -> int:
+def work(pipeline: Pipeline = perform, check: Check = check) -> int:
     """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
     _die_with_parent()
     identity = Identity.from_environment()
@@ -174,8 +201,9 @@ def _do(
         device=start.device,
         adjustments=start.adjustments,
         reporter=reporter,
+        render=start.render,
     )
-    bundle = pipeline(task)
+    bundle = render(task) if start.HasField("render") else pipeline(task)
     if reporter.broken is not None:
         raise reporter.broken
     return bundle

@@ -8,10 +8,13 @@ from flashcache.errors import ConfigError
 from flashcache.presets import preset as preset_of
 from lambent_proto.v1 import job_pb2, worker_pb2
 
+from lambent_worker.masks.run_masks import AUTOMATIC, WHOLE_VIEW
+
 # Parts of an order that are no settings of the method.
 LIGHTS = "lights"
 LAYOUT = "layout"
 KNOWN_LIGHTS = "known_lights"
+MASKS = "masks"
 
 
 def config_of(
@@ -22,11 +25,27 @@ def config_of(
     Raises `ConfigError` for an unknown preset or setting.
     """
     base = preset_of(spec.preset)
-    own = (LIGHTS, LAYOUT, KNOWN_LIGHTS)
+    own = (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS)
     settings = {name: value for name, value in spec.params.items() if name not in own}
     config = adjust(with_overrides(base, settings), adjustments)
     lights = tuple(name.strip() for name in spec.params.get(LIGHTS, "").split(",") if name.strip())
     return config, lights, spec.params.get(LAYOUT, "")
+
+
+def masks_of(spec: job_pb2.JobSpec, scene_dir: Path) -> tuple[Path | None, bool]:
+    """Return the folder of masks of an order, and whether everything in view is the object without any.
+
+    An order names a folder of its capture, or says "none". Raises `ConfigError` for a folder outside.
+    """
+    value = spec.params.get(MASKS, AUTOMATIC)
+    if value in (AUTOMATIC, WHOLE_VIEW):
+        return None, value == WHOLE_VIEW
+    path = (scene_dir / value).resolve()
+    if not path.is_relative_to(scene_dir.resolve()):
+        raise ConfigError(
+            f'{MASKS} "{value}" lies outside the capture; name a folder of the capture, or "{WHOLE_VIEW}"'
+        )
+    return path, False
 
 
 def known_lights_of(spec: job_pb2.JobSpec, scene_dir: Path) -> list[str]:

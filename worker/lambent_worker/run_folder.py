@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from fcntl import LOCK_EX, LOCK_NB, flock
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ STEP_FOLDERS = {
     "joint": "joint",
     "evaluate": "evaluation",
     "export": "bundle",
+    "bake": "bake",
 }
 
 
@@ -47,6 +48,8 @@ class RunSettings:
     """Layout to read the scene as; empty to detect it."""
     known_lights: Mapping[str, str] = field(default_factory=dict)
     """Names of the kept files of given environments by light; see `known_lights`."""
+    masks: str = ""
+    """Where masks come from: the capture or an estimate (""), nowhere ("none"), or given ones by content."""
     scene: str = field(compare=False, default="")
     """Folder of the capture."""
 
@@ -77,6 +80,7 @@ def read_settings(run_dir: Path) -> RunSettings:
             lights=tuple(record["lights"]),
             layout=record["layout"],
             known_lights=record.get("known_lights", {}),
+            masks=record.get("masks", ""),
             scene=record["scene"],
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -104,6 +108,12 @@ def write_json(path: Path, value: object) -> None:
 def digest(*parts: object) -> str:
     """Return the SHA-256 of JSON-compatible values, in hexadecimal."""
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 def step_folder(run_dir: Path, step: str) -> Path:

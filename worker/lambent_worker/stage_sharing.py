@@ -29,7 +29,9 @@ def adopt_nerf_cache(run: Run, run_dir: Path, other: Path, reporter: Reporter) -
     source = latest_checkpoint(step_folder(other, "cache"))
     if source is None or done_inputs(other, "cache") is None:
         raise WorkerError("run.no_stage_one", f'"{other}" has no finished stage one; train it first')
-    hashes = input_hashes(Path(run.scene), run.config, run.seed, run.lights, run.layout, run.known_lights)
+    hashes = input_hashes(
+        Path(run.scene), run.config, run.seed, run.lights, run.layout, run.known_lights, run.masks
+    )
     if done_inputs(run_dir, "cache") == hashes["cache"]:
         return
     context = step_context(run, run_dir, reporter, "cache")

@@ -11,6 +11,7 @@ from flashcache.presets import preset as preset_of
 
 from lambent_worker.errors import UsageError
 from lambent_worker.known_lights import keep_known_lights, names_by_content, parse_known_lights
+from lambent_worker.masks.run_masks import forget_masks, keep_masks, masks_setting
 from lambent_worker.pipeline import StepContext, run_step, step_inputs
 from lambent_worker.reporter import Reporter
 from lambent_worker.run_folder import (
@@ -34,6 +35,8 @@ class Run:
     layout: str
     known_lights: Mapping[str, str]
     """Kept environment files by light."""
+    masks: str
+    """Where masks come from; see `RunSettings.masks`."""
     scene: str
     """Folder of the capture the run was trained on."""
 
@@ -50,12 +53,15 @@ def prepare_run(
     overrides: Mapping[str, str],
     resume: bool,
     known_lights: Sequence[str] = (),
+    masks: Path | None = None,
+    whole_view: bool = False,
 ) -> Run:
     """Return the run to do in `run_dir`, made new or found there.
 
     With `resume` every setting but `device` comes from the folder. Without, the settings must be those of the
     run that is there, if there is one. Raises `UsageError` for a folder that holds something else, an unknown
-    preset or a missing device, and `ConfigError` for a wrong setting.
+    preset or a missing device, and `ConfigError` for a wrong setting. `masks` is a folder of masks;
+    `whole_view` takes everything in view for the object where there are none.
     """
     if resume:
         return open_run(run_dir, device)
@@ -69,9 +75,17 @@ def prepare_run(
         lights=lights,
         layout=layout,
         known_lights=names_by_content(files),
+        masks=masks_setting(masks, whole_view=whole_view),
         scene=str(scene_dir.resolve()),
     )
     if (run_dir / "run.json").exists():
+        found = read_settings(run_dir)
+        if _only_masks_differ(found, wanted) and done_inputs(run_dir, "ingest") is None:
+            # The masks were refused, and have been mended.
+            forget_masks(run_dir)
+            if masks is not None:
+                keep_masks(run_dir, masks)
+            write_settings(run_dir, wanted)
         _refuse_other_settings(run_dir, read_settings(run_dir), wanted)
         return open_run(run_dir, device)
     if run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
@@ -80,6 +94,8 @@ def prepare_run(
         )
     check_device(wanted.device)
     keep_known_lights(run_dir, files)
+    if masks is not None:
+        keep_masks(run_dir, masks)
     write_settings(run_dir, wanted)
     return _as_run(wanted)
 
@@ -121,12 +137,17 @@ def check_device(device: str) -> None:
         )
 
 
-def export_run(run_dir: Path, out: Path, reporter: Reporter) -> None:
-    """Write the bundle of a trained run to `out`, making it first if the run has none.
+def export_run(run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", weights: str = "") -> None:
+    """Write the bundle of a trained run to `out`, making it first if the run has none like it.
 
-    Raises `UsageError` where the run is not trained to its end or `out` exists.
+    `tier` is "full" or "lite" (which leaves the networks out unless `weights` says otherwise), `weights` as
+    in the settings; empty ones are the run's. Raises `UsageError` where the run is not trained to its end or
+    `out` exists, `ConfigError` for unknown values.
     """
     run = open_run(run_dir)
+    wanted = {"transport_tier": tier, "weights": weights or ("none" if tier == "lite" else "")}
+    settings = {f"export.{name}": value for name, value in wanted.items() if value}
+    run = replace(run, config=with_overrides(run.config, settings))
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
     trained = done_inputs(run_dir, "joint")
@@ -158,6 +179,7 @@ def step_context(run: Run, run_dir: Path, reporter: Reporter, stage: str) -> Ste
         lights=run.lights,
         layout=run.layout,
         known_lights=run.known_lights,
+        masks=run.masks,
     )
 
 
@@ -169,8 +191,13 @@ def _as_run(settings: RunSettings) -> Run:
         lights=settings.lights,
         layout=settings.layout,
         known_lights=settings.known_lights,
+        masks=settings.masks,
         scene=settings.scene,
     )
+
+
+def _only_masks_differ(found: RunSettings, wanted: RunSettings) -> bool:
+    return found.masks != wanted.masks and replace(found, masks=wanted.masks) == wanted
 
 
 def _refuse_other_settings(run_dir: Path, found: RunSettings, wanted: RunSettings) -> None:

@@ -10,6 +10,8 @@ __version__ = "0.1.0"
 _HOMES = {
     "Client": "client",
     "Artifact": "models",
+    "Batch": "models",
+    "Environment": "models",
     "Event": "models",
     "Job": "models",
     "JobError": "models",

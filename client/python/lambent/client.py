@@ -10,10 +10,10 @@ from uuid import uuid4
 import httpx2
 
 from lambent import fetch as fetching
-from lambent import scenes
+from lambent import pictures, scenes
 from lambent.connection import Connection
 from lambent.errors import JobNotSucceededError
-from lambent.models import Artifact, Event, Job, Scene, SceneReport
+from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport
 from lambent.settings import find_server
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 
@@ -202,6 +202,73 @@ class Client:
         content = self._connection.send("GET", f"/v1/blobs/{artifact.sha256}").content
         fetching.check_digest(artifact.name, content, artifact.sha256)
         return content
+
+    def download(self, artifact: Artifact, target: str | Path) -> Path:
+        """Write a published file to `target`, which appears whole; one that has these bytes is kept."""
+        return fetching.download(self._connection, artifact, Path(target))
+
+    def environments(self) -> list[Environment]:
+        """Return the environment maps on the server, newest first."""
+        answer = self._connection.json("GET", "/v1/environments")
+        return [Environment.from_json(item) for item in answer["items"]]
+
+    def push_environment(self, source: str | Path, *, name: str = "") -> Environment:
+        """Upload an environment map (.exr or .hdr); one that the server has under that name is not sent."""
+        return pictures.push_environment(self._connection, Path(source), name=name)
+
+    def render(
+        self,
+        bundle_id: str,
+        environments: Sequence[str | Mapping[str, Any]],
+        cameras: Mapping[str, Any],
+        *,
+        quality: str | Mapping[str, Any] = "refined",
+        idempotency_key: str = "",
+        **more: Any,
+    ) -> Job:
+        """Queue pictures of a bundle and return the job whose artifacts they will be.
+
+        `environments` are ids or {"environment_id": ..., "rotate_deg": ...}, `cameras` is such as
+        {"turntable": 8, "size": 512} or {"views": ["r_000"]}; `more`: other fields of `POST /v1/renders`.
+        """
+        body = {
+            "bundle_id": bundle_id,
+            "environments": [{"environment_id": e} if isinstance(e, str) else dict(e) for e in environments],
+            "cameras": dict(cameras),
+            "quality": {"quality": quality} if isinstance(quality, str) else dict(quality),
+            **more,
+        }
+        return Job.from_json(pictures.post(self._connection, "/v1/renders", body, idempotency_key))
+
+    def submit_batch(self, order: Mapping[str, Any], *, idempotency_key: str = "") -> Batch:
+        """Queue a batch (the body of `POST /v1/batches`); the same `idempotency_key` makes one only."""
+        return pictures.batch_of(pictures.post(self._connection, "/v1/batches", order, idempotency_key))
+
+    def batch(self, batch_id: str) -> Batch:
+        """Return a batch."""
+        return pictures.batch_of(self._connection.json("GET", f"/v1/batches/{batch_id}"))
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield batches, newest first."""
+        return pictures.batches(self._connection)
+
+    def cancel_batch(self, batch_id: str) -> Batch:
+        """Ask for every job of a batch to be stopped."""
+        path = f"/v1/batches/{batch_id}:cancel"
+        return pictures.batch_of(self._connection.json("POST", path, repeatable=True))
+
+    def retry_batch(self, batch_id: str) -> Batch:
+        """Queue the parts of a batch that failed or were cancelled again; the batch keeps its id."""
+        return pictures.batch_of(self._connection.json("POST", f"/v1/batches/{batch_id}:retry"))
+
+    def batch_artifacts(self, batch_id: str) -> list[Artifact]:
+        """Return the files that the jobs of a batch have published."""
+        answer = self._connection.json("GET", f"/v1/batches/{batch_id}/artifacts")
+        return [Artifact.from_json(item) for item in answer["items"]]
+
+    def peek(self, bundle_id: str, target: str | Path) -> Path:
+        """Write manifest.json and cameras.json of a bundle into the folder `target`, and no other file."""
+        return fetching.peek(self._connection, bundle_id, Path(target))
 
     def login_link(self) -> str:
         """Return a link that opens the server's pages in one browser, once."""

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from lambent.connection import Connection
 from lambent.errors import DigestMismatchError, RefusedError, UsageProblemError
-from lambent.models import FileEntry
+from lambent.models import Artifact, FileEntry
 
 FetchProgress = Callable[[str, int, int], None]
 """Called with (path of the file, bytes of the whole bundle done, bytes in all)."""
@@ -65,7 +65,8 @@ def fetch(
         def advance(file_bytes: int, before: int = before, path: str = entry.path) -> None:
             progress(path, before + file_bytes, total_bytes)
 
-        _fetch_file(connection, bundle_id, entry, partial / entry.path, advance)
+        url = f"/v1/bundles/{bundle_id}/files/{entry.path}"
+        _fetch_file(connection, url, entry, partial / entry.path, advance)
         done_bytes += entry.size_bytes
     (partial / "manifest.json").write_bytes(manifest)
     _remove_strangers(partial, entries)
@@ -73,6 +74,34 @@ def fetch(
         target.rmdir()
     os.replace(partial, target)
     return FetchedBundle(bundle_id=bundle_id, path=target, files=entries)
+
+
+def peek(connection: Connection, bundle_id: str, target: Path) -> Path:
+    """Write manifest.json and cameras.json of a bundle into the folder `target` and return it.
+
+    That is enough to say what can be seen of it. Raises `fetch.digest_mismatch` as `fetch` does.
+    """
+    manifest = connection.send("GET", f"/v1/bundles/{bundle_id}/manifest").content
+    target.mkdir(parents=True, exist_ok=True)
+    (target / "manifest.json").write_bytes(manifest)
+    for entry in _entries(manifest):
+        if entry.path == "cameras.json":
+            url = f"/v1/bundles/{bundle_id}/files/{entry.path}"
+            _fetch_file(connection, url, entry, target / entry.path, lambda done: None)
+    return target
+
+
+def download(connection: Connection, artifact: Artifact, target: Path) -> Path:
+    """Write an artifact to `target` and return it: verified, whole, resumed, and kept where it is there.
+
+    Raises `fetch.digest_mismatch` when bytes differ from what was announced twice in a row.
+    """
+    entry = FileEntry(path=artifact.name, size_bytes=int(artifact.size_bytes), sha256=artifact.sha256)
+    if not _matches(target, entry):
+        partial = target.with_name(f".partial-{target.name}")
+        _fetch_file(connection, f"/v1/blobs/{artifact.sha256}", entry, partial, lambda done: None)
+        os.replace(partial, target)
+    return target
 
 
 def check_digest(name: str, content: bytes, sha256: str) -> None:
@@ -119,7 +148,7 @@ def _matches(path: Path, entry: FileEntry) -> bool:
 
 
 def _fetch_file(
-    connection: Connection, bundle_id: str, entry: FileEntry, path: Path, advance: Callable[[int], None]
+    connection: Connection, url: str, entry: FileEntry, path: Path, advance: Callable[[int], None]
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     for _ in range(2):
@@ -128,7 +157,7 @@ def _fetch_file(
             return
         if path.is_file() and path.stat().st_size >= entry.size_bytes:
             path.unlink()  # as long as announced, and still wrong: start again
-        _download(connection, f"/v1/bundles/{bundle_id}/files/{entry.path}", path, entry, advance)
+        _download(connection, url, path, entry, advance)
     if not _matches(path, entry):
         path.unlink(missing_ok=True)
         raise DigestMismatchError(

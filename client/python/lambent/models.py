@@ -73,6 +73,8 @@ class Job(_Message):
     progress: Progress = Progress()
     error: JobError | None = None
     bundle_id: str = ""
+    batch_id: str = ""
+    """The batch that the job makes a part of."""
     labels: Mapping[str, str] = field(default_factory=dict)
     priority: int = 0
     kind: str = "train"
@@ -130,6 +132,41 @@ class Artifact(_Message):
     size_bytes: float = 0.0
     media_type: str = "application/octet-stream"
     url: str = ""
+    job_id: str = ""
+    """Set where files of several jobs are listed."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Environment(_Message):
+    """An environment map on the server."""
+
+    id: str
+    name: str = ""
+    format: str = ""
+    width: int = 0
+    height: int = 0
+    sha256: str = ""
+    size_bytes: float = 0.0
+    created_at: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Batch(_Message):
+    """Pictures that are made by several jobs; `state` is that of all of them together."""
+
+    id: str
+    state: str
+    name: str = ""
+    created_at: str = ""
+    num_pictures: int = 0
+    num_done: int = 0
+    num_failed: int = 0
+    job_ids: tuple[str, ...] = ()
+
+    @property
+    def is_final(self) -> bool:
+        """Whether every job has ended; a retry can start some again."""
+        return self.state in FINAL_STATES
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

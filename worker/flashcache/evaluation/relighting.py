@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 from torch import Tensor
 
-from flashcache.geometry.directions import uv_from_direction
+from flashcache.geometry.directions import facing, uv_from_direction
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
 from flashcache.physical.incident import Incident, RadianceSource, SecondaryRays, visibility_only
@@ -87,10 +87,7 @@ def relit_radiance(
 
     def _direct(positions: Tensor, omega_o: Tensor, light_index: Tensor) -> Tensor:
         hidden = model.nerf.density(positions).hidden
-        normal = model.nerf.normals(positions, hidden)
-        # A hit's normal faces where the ray came from: opaque matter is only ever seen from outside.
-        facing = (normal * omega_o).sum(dim=-1, keepdim=True)
-        normal = torch.nn.functional.normalize(normal - 1.01 * facing.clamp_max(0.0) * omega_o, dim=-1)
+        normal = facing(model.nerf.normals(positions, hidden), omega_o)
         return relight(
             ShadingPoints(positions, normal, omega_o, light_index),
             scaled_materials(model, positions, ratio),

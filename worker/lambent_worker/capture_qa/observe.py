@@ -199,14 +199,28 @@ def thumbnail_of(
     is_linear: bool,
     side: int,
 ) -> str:
-    """Return a small JPEG over grey with the outline of the mask in magenta, base64."""
+    """Return `outlined_picture` as JPEG, base64."""
     encoded = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if is_linear else pixels
-    over = encoded * alpha[..., None] + 176.0 * (1.0 - alpha[..., None])
+    buffer = io.BytesIO()
+    Image.fromarray(outlined_picture(encoded, alpha, side)).save(buffer, "JPEG", quality=75)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def outlined_picture(
+    image_srgb: UInt8[ndarray, "height width 3"],
+    alpha: Float[ndarray, "height width"],
+    side: int,
+    behind: float = 0.0,
+) -> UInt8[ndarray, "rows columns 3"]:
+    """Return a small picture over grey with the outline of the mask in magenta.
+
+    `behind` is how much of what is cut off shines through, 0..1.
+    """
+    weight = (alpha + behind * (1.0 - alpha))[..., None]
+    over = image_srgb * weight + 176.0 * (1.0 - weight)
     size = fitted((alpha.shape[1], alpha.shape[0]), side)
     image = Image.fromarray(np.round(over).astype(np.uint8)).resize(size, Image.Resampling.BOX)
     mask = resized(alpha, size) >= 0.5
     shown = np.array(image)
     shown[mask & ~ndimage.binary_erosion(mask, border_value=1)] = (230, 0, 160)
-    buffer = io.BytesIO()
-    Image.fromarray(shown).save(buffer, "JPEG", quality=75)
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+    return shown

@@ -108,7 +108,5 @@ def describe_scene(
     if manifest is not None and problems.usable:
         fit_to_silhouettes(manifest, training_silhouettes(folder, manifest, problems))
     if manifest is None or not problems.usable:
-        raise SceneRefusedError(
-            scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
-        )
+        raise SceneRefusedError.of(problems.findings(), layout or "")
     return manifest

@@ -1,11 +1,11 @@
 """Looks at everything in a capture: cameras, every picture, and files that have no place there."""
 
 from collections.abc import Callable
-from hashlib import file_digest
 from pathlib import Path
 
 from lambent_proto.v1 import scene_pb2
 
+from lambent_worker.run_folder import file_sha256
 from lambent_worker.scenes import glossy_synthetic
 from lambent_worker.scenes.detect import collect_scene, detect_layout
 from lambent_worker.scenes.picture_error import PictureError
@@ -101,9 +101,9 @@ def _look_at_pictures(
     if not any(masked):
         problems.warning(
             "scene.no_mask",
-            "no photograph has a transparent background and there are no masks, so everything in view is "
-            "taken for the object; cut the object out and save PNG with alpha, or add masks, for a better "
-            "result",
+            "no photograph has a transparent background and there are no masks, so training will have to "
+            "guess where the object is (lambent masks shows how well); cut the object out and save PNG with "
+            "alpha, or add masks, for a better result",
         )
     if problems.usable:
         announce("")
@@ -111,8 +111,7 @@ def _look_at_pictures(
 
 
 def _note_duplicate(folder: Path, path: str, frame: str, seen: dict[str, str], problems: Problems) -> None:
-    with (folder / path).open("rb") as file:
-        digest = file_digest(file, "sha256").hexdigest()
+    digest = file_sha256(folder / path)
     if digest in seen:
         problems.warning(
             "scene.image_duplicate",

@@ -102,7 +102,7 @@ def stand_upright(manifest: scene_pb2.SceneManifest, problems: Problems) -> None
     is the direction all of these are square to. Notes in `problems` when the cameras do not agree on one.
     """
     poses = np.array([frame.camera.camera_to_world for frame in manifest.frames]).reshape(-1, 4, 4)
-    up = _up(poses)
+    up = common_up(poses)
     if up is None:
         problems.warning(
             "scene.up_unknown",
@@ -117,7 +117,11 @@ def stand_upright(manifest: scene_pb2.SceneManifest, problems: Problems) -> None
         move(manifest, matrix)
 
 
-def _up(poses: Float64[ndarray, "frames 4 4"]) -> Float64[ndarray, "3"] | None:
+def common_up(poses: Float64[ndarray, "frames 4 4"]) -> Float64[ndarray, "3"] | None:
+    """Return the unit direction that cameras held level (or upright) have in common as up.
+
+    `poses` are camera-to-world, looking along -z. None where the cameras do not agree on one.
+    """
     best: tuple[float, Float64[ndarray, 3]] | None = None
     for axis in (0, 1):
         values, vectors = np.linalg.eigh(poses[:, :3, axis].T @ poses[:, :3, axis] / len(poses))

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lambent import film
 from lambent.cli.output import JsonOption, Output, UrlOption, format_size
 from lambent.client import Client
 from lambent.errors import LambentError, UnreachableError
@@ -59,7 +60,7 @@ def examine(url: str, data: Path) -> Iterator[Check]:
     yield check_memory(_available_memory())
     yield check_disk(data)
     yield check_gpu()
-    yield check_ffmpeg(shutil.which("ffmpeg"))
+    yield check_ffmpeg(film.encoder())
     yield check_gl(find_library)
     yield check_server(url, data)
 
@@ -195,9 +196,9 @@ def check_gpu(probe: str = _GPU_PROBE) -> Check:
 
 
 def check_ffmpeg(path: str | None) -> Check:
-    """Return whether films can be written as mp4."""
+    """Return whether films can be written as MP4 and WebM."""
     if path is None:
-        advice = "install ffmpeg for `lambent turntable --format mp4`; webp and gif work without"
+        advice = "pip install 'lambent[film]' for .mp4 and .webm; webp and gif work without"
         return Check(name="ffmpeg", verdict="warn", found="not found", advice=advice)
     return Check(name="ffmpeg", verdict="ok", found=path)
 

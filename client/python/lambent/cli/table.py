@@ -84,10 +84,22 @@ ENTRIES = (
         target="lambent.cli.relight:relight",
     ),
     Entry(
+        name="batch",
+        panel=_PICTURES,
+        summary="Render assets x environments x cameras from a manifest; resumable, here or on a server.",
+        target="lambent.cli.batch:batch",
+    ),
+    Entry(
         name="turntable",
         panel=_PICTURES,
         summary="Render a turn around the object, or of the light around it, as a film.",
         target="lambent.cli.turntable:turntable",
+    ),
+    Entry(
+        name="view",
+        panel=_PICTURES,
+        summary="Look at a bundle from all sides and in any light.",
+        target="lambent.cli.view:view",
     ),
     Entry(
         name="probe",
@@ -105,6 +117,12 @@ ENTRIES = (
     Entry(name="evaluate", panel=_LOCAL, summary="Compare a trained run with ground truth.", extra="worker"),
     Entry(
         name="export", panel=_LOCAL, summary="Write the relightable bundle of a trained run.", extra="worker"
+    ),
+    Entry(
+        name="bake-light",
+        panel=_LOCAL,
+        summary="Adapt a bundle's fast cache to an environment, all bounces included.",
+        extra="worker",
     ),
     Entry(
         name="benchmark",
