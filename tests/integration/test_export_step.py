@@ -30,10 +30,19 @@ def context(tmp_path, model, monkeypatch):
     return small_context(tmp_path, model, monkeypatch)
 
 
-def test_a_client_opens_the_bundle_and_sees_what_the_model_sees(context, model):
-    export.run(context)
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory, model):
+    """Return the context of one export that found another bundle in its place."""
+    with pytest.MonkeyPatch.context() as patched:
+        context = small_context(tmp_path_factory.mktemp("exported"), model, patched)
+        (context.folder / "old").write_text("the bundle of another time")
+        export.run(context)
+    return context
+
+
+def test_a_client_opens_the_bundle_and_sees_what_the_model_sees(exported, model):
     model = with_half_tables(model)
-    bundle = load_bundle(context.folder)
+    bundle = load_bundle(exported.folder)
     caches = OnnxCaches(bundle, num_threads=1)
     camera = bundle.cameras()[0]
     origin, direction = camera.rays()
@@ -52,9 +61,8 @@ def test_a_client_opens_the_bundle_and_sees_what_the_model_sees(context, model):
     assert np.allclose(caches.secondary(direction, -direction).opacity, answer["opacity"], atol=1e-5)
 
 
-def test_the_manifest_describes_the_bundle(context, model):
-    export.run(context)
-    manifest = load_bundle(context.folder).manifest
+def test_the_manifest_describes_the_bundle(exported, model):
+    manifest = load_bundle(exported.folder).manifest
     assert list(manifest.train_lights) == ["day", "a_night"]
     assert [(graph.name, graph.light) for graph in manifest.graphs] == [
         ("gbuffer", ""),
@@ -72,9 +80,9 @@ def test_the_manifest_describes_the_bundle(context, model):
     previews = {file.path for file in manifest.files if file.path.startswith("preview/")}
     views = {f"preview/{kind}test_00{number}.png" for kind in ("", "photo_") for number in (0, 1)}
     assert previews == {"preview/cache.png", *views}
-    assert (context.folder / "preview/photo_test_000.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert (exported.folder / "preview/photo_test_000.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert manifest.secondary_rays.origin_offset == model.limits.origin_offset
-    data = (context.folder / "models" / "weights.bin").read_bytes()
+    data = (exported.folder / "models" / "weights.bin").read_bytes()
     assert len(data) == max(item.offset_bytes + item.size_bytes for item in manifest.tensors)
     grid = next(item for item in manifest.grids if item.name == "fast.feature_grid")
     table = next(item for item in manifest.tensors if item.name == grid.tensor)
@@ -98,10 +106,9 @@ def test_the_manifest_describes_the_bundle(context, model):
     assert 0.25 * 64**2 < manifest.atlas.num_texels < 64**2
 
 
-def test_the_meshs_textures_are_the_models_materials_and_visibility(context, model):
-    export.run(context)
-    bundle = load_bundle(context.folder)
-    mesh = trimesh.load_scene(context.folder / "mesh" / "asset.glb").to_mesh()
+def test_the_meshs_textures_are_the_models_materials_and_visibility(exported, model):
+    bundle = load_bundle(exported.folder)
+    mesh = trimesh.load_scene(exported.folder / "mesh" / "asset.glb").to_mesh()
     texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"), np.float64) / 255.0
     # trimesh counts v from the bottom; x of the file is x of the world, its y is z, its z is -y.
     found = sample_plane(texture, mesh.visual.uv * [1.0, -1.0] + [0.0, 1.0])
@@ -119,9 +126,8 @@ def test_the_meshs_textures_are_the_models_materials_and_visibility(context, mod
     assert abs(packed[..., 0].mean() / 255.0 - free) < 0.15
 
 
-def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(context):
-    export.run(context)
-    found = load_bundle(context.folder).uncertainty()
+def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(exported):
+    found = load_bundle(exported.folder).uncertainty()
     assert found is not None
     low, high = (np.array(corner) for corner in (found.low, found.high))
     assert (high - low).max() < 3.0
@@ -139,28 +145,25 @@ def test_a_usdz_file_is_written_where_it_is_asked_for(context):
     assert files["mesh/asset.usdz"].role == "mesh"
 
 
-def test_every_field_of_the_manifest_is_written_with_its_proto_name(context):
-    export.run(context)
-    record = json.loads((context.folder / "manifest.json").read_text())
+def test_every_field_of_the_manifest_is_written_with_its_proto_name(exported):
+    record = json.loads((exported.folder / "manifest.json").read_text())
     assert record["world"]["environment_convention"] == "tensoir"
     assert record["graphs"][0]["light"] == ""
     assert record["created_at"].endswith("Z")
 
 
-def test_the_recovered_environments_are_those_of_the_model(context, model):
-    export.run(context)
-    bundle = load_bundle(context.folder)
+def test_the_recovered_environments_are_those_of_the_model(exported, model):
+    bundle = load_bundle(exported.folder)
     for index, light in enumerate(bundle.manifest.train_lights):
         found = bundle.trained_environment(light).radiance
         assert np.allclose(found, model.environment.image(8, index), rtol=1e-3)
 
 
-def test_progress_reaches_the_end_and_never_falls(context):
-    export.run(context)
-    fractions = context.reporter.fractions
+def test_progress_reaches_the_end_and_never_falls(exported):
+    fractions = exported.reporter.fractions
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
-    assert context.reporter.artifacts["asset.glb"].is_file()
+    assert exported.reporter.artifacts["asset.glb"].is_file()
 
 
 def test_a_graph_that_differs_leaves_nothing_behind(context, monkeypatch):
@@ -184,18 +187,16 @@ def test_a_request_to_stop_leaves_nothing_behind(context):
     assert not any(context.folder.iterdir())
 
 
-def test_the_bundle_replaces_an_older_one(context):
-    (context.folder / "old").write_text("the bundle of another time")
-    export.run(context)
-    assert not (context.folder / "old").exists()
-    load_bundle(context.folder)
+def test_the_bundle_replaces_an_older_one(exported):
+    assert not (exported.folder / "old").exists()
+    load_bundle(exported.folder)
 
 
-def test_two_exports_of_one_model_differ_only_in_their_time(context):
-    export.run(context)
-    first = {path.name: path.read_bytes() for path in context.folder.rglob("*") if path.is_file()}
+def test_two_exports_of_one_model_differ_only_in_their_time(exported, context):
+    first = {path.name: path.read_bytes() for path in exported.folder.rglob("*") if path.is_file()}
     export.run(context)
     second = {path.name: path.read_bytes() for path in context.folder.rglob("*") if path.is_file()}
+    assert first.keys() == second.keys()
     assert {name for name in first if first[name] != second[name]} <= {"manifest.json"}
 
 
