@@ -1,11 +1,9 @@
-"""Jobs of the kind `bake`: the bundle and environment that they name, and the files that their runs get."""
+"""Jobs of the kind `bake`: the bundle and environment that they name."""
 
-from lambent_proto.v1 import worker_pb2
 from sqlalchemy import Connection
 
-from lambent_server.database.schema import bundle_files, bundles, environments
-from lambent_server.database.tenancy import Tenant, find, rows
-from lambent_server.job_rows import Job, owner
+from lambent_server.database.schema import bundles, environments
+from lambent_server.database.tenancy import Tenant, find
 from lambent_server.messages import NewJob
 from lambent_server.problems import invalid
 
@@ -30,19 +28,3 @@ def check_order(connection: Connection, tenant: Tenant, order: NewJob) -> None:
     if find(connection, tenant, environments, order.params["environment"]) is None:
         message = f"there is no environment {order.params['environment']!r}"
         raise invalid("environment_not_found", "#/params/environment", message)
-
-
-def input_files(connection: Connection, job: Job) -> list[worker_pb2.SceneFile]:
-    """Return the files of a bake's run: `bundle/...` and `environment.<format>`; none that are gone."""
-    tenant = owner(job)
-    statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == job["params"]["bundle"])
-    found = connection.execute(statement.order_by(bundle_files.c.path)).mappings()
-    files = [
-        worker_pb2.SceneFile(path=f"bundle/{row['path']}", sha256=row["sha256"], size_bytes=row["size_bytes"])
-        for row in found
-    ]
-    light = find(connection, tenant, environments, job["params"]["environment"])
-    if light is not None:
-        path = f"environment.{light['format']}"
-        files.append(worker_pb2.SceneFile(path=path, sha256=light["sha256"], size_bytes=light["size_bytes"]))
-    return files

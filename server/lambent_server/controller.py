@@ -9,7 +9,7 @@ from collections import Counter
 from typing import Any
 
 import structlog
-from sqlalchemy import Connection, or_
+from sqlalchemy import Connection, not_, or_
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.capability import run_token
@@ -32,6 +32,7 @@ from lambent_server.job_rows import (
 )
 from lambent_server.metrics import RUNS_STARTED
 from lambent_server.outcomes import Failure, fail, lose, settle_cancel
+from lambent_server.render_rows import waits_for_parts
 from lambent_server.services import Services
 
 log = structlog.get_logger()
@@ -177,7 +178,7 @@ class Controller:
         return lose(connection, job, how, self._settings)
 
     def _start_queued(self) -> bool:
-        waiting = self._read(jobs.c.state == QUEUED, jobs.c.handle.is_(None))
+        waiting = self._read(jobs.c.state == QUEUED, jobs.c.handle.is_(None), not_(waits_for_parts()))
         if not waiting:
             return False
         busy = self._read(jobs.c.handle.is_not(None) | jobs.c.state.in_(HAS_RUN))

@@ -120,6 +120,10 @@ class RenderQuality(Given):
     tone_mapping: Literal["linear", "neutral", "aces", "agx"] = "linear"
 
 
+_PLACE = r"\{(?:asset|environment|quality|camera)\}"
+_PART = rf"(?:[A-Za-z0-9_]|{_PLACE})(?:[A-Za-z0-9._-]|{_PLACE})*"
+
+
 class RenderOutput(Given):
     """What is written of every picture; mirrors lambent_proto.v1.RenderOutput."""
 
@@ -129,6 +133,10 @@ class RenderOutput(Given):
     ]
     passes: Annotated[list[Pass], Field(max_length=11, default_factory=lambda: list(get_args(Pass)))]
     half: bool = True
+    path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$")] = (
+        "{asset}/{environment}/{quality}/{camera}"
+    )
+    """Path of a picture without suffix."""
 
 
 class RenderSpec(Given):
@@ -185,7 +193,8 @@ class Batch(Shown):
     num_failed: int
     """Pictures that cannot be made; a `finding` among the events says why."""
     job_ids: list[str]
-    """One job for each part of the batch, the newest where a part was tried again."""
+    """One job for each part of the batch, the newest where a part was tried again. Behind several parts comes
+    the job that makes their table and contact sheet."""
 
 
 class BatchList(Shown):

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lambent_proto.v1 import render_pb2, worker_pb2
-from sqlalchemy import Connection, func
+from sqlalchemy import ColumnElement, Connection, and_, exists, func
 
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import (
@@ -21,8 +20,7 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, find, rows
 from lambent_server.job_queries import check_quota, insert_job
-from lambent_server.job_rows import CANCELLED, CANCELLING, FAILED, FINAL, QUEUED, SUCCEEDED, Job, owner
-from lambent_server.mirror import from_rest
+from lambent_server.job_rows import CANCELLED, CANCELLING, FAILED, FINAL, QUEUED, SUCCEEDED, Job
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.render_messages import Batch, NewBatch, NewRender, RenderAsset, RenderCameras, RenderSpec
 from lambent_server.services import Services
@@ -94,7 +92,8 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
         message = f"{num_pictures} pictures are asked for, {limit} are allowed at once"
         raise invalid("too_many_pictures", "#/cameras", message)
     num_shards = min(order.shards or services.settings.local_slots, num_pictures)
-    check_quota(connection, tenant, services, num_shards)
+    num_jobs = num_shards + (num_shards > 1)
+    check_quota(connection, tenant, services, num_jobs)
     connection.execute(
         add(
             tenant,
@@ -108,7 +107,7 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
             created_at=now(),
         )
     )
-    for shard in range(num_shards):
+    for shard in range(num_jobs):
         _queue(connection, tenant, order_id, order.kind, shard, order.priority, order.labels)
     return require_order(connection, tenant, order_id, order.kind)
 
@@ -140,10 +139,45 @@ def _queue(
 
 def queue_again(connection: Connection, tenant: Tenant, job: Job, services: Services) -> Row:
     """Queue a new job that makes the part of an order that `job` was to make."""
-    check_quota(connection, tenant, services, 1)
-    return _queue(
-        connection, tenant, job["order_id"], job["kind"], job["shard"], job["priority"], job["labels"]
+    return _queue_parts(connection, tenant, job["order_id"], [job], services)[0]
+
+
+def _queue_parts(
+    connection: Connection, tenant: Tenant, order_id: str, parts: Sequence[Job], services: Services
+) -> list[Row]:
+    """Queue parts of an order again, and with them the job that sums all parts up where it has ended."""
+    last = newest_jobs(connection, tenant, order_id)[-1]
+    again = list(parts)
+    if last["state"] in FINAL and last["shard"] not in {job["shard"] for job in parts}:
+        again += [last] if is_summary(last, _num_shards(connection, tenant, order_id)) else []
+    check_quota(connection, tenant, services, len(again))
+    return [
+        _queue(connection, tenant, order_id, job["kind"], job["shard"], job["priority"], job["labels"])
+        for job in again
+    ]
+
+
+def is_summary(job: Job, num_shards: int) -> bool:
+    """Return whether a job makes no pictures but the table and contact sheet of all parts before it."""
+    return bool(job["shard"] == num_shards)
+
+
+def _num_shards(connection: Connection, tenant: Tenant, order_id: str) -> int:
+    row = find(connection, tenant, render_orders, order_id)
+    assert row is not None
+    return int(row["num_shards"])
+
+
+def waits_for_parts() -> ColumnElement[bool]:
+    """Return the condition that a job sums up an order of which a part has not ended yet."""
+    parts = jobs.alias()
+    sums_up = exists().where(
+        render_orders.c.id == jobs.c.order_id, render_orders.c.num_shards == jobs.c.shard
     )
+    going_on = exists().where(
+        parts.c.order_id == jobs.c.order_id, parts.c.shard < jobs.c.shard, parts.c.state.not_in(FINAL)
+    )
+    return and_(sums_up, going_on)
 
 
 def require_order(
@@ -163,7 +197,7 @@ def first_job(connection: Connection, tenant: Tenant, order_id: str) -> Row:
 
 
 def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[Row]:
-    """Return the job that counts for every part of an order: the newest, by part."""
+    """Return the job that counts for every part of an order: the newest, by part; that of all parts last."""
     statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id)
     found = {row["shard"]: dict(row) for row in connection.execute(statement).mappings()}
     return [found[shard] for shard in sorted(found)]
@@ -171,15 +205,16 @@ def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[R
 
 def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
     """Return a batch as the interface shows it."""
-    parts = newest_jobs(connection, tenant, row["id"])
-    identifiers = [job["id"] for job in parts]
+    found = newest_jobs(connection, tenant, row["id"])
+    identifiers = [job["id"] for job in found]
+    parts = [job for job in found if not is_summary(job, row["num_shards"])]
     failed = rows(tenant, events, func.count()).where(
         events.c.job_id.in_(identifiers), events.c.type == "finding"
     )
     return Batch(
         id=row["id"],
         name=row["name"],
-        state=_state([job["state"] for job in parts]),
+        state=_state([job["state"] for job in found]),
         created_at=rfc3339(row["created_at"]),
         num_pictures=row["num_pictures"],
         num_done=sum((job["progress"] or {}).get("step", 0) for job in parts),
@@ -203,40 +238,7 @@ def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) 
     again = [job for job in newest_jobs(connection, tenant, row["id"]) if job["state"] in (FAILED, CANCELLED)]
     if not again:
         raise conflict("batch_not_ended", f"no job of batch {row['id']} has failed or was cancelled")
-    check_quota(connection, tenant, services, len(again))
-    for job in again:
-        queue_again(connection, tenant, job, services)
-
-
-def describe_task(
-    connection: Connection, job: Job
-) -> tuple[list[worker_pb2.SceneFile], render_pb2.RenderTask]:
-    """Return the files a run needs, `bundles/<id>/...` and `environments/<id>.<format>`, and its task."""
-    tenant = owner(job)
-    row = require_order(connection, tenant, job["order_id"], job["kind"])
-    spec = row["spec"]
-    files = []
-    for bundle_id in sorted({asset["bundle_id"] for asset in spec["assets"]}):
-        statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == bundle_id)
-        files += [
-            worker_pb2.SceneFile(
-                path=f"bundles/{bundle_id}/{file['path']}",
-                sha256=file["sha256"],
-                size_bytes=file["size_bytes"],
-            )
-            for file in connection.execute(statement.order_by(bundle_files.c.path)).mappings()
-        ]
-    for environment_id in sorted({light["environment_id"] for light in spec["environments"]}):
-        found = find(connection, tenant, environments, environment_id)
-        if found is not None:
-            path = f"environments/{environment_id}.{found['format']}"
-            files.append(
-                worker_pb2.SceneFile(path=path, sha256=found["sha256"], size_bytes=found["size_bytes"])
-            )
-    task = render_pb2.RenderTask(
-        spec=from_rest(render_pb2.RenderSpec, spec), shard=job["shard"], num_shards=row["num_shards"]
-    )
-    return files, task
+    _queue_parts(connection, tenant, row["id"], again, services)
 
 
 def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: bool) -> RenderSpec:
@@ -262,7 +264,23 @@ def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: 
                 pointer = f"#/{place}/{index}/name"
                 raise invalid("name_clash", pointer, f'a second entry is called "{entry.name}"; name them')
             seen.add(name)
+    _check_path(named)
     return named
+
+
+def _check_path(spec: RenderSpec) -> None:
+    """Refuse a pattern that gives two pictures the same name, or folders that are no names."""
+    path = spec.output.path
+    counts = {
+        "asset": len(spec.assets),
+        "environment": len(spec.environments),
+        "quality": len(spec.qualities),
+    }
+    needed = ["camera", *(place for place, count in counts.items() if count > 1)]
+    lacking = [f"{{{place}}}" for place in needed if f"{{{place}}}" not in path]
+    if lacking:
+        message = f"pictures would have the same name; add {', '.join(lacking)}"
+        raise invalid("name_clash", "#/output/path", message)
 
 
 def _safe_name(name: str) -> str:

@@ -6,7 +6,6 @@ from google.protobuf.json_format import MessageToJson, Parse, ParseError
 from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
 from sqlalchemy import Connection
 
-from lambent_server import bake_rows, render_rows
 from lambent_server.checkpoint_rows import drop_checkpoint
 from lambent_server.clock import new_id, now
 from lambent_server.database.schema import (
@@ -15,7 +14,6 @@ from lambent_server.database.schema import (
     bundles,
     checkpoint_files,
     checkpoints,
-    scene_files,
     scenes,
 )
 from lambent_server.database.tenancy import add, change, find, rows
@@ -24,6 +22,7 @@ from lambent_server.mirror import enum_text, to_rest
 from lambent_server.outcomes import Failure, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.problems import Problem, invalid
+from lambent_server.run_inputs import inputs_of
 from lambent_server.scene_figures import store_figures
 from lambent_server.settings import Settings
 from lambent_server.store import BlobStore, find_blob
@@ -37,16 +36,10 @@ _OLD_S = 3600.0
 def describe_run(connection: Connection, job: Job, settings: Settings) -> worker_pb2.StartResponse:
     """Return what the run has to do and where an earlier one stopped."""
     tenant = owner(job)
-    files = connection.execute(
-        rows(tenant, scene_files)
-        .where(scene_files.c.scene_id == job["scene_id"])
-        .order_by(scene_files.c.path)
-    ).mappings()
+    inputs = inputs_of(connection, job)
     kept = connection.execute(
         rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"]).order_by(checkpoints.c.id)
     ).mappings()
-    scene = find(connection, tenant, scenes, job["scene_id"])
-    task = render_rows.describe_task(connection, job) if job["order_id"] is not None else None
     response = worker_pb2.StartResponse(
         spec=job_pb2.JobSpec(
             scene_id=job["scene_id"],
@@ -58,11 +51,8 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
             kind=job["kind"],
             seed=job["seed"],
         ),
-        files=[
-            worker_pb2.SceneFile(path=row["path"], sha256=row["sha256"], size_bytes=row["size_bytes"])
-            for row in files
-        ],
-        check_scene=task is None and (scene is None or scene["state"] != "ready"),
+        files=inputs.files,
+        check_scene=inputs.check_scene,
         device="cuda" if job["gpus"] else "cpu",
         adjustments=worker_pb2.Adjustments(
             ray_chunk=job["adjustments"].get("ray_chunk", 1.0),
@@ -71,17 +61,9 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
         ),
         progress_interval_s=settings.progress_interval_s,
         preview_interval_s=settings.preview_interval_s,
-        scene_name=scene["name"] if scene is not None else "",
+        scene_name=inputs.name,
+        render=inputs.render,
     )
-    if job["kind"] == bake_rows.KIND:
-        del response.files[:]
-        response.files.extend(bake_rows.input_files(connection, job))
-        response.scene_name, response.check_scene = "inputs", False
-    if task is not None:
-        input_files, render = task
-        response.files.extend(input_files)
-        response.render.CopyFrom(render)
-        response.scene_name = "inputs"
     for row in kept:
         manifest = response.checkpoints.add()
         Parse(row["manifest"], manifest)

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -120,13 +121,35 @@ def test_a_batch_of_the_command_line_is_spread_over_jobs_and_fetched(client, bun
         assert image.size == (8, 8)
     assert (tmp_path / "out/contact_sheet.png").is_file()
     batch = next(client.batches())
-    assert (batch.name, batch.num_pictures, batch.num_done, len(batch.job_ids)) == ("spring", 12, 12, 2)
+    assert (batch.name, batch.num_pictures, batch.num_done, len(batch.job_ids)) == ("spring", 12, 12, 3)
     assert run_batch(tmp_path, "--server") == 0
     assert next(client.batches()).id == batch.id, "the same manifest is the same batch"
     assert set(states(tmp_path).values()) == {"kept"}
     # What the server made is what this machine would make: the journal knows it.
     assert run_batch(tmp_path) == 0
     assert set(states(tmp_path).values()) == {"kept"}
+
+
+def test_table_and_contact_sheet_of_a_batch_are_those_of_this_machine(client, bundle_id, sky, tmp_path):
+    write_batch(tmp_path, bundle_id, output={"path": "{asset}-{environment}/{camera}", "files": ["png"]})
+    assert run_batch(tmp_path, "--server") == 0
+    batch = next(client.batches())
+    fetched = client.fetch_batch(batch.id, tmp_path / "sdk")
+    names = {path.relative_to(tmp_path / "sdk").as_posix() for path in fetched}
+    assert len(names) == 12 + 2
+    assert {"contact_sheet.png", "pictures.csv", "red-sky_90/turntable_002.png"} <= names
+    shutil.move(tmp_path / "out", tmp_path / "server")
+    assert run_batch(tmp_path) == 0
+    local = (tmp_path / "out" / "contact_sheet.png").read_bytes()
+    assert (tmp_path / "sdk" / "contact_sheet.png").read_bytes() == local
+    assert (tmp_path / "server" / "contact_sheet.png").read_bytes() == local
+    assert lines(tmp_path / "sdk") == lines(tmp_path / "server") == lines(tmp_path / "out")
+
+
+def lines(folder):
+    """Return a folder's table without what differs between two runs of the same."""
+    with (folder / "pictures.csv").open(newline="") as file:
+        return [{**line, "seconds": ""} for line in csv.DictReader(file)]
 
 
 def test_a_dry_run_on_a_server_lists_the_work_and_sends_nothing(client, bundle_id, sky, tmp_path, capsys):
@@ -159,7 +182,8 @@ def test_what_a_server_cannot_make_is_listed_with_exit_code_one(client, bundle_i
     write_environment(tmp_path / "broken.exr", radiance)
     write_batch(tmp_path, bundle_id, environments=["sky.exr", "broken.exr"], name="partly")
     assert run_batch(tmp_path, "--server") == 1
-    assert "environment.unusable_values" in capsys.readouterr().err
+    told = [line for line in capsys.readouterr().err.splitlines() if "environment.unusable_values" in line]
+    assert len(told) == 6, "each failure is told once"
     found = states(tmp_path)
     assert {name.split("/")[1] for name, state in found.items() if state == "failed"} == {"broken"}
     assert sorted(found.values()) == ["failed"] * 6 + ["made"] * 6

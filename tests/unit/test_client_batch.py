@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import OpenEXR
 import pytest
-from lambent_relight import Renderer, load_bundle, write_environment
+from lambent_relight import Renderer, cameras_json, load_bundle, turntable, write_environment
 from lambent_relight.batch.plan import make_plan
 from lambent_relight.batch.reading import read_manifest
 from lambent_relight.errors import SettingError
@@ -213,6 +213,15 @@ def test_problems_of_a_manifest_come_with_their_lines_and_exit_code_two(folder, 
 def test_cameras_with_one_name_are_refused(folder, capsys):
     assert batch(folder, SMALL.replace("[{turntable: 2, size: 8}]", "[{turntable: 1}, {turntable: 2}]")) == 2
     assert "batch.same_name" in capsys.readouterr().err
+
+
+def test_a_camera_whose_picture_would_be_the_contact_sheet_is_refused(folder, capsys):
+    (folder / "c.json").write_text(
+        cameras_json(turntable(1, radius=3.0, width=8, height=8)).replace("turntable_000", "Contact_Sheet_2")
+    )
+    text = HEAD + 'cameras: [c.json]\nsettings: {spp: 2}\noutput: {path: "{camera}"}\n'
+    assert batch(folder, text) == 2
+    assert "which is the contact sheet" in capsys.readouterr().err
 
 
 def test_two_processes_make_the_same_pictures_as_one(folder):

@@ -1,5 +1,6 @@
 """The kinds render and batch of a run: pictures of bundles, resumed, split, and what is told of them."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 from google.protobuf.json_format import ParseDict
 from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
-from lambent_relight.batch.manifest import Cameras, Quality
+from lambent_relight.batch.manifest import DEFAULT_PATH, Cameras, Files, Quality
 from lambent_relight.batch.plan import make_plan
 from lambent_worker import render_job
 from lambent_worker.errors import Stopped, UsageError
@@ -84,7 +85,12 @@ def test_an_order_becomes_the_manifest_that_it_means(inputs):
     ]
     material = {"albedo_gain": [1, 2, 1], "albedo": [0, 0, 0], "roughness_scale": 0}
     found = render_job.manifest_of(
-        spec(cameras=cameras, assets=[{**ASSET, "material": material}], output={"files": ["exr"]}), inputs
+        spec(
+            cameras=cameras,
+            assets=[{**ASSET, "material": material}],
+            output={"files": ["exr"], "path": "{camera}"},
+        ),
+        inputs,
     )
     low, named, every, given = found.cameras
     assert low == Cameras(name="low", turntable=2, elevation_deg=0.0, size=8)
@@ -97,7 +103,8 @@ def test_an_order_becomes_the_manifest_that_it_means(inputs):
     assert asset.edit.roughness_scale == 0.0
     assert found.environments[0].path == inputs / "environments" / "env_1.exr"
     assert found.qualities == (Quality(name="quick", spp=2, antialias=1),)
-    assert (found.files.suffixes, found.files.passes, found.files.half) == (("exr",), (), False)
+    assert found.files == Files(suffixes=("exr",), passes=(), half=False, path="{camera}")
+    assert render_job.manifest_of(spec(), inputs).files.path == DEFAULT_PATH
 
 
 def test_pictures_table_sheet_and_records_are_artifacts(inputs, tmp_path):
@@ -116,6 +123,51 @@ def test_pictures_table_sheet_and_records_are_artifacts(inputs, tmp_path):
     assert (last["stage"], last["step"], last["num_steps"], last["fraction"]) == ("render", 3, 3, 1.0)
     assert [fields["name"] for fields in reporter.named("preview")][-1] == "ball/sky/quick/turntable_002"
     assert not reporter.named("finding")
+
+
+def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp_path):
+    """Whatever number of parts: pixels and lines are those of the same order in one piece."""
+    (inputs / "environments" / "env_2.exr").write_bytes(b"no picture")
+    order = spec(environments=[LIGHT, {**LIGHT, "name": "bad", "environment_id": "env_2"}])
+    alone = RecordingReporter()
+    render_job.render_pictures(task(inputs, tmp_path / "alone", alone, order))
+    failures = []
+    for shard in range(2):
+        part = RecordingReporter()
+        given = task(inputs, tmp_path / f"part-{shard}", part, order, shard, 2)
+        if shard == 0:
+            render_job.render_pictures(given)
+        else:
+            with pytest.raises(UsageError, match=r"render\.all_failed"):
+                render_job.render_pictures(given)
+        found = artifacts(part)
+        assert not {"contact_sheet.png", "pictures.csv"} & set(found), "a part is no whole"
+        for name in {"pictures.jsonl", "tiles.zip"} & set(found):
+            target = tmp_path / "last" / "parts" / f"{shard:03d}" / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(found[name].read_bytes())
+        failures += [
+            render_pb2.RenderFailure(path=each["subject"], code=each["code"], message=each["message"])
+            for each in part.named("finding")
+        ]
+    (tmp_path / "last" / "environments").mkdir()
+    for path in (inputs / "environments").iterdir():
+        (tmp_path / "last" / "environments" / path.name).write_bytes(path.read_bytes())
+    whole = RecordingReporter()
+    last = task(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
+    last.render.failures.extend(failures)
+    render_job.render_pictures(last)
+    one, several = artifacts(alone), artifacts(whole)
+    assert set(several) == {"contact_sheet.png", "pictures.csv"}
+    assert several["contact_sheet.png"].read_bytes() == one["contact_sheet.png"].read_bytes()
+    assert _lines(several["pictures.csv"]) == _lines(one["pictures.csv"])
+    assert len(_lines(one["pictures.csv"])) == 6
+
+
+def _lines(path):
+    """Return the lines of a table without what differs between two runs of the same."""
+    with path.open(newline="") as file:
+        return [{**line, "seconds": ""} for line in csv.DictReader(file)]
 
 
 @pytest.mark.parametrize("num_shards", [1, 2, 3])

@@ -64,7 +64,7 @@ def test_a_batch_is_split_over_the_slots(api: Api, sky: str):
         0,
         0,
     )
-    assert len(batch["job_ids"]) == 3
+    assert len(batch["job_ids"]) == 4, "three parts, and the table and sheet of all"
     assert expect(api.get(f"/v1/batches/{batch['id']}"), 200) == batch
     assert batch in expect(api.get("/v1/batches"), 200)["items"]
     jobs = [expect(api.get(f"/v1/jobs/{job_id}"), 200) for job_id in batch["job_ids"]]
@@ -73,8 +73,8 @@ def test_a_batch_is_split_over_the_slots(api: Api, sky: str):
     one = expect(api.post("/v1/batches", json=batch_body(sky, shards=1)), 202)
     assert len(one["job_ids"]) == 1
     few = batch_body(sky, shards=64, cameras=[{"turntable": 1}], assets=[{"bundle_id": "bundle_x"}])
-    assert len(expect(api.post("/v1/batches", json=few), 202)["job_ids"]) == 2, (
-        "never more jobs than pictures"
+    assert len(expect(api.post("/v1/batches", json=few), 202)["job_ids"]) == 2 + 1, (
+        "never more parts than pictures"
     )
 
 
@@ -155,6 +155,9 @@ def test_a_cancelled_batch_can_be_tried_again_and_keeps_its_id(api: Api, sky: st
         ({"assets": [{"bundle_id": "bundle_x"}] * 2}, 422, "name_clash", "#/assets/1/name"),
         ({"qualities": [{}, {}]}, 422, "name_clash", "#/qualities/1/name"),
         ({"cameras": [{"turntable": 1000}]}, 422, "too_many_pictures", "#/cameras"),
+        ({"output": {"path": "../{camera}"}}, 422, "invalid_request", "#/output/path"),
+        ({"output": {"path": "{camera}/{light}"}}, 422, "invalid_request", "#/output/path"),
+        ({"output": {"path": "{asset}/{camera}"}}, 422, "name_clash", "#/output/path"),
     ],
 )
 def test_what_cannot_be_used_is_pointed_at(
@@ -165,7 +168,7 @@ def test_what_cannot_be_used_is_pointed_at(
 
 
 def test_a_quota_counts_every_job_of_a_batch(tmp_path: Path):
-    with opened(tmp_path / "data", local_slots=3, max_queued_jobs=2) as api:
+    with opened(tmp_path / "data", local_slots=3, max_queued_jobs=3) as api:
         add_bundle(api, tmp_path, FILES)
         body = batch_body(add_environment(api, tmp_path))
         expect_problem(api.post("/v1/batches", json=body), 429, "quota_jobs")
@@ -211,7 +214,7 @@ def test_a_run_is_told_its_part_and_the_files_that_it_needs(stage: Stage, tmp_pa
     sky = add_environment(stage.api, tmp_path)
     batch = expect(stage.api.post("/v1/batches", json=batch_body(sky)), 202)
     stage.controller.turn()
-    for shard, job_id in enumerate(batch["job_ids"]):
+    for shard, job_id in enumerate(batch["job_ids"][:2]):
         start = stage.call("Start", job_id)
         assert start.spec.kind == "batch"
         assert not start.check_scene
@@ -238,7 +241,7 @@ def test_what_runs_report_is_in_the_batch(stage: Stage, tmp_path: Path):
     sky = add_environment(stage.api, tmp_path)
     batch = expect(stage.api.post("/v1/batches", json=batch_body(sky)), 202)
     stage.controller.turn()
-    first, second = batch["job_ids"]
+    first, second, last = batch["job_ids"]
 
     def show() -> dict[str, Any]:
         return dict(stage.api.get(f"/v1/batches/{batch['id']}").json())
@@ -255,10 +258,62 @@ def test_what_runs_report_is_in_the_batch(stage: Stage, tmp_path: Path):
     assert stage.api.get(artifact["url"]).content == b"picture"
     assert show()["state"] == "running"
     stage.call("Fail", second, cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code="render.all_failed", message="no")
+    assert show()["state"] == "running", "the table and the sheet are still to be made"
+    stage.end(0)
+    stage.call("Publish", last)
     assert show()["state"] == "failed"
     again = expect(stage.api.post(f"/v1/batches/{batch['id']}:retry"), 202)
     assert again["job_ids"][0] == first
     assert again["job_ids"][1] != second
+    assert again["job_ids"][2] != last, "what sums up the parts is made again with them"
+
+
+def test_the_last_job_waits_for_the_parts_and_gets_what_they_leave(stage: Stage, tmp_path: Path):
+    sky = add_environment(stage.api, tmp_path)
+    batch = expect(stage.api.post("/v1/batches", json=batch_body(sky)), 202)
+    first, second, last = batch["job_ids"]
+    stage.controller.turn()
+    published = []
+    for name in ("pictures.jsonl", "tiles.zip", "red/x.png"):
+        data = stage.put(first, name.encode())
+        made = {"path": name, "sha256": data, "size_bytes": len(name), "media_type": "image/png"}
+        published.append(made)
+    finding = {"type": "finding", "name": "red/y", "message": "environment.x: broken: a map"}
+    stage.call("Report", first, sequence=1, events=[finding, finding])
+    stage.call("Publish", first, artifacts=published)
+    stage.executor.gone[1] = 0
+    stage.controller.turn()
+    assert stage.job(last)["state"] == "queued", "one part is not made yet"
+    stage.call("Fail", second, cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code="render.all_failed", message="no")
+    stage.end(0)
+    start = stage.call("Start", last)
+    assert [file.path for file in start.files] == [
+        "parts/000/pictures.jsonl",
+        "parts/000/tiles.zip",
+        f"environments/{sky}.exr",
+    ]
+    assert (start.render.shard, start.render.num_shards) == (2, 2)
+    told = [(each.path, each.code, each.message) for each in start.render.failures]
+    assert told == [("red/y", "environment.x", "broken: a map"), (f"{second}/*", "render.all_failed", "no")]
+    progress = {"stage": "contact_sheet", "step": 5, "num_steps": 5, "fraction": 1.0}
+    stage.call("Report", last, sequence=1, progress=progress)
+    assert stage.api.get(f"/v1/batches/{batch['id']}").json()["num_done"] == 0, "sheets are no pictures"
+
+
+def test_a_part_that_is_tried_again_alone_brings_a_new_table_with_it(stage: Stage, tmp_path: Path):
+    sky = add_environment(stage.api, tmp_path)
+    batch = expect(stage.api.post("/v1/batches", json=batch_body(sky)), 202)
+    first, _, last = batch["job_ids"]
+    expect(stage.api.post(f"/v1/jobs/{first}:cancel"), 202)
+    expect(stage.api.post(f"/v1/jobs/{first}:retry"), 202)
+    again = stage.api.get(f"/v1/batches/{batch['id']}").json()["job_ids"]
+    assert again[2] == last, "the old one has not begun"
+    expect(stage.api.post(f"/v1/batches/{batch['id']}:cancel"), 202)
+    fresh = expect(stage.api.post(f"/v1/jobs/{again[0]}:retry"), 202)
+    newest = stage.api.get(f"/v1/batches/{batch['id']}").json()["job_ids"]
+    assert newest[0] == fresh["id"]
+    assert newest[1] == again[1]
+    assert newest[2] != last
 
 
 def test_every_field_of_an_order_reaches_the_message():
@@ -291,7 +346,7 @@ def test_every_field_of_an_order_reaches_the_message():
             {"poses": json.loads(CAMERAS)["cameras"][:1]},
         ],
         qualities=[{"name": "q", "indirect": False, "seed": 3, "exposure_ev": -1.0}],
-        output={"files": ["exr"], "passes": [], "half": False},
+        output={"files": ["exr"], "passes": [], "half": False, "path": "p/{camera}"},
     )
     spec = order_of_batch(body).spec
     assert set(RenderSpec.model_fields) == {field.name for field in render_pb2.RenderSpec.DESCRIPTOR.fields}

@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 from google.protobuf.json_format import MessageToDict
 from lambent_proto.v1 import render_pb2
+from lambent_relight.batch import tiles
 from lambent_relight.batch.journal import NAME as JOURNAL
-from lambent_relight.batch.journal import Journal, open_journal
+from lambent_relight.batch.journal import Journal, open_journal, read_records
 from lambent_relight.batch.manifest import SCHEMA, Manifest
-from lambent_relight.batch.plan import Plan, make_plan
+from lambent_relight.batch.plan import Failure, Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
 from lambent_relight.batch.run import Result, run_batch
 from lambent_relight.batch.sheet_lights import light_pictures
-from lambent_relight.batch.summary import TABLE, thumbnail, write_sheets, write_table
+from lambent_relight.batch.summary import TABLE, TileOf, write_sheets, write_table
 from lambent_relight.errors import RelightError
 
 from lambent_worker.errors import Stopped, UsageError
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from lambent_worker.run import Task
 
 STAGE = "render"
+SUMMARY_STAGE = "contact_sheet"
 CHECKPOINT_S = 30.0
 """A lost machine costs the pictures of this many seconds."""
 _PARTS = "parts"
@@ -39,11 +41,15 @@ _PREVIEW_PIXELS = 256
 def render_pictures(task: "Task") -> None:
     """Make the pictures of one part of an order; what fails is a finding, and stops no other picture.
 
-    Raises UsageError (`render.spec_invalid`) for an order that cannot be meant and (`render.all_failed`) when
-    no picture could be made.
+    The run behind several parts makes their table and contact sheet instead. Raises UsageError
+    (`render.spec_invalid`) for an order that cannot be meant and (`render.all_failed`) when no picture could
+    be made.
     """
     try:
         manifest = manifest_of(task.render.spec, task.scene_dir)
+        if task.render.shard == task.render.num_shards:
+            sum_up(task, manifest)
+            return
         plan = part_of(make_plan(manifest), task.render.shard, task.render.num_shards)
     except (ManifestError, RelightError) as error:
         raise UsageError("render.spec_invalid", f"{error.message}; {error.advice}") from error
@@ -57,7 +63,35 @@ def render_pictures(task: "Task") -> None:
         except _StopNowError as stop:
             work.checkpoint()
             raise Stopped from stop
-    _publish(task.reporter, folder, work.results, manifest)
+    _publish(task, folder, work.results, manifest)
+
+
+def sum_up(task: "Task", manifest: Manifest) -> None:
+    """Make the table and the contact sheet of an order from what its parts have left in `parts/<part>/`."""
+    folder = task.run_dir / "summary"
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = sorted((task.scene_dir / "parts").glob("*"))
+    results = [
+        Result(path=record.path, state="made", record=record)
+        for part in parts
+        for record in read_records(part / JOURNAL)
+    ]
+    for each in task.render.failures:
+        failure = Failure(path=each.path, code=each.code, message=each.message)
+        results.append(Result(path=failure.path, state="failed", failure=failure))
+    tile_of = tiles.Tiles(path for part in parts for path in part.glob(tiles.NAME))
+    _summary(task.reporter, folder, results, manifest, tile_of)
+    num = len(results)
+    task.reporter.progress(
+        stage=SUMMARY_STAGE,
+        step=num,
+        num_steps=num,
+        fraction=1.0,
+        eta_s=0.0,
+        steps_per_s=0.0,
+        loss=0.0,
+        psnr=0.0,
+    )
 
 
 def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
@@ -80,6 +114,7 @@ def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
     document["qualities"] = [
         _without_empty(entry, "bounces", "tone_mapping") for entry in document["qualities"]
     ]
+    document["output"] = _without_empty(document.get("output", {}), "path")
     document["cameras"] = [
         _without_empty(entry, "name", "turntable", "views", "all_views", "poses", "start_deg")
         for entry in document["cameras"]
@@ -122,7 +157,7 @@ class _Work:
         if result.state not in ("made", "copied"):
             return
         self._unsaved.append(result)
-        shown = thumbnail(self.journal.folder, result, _PREVIEW_PIXELS)
+        shown = tiles.thumbnail(self.journal.folder, result, _PREVIEW_PIXELS)
         if shown is not None:
             buffer = io.BytesIO()
             shown.save(buffer, format="PNG")
@@ -194,8 +229,9 @@ def _put(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _publish(reporter: Reporter, folder: Path, results: list[Result], manifest: Manifest) -> None:
-    """Send every picture, the table, the sheets and the records; tell what failed."""
+def _publish(task: "Task", folder: Path, results: list[Result], manifest: Manifest) -> None:
+    """Send every picture, the records, and table and sheets or what they are made of; tell what failed."""
+    reporter = task.reporter
     failures = [result.failure for result in results if result.failure is not None]
     for failure in failures:
         reporter.finding(failure.code, failure.message, subject=failure.path, error=True)
@@ -206,7 +242,23 @@ def _publish(reporter: Reporter, folder: Path, results: list[Result], manifest: 
         if result.record is not None:
             for made in result.record.files.values():
                 reporter.artifact(made.path, folder / made.path)
+    reporter.artifact(JOURNAL, folder / JOURNAL)
+    if task.render.num_shards > 1:
+        reporter.artifact(tiles.NAME, tiles.write_tiles(folder, results))
+    else:
+        _summary(reporter, folder, results, manifest)
+
+
+def _summary(
+    reporter: Reporter,
+    folder: Path,
+    results: list[Result],
+    manifest: Manifest,
+    tile_of: TileOf | None = None,
+) -> None:
+    """Send the table and the contact sheets of pictures."""
     write_table(folder / TABLE, results)
-    sheets = write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
-    for path in (folder / TABLE, folder / JOURNAL, *sheets):
+    lights = light_pictures(manifest)
+    sheets = write_sheets(folder, results, title=manifest.name, lights=lights, tile_of=tile_of)
+    for path in (folder / TABLE, *sheets):
         reporter.artifact(path.name, path)

@@ -47,6 +47,7 @@ def order_of(manifest: Manifest, environment_ids: Mapping[Path, str]) -> dict[st
             "files": list(manifest.files.suffixes),
             "passes": list(manifest.files.passes),
             "half": manifest.files.half,
+            "path": manifest.files.path,
         },
     }
 

@@ -266,6 +266,15 @@ class Client:
         answer = self._connection.json("GET", f"/v1/batches/{batch_id}/artifacts")
         return [Artifact.from_json(item) for item in answer["items"]]
 
+    def fetch_batch(self, batch_id: str, target: str | Path) -> list[Path]:
+        """Write the pictures, the table and the contact sheets of a batch into the folder `target`.
+
+        Returns their paths. Files that are there with the same bytes are kept. The table and the sheets come
+        last: a batch that has not ended has none yet.
+        """
+        files = pictures.for_people(self.batch_artifacts(batch_id))
+        return fetching.download_all(self._connection, files, Path(target))
+
     def peek(self, bundle_id: str, target: str | Path) -> Path:
         """Write manifest.json and cameras.json of a bundle into the folder `target`, and no other file."""
         return fetching.peek(self._connection, bundle_id, Path(target))

@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -104,6 +104,17 @@ def download(connection: Connection, artifact: Artifact, target: Path) -> Path:
     return target
 
 
+def download_all(connection: Connection, artifacts: Iterable[Artifact], target: Path) -> list[Path]:
+    """Write artifacts under their names into the folder `target` and return their paths.
+
+    As `download` does, each of them; raises `fetch.unsafe_path` for a name that leads out of the folder.
+    """
+    paths = [(artifact, target / _path_inside(artifact.name)) for artifact in artifacts]
+    for _, path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return [download(connection, artifact, path) for artifact, path in paths]
+
+
 def check_digest(name: str, content: bytes, sha256: str) -> None:
     """Raise `fetch.digest_mismatch` unless `content` has the hash it was announced with."""
     if hashlib.sha256(content).hexdigest() != sha256:
@@ -117,18 +128,23 @@ def check_digest(name: str, content: bytes, sha256: str) -> None:
 def _entries(manifest: bytes) -> tuple[FileEntry, ...]:
     entries = []
     for item in json.loads(manifest)["files"]:
-        path = PurePosixPath(item["path"])
-        # The manifest is data from elsewhere: it must not name a place outside the folder.
-        if path.is_absolute() or ".." in path.parts or "\\" in item["path"] or not path.parts:
-            raise UsageProblemError(
-                "fetch.unsafe_path",
-                f"the manifest names the file {item['path']!r}",
-                "do not use this bundle: it would write outside its folder",
-            )
+        path = _path_inside(item["path"])
         entries.append(
-            FileEntry(path=str(path), size_bytes=int(item["size_bytes"]), sha256=item["sha256"].lower())
+            FileEntry(path=path, size_bytes=int(item["size_bytes"]), sha256=item["sha256"].lower())
         )
     return tuple(entries)
+
+
+def _path_inside(name: str) -> str:
+    """Return a path that came from elsewhere; raises `fetch.unsafe_path` where it leaves the folder."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or "\\" in name or not path.parts:
+        raise UsageProblemError(
+            "fetch.unsafe_path",
+            f"the server names the file {name!r}",
+            "do not use it: it would be written outside its folder",
+        )
+    return str(path)
 
 
 def _is_complete(folder: Path, manifest: bytes, entries: tuple[FileEntry, ...]) -> bool:

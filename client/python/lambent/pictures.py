@@ -1,15 +1,29 @@
 """Pictures that a server makes: environment maps, orders, batches."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
 from lambent.connection import Connection
 from lambent.errors import UsageProblemError
-from lambent.models import Batch, Environment
+from lambent.models import Artifact, Batch, Environment
 from lambent.scenes import PIECE_BYTES
+
+_BETWEEN_JOBS = frozenset({"pictures.jsonl", "tiles.zip"})
+_SHEET = re.compile(r"contact_sheet(_\d+)?\.png")
+
+
+def for_people(artifacts: Iterable[Artifact]) -> list[Artifact]:
+    """Return the files of a batch without those that its jobs leave for each other."""
+    return [artifact for artifact in artifacts if artifact.name not in _BETWEEN_JOBS]
+
+
+def contact_sheets(artifacts: Iterable[Artifact]) -> list[Artifact]:
+    """Return the contact sheets among the files of a batch."""
+    return [artifact for artifact in artifacts if _SHEET.fullmatch(artifact.name)]
 
 
 def post(connection: Connection, path: str, body: Mapping[str, Any], idempotency_key: str) -> Any:

@@ -131,21 +131,35 @@ class RenderQuality(_message.Message):
     def __init__(self, name: _Optional[str] = ..., quality: _Optional[str] = ..., spp: _Optional[int] = ..., until_stderr: _Optional[float] = ..., antialias: _Optional[int] = ..., indirect: _Optional[bool] = ..., seed: _Optional[int] = ..., background: _Optional[str] = ..., exposure_ev: _Optional[float] = ..., bounces: _Optional[str] = ..., tone_mapping: _Optional[str] = ...) -> None: ...
 
 class RenderOutput(_message.Message):
-    __slots__ = ("files", "passes", "half")
+    __slots__ = ("files", "passes", "half", "path")
     FILES_FIELD_NUMBER: _ClassVar[int]
     PASSES_FIELD_NUMBER: _ClassVar[int]
     HALF_FIELD_NUMBER: _ClassVar[int]
+    PATH_FIELD_NUMBER: _ClassVar[int]
     files: _containers.RepeatedScalarFieldContainer[str]
     passes: _containers.RepeatedScalarFieldContainer[str]
     half: bool
-    def __init__(self, files: _Optional[_Iterable[str]] = ..., passes: _Optional[_Iterable[str]] = ..., half: _Optional[bool] = ...) -> None: ...
+    path: str
+    def __init__(self, files: _Optional[_Iterable[str]] = ..., passes: _Optional[_Iterable[str]] = ..., half: _Optional[bool] = ..., path: _Optional[str] = ...) -> None: ...
 
 class RenderTask(_message.Message):
-    __slots__ = ("spec", "shard", "num_shards")
+    __slots__ = ("spec", "shard", "num_shards", "failures")
     SPEC_FIELD_NUMBER: _ClassVar[int]
     SHARD_FIELD_NUMBER: _ClassVar[int]
     NUM_SHARDS_FIELD_NUMBER: _ClassVar[int]
+    FAILURES_FIELD_NUMBER: _ClassVar[int]
     spec: RenderSpec
     shard: int
     num_shards: int
-    def __init__(self, spec: _Optional[_Union[RenderSpec, _Mapping]] = ..., shard: _Optional[int] = ..., num_shards: _Optional[int] = ...) -> None: ...
+    failures: _containers.RepeatedCompositeFieldContainer[RenderFailure]
+    def __init__(self, spec: _Optional[_Union[RenderSpec, _Mapping]] = ..., shard: _Optional[int] = ..., num_shards: _Optional[int] = ..., failures: _Optional[_Iterable[_Union[RenderFailure, _Mapping]]] = ...) -> None: ...
+
+class RenderFailure(_message.Message):
+    __slots__ = ("path", "code", "message")
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    path: str
+    code: str
+    message: str
+    def __init__(self, path: _Optional[str] = ..., code: _Optional[str] = ..., message: _Optional[str] = ...) -> None: ...

@@ -10,16 +10,15 @@ from typing import Annotated, Any
 
 import typer
 from lambent_relight.batch.manifest import Manifest
-from lambent_relight.batch.plan import Failure, Plan, make_plan
+from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
 from lambent_relight.graphs import available_threads
 
+from lambent.cli.batch_failures import list_failures
 from lambent.cli.output import JsonOption, Output, UrlOption, format_duration
 from lambent.cli.rendering import PictureBar, relight_errors
 from lambent.errors import UsageProblemError
 from lambent.manifest_file import Document, load_document
-
-SHOWN_FAILURES = 50
 
 
 def batch(
@@ -48,7 +47,7 @@ def batch(
 
         if dry_run:
             raise typer.Exit(_list_server_work(asked, document, output_folder, output, url))
-        raise typer.Exit(batch_on_server(asked, output_folder, output, url=url, shards=shards))
+        raise typer.Exit(batch_on_server(asked, document, output_folder, output, url=url, shards=shards))
     from lambent.batch_inputs import with_local_bundles
 
     with relight_errors():
@@ -95,7 +94,7 @@ def _list_work(plan: Plan, manifest: Manifest, document: Document, folder: Path,
         pixels = f"{row.camera.width}x{row.camera.height}"
         text = f"{state:13} {row.path}  {pixels} {row.quality.quality}"
         output.result(text, {"picture": row.path, "files": list(todo.get(row.path, ()))})
-    _list_failures(plan.failures, document, output)
+    list_failures(plan.failures, document, output)
     counts = {"to_make": len(todo), "to_keep": len(parts.done), "failed": len(plan.failures)}
     text = f"{counts['to_make']} to make, {counts['to_keep']} to keep, {counts['failed']} cannot be made"
     output.result(text, {"path": str(folder), **counts})
@@ -126,7 +125,7 @@ def _render(
         sheets = write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
     counts = Counter(result.state for result in results)
     failures = [result.failure for result in results if result.failure is not None]
-    _list_failures(failures, document, output)
+    list_failures(failures, document, output)
     notes = sorted({note for each in results if each.record is not None for note in each.record.notes})
     for note in notes:
         output.note(note)
@@ -155,11 +154,3 @@ def _table_at_the_end(folder: Path, results: Sequence[Any]) -> Iterator[None]:
     except KeyboardInterrupt:
         write_table(folder / TABLE, results)
         raise
-
-
-def _list_failures(failures: Sequence[Failure], document: Document, output: Output) -> None:
-    for failure in failures[:SHOWN_FAILURES]:
-        place = f" ({document.where(failure.pointer)})" if failure.pointer else ""
-        output.note(f"failed {failure.path}: {failure.code}: {failure.message}{place}")
-    if len(failures) > SHOWN_FAILURES:
-        output.note(f"and {len(failures) - SHOWN_FAILURES} more; pictures.csv has all")

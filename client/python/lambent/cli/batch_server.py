@@ -3,8 +3,8 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path, PurePosixPath
 
 from lambent_relight.batch.journal import NAME as JOURNAL
@@ -13,21 +13,23 @@ from lambent_relight.batch.manifest import Manifest
 from lambent_relight.batch.plan import Failure
 from lambent_relight.batch.reading import safe_name
 from lambent_relight.batch.run import Result
-from lambent_relight.batch.sheet_lights import light_pictures
-from lambent_relight.batch.summary import TABLE, write_sheets, write_table
+from lambent_relight.batch.summary import TABLE, write_table
 
 from lambent.batch_order import order_of
+from lambent.cli.batch_failures import list_failures
 from lambent.cli.jobs import follow_jobs
 from lambent.cli.output import Output
 from lambent.cli.rendering import relight_errors
 from lambent.client import Client
 from lambent.errors import LambentError
+from lambent.manifest_file import Document
 from lambent.models import Artifact, Batch, Event
+from lambent.pictures import contact_sheets
 
-SHOWN_FAILURES = 50
 
-
-def batch_on_server(manifest: Manifest, folder: Path, output: Output, *, url: str, shards: int) -> int:
+def batch_on_server(
+    manifest: Manifest, document: Document, folder: Path, output: Output, *, url: str, shards: int
+) -> int:
     """Render a manifest on a server, fetch what it made into `folder`, and return the exit code.
 
     The same manifest is the same batch for a week: asked for again, its parts that failed or were cancelled
@@ -43,35 +45,51 @@ def batch_on_server(manifest: Manifest, folder: Path, output: Output, *, url: st
         if batch.state in ("failed", "cancelled"):
             batch = client.retry_batch(batch.id)
         output.note(f"{batch.id}: {batch.num_pictures} pictures in {len(batch.job_ids)} job(s)")
-        code = follow_jobs(client, batch.job_ids, as_json=output.as_json)
+        code = follow_jobs(client, batch.job_ids, as_json=output.as_json, findings=False)
         if code == 130:
             return code
         batch = client.batch(batch.id)
+        listed = client.batch_artifacts(batch.id)
         with relight_errors(), open_journal(folder) as journal:
-            results = _fetch(client, batch, manifest, folder, journal)
+            results = _fetch(client, batch, listed, manifest, folder, journal)
         results += _failures(client, batch)
+        sheets = [client.download(sheet, folder / sheet.name) for sheet in contact_sheets(listed)]
     write_table(folder / TABLE, results)
-    write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
     failures = [result.failure for result in results if result.failure is not None]
-    for failure in failures[:SHOWN_FAILURES]:
-        output.note(f"failed {failure.path}: {failure.code}: {failure.message}")
+    list_failures(failures, document, output)
+    if not sheets:
+        output.note("the job that makes the contact sheet has not succeeded; there is none")
     counts = Counter(result.state for result in results)
     text = (
         f"{folder}  ({counts['made']} fetched, {counts['kept']} kept, {counts['failed']} failed; {batch.id})"
     )
-    output.result(text, {"path": str(folder), "batch_id": batch.id, "states": dict(counts)})
+    shown = {
+        "path": str(folder),
+        "batch_id": batch.id,
+        "states": dict(counts),
+        "failures": [asdict(failure) for failure in failures],
+        "contact_sheets": [path.name for path in sheets],
+    }
+    output.result(text, shown)
     return 1 if failures or batch.state != "succeeded" else 0
 
 
-def _fetch(client: Client, batch: Batch, manifest: Manifest, folder: Path, journal: Journal) -> list[Result]:
+def _fetch(
+    client: Client,
+    batch: Batch,
+    listed: Iterable[Artifact],
+    manifest: Manifest,
+    folder: Path,
+    journal: Journal,
+) -> list[Result]:
     """Bring every picture that the jobs recorded here, under the names of the manifest's own pattern."""
-    artifacts = {(each.job_id, each.name): each for each in client.batch_artifacts(batch.id)}
+    artifacts = {(each.job_id, each.name): each for each in listed}
     results = []
     for job_id in batch.job_ids:
-        listed = artifacts.get((job_id, JOURNAL))
-        if listed is None:
+        records = artifacts.get((job_id, JOURNAL))
+        if records is None:
             continue
-        for line in client.read_artifact(listed).decode("utf-8").splitlines():
+        for line in client.read_artifact(records).decode("utf-8").splitlines():
             record = record_from_json(json.loads(line))
             results.append(_bring(client, job_id, record, manifest, folder, journal, artifacts))
     return results

@@ -10,7 +10,7 @@ from lambent.cli.output import JsonOption, Output, UrlOption
 from lambent.cli.progress import open_view
 from lambent.client import Client
 from lambent.errors import LambentError, UsageProblemError
-from lambent.models import Job
+from lambent.models import Event, Job
 
 JobArguments = Annotated[list[str], typer.Argument(metavar="JOB...", help="Job ids.")]
 
@@ -108,13 +108,17 @@ def logs(
         sys.stdout.write(client.logs(job))
 
 
-def follow_jobs(client: Client, job_ids: Sequence[str], *, as_json: bool) -> int:
-    """Show jobs until they end and return the exit code: 1 when one did not succeed, 130 on Ctrl-C."""
+def follow_jobs(client: Client, job_ids: Sequence[str], *, as_json: bool, findings: bool = True) -> int:
+    """Show jobs until they end and return the exit code: 1 when one did not succeed, 130 on Ctrl-C.
+
+    Without `findings` those are left to the caller.
+    """
     ended: dict[str, Job] = {}
     try:
         with open_view(as_json) as view:
             for update in client.watch(list(job_ids)):
-                view.show(update)
+                if findings or not (isinstance(update, Event) and update.type == "finding"):
+                    view.show(update)
                 if isinstance(update, Job) and update.is_final:
                     ended[update.id] = update
     except KeyboardInterrupt:

@@ -106,7 +106,7 @@ def open_journal(folder: Path) -> Iterator[Journal]:
     with _locked(folder):
         journal = Journal(folder)
         path = folder / NAME
-        for record in _read(path):
+        for record in read_records(path):
             journal._remember(record)
         # One line for each picture again, and no half line at the end.
         partial = path.with_name(f".partial-{NAME}")
@@ -124,7 +124,11 @@ def record_from_json(value: Mapping[str, Any]) -> Record:
     return Record(**{**value, "files": files, "notes": tuple(value["notes"])})
 
 
-def _read(path: Path) -> Iterator[Record]:
+def read_records(path: Path) -> Iterator[Record]:
+    """Yield the records of a journal as they were written; a half line at its end is left out.
+
+    Raises SettingError (`batch.bad_journal`) for a line that this program did not write.
+    """
     if not path.is_file():
         return
     with path.open(encoding="utf-8", errors="replace") as file:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -16,6 +17,8 @@ from lambent_relight.bundle import Bundle, load_bundle
 from lambent_relight.cameras import Camera, load_cameras
 from lambent_relight.errors import CameraError, RelightError, SettingError
 from lambent_relight.object_cameras import around_object
+
+_SHEETS = re.compile(r"contact_sheet(_\d+)?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,9 +241,15 @@ def _check_count(count: int) -> None:
 
 
 def _check_names(rows: Sequence[Row]) -> None:
-    """Raise `batch.same_name` for two pictures that would be one file on some system."""
+    """Raise `batch.same_name` for two pictures, or a picture and a sheet, that are one file somewhere."""
     seen: dict[str, Row] = {}
     for row in rows:
+        if _SHEETS.fullmatch(row.path.casefold()):
+            raise SettingError(
+                "batch.same_name",
+                f'the camera "{row.camera.name}" gives the file "{row.path}", which is the contact sheet',
+                "rename the camera, or give its pictures another path",
+            )
         other = seen.setdefault(row.path.casefold(), row)
         if other is not row:
             raise SettingError(

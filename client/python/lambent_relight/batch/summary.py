@@ -2,16 +2,16 @@
 
 import csv
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial as given
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from lambent_relight.batch.plan import Failure
 from lambent_relight.batch.run import Result
+from lambent_relight.batch.tiles import TILE, thumbnail
 
 TABLE = "pictures.csv"
 SHEET = "contact_sheet.png"
@@ -33,11 +33,13 @@ COLUMNS = (
     "code",
     "message",
 )
-TILE, GAP, MARGIN, LABEL_HEIGHT = 128, 6, 14, 18
+GAP, MARGIN, LABEL_HEIGHT = 6, 14, 18
 TILES_IN_A_ROW = 8
 ROWS_OF_A_SHEET = 64
 _MOST_LIGHTS = 4
 _PAPER, _INK, _FAINT, _FAILED = (255, 255, 255), (34, 34, 34), (110, 110, 110), (247, 222, 218)
+TileOf = Callable[[Result], Image.Image | None]
+"""Returns a picture small, or None where there is none."""
 
 
 def write_table(path: Path, results: Iterable[Result]) -> None:
@@ -74,13 +76,16 @@ def write_sheets(
     *,
     title: str,
     lights: Mapping[str, Image.Image] = MappingProxyType({}),
+    tile_of: TileOf | None = None,
 ) -> list[Path]:
     """Write every picture small and with its name into contact_sheet.png, and return the files.
 
     Pictures stand in the order of their names, one group for every folder; failed ones are empty and say why.
     Above a group stand the `lights` of its pictures, by the names of their environments. Above 64 rows there
-    are more sheets: contact_sheet_2.png and so on. One picture is open at a time.
+    are more sheets: contact_sheet_2.png and so on. Pictures are read from `folder`, one at a time, unless
+    `tile_of` has them.
     """
+    tile_of = tile_of or given(thumbnail, folder)
     rows = list(_rows(sorted(results, key=lambda each: each.path)))
     pages = [rows[start : start + ROWS_OF_A_SHEET] for start in range(0, len(rows), ROWS_OF_A_SHEET)]
     paths = []
@@ -89,7 +94,7 @@ def write_sheets(
         shown_title = title if len(pages) == 1 else f"{title} ({number} of {len(pages)})"
         path = folder / name
         partial = path.with_name(f".partial-{path.name}")
-        _sheet(folder, page, shown_title, lights).save(partial, format="PNG")
+        _sheet(page, shown_title, lights, tile_of).save(partial, format="PNG")
         os.replace(partial, path)
         paths.append(path)
     return paths
@@ -112,7 +117,10 @@ def _lights_of(members: Sequence[Result], lights: Mapping[str, Image.Image]) -> 
 
 
 def _sheet(
-    folder: Path, rows: Sequence[tuple[str, list[Result]]], title: str, lights: Mapping[str, Image.Image]
+    rows: Sequence[tuple[str, list[Result]]],
+    title: str,
+    lights: Mapping[str, Image.Image],
+    tile_of: TileOf,
 ) -> Image.Image:
     step = TILE + LABEL_HEIGHT + GAP
     columns = max(len(members) for _, members in rows)
@@ -138,7 +146,7 @@ def _sheet(
         top += head_height
         for index, result in enumerate(members):
             left = MARGIN + index * (TILE + GAP)
-            tile = thumbnail(folder, result)
+            tile = tile_of(result)
             if tile is None:
                 draw.rectangle((left, top, left + TILE, top + TILE), fill=_FAILED)
                 draw.text((left + 6, top + 6), _wrapped(result.failure), _INK, font=small)
@@ -153,30 +161,3 @@ def _sheet(
 def _wrapped(failure: Failure | None) -> str:
     words = failure.code.replace(".", ".\n").replace("_", "_\n") if failure is not None else "no picture"
     return f"failed:\n{words}" if failure is not None else words
-
-
-def thumbnail(folder: Path, result: Result, side: int = TILE) -> Image.Image | None:
-    """Return a picture over white, at most `side` pixels wide and high; None where there is none."""
-    record = result.record
-    if record is None:
-        return None
-    if "png" in record.files:
-        with Image.open(folder / record.files["png"].path) as image:
-            picture = image.convert("RGBA")
-    else:
-        picture = _from_exr(folder / record.files["exr"].path)
-    picture.thumbnail((side, side), Image.Resampling.BICUBIC)
-    paper = Image.new("RGBA", picture.size, (*_PAPER, 255))
-    return Image.alpha_composite(paper, picture).convert("RGB")
-
-
-def _from_exr(path: Path) -> Image.Image:
-    """Return the beauty pass of a linear EXR, whose colours are multiplied by alpha, over white."""
-    import OpenEXR
-
-    from lambent_relight.images import srgb_from_linear
-
-    channels = OpenEXR.File(str(path), separate_channels=True).parts[0].channels
-    planes: list[NDArray[np.float32]] = [channels[name].pixels.astype(np.float32) for name in "RGBA"]
-    rgb = np.stack(planes[:3], axis=-1) + (1.0 - planes[3][..., None])
-    return Image.fromarray(np.round(255.0 * srgb_from_linear(rgb)).astype(np.uint8)).convert("RGBA")

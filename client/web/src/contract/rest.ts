@@ -853,6 +853,11 @@ export interface components {
             half: boolean;
             /** Passes */
             passes?: ("direct" | "indirect" | "diffuse" | "specular" | "standard_error" | "visibility" | "albedo" | "normal" | "perceptual_roughness" | "metalness" | "depth")[];
+            /**
+             * Path
+             * @default {asset}/{environment}/{quality}/{camera}
+             */
+            path: string;
         };
         /**
          * RenderQuality

@@ -12,7 +12,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/render.proto.
  */
 export const file_lambent_proto_v1_render: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL3JlbmRlci5wcm90bxIQbGFtYmVudF9wcm90by52MSKaAgoKUmVuZGVyU3BlYxIMCgRuYW1lGAEgASgJEi0KBmFzc2V0cxgCIAMoCzIdLmxhbWJlbnRfcHJvdG8udjEuUmVuZGVyQXNzZXQSOQoMZW52aXJvbm1lbnRzGAMgAygLMiMubGFtYmVudF9wcm90by52MS5SZW5kZXJFbnZpcm9ubWVudBIwCgdjYW1lcmFzGAQgAygLMh8ubGFtYmVudF9wcm90by52MS5SZW5kZXJDYW1lcmFzEjIKCXF1YWxpdGllcxgFIAMoCzIfLmxhbWJlbnRfcHJvdG8udjEuUmVuZGVyUXVhbGl0eRIuCgZvdXRwdXQYBiABKAsyHi5sYW1iZW50X3Byb3RvLnYxLlJlbmRlck91dHB1dCJ9CgtSZW5kZXJBc3NldBIMCgRuYW1lGAEgASgJEhEKCWJ1bmRsZV9pZBgCIAEoCRIyCghtYXRlcmlhbBgDIAEoCzIgLmxhbWJlbnRfcHJvdG8udjEuUmVuZGVyTWF0ZXJpYWwSGQoRb2JqZWN0X3JvdGF0ZV9kZWcYBCABKAEiTgoOUmVuZGVyTWF0ZXJpYWwSEwoLYWxiZWRvX2dhaW4YASADKAESDgoGYWxiZWRvGAIgAygBEhcKD3JvdWdobmVzc19zY2FsZRgDIAEoASJ8ChFSZW5kZXJFbnZpcm9ubWVudBIMCgRuYW1lGAEgASgJEhYKDmVudmlyb25tZW50X2lkGAIgASgJEgwKBGF4ZXMYAyABKAkSDAoEbWVuZBgEIAEoCBIRCglzdW5fY2xhbXAYBSABKAESEgoKcm90YXRlX2RlZxgGIAEoASKmAgoNUmVuZGVyQ2FtZXJhcxIMCgRuYW1lGAEgASgJEhEKCXR1cm50YWJsZRgCIAEoDRIaCg1lbGV2YXRpb25fZGVnGAMgASgBSACIAQESEwoGcmFkaXVzGAQgASgBSAGIAQESHgoRZmllbGRfb2Zfdmlld19kZWcYBSABKAFIAogBARIRCglzdGFydF9kZWcYBiABKAESDQoFdmlld3MYByADKAkSEQoJYWxsX3ZpZXdzGAggASgIEi0KBXBvc2VzGAkgAygLMh4ubGFtYmVudF9wcm90by52MS5SZW5kZXJDYW1lcmESDAoEc2l6ZRgKIAEoDUIQCg5fZWxldmF0aW9uX2RlZ0IJCgdfcmFkaXVzQhQKEl9maWVsZF9vZl92aWV3X2RlZyKaAQoMUmVuZGVyQ2FtZXJhEgwKBG5hbWUYASABKAkSDQoFd2lkdGgYAiABKA0SDgoGaGVpZ2h0GAMgASgNEg8KB2ZvY2FsX3gYBCABKAESDwoHZm9jYWxfeRgFIAEoARIQCghjZW50cmVfeBgGIAEoARIQCghjZW50cmVfeRgHIAEoARIXCg9jYW1lcmFfdG9fd29ybGQYCCADKAEi1AEKDVJlbmRlclF1YWxpdHkSDAoEbmFtZRgBIAEoCRIPCgdxdWFsaXR5GAIgASgJEgsKA3NwcBgDIAEoDRIUCgx1bnRpbF9zdGRlcnIYBCABKAESEQoJYW50aWFsaWFzGAUgASgNEhAKCGluZGlyZWN0GAYgASgIEgwKBHNlZWQYByABKA0SEgoKYmFja2dyb3VuZBgIIAEoCRITCgtleHBvc3VyZV9ldhgJIAEoARIPCgdib3VuY2VzGAogASgJEhQKDHRvbmVfbWFwcGluZxgLIAEoCSI7CgxSZW5kZXJPdXRwdXQSDQoFZmlsZXMYASADKAkSDgoGcGFzc2VzGAIgAygJEgwKBGhhbGYYAyABKAgiWwoKUmVuZGVyVGFzaxIqCgRzcGVjGAEgASgLMhwubGFtYmVudF9wcm90by52MS5SZW5kZXJTcGVjEg0KBXNoYXJkGAIgASgNEhIKCm51bV9zaGFyZHMYAyABKA1iBnByb3RvMw");
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL3JlbmRlci5wcm90bxIQbGFtYmVudF9wcm90by52MSKaAgoKUmVuZGVyU3BlYxIMCgRuYW1lGAEgASgJEi0KBmFzc2V0cxgCIAMoCzIdLmxhbWJlbnRfcHJvdG8udjEuUmVuZGVyQXNzZXQSOQoMZW52aXJvbm1lbnRzGAMgAygLMiMubGFtYmVudF9wcm90by52MS5SZW5kZXJFbnZpcm9ubWVudBIwCgdjYW1lcmFzGAQgAygLMh8ubGFtYmVudF9wcm90by52MS5SZW5kZXJDYW1lcmFzEjIKCXF1YWxpdGllcxgFIAMoCzIfLmxhbWJlbnRfcHJvdG8udjEuUmVuZGVyUXVhbGl0eRIuCgZvdXRwdXQYBiABKAsyHi5sYW1iZW50X3Byb3RvLnYxLlJlbmRlck91dHB1dCJ9CgtSZW5kZXJBc3NldBIMCgRuYW1lGAEgASgJEhEKCWJ1bmRsZV9pZBgCIAEoCRIyCghtYXRlcmlhbBgDIAEoCzIgLmxhbWJlbnRfcHJvdG8udjEuUmVuZGVyTWF0ZXJpYWwSGQoRb2JqZWN0X3JvdGF0ZV9kZWcYBCABKAEiTgoOUmVuZGVyTWF0ZXJpYWwSEwoLYWxiZWRvX2dhaW4YASADKAESDgoGYWxiZWRvGAIgAygBEhcKD3JvdWdobmVzc19zY2FsZRgDIAEoASJ8ChFSZW5kZXJFbnZpcm9ubWVudBIMCgRuYW1lGAEgASgJEhYKDmVudmlyb25tZW50X2lkGAIgASgJEgwKBGF4ZXMYAyABKAkSDAoEbWVuZBgEIAEoCBIRCglzdW5fY2xhbXAYBSABKAESEgoKcm90YXRlX2RlZxgGIAEoASKmAgoNUmVuZGVyQ2FtZXJhcxIMCgRuYW1lGAEgASgJEhEKCXR1cm50YWJsZRgCIAEoDRIaCg1lbGV2YXRpb25fZGVnGAMgASgBSACIAQESEwoGcmFkaXVzGAQgASgBSAGIAQESHgoRZmllbGRfb2Zfdmlld19kZWcYBSABKAFIAogBARIRCglzdGFydF9kZWcYBiABKAESDQoFdmlld3MYByADKAkSEQoJYWxsX3ZpZXdzGAggASgIEi0KBXBvc2VzGAkgAygLMh4ubGFtYmVudF9wcm90by52MS5SZW5kZXJDYW1lcmESDAoEc2l6ZRgKIAEoDUIQCg5fZWxldmF0aW9uX2RlZ0IJCgdfcmFkaXVzQhQKEl9maWVsZF9vZl92aWV3X2RlZyKaAQoMUmVuZGVyQ2FtZXJhEgwKBG5hbWUYASABKAkSDQoFd2lkdGgYAiABKA0SDgoGaGVpZ2h0GAMgASgNEg8KB2ZvY2FsX3gYBCABKAESDwoHZm9jYWxfeRgFIAEoARIQCghjZW50cmVfeBgGIAEoARIQCghjZW50cmVfeRgHIAEoARIXCg9jYW1lcmFfdG9fd29ybGQYCCADKAEi1AEKDVJlbmRlclF1YWxpdHkSDAoEbmFtZRgBIAEoCRIPCgdxdWFsaXR5GAIgASgJEgsKA3NwcBgDIAEoDRIUCgx1bnRpbF9zdGRlcnIYBCABKAESEQoJYW50aWFsaWFzGAUgASgNEhAKCGluZGlyZWN0GAYgASgIEgwKBHNlZWQYByABKA0SEgoKYmFja2dyb3VuZBgIIAEoCRITCgtleHBvc3VyZV9ldhgJIAEoARIPCgdib3VuY2VzGAogASgJEhQKDHRvbmVfbWFwcGluZxgLIAEoCSJJCgxSZW5kZXJPdXRwdXQSDQoFZmlsZXMYASADKAkSDgoGcGFzc2VzGAIgAygJEgwKBGhhbGYYAyABKAgSDAoEcGF0aBgEIAEoCSKOAQoKUmVuZGVyVGFzaxIqCgRzcGVjGAEgASgLMhwubGFtYmVudF9wcm90by52MS5SZW5kZXJTcGVjEg0KBXNoYXJkGAIgASgNEhIKCm51bV9zaGFyZHMYAyABKA0SMQoIZmFpbHVyZXMYBCADKAsyHy5sYW1iZW50X3Byb3RvLnYxLlJlbmRlckZhaWx1cmUiPAoNUmVuZGVyRmFpbHVyZRIMCgRwYXRoGAEgASgJEgwKBGNvZGUYAiABKAkSDwoHbWVzc2FnZRgDIAEoCWIGcHJvdG8z");
 
 /**
  * Assets x environments x cameras x qualities, one picture each.
@@ -412,6 +412,14 @@ export type RenderOutput = Message<"lambent_proto.v1.RenderOutput"> & {
    * @generated from field: bool half = 3;
    */
   half: boolean;
+
+  /**
+   * Path of a picture without suffix, with {asset}, {environment}, {quality} and {camera}; empty for
+   * these four in this order, one folder each.
+   *
+   * @generated from field: string path = 4;
+   */
+  path: string;
 };
 
 /**
@@ -422,7 +430,8 @@ export const RenderOutputSchema: GenMessage<RenderOutput> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_render, 7);
 
 /**
- * What one job of an order makes: the pictures from shard * n / num_shards on, in the order of the plan.
+ * What one job of an order makes: the pictures from shard * n / num_shards on, in the order of the plan. The
+ * job behind the last of several, whose shard is num_shards, makes the table and the contact sheet of all.
  *
  * @generated from message lambent_proto.v1.RenderTask
  */
@@ -441,6 +450,13 @@ export type RenderTask = Message<"lambent_proto.v1.RenderTask"> & {
    * @generated from field: uint32 num_shards = 3;
    */
   numShards: number;
+
+  /**
+   * What the other jobs could not make; for the last job only.
+   *
+   * @generated from field: repeated lambent_proto.v1.RenderFailure failures = 4;
+   */
+  failures: RenderFailure[];
 };
 
 /**
@@ -449,4 +465,33 @@ export type RenderTask = Message<"lambent_proto.v1.RenderTask"> & {
  */
 export const RenderTaskSchema: GenMessage<RenderTask> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_render, 8);
+
+/**
+ * A picture that cannot be made, and why; "*" at the end of its path stands for several.
+ *
+ * @generated from message lambent_proto.v1.RenderFailure
+ */
+export type RenderFailure = Message<"lambent_proto.v1.RenderFailure"> & {
+  /**
+   * @generated from field: string path = 1;
+   */
+  path: string;
+
+  /**
+   * @generated from field: string code = 2;
+   */
+  code: string;
+
+  /**
+   * @generated from field: string message = 3;
+   */
+  message: string;
+};
+
+/**
+ * Describes the message lambent_proto.v1.RenderFailure.
+ * Use `create(RenderFailureSchema)` to create a new message.
+ */
+export const RenderFailureSchema: GenMessage<RenderFailure> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_render, 9);
 
