@@ -46,7 +46,7 @@ wheel: $(VENV)/.installed pages ## Build the wheel, web pages included, into bui
 # Without Node there are no pages: the demo's link says so, and the tests in a browser are skipped.
 BUILT := $(if $(shell command -v npm),$(PAGES)/.built)
 
-demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (11 minutes on two cores of 2 GHz)
+demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (5 to 11 minutes on two cores)
 	$(BIN)/lambent demo
 
 # Two workers on two cores: one thread each.
