@@ -1,5 +1,6 @@
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
+import { narrowCoupling, sampledCoupling } from "../src/engine/coupling.js";
 import { splitDominantLights } from "../src/engine/dominantLights.js";
 import { directionOfPixel, rotateAboutZ, type Direction } from "../src/engine/environment.js";
 import {
@@ -20,7 +21,7 @@ import {
   windowFactors,
   type Matrix3,
 } from "../src/engine/harmonics.js";
-import { levelWidth, lookupLevels, prefilter } from "../src/engine/prefilter.js";
+import { levelWidth, lookupLevels, prefilter, zonalMean } from "../src/engine/prefilter.js";
 import { splitSum, splitSumTable } from "../src/engine/splitSum.js";
 
 type Pixels = readonly (readonly (readonly number[])[])[];
@@ -126,6 +127,43 @@ describe("prefiltered levels", () => {
     expect(levels[0]?.radianceRgb).toEqual(mapOf(numbers.map).radianceRgb);
     expect(levelWidth(1 / 64)).toBe(512);
     expect(() => prefilter(constantMap(4, 8, 1), 1)).toThrow(RangeError);
+  });
+
+  it("of a narrow lobe are the same from a formula", () => {
+    const alpha = 1 / 64;
+    const [height, width] = [64, 128];
+    const radianceRgb = Float32Array.from(
+      { length: 3 * height * width },
+      (_, at) => 0.5 + 0.5 * Math.sin(at ** 1.3),
+    );
+    // A sun, whose faint far ends must be right too.
+    radianceRgb.fill(1e4, 3 * (20 * width + 30), 3 * (20 * width + 31));
+    const map = { height, width, radianceRgb };
+    const wanted = zonalMean(map, sampledCoupling(alpha, width)).radianceRgb;
+    const found = zonalMean(map, narrowCoupling(alpha, width)).radianceRgb;
+    expectClose(found, wanted, 1e-4);
+  });
+
+  it("are sums over the kernel's values", () => {
+    const map = mapOf(numbers.map);
+    const fine = resized(map, 8, 16);
+    const alpha = 0.5;
+    const found = zonalMean(fine, sampledCoupling(alpha, 16)).radianceRgb;
+    const directions = Array.from({ length: 128 }, (_, at) => directionOfPixel(at >> 4, at & 15, 8, 16));
+    directions.forEach((direction, at) => {
+      const sum = [0, 0, 0, 0];
+      directions.forEach((other, from) => {
+        const cosine = direction.reduce((total, value, axis) => total + value * other[axis]!, 0);
+        const spread = 0.5 * (1 + cosine) * alpha ** 2 + 0.5 * (1 - cosine);
+        const weight = (pixelSolidAngle(from >> 4, 8, 16) * Math.max(cosine, 0)) / spread ** 2;
+        const pixel = [...fine.radianceRgb.slice(3 * from, 3 * from + 3), 1];
+        pixel.forEach((value, part) => {
+          sum[part]! += weight * value;
+        });
+      });
+      const mean = sum.slice(0, 3).map((value) => value / sum[3]!);
+      expectClose(found.slice(3 * at, 3 * at + 3), mean, 1e-9);
+    });
   });
 
   it("are made from means that keep the energy", () => {

@@ -1,11 +1,12 @@
 import { readFileSync } from "node:fs";
+import { deflateSync } from "node:zlib";
 import { describe, expect, it } from "vitest";
 import { energy } from "../src/engine/environmentMap.js";
 import { halfValue } from "../src/engine/half.js";
 import { cosineFactors } from "../src/engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../src/engine/lobes.js";
 import { shadowDirections, shadowWeights } from "../src/engine/shadows.js";
-import { readExr } from "../src/light/exrInput.js";
+import { decodedByThree, readExr } from "../src/light/exrInput.js";
 import { MapFault } from "../src/light/fault.js";
 import { toHalf } from "../src/light/half.js";
 import { maxDominant, numLevels, prepareLight, usableMap } from "../src/light/prepare.js";
@@ -15,9 +16,9 @@ import { encodeExr } from "../src/viewer/save.js";
 import { sumFactors } from "../src/render/irradiance.js";
 import { turnMatrix } from "../src/render/light.js";
 
-function codeOf(work: () => unknown): string {
+async function codeOf(work: () => unknown): Promise<string> {
   try {
-    work();
+    await work();
   } catch (error) {
     if (error instanceof MapFault) return error.code;
     throw error;
@@ -70,7 +71,7 @@ describe("Radiance maps", () => {
     const map = readRgbe(hdr(`${head}\n-Y 1 +X 8\n`, line), 100);
     expect([...map.radianceRgb.slice(0, 6)]).toEqual([128, 1, 0, 128, 2, 0]);
   });
-  it("are refused when they are damaged", () => {
+  it("are refused when they are damaged", async () => {
     const cases: [string, Uint8Array][] = [
       ["environment.hdr_damaged", hdr("nothing", [])],
       ["environment.hdr_damaged", hdr(`${head}\n-Y 2 +X 2\n`, [1, 2, 3, 4])],
@@ -79,7 +80,7 @@ describe("Radiance maps", () => {
       ["environment.hdr_format", hdr("#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n", [1, 1, 1, 1])],
       ["environment.too_large", hdr(`${head}\n-Y 100 +X 100\n`, [])],
     ];
-    for (const [code, data] of cases) expect(codeOf(() => readRgbe(data, 99))).toBe(code);
+    for (const [code, data] of cases) expect(await codeOf(() => readRgbe(data, 99))).toBe(code);
   });
   it("of the sample scene have the energy that their pixels say", () => {
     const file = new URL("../../python/lambent/sample/envmaps/sunset.hdr", import.meta.url);
@@ -89,23 +90,85 @@ describe("Radiance maps", () => {
   });
 });
 
+/** Return an EXR file with its lines deflated by 16, from the one that the viewer saves. */
+function deflated(plain: Uint8Array<ArrayBuffer>, width: number, height: number): Uint8Array<ArrayBuffer> {
+  const name = plain.findIndex(
+    (_, at) => Buffer.from(plain.subarray(at, at + 12)).toString() === "compression\0",
+  );
+  const header = plain.slice(0, plain.length - height * (16 + 8 * width));
+  header[name + 12 + 12 + 4] = 3;
+  const numChunks = Math.ceil(height / 16);
+  const parts: Uint8Array[] = [];
+  const table = new DataView(new ArrayBuffer(8 * numChunks));
+  let place = header.length + 8 * numChunks;
+  // Any order of chunks will do.
+  for (let chunk = numChunks - 1; chunk >= 0; chunk--) {
+    const rows = Array.from({ length: Math.min(16, height - 16 * chunk) }, (_, line) => {
+      const start = plain.length - (height - 16 * chunk - line) * (8 + 8 * width) + 8;
+      return [...plain.subarray(start, start + 8 * width)];
+    }).flat();
+    const halves = [...rows.filter((_, at) => at % 2 === 0), ...rows.filter((_, at) => at % 2 === 1)];
+    const packed = deflateSync(
+      Uint8Array.from(halves, (value, at) => (at ? value - halves[at - 1]! + 128 : value)),
+    );
+    const small = packed.length < rows.length;
+    const data = small ? packed : Uint8Array.from(rows);
+    table.setBigUint64(8 * chunk, BigInt(place), true);
+    parts.push(new Uint8Array(Int32Array.of(16 * chunk, data.length).buffer), data);
+    place += 8 + data.length;
+  }
+  return Uint8Array.from(Buffer.concat([header, new Uint8Array(table.buffer), ...parts]));
+}
+
 describe("OpenEXR maps", () => {
-  it("are refused when they are damaged or too large", { timeout: 60_000 }, () => {
-    expect(codeOf(() => readExr(new Uint8Array(100), 100))).toBe("environment.exr_damaged");
+  const [width, height] = [24, 37];
+  const halves = Uint16Array.from({ length: 4 * width * height }, (_, at) => toHalf((at % 97) * 0.37));
+  const plain = encodeExr(halves, width, height);
+  const packed = deflated(plain, width, height);
+
+  it("are the same deflated or not, and as three decodes them", async () => {
+    expect(packed.length).toBeLessThan(0.6 * plain.length);
+    const wanted = decodedByThree(plain);
+    expect([...wanted.radianceRgb.slice(0, 4)]).toEqual([0, 1, 2, 4].map((at) => halfValue(halves[at]!)));
+    expect(await readExr(plain, 1000)).toEqual(wanted);
+    expect(await readExr(packed, 1000)).toEqual(wanted);
+    expect(decodedByThree(packed)).toEqual(wanted);
+  });
+  it("are refused when deflated lines are damaged, missing, or more than are stated", async () => {
+    const changed = (change: (file: Uint8Array<ArrayBuffer>, view: DataView) => void): (() => unknown) => {
+      const file = packed.slice();
+      change(file, new DataView(file.buffer));
+      return () => readExr(file, 1000);
+    };
+    const table = plain.length - height * (16 + 8 * width);
+    const cases = [
+      changed((file) => file.fill(0xff, file.length - 40)),
+      changed((file) => file.copyWithin(table, table + 8, table + 16)),
+      changed((_, view) => view.setBigUint64(table, 1n << 40n, true)),
+      changed((file, view) => {
+        for (const name of ["dataWindow", "displayWindow"]) {
+          const value = Buffer.from(file).indexOf(`${name}\0box2i\0`) + name.length + 1 + 6 + 4;
+          view.setInt32(value + 8, width - 2, true);
+        }
+      }),
+    ];
+    for (const read of cases) expect(await codeOf(read)).toBe("environment.exr_damaged");
+  });
+  it("are refused when they are damaged or too large", { timeout: 60_000 }, async () => {
+    expect(await codeOf(() => readExr(new Uint8Array(100), 100))).toBe("environment.exr_damaged");
     const whole = encodeExr(new Uint16Array(4 * 8 * 4), 8, 4);
-    expect(readExr(whole, 32).width).toBe(8);
-    expect(codeOf(() => readExr(whole, 31))).toBe("environment.too_large");
+    expect((await readExr(whole, 32)).width).toBe(8);
+    expect(await codeOf(() => readExr(whole, 31))).toBe("environment.too_large");
     // Wherever a file ends early, and whatever byte of its header is another one, an answer comes.
     for (let length = 0; length < 420; length += 7) {
-      expect(
-        codeOf(() => readExr(whole.slice(0, length), 100)),
-        `${length} bytes`,
-      ).toMatch(/^environment/);
+      expect(await codeOf(() => readExr(whole.slice(0, length), 100)), `${length} bytes`).toMatch(
+        /^environment/,
+      );
     }
     for (let place = 8; place < 300; place++) {
       const changed = whole.slice();
       changed[place] = 0x41;
-      expect(codeOf(() => readExr(changed, 100))).toMatch(/^(environment|nothing)/);
+      expect(await codeOf(() => readExr(changed, 100))).toMatch(/^(environment|nothing)/);
     }
   });
 });
@@ -138,14 +201,14 @@ describe("a prepared light", () => {
     expect(worst).toBeLessThan(1e-3);
     expect(covered.every((count) => count <= 1)).toBe(true);
   });
-  it("mends unusable values and says so", () => {
+  it("mends unusable values and says so", async () => {
     const radianceRgb = new Float32Array(3 * 4 * 8).fill(1);
     radianceRgb.set([Number.NaN, -1, Number.POSITIVE_INFINITY]);
     const { map, notes } = usableMap({ height: 4, width: 8, radianceRgb });
     expect([...map.radianceRgb.subarray(0, 4)]).toEqual([0, 0, 1, 1]);
     expect(notes.join()).toContain("Mended 3 values");
     const none = { height: 1, width: 1, radianceRgb: new Float32Array(3).fill(-1) };
-    expect(codeOf(() => usableMap(none))).toBe("environment.no_values");
+    expect(await codeOf(() => usableMap(none))).toBe("environment.no_values");
   });
   it("reduces large maps and says so", () => {
     const map = { height: 8, width: 4096, radianceRgb: new Float32Array(3 * 8 * 4096).fill(1) };

@@ -113,10 +113,10 @@ describe("a film", () => {
 });
 
 describe("an EXR picture", () => {
-  it("is read back as it was written", () => {
+  it("is read back as it was written", async () => {
     const [width, height] = [3, 2];
     const values = Array.from({ length: 4 * width * height }, (_, index) => 0.25 * index);
-    const map = readExr(encodeExr(Uint16Array.from(values, toHalf), width, height), 100);
+    const map = await readExr(encodeExr(Uint16Array.from(values, toHalf), width, height), 100);
     expect([map.width, map.height]).toEqual([3, 2]);
     const expected = values.filter((_, index) => index % 4 < 3);
     expect([...map.radianceRgb]).toEqual(expected);

@@ -24,125 +24,172 @@ export type DominantLights = {
   readonly residual: EnvironmentMap;
 };
 
-type Pixel = { readonly index: number; readonly direction: Direction; readonly solidAngle: number };
+/** Pixels of a map near one of them. */
+type Patch = {
+  readonly indices: number[];
+  readonly solidAngles: number[];
+  /** Between a pixel's direction and that of the one in the middle. */
+  readonly cosines: number[];
+};
 
 /** Return up to `count` lights of an unturned map and what is left of it. */
 export function splitDominantLights(map: EnvironmentMap, count: number): DominantLights {
-  const image = new Float64Array(map.radianceRgb);
+  const image = new Float32Array(map.radianceRgb);
   const total = sum(energy(map));
-  const candidates = new Float64Array(map.height * map.width);
-  for (let pixel = 0; pixel < candidates.length; pixel++) {
-    candidates[pixel] = image[3 * pixel]! + image[3 * pixel + 1]! + image[3 * pixel + 2]!;
-  }
+  const peaks = new Peaks(map);
   const lights: DirectionalLight[] = [];
   for (let trial = 0; trial < maxTrials && lights.length < count && total > 0; trial++) {
-    const peak = placeOfLargest(candidates);
-    if (candidates[peak]! <= 0) break;
+    const peak = peaks.largest();
+    if (peak === null) break;
     const { disk, ring } = diskAndRing(map, peak);
-    if (ring.length === 0) break;
+    if (ring.indices.length === 0) break;
     const around = meanOver(image, ring);
-    for (const { index } of [...disk, ...ring]) candidates[index] = -1;
-    const light = takeOut(image, disk, around, minShare * total);
+    peaks.strike(disk.indices);
+    peaks.strike(ring.indices);
+    const light = takeOut(image, map, disk, around, minShare * total);
     if (light !== null) lights.push(light);
   }
   lights.sort((a, b) => sum(b.radianceSolidAngle) - sum(a.radianceSolidAngle));
-  return { lights, residual: { ...map, radianceRgb: new Float32Array(image) } };
+  return { lights, residual: { ...map, radianceRgb: image } };
 }
 
-/** Return the first place of the largest value. */
-function placeOfLargest(values: Float64Array): number {
-  let best = 0;
-  for (let place = 1; place < values.length; place++) if (values[place]! > values[best]!) best = place;
-  return best;
+/** The pixels that may still be the middle of a light. */
+class Peaks {
+  readonly #values: Float64Array;
+  /** The largest pixel of every row. */
+  readonly #ofRow: Uint32Array;
+  readonly #width: number;
+
+  constructor({ height, width, radianceRgb }: EnvironmentMap) {
+    this.#width = width;
+    this.#values = new Float64Array(height * width);
+    for (let pixel = 0; pixel < this.#values.length; pixel++) {
+      this.#values[pixel] =
+        radianceRgb[3 * pixel]! + radianceRgb[3 * pixel + 1]! + radianceRgb[3 * pixel + 2]!;
+    }
+    this.#ofRow = Uint32Array.from({ length: height }, (_, row) => this.#largestOf(row));
+  }
+
+  /** Return the first of the brightest pixels, or null where none is bright. */
+  largest(): number | null {
+    let best = this.#ofRow[0]!;
+    for (const pixel of this.#ofRow) if (this.#values[pixel]! > this.#values[best]!) best = pixel;
+    return this.#values[best]! > 0 ? best : null;
+  }
+
+  /** Take pixels out of the choice. */
+  strike(pixels: readonly number[]): void {
+    const rows = new Set<number>();
+    for (const pixel of pixels) {
+      this.#values[pixel] = -1;
+      rows.add(Math.floor(pixel / this.#width));
+    }
+    for (const row of rows) this.#ofRow[row] = this.#largestOf(row);
+  }
+
+  #largestOf(row: number): number {
+    let best = row * this.#width;
+    const end = best + this.#width;
+    for (let pixel = best + 1; pixel < end; pixel++) {
+      if (this.#values[pixel]! > this.#values[best]!) best = pixel;
+    }
+    return best;
+  }
 }
 
 function sum([red, green, blue]: Rgb): number {
   return red + green + blue;
 }
 
-function meanOver(image: Float64Array, pixels: readonly Pixel[]): Rgb {
+function meanOver(image: Float32Array, { indices, solidAngles }: Patch): Rgb {
   const mean: Rgb = [0, 0, 0];
   let weight = 0;
-  for (const { index, solidAngle } of pixels) {
+  indices.forEach((index, place) => {
+    const solidAngle = solidAngles[place]!;
     weight += solidAngle;
     for (const channel of [0, 1, 2] as const) mean[channel] += solidAngle * image[3 * index + channel]!;
-  }
+  });
   return [mean[0] / weight, mean[1] / weight, mean[2] / weight];
 }
 
 /** Take what rises above `around` out of the image, unless its energy is below `least`; return the light. */
 function takeOut(
-  image: Float64Array,
-  disk: readonly Pixel[],
+  image: Float32Array,
+  { height, width }: EnvironmentMap,
+  { indices, solidAngles }: Patch,
   around: Rgb,
   least: number,
 ): DirectionalLight | null {
-  const above = ({ index }: Pixel, channel: 0 | 1 | 2): number =>
+  const above = (index: number, channel: 0 | 1 | 2): number =>
     Math.max(image[3 * index + channel]! - around[channel], 0);
   const flux: Rgb = [0, 0, 0];
-  const centre = [0, 0, 0];
-  for (const pixel of disk) {
-    let together = 0;
-    for (const channel of [0, 1, 2] as const) {
-      const part = pixel.solidAngle * above(pixel, channel);
-      flux[channel] += part;
-      together += part;
-    }
-    for (const axis of [0, 1, 2] as const) centre[axis] = centre[axis]! + together * pixel.direction[axis];
-  }
+  indices.forEach((index, place) => {
+    for (const channel of [0, 1, 2] as const) flux[channel] += solidAngles[place]! * above(index, channel);
+  });
   if (sum(flux) < least) return null;
-  for (const pixel of disk) {
-    for (const channel of [0, 1, 2] as const) {
-      const slot = 3 * pixel.index + channel;
-      image[slot] = image[slot]! - above(pixel, channel);
-    }
-  }
+  const centre: [number, number, number] = [0, 0, 0];
+  indices.forEach((index, place) => {
+    const part = above(index, 0) + above(index, 1) + above(index, 2);
+    const direction = directionOfPixel(Math.floor(index / width), index % width, height, width);
+    for (const axis of [0, 1, 2] as const) centre[axis] += solidAngles[place]! * part * direction[axis];
+    for (const channel of [0, 1, 2] as const) image[3 * index + channel]! -= above(index, channel);
+  });
   const length = Math.hypot(...centre);
-  const direction: Direction = [centre[0]! / length, centre[1]! / length, centre[2]! / length];
+  const direction: Direction = [centre[0] / length, centre[1] / length, centre[2] / length];
   return { direction, radianceSolidAngle: flux };
 }
 
 /** Return the pixels within 8 degrees of a pixel, and those from there to 12 degrees. */
-function diskAndRing(map: EnvironmentMap, peak: number): { disk: Pixel[]; ring: Pixel[] } {
+function diskAndRing(map: EnvironmentMap, peak: number): { disk: Patch; ring: Patch } {
   const [inner, outer] = [Math.cos((radiusDeg * Math.PI) / 180), Math.cos((1.5 * radiusDeg * Math.PI) / 180)];
-  const disk: Pixel[] = [];
-  let ring: Pixel[] = [];
-  for (const { pixel, cosine } of around(map, peak, outer)) {
-    if (cosine >= inner || pixel.index === peak) disk.push(pixel);
-    else if (cosine >= outer) ring.push(pixel);
-  }
-  if (ring.length === 0) {
+  const near = around(map, peak, outer);
+  const disk = chosen(near, (cosine, index) => cosine >= inner || index === peak);
+  let ring = chosen(near, (cosine, index) => cosine >= outer && cosine < inner && index !== peak);
+  if (ring.indices.length === 0) {
     // Pixels are larger than the ring: the nearest ones outside take its place.
-    const taken = new Set(disk.map((pixel) => pixel.index));
-    const outside = around(map, peak, -1).filter(({ pixel }) => !taken.has(pixel.index));
-    const nearest = outside.map(({ cosine }) => cosine).sort((a, b) => b - a);
+    const taken = new Set(disk.indices);
+    const outside = chosen(around(map, peak, -1), (_, index) => !taken.has(index));
+    const nearest = [...outside.cosines].sort((a, b) => b - a);
     const least = nearest[Math.min(3, nearest.length - 1)] ?? 0;
-    ring = outside.filter(({ cosine }) => cosine >= least).map(({ pixel }) => pixel);
+    ring = chosen(outside, (cosine) => cosine >= least);
   }
   return { disk, ring };
 }
 
-/** Return the pixels near a pixel's row whose directions have at least this cosine with its own, and itself. */
-function around(map: EnvironmentMap, peak: number, least: number): { pixel: Pixel; cosine: number }[] {
+function chosen(patch: Patch, wanted: (cosine: number, index: number) => boolean): Patch {
+  const found: Patch = { indices: [], solidAngles: [], cosines: [] };
+  patch.indices.forEach((index, place) => {
+    if (!wanted(patch.cosines[place]!, index)) return;
+    found.indices.push(index);
+    found.solidAngles.push(patch.solidAngles[place]!);
+    found.cosines.push(patch.cosines[place]!);
+  });
+  return found;
+}
+
+/** Return the pixels near a pixel's row whose directions have about this cosine with its own or more, and itself. */
+function around(map: EnvironmentMap, peak: number, least: number): Patch {
   const { height, width } = map;
   const row = Math.floor(peak / width);
-  const centre = directionOfPixel(row, peak % width, height, width);
+  const column = peak % width;
+  const centre = directionOfPixel(row, column, height, width);
   const reach = ((1.5 * radiusDeg) / 180) * height + 1;
   const level = Math.hypot(centre[0], centre[1]);
-  const found: { pixel: Pixel; cosine: number }[] = [];
+  const found: Patch = { indices: [], solidAngles: [], cosines: [] };
   for (let r = Math.max(Math.floor(row - reach), 0); r < Math.min(row + reach + 1, height); r++) {
     const solidAngle = pixelSolidAngle(r, height, width);
     const polar = (Math.PI * (r + 0.5)) / height;
     const [along, across] = [centre[2] * Math.cos(polar), level * Math.sin(polar)];
-    // The nearest column tells whether any can be near enough.
-    if (along + across < least - 1e-9 && r !== row) continue;
-    for (let c = 0; c < width; c++) {
-      const turned = ((c - (peak % width)) * 2 * Math.PI) / width;
-      const index = r * width + c;
-      if (least > -1 && along + across * Math.cos(turned) < least - 1e-9 && index !== peak) continue;
+    // Columns further away than this are not near enough in this row.
+    const apart = Math.acos(Math.min(Math.max((least - along) / across, -1), 1));
+    const away = Math.min(Math.ceil((apart * width) / (2 * Math.PI)), Math.floor(width / 2));
+    const end = Math.min(away, width - 1 - away);
+    for (let step = -away; step <= end; step++) {
+      const c = (column + step + width) % width;
       const direction = directionOfPixel(r, c, height, width);
-      const cosine = direction[0] * centre[0] + direction[1] * centre[1] + direction[2] * centre[2];
-      found.push({ pixel: { index, direction, solidAngle }, cosine });
+      found.indices.push(r * width + c);
+      found.solidAngles.push(solidAngle);
+      found.cosines.push(direction[0] * centre[0] + direction[1] * centre[1] + direction[2] * centre[2]);
     }
   }
   return found;

@@ -86,36 +86,45 @@ export function resized(map: EnvironmentMap, height: number, width: number): Env
     }
     return { height, width, radianceRgb };
   }
+  const line = new Float64Array(3 * map.width);
   for (let row = 0; row < height; row++) {
-    const line = meanOfRows(map, row, height);
+    meanOfRows(map, row, height, line);
     for (let column = 0; column < width; column++) {
       const from = (column * map.width) / width;
       const to = ((column + 1) * map.width) / width;
-      for (let source = Math.floor(from); source < Math.min(Math.ceil(to), map.width); source++) {
+      const last = Math.min(Math.ceil(to), map.width);
+      let red = 0;
+      let green = 0;
+      let blue = 0;
+      for (let source = Math.floor(from); source < last; source++) {
         const share = ((Math.min(source + 1, to) - Math.max(source, from)) * width) / map.width;
-        for (let channel = 0; channel < 3; channel++) {
-          const index = 3 * (row * width + column) + channel;
-          radianceRgb[index] = radianceRgb[index]! + share * line[3 * source + channel]!;
-        }
+        red += share * line[3 * source]!;
+        green += share * line[3 * source + 1]!;
+        blue += share * line[3 * source + 2]!;
       }
+      const index = 3 * (row * width + column);
+      radianceRgb[index] = red;
+      radianceRgb[index + 1] = green;
+      radianceRgb[index + 2] = blue;
     }
   }
   return { height, width, radianceRgb };
 }
 
-/** Return the mean of the source's rows under row `row` of `height` rows. */
-function meanOfRows(map: EnvironmentMap, row: number, height: number): Float64Array {
-  const line = new Float64Array(3 * map.width);
+/** Write the mean of the source's rows under row `row` of `height` rows. */
+function meanOfRows(map: EnvironmentMap, row: number, height: number, line: Float64Array): void {
+  const { radianceRgb } = map;
   const top = Math.cos((Math.PI * row) / height);
   const bottom = Math.cos((Math.PI * (row + 1)) / height);
   const last = Math.ceil(((row + 1) * map.height) / height);
+  line.fill(0);
   for (let source = Math.floor((row * map.height) / height); source < last; source++) {
     const upper = Math.min(Math.cos((Math.PI * source) / map.height), top);
     const lower = Math.max(Math.cos((Math.PI * (source + 1)) / map.height), bottom);
     const share = (upper - lower) / (top - bottom);
+    const start = source * line.length;
     for (let index = 0; index < line.length; index++) {
-      line[index] = line[index]! + share * map.radianceRgb[source * line.length + index]!;
+      line[index] = line[index]! + share * radianceRgb[start + index]!;
     }
   }
-  return line;
 }

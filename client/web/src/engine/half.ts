@@ -9,14 +9,21 @@ export function halfValue(bits: number): number {
   return exponent === 0 ? sign * fraction * 2 ** -24 : sign * (1024 + fraction) * 2 ** (exponent - 25);
 }
 
+let table: Float32Array | null = null;
+
+/** Return the values of all 65536 halves by their bits. */
+export function halfTable(): Float32Array {
+  table ??= Float32Array.from({ length: 0x10000 }, (_, bits) => halfValue(bits));
+  return table;
+}
+
 /** Return the bytes of little-endian halves as those of little-endian float32 numbers. */
 export function widenedHalves(bytes: Uint8Array): Uint8Array<ArrayBuffer> {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  const table = new Float32Array(65536);
-  for (let bits = 0; bits < 65536; bits++) table[bits] = halfValue(bits);
+  const values = halfTable();
   const wide = new DataView(new ArrayBuffer(bytes.byteLength * 2));
   for (let at = 0; at < bytes.byteLength; at += 2) {
-    wide.setFloat32(2 * at, table[view.getUint16(at, true)]!, true);
+    wide.setFloat32(2 * at, values[view.getUint16(at, true)]!, true);
   }
   return new Uint8Array(wide.buffer);
 }

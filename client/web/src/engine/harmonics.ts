@@ -6,7 +6,7 @@
  */
 
 import type { Direction } from "./environment.js";
-import type { EnvironmentMap } from "./environmentMap.js";
+import type { EnvironmentMap, Rgb } from "./environmentMap.js";
 
 /** Nodes and weights of Gauss-Legendre quadrature with eight points on [-1, 1]. */
 const gaussNodes = [
@@ -64,18 +64,15 @@ export function project(map: EnvironmentMap, bands: number): Float64Array {
   const coefficientsRgb = new Float64Array(3 * bands * bands);
   for (let row = 0; row < height; row++) {
     for (let m = 0; m < bands; m++) {
-      const cosines = [0, 0, 0];
-      const sines = [0, 0, 0];
-      for (let column = 0; column < width; column++) {
-        const start = 3 * (row * width + column);
-        const cosine = waves[2 * (m * width + column)]!;
-        const sine = waves[2 * (m * width + column) + 1]!;
-        for (let channel = 0; channel < 3; channel++) {
-          const value = radianceRgb[start + channel]!;
-          cosines[channel] = cosines[channel]! + value * cosine;
-          sines[channel] = sines[channel]! + value * sine;
-        }
-      }
+      const cosines: Rgb = [0, 0, 0];
+      const sines: Rgb = [0, 0, 0];
+      rowWaves(
+        radianceRgb,
+        3 * row * width,
+        waves.subarray(2 * m * width, 2 * (m + 1) * width),
+        cosines,
+        sines,
+      );
       for (let l = m; l < bands; l++) {
         const weight = (m === 0 ? 1 : Math.SQRT2) * rows[(row * bands + l) * bands + m]!;
         addScaled(coefficientsRgb, 3 * (l * (l + 1) + m), weight, cosines);
@@ -84,6 +81,32 @@ export function project(map: EnvironmentMap, bands: number): Float64Array {
     }
   }
   return coefficientsRgb;
+}
+
+/** Write the sums of a row's pixels times the waves of its columns. */
+function rowWaves(
+  radianceRgb: ArrayLike<number>,
+  start: number,
+  waves: Float64Array,
+  cosines: Rgb,
+  sines: Rgb,
+): void {
+  let [redC, greenC, blueC, redS, greenS, blueS] = [0, 0, 0, 0, 0, 0];
+  for (let at = 0, from = start; at < waves.length; at += 2, from += 3) {
+    const cosine = waves[at]!;
+    const sine = waves[at + 1]!;
+    const red = radianceRgb[from]!;
+    const green = radianceRgb[from + 1]!;
+    const blue = radianceRgb[from + 2]!;
+    redC += red * cosine;
+    greenC += green * cosine;
+    blueC += blue * cosine;
+    redS += red * sine;
+    greenS += green * sine;
+    blueS += blue * sine;
+  }
+  cosines.splice(0, 3, redC, greenC, blueC);
+  sines.splice(0, 3, redS, greenS, blueS);
 }
 
 function addScaled(target: Float64Array, start: number, scale: number, values: readonly number[]): void {

@@ -8,12 +8,11 @@
 
 import type { Direction } from "./environment.js";
 import { lookupTurned, pixelSolidAngle, resized, type EnvironmentMap, type Rgb } from "./environmentMap.js";
-import { EvenFourier, Fourier } from "./fourier.js";
+import { type Coupling, narrowCoupling, sampledCoupling } from "./coupling.js";
+import { Fourier } from "./fourier.js";
 
 const narrowest = 64;
 const widest = 512;
-/** Smaller parts of a kernel's transform, relative to its mean, are left out: rows far apart have few waves in common. */
-const negligible = 1e-12;
 
 /** Levels of an environment, from the sharpest to roughness 1. */
 export type Prefiltered = readonly EnvironmentMap[];
@@ -37,10 +36,7 @@ export function prefilter(map: EnvironmentMap, numLevels: number): Prefiltered {
       source = resized(fine ? source! : map, width / 2, width);
     }
     levels.push(
-      zonalMean(source, (cosine) => {
-        const spread = 0.5 * (1 + cosine) * alpha * alpha + 0.5 * (1 - cosine);
-        return cosine > 0 ? cosine / (spread * spread) : 0;
-      }),
+      zonalMean(source, width < widest ? sampledCoupling(alpha, width) : narrowCoupling(alpha, width)),
     );
   }
   return levels;
@@ -66,132 +62,131 @@ export function lookupLevels(
 }
 
 /**
- * Return the mean of a map under kernel(cosine) about every pixel; the kernel is zero where the cosine is not
- * positive. The width must be a power of two, the height even.
+ * Return the mean of a map about every pixel under the kernel of a coupling. The width must be a power of two, the
+ * height even.
  *
- * Rows are convolved with each other in azimuth. Kernels are even, so that their transforms are real, and the one
- * of two rows serves four pairs: the rows may change places, and so may north and south.
+ * Rows are convolved with each other in azimuth. The kernel does not see whether a pair of rows is mirrored at the
+ * equator, so that sums and differences of mirrored rows are convolved apart, with half the work.
  */
-export function zonalMean(source: EnvironmentMap, kernel: (cosine: number) => number): EnvironmentMap {
+export function zonalMean(source: EnvironmentMap, coupling: Coupling): EnvironmentMap {
   const { height, width } = source;
-  const fourier = new Fourier(width);
-  const even = new EvenFourier(width / 2);
+  const half = height / 2;
   const frequencies = width / 2 + 1;
   const stride = 6 * frequencies;
-  const spectra = rowSpectra(source, fourier);
-  const sums = new Float64Array(height * stride);
-  const norms = new Float64Array(height);
-  const cosines = Float64Array.from({ length: frequencies }, (_, k) => Math.cos((2 * Math.PI * k) / width));
-  const solidAngles = Float64Array.from({ length: height }, (_, row) => pixelSolidAngle(row, height, width));
-  const parts = [new Float64Array(frequencies), new Float64Array(frequencies)] as const;
-  // Rows between which no cosine is positive have nothing in common.
-  const apart = (row: number, other: number): boolean =>
-    Math.cos((Math.PI * Math.abs(row - other)) / height) <= 0;
-  const add = (to: number, from: number, part: Float64Array, count: number): void => {
-    norms[to] = norms[to]! + part[0]! * solidAngles[from]!;
-    for (let channel = 0; channel < stride; channel += frequencies) {
-      addProducts(sums, stride * to + channel, part, spectra, stride * from + channel, count);
-    }
+  const fourier = new Fourier(width);
+  const [folded, sums] = [new Float64Array(2 * stride * half), new Float64Array(2 * stride * half)];
+  const norms = new Float64Array(half);
+  const solidAngles = Float64Array.from({ length: half }, (_, row) => pixelSolidAngle(row, height, width));
+  const polars = Float64Array.from({ length: half }, (_, row) => (Math.PI * (row + 0.5)) / height);
+  for (let row = 0; row < half; row++) foldRows(source, row, solidAngles[row]!, fourier, folded);
+  const [near, far] = [new Float64Array(frequencies), new Float64Array(frequencies)];
+  const add = (to: number, from: number, count: number): void => {
+    norms[to] = norms[to]! + near[0]! * solidAngles[from]!;
+    addProducts(sums, 2 * stride * to, near, folded, 2 * stride * from, count);
+    addProducts(sums, 2 * stride * to + stride, far, folded, 2 * stride * from + stride, count);
   };
-  for (let row = 0; row < height / 2; row++) {
-    const mirrored = height - 1 - row;
-    const polar = (Math.PI * (row + 0.5)) / height;
-    for (let first = row; first <= mirrored && !apart(row, first); first += 2) {
-      parts.forEach((part, offset) => {
-        const other = (Math.PI * (first + offset + 0.5)) / height;
-        const along = Math.cos(polar) * Math.cos(other);
-        const across = Math.sin(polar) * Math.sin(other);
-        for (let k = 0; k < frequencies; k++) part[k] = kernel(along + across * cosines[k]!);
-      });
-      even.forward(...parts);
-      parts.forEach((part, offset) => {
-        const other = first + offset;
-        if (other > mirrored || apart(row, other)) return;
-        const count = numWaves(part);
-        add(row, other, part, count);
-        if (other !== row) add(other, row, part, count);
-        if (other === mirrored) return;
-        add(mirrored, height - 1 - other, part, count);
-        if (other !== row) add(height - 1 - other, mirrored, part, count);
-      });
+  for (let row = 0; row < half; row++) {
+    for (let other = row; other < half; other++) {
+      const count = coupling(polars[row]!, polars[other]!, near, far);
+      for (let k = 0; k < count; k++) {
+        const straight = near[k]!;
+        near[k] = straight + far[k]!;
+        far[k] = straight - far[k]!;
+      }
+      add(row, other, count);
+      if (other !== row) add(other, row, count);
     }
   }
   const radianceRgb = new Float64Array(3 * height * width);
-  for (let row = 0; row < height; row++) {
-    const own = sums.subarray(stride * row, stride * (row + 1));
-    writeRow(radianceRgb, own, row, width, norms[row]!, fourier);
-  }
-  return { height, width, radianceRgb };
+  const result = { height, width, radianceRgb };
+  for (let row = 0; row < half; row++) unfoldRows(sums, row, width * norms[row]!, fourier, result);
+  return result;
 }
 
-/** Return the transforms of rows times solid angle: per row and channel first the real, then imaginary parts. */
-function rowSpectra(source: EnvironmentMap, fourier: Fourier): Float64Array {
-  const { height, width, radianceRgb } = source;
-  const frequencies = width / 2 + 1;
-  const spectra = new Float64Array(6 * frequencies * height);
-  for (let row = 0; row < height; row++) {
-    const solidAngle = pixelSolidAngle(row, height, width);
-    for (let channel = 0; channel < 3; channel++) {
-      const real = new Float64Array(width);
-      const imaginary = new Float64Array(width);
-      for (let column = 0; column < width; column++) {
-        real[column] = solidAngle * radianceRgb[3 * (row * width + column) + channel]!;
-      }
-      fourier.forward(real, imaginary);
-      const start = (3 * row + channel) * 2 * frequencies;
-      spectra.set(real.subarray(0, frequencies), start);
-      spectra.set(imaginary.subarray(0, frequencies), start + frequencies);
+/**
+ * Write the transforms of a row plus and minus its mirrored one, times solid angle, to `folded`: row by row first the
+ * sum, then the difference, frequency by frequency (real, imaginary) of red, green, blue.
+ */
+function foldRows(
+  { height, width, radianceRgb }: EnvironmentMap,
+  row: number,
+  solidAngle: number,
+  fourier: Fourier,
+  folded: Float64Array,
+): void {
+  const stride = 3 * (width + 2);
+  const [real, imaginary] = [new Float64Array(width), new Float64Array(width)];
+  const [upper, lower] = [3 * row * width, 3 * (height - 1 - row) * width];
+  for (let channel = 0; channel < 3; channel++) {
+    for (let column = 0; column < width; column++) {
+      const above = solidAngle * radianceRgb[upper + 3 * column + channel]!;
+      const below = solidAngle * radianceRgb[lower + 3 * column + channel]!;
+      real[column] = above + below;
+      imaginary[column] = above - below;
+    }
+    // Two real rows go through one complex transform.
+    fourier.forward(real, imaginary);
+    for (let k = 0; k <= width / 2; k++) {
+      const mirrored = (width - k) % width;
+      const at = 2 * stride * row + 6 * k + 2 * channel;
+      folded[at] = 0.5 * (real[k]! + real[mirrored]!);
+      folded[at + 1] = 0.5 * (imaginary[k]! - imaginary[mirrored]!);
+      folded[at + stride] = 0.5 * (imaginary[k]! + imaginary[mirrored]!);
+      folded[at + stride + 1] = 0.5 * (real[mirrored]! - real[k]!);
     }
   }
-  return spectra;
 }
 
-/** Return how many values of a transform are worth adding. */
-function numWaves(transform: Float64Array): number {
-  const least = negligible * transform[0]!;
-  let count = transform.length;
-  while (count > 1 && Math.abs(transform[count - 1]!) < least) count--;
-  return count;
-}
-
-/** Add the first `count` values of a transform times those of a spectrum to sums. */
+/** Add the first `count` values of a transform times those of three channels to sums. */
 function addProducts(
   sums: Float64Array,
   to: number,
   transform: Float64Array,
-  spectra: Float64Array,
+  folded: Float64Array,
   from: number,
   count: number,
 ): void {
-  for (let k = 0; k < count; k++) sums[to + k] = sums[to + k]! + transform[k]! * spectra[from + k]!;
+  for (let k = 0; k < count; k++) {
+    const factor = transform[k]!;
+    const target = to + 6 * k;
+    const source = from + 6 * k;
+    sums[target] = sums[target]! + factor * folded[source]!;
+    sums[target + 1] = sums[target + 1]! + factor * folded[source + 1]!;
+    sums[target + 2] = sums[target + 2]! + factor * folded[source + 2]!;
+    sums[target + 3] = sums[target + 3]! + factor * folded[source + 3]!;
+    sums[target + 4] = sums[target + 4]! + factor * folded[source + 4]!;
+    sums[target + 5] = sums[target + 5]! + factor * folded[source + 5]!;
+  }
 }
 
-/** Transform three channels back and write them, over `norm`, as one row of the result. */
-function writeRow(
-  radianceRgb: Float64Array,
+/** Transform a row's sum and difference back, and write them, over `norm`, as the row and its mirrored one. */
+function unfoldRows(
   sums: Float64Array,
   row: number,
-  width: number,
   norm: number,
   fourier: Fourier,
+  { height, width, radianceRgb }: EnvironmentMap,
 ): void {
-  const frequencies = width / 2 + 1;
+  const stride = 3 * (width + 2);
+  const [real, imaginary] = [new Float64Array(width), new Float64Array(width)];
+  const [upper, lower] = [3 * row * width, 3 * (height - 1 - row) * width];
   for (let channel = 0; channel < 3; channel++) {
-    const start = channel * 2 * frequencies;
-    const real = new Float64Array(width);
-    const imaginary = new Float64Array(width);
-    for (let k = 0; k < frequencies; k++) {
-      real[k] = sums[start + k]!;
-      // The forward transform of the conjugate is the conjugate of the inverse one, and the row is real.
-      imaginary[k] = -sums[start + frequencies + k]!;
-      if (k > 0 && k < frequencies - 1) {
-        real[width - k] = real[k]!;
-        imaginary[width - k] = -imaginary[k]!;
-      }
+    for (let k = 0; k <= width / 2; k++) {
+      const mirrored = (width - k) % width;
+      const at = 2 * stride * row + 6 * k + 2 * channel;
+      const odd = at + stride;
+      // The forward transform of the conjugate is the conjugate of the inverse one.
+      real[mirrored] = sums[at]! + sums[odd + 1]!;
+      imaginary[mirrored] = sums[at + 1]! - sums[odd]!;
+      real[k] = sums[at]! - sums[odd + 1]!;
+      imaginary[k] = -sums[at + 1]! - sums[odd]!;
     }
     fourier.forward(real, imaginary);
     for (let column = 0; column < width; column++) {
-      radianceRgb[3 * (row * width + column) + channel] = Math.max(real[column]! / (width * norm), 0);
+      const even = real[column]! / (2 * norm);
+      const odd = -imaginary[column]! / (2 * norm);
+      radianceRgb[upper + 3 * column + channel] = Math.max(even + odd, 0);
+      radianceRgb[lower + 3 * column + channel] = Math.max(even - odd, 0);
     }
   }
 }

@@ -1,21 +1,14 @@
-/** OpenEXR maps, decoded by three, with the checks of `lambent_relight.exr`. */
+/**
+ * OpenEXR maps, with the checks of `lambent_relight.exr`: whole lines of half floats, as most programs write them,
+ * are read here with the browser's own decompression; everything else is decoded by three.
+ */
 
 import { FloatType } from "three";
 import { EXRLoader } from "three/addons/loaders/EXRLoader.js";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { MapFault } from "./fault.js";
+import { checkHeader, damaged, type Header, statedBy } from "./exrHeader.js";
+import { halfLinesOf, readHalfLines } from "./exrLines.js";
 
-const rec709 = [0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329];
-const primaries = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
-
-type Box = { readonly xMin: number; readonly yMin: number; readonly xMax: number; readonly yMax: number };
-type Header = {
-  readonly dataWindow: Box;
-  readonly displayWindow: Box;
-  readonly channels: readonly { readonly name: string }[];
-  readonly chromaticities?: Readonly<Record<string, number>>;
-  readonly spec: { readonly deepFormat: boolean };
-};
 type Decoded = {
   readonly header: Header;
   readonly width: number;
@@ -23,17 +16,16 @@ type Decoded = {
   readonly data: Float32Array;
 };
 
-function damaged(): MapFault {
-  return new MapFault(
-    "environment.exr_damaged",
-    "the map cannot be decoded as OpenEXR (damaged, or more than the memory there is)",
-    "export the map again as .exr or .hdr, or reduce it",
-  );
+/** Return the linear picture, row 0 at the top; throws MapFault. */
+export async function readExr(data: Uint8Array<ArrayBuffer>, maxPixels: number): Promise<EnvironmentMap> {
+  const lines = halfLinesOf(statedBy(data, maxPixels));
+  if (lines === null) return decodedByThree(data);
+  checkHeader(lines.header, lines.width, lines.height);
+  return readHalfLines(data, lines);
 }
 
-/** Return the linear picture, row 0 at the top; throws MapFault. */
-export function readExr(data: Uint8Array<ArrayBuffer>, maxPixels: number): EnvironmentMap {
-  checkStatedSize(data, maxPixels);
+/** Return what three decodes of any kind of file. */
+export function decodedByThree(data: Uint8Array<ArrayBuffer>): EnvironmentMap {
   let decoded: Decoded;
   try {
     // The decoder reads texts until a zero comes: there is one behind the file.
@@ -56,84 +48,4 @@ export function readExr(data: Uint8Array<ArrayBuffer>, maxPixels: number): Envir
     }
   }
   return { height, width, radianceRgb };
-}
-
-/**
- * Throw for a size above the limit, or a header that leaves the file, before anything is decoded: the decoder
- * trusts the sizes that a header states.
- */
-function checkStatedSize(data: Uint8Array, maxPixels: number): void {
-  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-  let place = 8;
-  const text = (): string => {
-    const end = data.indexOf(0, place);
-    if (end < 0 || end > place + 255) throw damaged();
-    const found = new TextDecoder("latin1").decode(data.subarray(place, end));
-    place = end + 1;
-    return found;
-  };
-  if (data.length < 24 || view.getUint32(0, true) !== 20000630) throw damaged();
-  const severalParts = (view.getUint8(5) & 16) !== 0;
-  let known = false;
-  for (let more = true; more; ) {
-    for (let name = text(); name !== ""; name = text()) {
-      const type = text();
-      if (place + 4 > data.length) throw damaged();
-      const size = view.getInt32(place, true);
-      place += 4;
-      if (size < 0 || place + size > data.length) throw damaged();
-      if (name === "dataWindow" && type === "box2i" && size === 16) {
-        known = true;
-        const [x0, y0, x1, y1] = [0, 4, 8, 12].map((at) => view.getInt32(place + at, true));
-        checkSize(x1! - x0! + 1, y1! - y0! + 1, maxPixels);
-      }
-      place += size;
-    }
-    more = severalParts && data[place] !== 0;
-  }
-  if (!known) throw damaged();
-}
-
-function checkSize(width: number, height: number, maxPixels: number): void {
-  if (width <= 0 || height <= 0) throw damaged();
-  if (width * height > maxPixels) {
-    throw new MapFault(
-      "environment.too_large",
-      `the map has ${width} x ${height} pixels, the limit is ${maxPixels}`,
-      "reduce the map (8192 x 4096 is plenty for lighting)",
-    );
-  }
-}
-
-function checkHeader(header: Header, width: number, height: number): void {
-  if (header.spec.deepFormat) {
-    throw new MapFault("environment.exr_deep", "the map is a deep picture", "flatten it");
-  }
-  const names = ((header.channels as Header["channels"] | undefined) ?? []).map((channel) => channel.name);
-  if (!["R", "G", "B"].every((name) => names.includes(name))) {
-    throw new MapFault(
-      "environment.exr_channels",
-      `the map has the channels ${names.sort().slice(0, 16).join(", ")}, expected R, G and B`,
-      "save the map as RGB or RGBA",
-    );
-  }
-  const shown = header.displayWindow as Box | undefined;
-  if (shown === undefined) throw damaged();
-  if (shown.xMax - shown.xMin + 1 !== width || shown.yMax - shown.yMin + 1 !== height) {
-    throw new MapFault(
-      "environment.exr_cropped",
-      "the map stores a part of its picture",
-      "save the whole picture (data window equal to display window)",
-    );
-  }
-  const stated = header.chromaticities;
-  if (stated === undefined) return;
-  const found = primaries.map((name) => stated[name] ?? Number.NaN);
-  if (!found.every((value, index) => Math.abs(value - rec709[index]!) < 2e-3)) {
-    throw new MapFault(
-      "environment.exr_primaries",
-      "the map states other primaries than Rec. 709",
-      "convert it to linear Rec. 709 (sRGB primaries)",
-    );
-  }
 }

@@ -1,10 +1,10 @@
 /** A prepared light as numbers for the processor: radiance by direction and roughness, turned and scaled. */
 
-import { halfValue } from "../engine/half.js";
+import { halfTable } from "../engine/half.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { type Rotation, rotated, type Vector, vector } from "./vectors.js";
 
-const halves = Float32Array.from({ length: 0x10000 }, (_, bits) => halfValue(bits));
+const halves = halfTable();
 
 /** The same look-up as the shaders': bilinear in a level, linear in perceptual roughness between levels. */
 export class SkyLight {

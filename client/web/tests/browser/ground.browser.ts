@@ -114,7 +114,7 @@ describe("the shadow on the ground", () => {
   });
 
   it.each([0, 90])("is that of a sun and coloured walls, turned by %i degrees", async (yawDeg) => {
-    const map = readExr(Uint8Array.from(fixtureFile("spots.exr")), 1 << 20);
+    const map = await readExr(Uint8Array.from(fixtureFile("spots.exr")), 1 << 20);
     const turn = { yawDeg, pitchDeg: 0, rollDeg: 0, intensity: 1 };
     const picture = await show({ environment: "url:data/spots.exr", turn });
     keep(`ground_${yawDeg}`, picture, side);

@@ -224,7 +224,7 @@ describe("pictures", () => {
       page.waitForEvent("download"),
       page.getByRole("button", { name: "Save EXR" }).click(),
     ]);
-    const map = readExr(Uint8Array.from(readFileSync(await download.path())), 1 << 20);
+    const map = await readExr(Uint8Array.from(readFileSync(await download.path())), 1 << 20);
     const shown = await pictureOf(page, size);
     let worst = 0;
     map.radianceRgb.forEach((value, index) => {

@@ -1,0 +1,160 @@
+/**
+ * OpenEXR files of whole lines of half floats, uncompressed or deflated by 16 lines.
+ *
+ * Source: the OpenEXR file layout (openexr.com): after the header a table of chunk offsets; a chunk is its first line,
+ * its size, and planes by line. Deflated bytes are differences of neighbours, first those at even places.
+ */
+
+import type { EnvironmentMap } from "../engine/environmentMap.js";
+import { halfTable } from "../engine/half.js";
+import { damaged, type Header, type Stated } from "./exrHeader.js";
+
+/** How the lines of such a file lie in it. */
+export type HalfLines = {
+  readonly header: Header;
+  readonly width: number;
+  readonly height: number;
+  /** Lines in a chunk; those of one line are not compressed. */
+  readonly linesPerChunk: 1 | 16;
+  readonly tableStart: number;
+  readonly numChannels: number;
+  /** Which channels are red, green and blue. */
+  readonly rgb: readonly number[];
+};
+
+const chromaticityNames = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
+const half = 1;
+
+/** Return how a file's lines lie in it, or null where it is of another kind. */
+export function halfLinesOf({ flags, attributes, end }: Stated): HalfLines | null {
+  const [window, shown] = [boxOf(attributes.get("dataWindow")), boxOf(attributes.get("displayWindow"))];
+  const compression = attributes.get("compression");
+  const channels = channelsOf(attributes.get("channels"));
+  if (flags & ~4 || window === null || shown === null || channels === null) return null;
+  if (compression?.byteLength !== 1 || typeof DecompressionStream === "undefined") return null;
+  const linesPerChunk = ({ 0: 1, 3: 16 } as const)[compression.getUint8(0)];
+  const plain = channels.every(({ type, spacing }) => type === half && spacing === 1);
+  const rgb = ["R", "G", "B"].map((name) => channels.findIndex((channel) => channel.name === name));
+  if (linesPerChunk === undefined || !plain || rgb.includes(-1)) return null;
+  const stated = attributes.get("chromaticities");
+  const chromaticities =
+    stated?.byteLength === 32
+      ? Object.fromEntries(chromaticityNames.map((name, at) => [name, stated.getFloat32(4 * at, true)]))
+      : undefined;
+  return {
+    header: {
+      ...{ dataWindow: window, displayWindow: shown, channels, spec: { deepFormat: false } },
+      ...(chromaticities === undefined ? {} : { chromaticities }),
+    },
+    ...{ width: window.xMax - window.xMin + 1, height: window.yMax - window.yMin + 1 },
+    ...{ linesPerChunk, tableStart: end, numChannels: channels.length, rgb },
+  };
+}
+
+/** Return the linear picture, row 0 at the top; throws MapFault for a damaged one. */
+export async function readHalfLines(
+  data: Uint8Array<ArrayBuffer>,
+  lines: HalfLines,
+): Promise<EnvironmentMap> {
+  const { width, height, linesPerChunk, tableStart, header } = lines;
+  const numChunks = Math.ceil(height / linesPerChunk);
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+  if (tableStart + 8 * numChunks > data.length) throw damaged();
+  const radianceRgb = new Float32Array(3 * width * height);
+  const seen = new Uint8Array(numChunks);
+  const readChunk = async (chunk: number): Promise<void> => {
+    const start = Number(view.getBigUint64(tableStart + 8 * chunk, true));
+    if (start + 8 > data.length) throw damaged();
+    const row = view.getInt32(start, true) - header.dataWindow.yMin;
+    const size = view.getInt32(start + 4, true);
+    const place = row / linesPerChunk;
+    if (!(place >= 0 && place < numChunks && Number.isInteger(place)) || seen[place] !== 0) throw damaged();
+    if (size < 0 || start + 8 + size > data.length) throw damaged();
+    seen[place] = 1;
+    const numLines = Math.min(linesPerChunk, height - row);
+    const stored = data.subarray(start + 8, start + 8 + size);
+    const numBytes = 2 * numLines * width * lines.numChannels;
+    if (size > numBytes || (linesPerChunk === 1 && size !== numBytes)) throw damaged();
+    const bytes = size === numBytes ? stored.slice() : undone(await inflated(stored, numBytes));
+    writeLines(new Uint16Array(bytes.buffer), lines, row, numLines, radianceRgb);
+  };
+  await Promise.all(Array.from(seen, (_, chunk) => readChunk(chunk)));
+  return { height, width, radianceRgb };
+}
+
+function writeLines(
+  halves: Uint16Array,
+  { width, numChannels, rgb }: HalfLines,
+  row: number,
+  numLines: number,
+  radianceRgb: Float32Array,
+): void {
+  const table = halfTable();
+  for (let line = 0; line < numLines; line++) {
+    for (let channel = 0; channel < 3; channel++) {
+      const from = (line * numChannels + rgb[channel]!) * width;
+      const to = 3 * (row + line) * width + channel;
+      for (let column = 0; column < width; column++) {
+        radianceRgb[to + 3 * column] = table[halves[from + column]!]!;
+      }
+    }
+  }
+}
+
+/** Return exactly as many bytes as are expected; more are not unpacked. */
+async function inflated(packed: Uint8Array<ArrayBuffer>, numBytes: number): Promise<Uint8Array<ArrayBuffer>> {
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const reader = stream.getReader();
+  const bytes = new Uint8Array(numBytes);
+  let length = 0;
+  try {
+    for (let part = await reader.read(); !part.done; part = await reader.read()) {
+      bytes.set(part.value, length);
+      length += part.value.length;
+    }
+  } catch {
+    await reader.cancel().catch(() => {});
+    throw damaged();
+  }
+  if (length !== numBytes) throw damaged();
+  return bytes;
+}
+
+/** Return bytes put back from their differences, even and odd places from the two halves. */
+function undone(stored: Uint8Array): Uint8Array<ArrayBuffer> {
+  const bytes = new Uint8Array(stored.length);
+  const middle = (stored.length + 1) >> 1;
+  let value = 128;
+  for (let at = 0; at < middle; at++) {
+    value += stored[at]! - 128;
+    bytes[2 * at] = value;
+  }
+  for (let at = middle; at < stored.length; at++) {
+    value += stored[at]! - 128;
+    bytes[2 * (at - middle) + 1] = value;
+  }
+  return bytes;
+}
+
+function boxOf(view: DataView | undefined): Header["dataWindow"] | null {
+  if (view?.byteLength !== 16) return null;
+  const [xMin, yMin, xMax, yMax] = [0, 4, 8, 12].map((at) => view.getInt32(at, true));
+  return { xMin: xMin!, yMin: yMin!, xMax: xMax!, yMax: yMax! };
+}
+
+type Channel = { readonly name: string; readonly type: number; readonly spacing: number };
+
+function channelsOf(view: DataView | undefined): Channel[] | null {
+  const channels: Channel[] = [];
+  if (view === undefined) return null;
+  const bytes = new Uint8Array(view.buffer, view.byteOffset, view.byteLength);
+  for (let place = 0; place < bytes.length && bytes[place] !== 0; ) {
+    const end = bytes.indexOf(0, place);
+    if (end < 0 || end + 17 > bytes.length) return null;
+    const name = new TextDecoder("latin1").decode(bytes.subarray(place, end));
+    const [across, down] = [view.getInt32(end + 9, true), view.getInt32(end + 13, true)];
+    channels.push({ name, type: view.getInt32(end + 1, true), spacing: Math.max(across, down) });
+    place = end + 17;
+  }
+  return channels;
+}
