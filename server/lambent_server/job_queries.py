@@ -10,8 +10,9 @@ from sqlalchemy import Connection, func
 
 from lambent_server import bake_rows
 from lambent_server.clock import new_id, now, rfc3339
-from lambent_server.database.schema import idempotency_keys, job_labels, jobs, scenes
-from lambent_server.database.tenancy import Tenant, add, add_if_absent, find, rows
+from lambent_server.database.schema import job_labels, jobs, scenes
+from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.idempotency import made_before
 from lambent_server.job_rows import (
     CANCELLED,
     CANCELLING,
@@ -104,22 +105,14 @@ def order_of(row: Row) -> NewJob:
 
 
 def submit_once(
-    connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str, digest: str
+    connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str | None, digest: str
 ) -> Row:
-    """Add a job to the queue, or return the one that this key made before.
-
-    Another body under the same key is a mistake.
-    """
+    """Add a job to the queue, or return the one that this key made before."""
     job_id = new_id("job")
-    values = {"key": key, "body_sha256": digest, "job_id": job_id, "created_at": now()}
-    if add_if_absent(connection, tenant, idempotency_keys, **values):
-        return submit(connection, tenant, order, services, job_id)
-    statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
-    row = connection.execute(statement).mappings().one()
-    if row["body_sha256"] != digest:
-        message = "this key was used with another body; take a new key for a new job"
-        raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
-    return require_job(connection, tenant, row["job_id"])
+    known = made_before(connection, tenant, key, digest, job_id)
+    if known is not None:
+        return require_job(connection, tenant, known)
+    return submit(connection, tenant, order, services, job_id)
 
 
 def submit(

@@ -14,11 +14,11 @@ from lambent_server.database.schema import (
     bundles,
     environments,
     events,
-    idempotency_keys,
     jobs,
     render_orders,
 )
-from lambent_server.database.tenancy import Tenant, add, add_if_absent, find, rows
+from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.idempotency import made_before
 from lambent_server.job_queries import check_quota, insert_job
 from lambent_server.job_rows import CANCELLED, CANCELLING, FAILED, FINAL, QUEUED, SUCCEEDED, Job
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
@@ -68,19 +68,12 @@ def order_of_render(body: NewRender) -> Order:
 def submit_once(
     connection: Connection, tenant: Tenant, order: Order, services: Services, key: str | None, digest: str
 ) -> Row:
-    """Queue an order, or return the one that this key made before; another body under a key is a mistake."""
+    """Queue an order, or return the one that this key made before."""
     order_id = new_id(order.kind)
-    if key is None:
-        return submit(connection, tenant, order, services, order_id)
-    values = {"key": key, "body_sha256": digest, "job_id": order_id, "created_at": now()}
-    if add_if_absent(connection, tenant, idempotency_keys, **values):
-        return submit(connection, tenant, order, services, order_id)
-    statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
-    row = connection.execute(statement).mappings().one()
-    if row["body_sha256"] != digest:
-        message = "this key was used with another body; take a new key for a new order"
-        raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
-    return require_order(connection, tenant, row["job_id"], order.kind)
+    known = made_before(connection, tenant, key, digest, order_id)
+    if known is not None:
+        return require_order(connection, tenant, known, order.kind)
+    return submit(connection, tenant, order, services, order_id)
 
 
 def submit(connection: Connection, tenant: Tenant, order: Order, services: Services, order_id: str) -> Row:

@@ -58,10 +58,7 @@ def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: Idempo
     services.require_disk()
     digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
     with services.database.write() as connection:
-        if key is None:
-            job = job_queries.submit(connection, tenant, body, services)
-        else:
-            job = job_queries.submit_once(connection, tenant, body, services, key, digest)
+        job = job_queries.submit_once(connection, tenant, body, services, key, digest)
     services.wakeups.signal()
     return job_queries.show(job)
 

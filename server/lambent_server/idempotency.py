@@ -1,0 +1,28 @@
+"""Orders that are sent again: the key that came with the first one leads to what it made."""
+
+from sqlalchemy import Connection
+
+from lambent_server.clock import now
+from lambent_server.database.schema import idempotency_keys
+from lambent_server.database.tenancy import Tenant, add_if_absent, rows
+from lambent_server.problems import invalid
+
+
+def made_before(
+    connection: Connection, tenant: Tenant, key: str | None, digest: str, identifier: str
+) -> str | None:
+    """Return the id that this key stands for; None where the order is new and `identifier` is to be its id.
+
+    `digest` is that of the order's body: another body under the same key is a mistake.
+    """
+    if key is None:
+        return None
+    values = {"key": key, "body_sha256": digest, "job_id": identifier, "created_at": now()}
+    if add_if_absent(connection, tenant, idempotency_keys, **values):
+        return None
+    statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
+    row = connection.execute(statement).mappings().one()
+    if row["body_sha256"] != digest:
+        message = "this key was used with another body; take a new key for a new order"
+        raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
+    return str(row["job_id"])
