@@ -1,7 +1,5 @@
 """view: look at a bundle in a window of this machine, or in a browser."""
 
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -21,10 +19,7 @@ from lambent.cli.rendering import check_choice, open_renderer, relight_errors
 from lambent.desktop.channels import RADIANCE, SURFACE
 from lambent.desktop.state import BACKDROPS
 from lambent.desktop.viewer import DesktopOptions, show
-from lambent.errors import UsageProblemError
 
-WEB_VIEW = "lambent.web_view"
-"""Has `view_in_browser(bundle, environments, light, output)`; blocks until it is stopped."""
 _DESKTOP = "With --desktop"
 
 
@@ -126,11 +121,11 @@ def view(
 def _show_in_browser(
     context: typer.Context, bundle: Path, environments: list[Path], light: EnvironmentInput, output: Output
 ) -> None:
-    if find_spec(WEB_VIEW) is None:
-        raise UsageProblemError("view.no_web", "there are no web pages to show it in", "add --desktop")
+    from lambent.web_view import view_in_browser
+
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         given = source is not None and source.name == "COMMANDLINE"
         if given and getattr(parameter, "rich_help_panel", None) == _DESKTOP:
             output.note(f"{parameter.opts[0]} has no effect without --desktop")
-    import_module(WEB_VIEW).view_in_browser(bundle, environments, light, output)
+    view_in_browser(bundle, environments, light, output)
