@@ -20,6 +20,8 @@ def test_the_plan_has_the_settings_and_sizes_of_both_stages():
     text = as_text(found)
     assert "preset tiny on cpu" in text
     assert str(tiny().stage_one.num_steps) in text
+    assert f"{tiny().stage_two.num_steps}+{tiny().stage_two.distil.num_steps}" in text
+    assert tiny().stage_two.distil.num_steps > 0
 
 
 def test_a_dry_run_trains_and_writes_nothing(tmp_path):

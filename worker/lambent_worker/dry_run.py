@@ -15,6 +15,7 @@ def plan(config: Config, *, num_lights: int, device: str) -> dict[str, Any]:
         settings = config.stage_one if found.stage == "cache" else config.stage_two
         stages[found.stage] = {
             "num_steps": settings.num_steps,
+            "num_distil_steps": 0 if found.stage == "cache" else config.stage_two.distil.num_steps,
             "num_rays": settings.num_rays,
             "parameters_bytes": found.parameters,
             "gradients_bytes": found.gradients,
@@ -41,7 +42,12 @@ def as_text(plan: dict[str, Any]) -> str:
             stage[f"{kind}_bytes"] / GIB
             for kind in ("parameters", "gradients", "moments", "activations", "total")
         ]
-        cells = [name, f"{stage['num_steps']}", f"{stage['num_rays']}", *(f"{size:.2f}" for size in sizes)]
+        steps = f"{stage['num_steps']}"
+        if stage["num_distil_steps"]:
+            steps += f"+{stage['num_distil_steps']}"
+        cells = [name, steps, f"{stage['num_rays']}", *(f"{size:.2f}" for size in sizes)]
         lines.append("  ".join(f"{cell:>11s}" for cell in cells))
+    if any(stage["num_distil_steps"] for stage in plan["stages"].values()):
+        lines.append("steps after a + come last and teach the fast cache alone")
     lines.append("estimated from steps of a few rays; the photographs and the libraries come on top")
     return "\n".join(lines)
