@@ -1,6 +1,5 @@
 """Bundles that are refused for what surrounds their files: archives, limits, networks that are half there."""
 
-import shutil
 import zipfile
 from pathlib import Path
 
@@ -14,15 +13,9 @@ from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
 
 
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory) -> Path:
-    scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),))
-    return write_analytic_bundle(tmp_path_factory.mktemp("bundle") / "ball.relight", scene)
-
-
 @pytest.fixture
-def folder(pristine, tmp_path) -> Path:
-    return shutil.copytree(pristine, tmp_path / "ball.relight")
+def folder(tmp_path) -> Path:
+    return write_analytic_bundle(tmp_path / "ball.relight", AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),)))
 
 
 def stored_archive(folder: Path) -> Path:

@@ -21,15 +21,9 @@ from support.analytic_bundle import write_analytic_bundle, write_manifest
 from support.analytic_scene import AnalyticScene, Sphere
 
 
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory) -> Path:
-    scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),))
-    return write_analytic_bundle(tmp_path_factory.mktemp("bundle") / "ball.relight", scene)
-
-
 @pytest.fixture
-def bundle(pristine, tmp_path) -> Path:
-    return shutil.copytree(pristine, tmp_path / "ball.relight")
+def bundle(tmp_path) -> Path:
+    return write_analytic_bundle(tmp_path / "ball.relight", AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),)))
 
 
 def manifest_in(folder: Path) -> BundleManifest:
