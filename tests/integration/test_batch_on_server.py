@@ -204,6 +204,8 @@ def test_bad_orders_are_refused(client, sky, tmp_path, capsys):
 
 def test_bundles_of_a_server_are_fetched_for_a_batch_on_this_machine(client, bundle_id, sky, tmp_path):
     write_batch(tmp_path, bundle_id, cameras=["all"])
+    assert run_batch(tmp_path, "--dry-run") == 0
+    assert not (tmp_path / "out").exists(), "a dry run fetches no bundle"
     assert run_batch(tmp_path) == 0
     assert set(states(tmp_path).values()) == {"made"}
     assert (tmp_path / "out" / "inputs" / bundle_id / "manifest.json").is_file()

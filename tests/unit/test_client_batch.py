@@ -7,6 +7,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from lambent_relight import Renderer, cameras_json, load_bundle, turntable, write_environment
+from lambent_relight.batch import plan as plan_module
 from lambent_relight.batch.plan import make_plan
 from lambent_relight.batch.reading import read_manifest
 from lambent_relight.errors import SettingError
@@ -199,6 +200,41 @@ def test_a_dry_run_lists_the_work_and_renders_nothing(folder, capsys):
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[0] == {"picture": "ball/sky/refined/turntable_000", "files": ["png"]}
     assert lines[-1]["to_make"] == 1
+
+
+def test_a_dry_run_writes_nothing(folder, capsys):
+    assert batch(folder, SMALL, "--dry-run") == 0
+    assert not (folder / "out").exists()
+    assert batch(folder, SMALL) == 0
+    journal = folder / "out" / "pictures.jsonl"
+    journal.write_text(journal.read_text() + '{"half a line')
+
+    def on_disk():
+        stats = {path: path.stat() for path in (folder / "out").rglob("*")}
+        return {path: (stat.st_mtime_ns, stat.st_ino) for path, stat in stats.items()}
+
+    before = on_disk()
+    capsys.readouterr()
+    assert batch(folder, SMALL, "--dry-run") == 0
+    assert "0 to make, 2 to keep" in capsys.readouterr().out
+    assert on_disk() == before
+
+
+def test_a_bundle_and_a_map_are_read_once_for_a_plan_however_often_they_are_used(folder, monkeypatch):
+    opened, hashed = [], []
+    document = {
+        "schema": "lambent-batch/1",
+        "assets": ["ball", {"name": "red", "bundle": "ball", "material": {"albedo": [0.9, 0, 0]}}],
+        "environments": [{"map": "sky.exr", "rotate_deg": [0, 90, 180]}],
+        "cameras": [{"turntable": 2, "size": 8}],
+    }
+    sha256 = plan_module.file_sha256
+    monkeypatch.setattr(plan_module, "file_sha256", lambda path: hashed.append(path) or sha256(path))
+    plan = make_plan(
+        read_manifest(document, folder), opening=lambda path: opened.append(path) or load_bundle(path)
+    )
+    assert len(plan.rows) == 2 * 3 * 2
+    assert (opened, hashed) == ([folder / "ball"], [folder / "sky.exr"])
 
 
 def test_problems_of_a_manifest_come_with_their_lines_and_exit_code_two(folder, capsys):

@@ -1,6 +1,5 @@
 """Bundles of a server: for a batch on this machine, and for a look at what a batch there would make."""
 
-import hashlib
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,10 +7,11 @@ from pathlib import Path
 
 from lambent_relight.batch.manifest import Asset, Manifest
 from lambent_relight.batch.plan import Plan, make_plan
-from lambent_relight.bundle import peek_bundle
+from lambent_relight.bundle import Bundle, load_bundle, peek_bundle
 
 from lambent.client import Client
 from lambent.errors import RefusedError, UsageProblemError
+from lambent.file_hash import file_sha256
 
 INPUTS = "inputs"
 """Folder inside the output for what was fetched."""
@@ -25,6 +25,38 @@ def with_local_bundles(
     A bundle that the server declines stays where it is, and its pictures fail. Maps on a server are not
     fetched: raises `batch.map_on_server`. Raises UnreachableError where no server answers.
     """
+    _refuse_maps_on_server(manifest)
+    if all(asset.path is not None for asset in manifest.assets):
+        return manifest
+
+    with Client(url) as client:
+
+        def bring(identifier: str) -> Path:
+            note(f"fetching {identifier}")
+            return client.fetch(identifier, folder / INPUTS / identifier).path
+
+        return _with_bundles(manifest, bring, note)
+
+
+def plan_here(manifest: Manifest, note: Callable[[str], None], *, url: str = "") -> Plan:
+    """Return the pictures that a batch on this machine would make; nothing is left on the disk.
+
+    Of bundles on a server only manifest and cameras are fetched. Raises as `with_local_bundles` does.
+    """
+    _refuse_maps_on_server(manifest)
+    if all(asset.path is not None for asset in manifest.assets):
+        return make_plan(manifest)
+    with Client(url) as client, tempfile.TemporaryDirectory(prefix="lambent-") as name:
+        folder = Path(name)
+        peeked = _with_bundles(manifest, lambda each: client.peek(each, folder / each), note)
+
+        def opening(path: Path | str) -> Bundle:
+            return (peek_bundle if folder in Path(path).parents else load_bundle)(path)
+
+        return make_plan(peeked, opening=opening)
+
+
+def _refuse_maps_on_server(manifest: Manifest) -> None:
     for light in manifest.environments:
         if light.path is None:
             raise UsageProblemError(
@@ -32,17 +64,16 @@ def with_local_bundles(
                 f"the environment {light.name} is named by its id on a server",
                 "give its file, or render on the server: --server",
             )
-    identifiers = {asset.bundle_id for asset in manifest.assets if asset.path is None}
-    if not identifiers:
-        return manifest
-    places = {}
-    with Client(url) as client:
-        for identifier in sorted(identifiers):
-            note(f"fetching {identifier}")
-            try:
-                places[identifier] = client.fetch(identifier, folder / INPUTS / identifier).path
-            except RefusedError as error:
-                note(f"{identifier}: {error}")
+
+
+def _with_bundles(manifest: Manifest, bring: Callable[[str], Path], note: Callable[[str], None]) -> Manifest:
+    """Return the manifest with the bundles of a server where `bring` puts them, each of them once."""
+    places: dict[str, Path] = {}
+    for identifier in sorted({asset.bundle_id for asset in manifest.assets if asset.path is None}):
+        try:
+            places[identifier] = bring(identifier)
+        except RefusedError as error:
+            note(f"{identifier}: {error}")
     assets = tuple(
         asset if asset.path is not None else replace(asset, path=places.get(asset.bundle_id))
         for asset in manifest.assets
@@ -76,19 +107,13 @@ def plan_on_server(manifest: Manifest, client: Client, note: Callable[[str], Non
                 "see `GET /v1/environments`, or give its file",
             )
     maps = sorted({light.path for light in manifest.environments if light.path is not None})
-    to_send = tuple(path for path in maps if path.is_file() and (path.name, _digest(path)) not in there)
+    to_send = tuple(path for path in maps if path.is_file() and (path.name, file_sha256(path)) not in there)
+    for asset in manifest.assets:
+        if not asset.bundle_id:
+            raise bundle_here(asset)
     with tempfile.TemporaryDirectory(prefix="lambent-") as folder:
-        places: dict[str, Path] = {}
-        for asset in manifest.assets:
-            if not asset.bundle_id:
-                raise bundle_here(asset)
-            if asset.bundle_id not in places:
-                try:
-                    places[asset.bundle_id] = client.peek(asset.bundle_id, Path(folder) / asset.bundle_id)
-                except RefusedError as error:
-                    note(f"{asset.bundle_id}: {error}")
-        assets = tuple(replace(asset, path=places.get(asset.bundle_id)) for asset in manifest.assets)
-        plan = make_plan(replace(manifest, assets=assets), opening=peek_bundle, known_lights=digests)
+        peeked = _with_bundles(manifest, lambda each: client.peek(each, Path(folder) / each), note)
+        plan = make_plan(peeked, opening=peek_bundle, known_lights=digests)
     return ServerPlan(plan=plan, to_send=to_send)
 
 
@@ -99,8 +124,3 @@ def bundle_here(asset: Asset) -> UsageProblemError:
         f"the asset {asset.name} is the file {asset.path}, which the server does not have",
         "give its bundle_id there (`lambent jobs`), or render here, without --server",
     )
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from lambent.connection import Connection
 from lambent.errors import DigestMismatchError, RefusedError, UsageProblemError
+from lambent.file_hash import file_sha256
 from lambent.models import Artifact, FileEntry
 
 FetchProgress = Callable[[str, int, int], None]
@@ -157,10 +158,8 @@ def _is_complete(folder: Path, manifest: bytes, entries: tuple[FileEntry, ...]) 
 
 
 def _matches(path: Path, entry: FileEntry) -> bool:
-    if not path.is_file() or path.stat().st_size != entry.size_bytes:
-        return False
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest() == entry.sha256
+    whole = path.is_file() and path.stat().st_size == entry.size_bytes
+    return whole and file_sha256(path) == entry.sha256
 
 
 def _fetch_file(

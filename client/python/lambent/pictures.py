@@ -1,6 +1,5 @@
 """Pictures that a server makes: environment maps, orders, batches."""
 
-import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -9,6 +8,7 @@ from uuid import uuid4
 
 from lambent.connection import Connection
 from lambent.errors import UsageProblemError
+from lambent.file_hash import file_sha256
 from lambent.models import Artifact, Batch, Environment
 from lambent.scenes import PIECE_BYTES
 
@@ -56,8 +56,7 @@ def push_environment(connection: Connection, source: Path, *, name: str = "") ->
     if not source.is_file():
         raise UsageProblemError("environment.missing", f"there is no file {source}", "check the path")
     name = name or source.name
-    with source.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    digest = file_sha256(source)
     for item in connection.json("GET", "/v1/environments")["items"]:
         if (item["sha256"], item["name"]) == (digest, name):
             return Environment.from_json(item)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lambent.connection import Connection
 from lambent.errors import RefusedError, UsageProblemError
+from lambent.file_hash import file_sha256
 from lambent.models import FileEntry, Scene
 
 UploadProgress = Callable[[str, int, int], None]
@@ -51,10 +52,8 @@ def list_files(folder: Path, progress: UploadProgress = ignore_progress) -> tupl
     entries, done_bytes = [], 0
     for path in sorted(paths):
         size_bytes = path.stat().st_size
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
         relative = path.relative_to(folder).as_posix()
-        entries.append(FileEntry(path=relative, size_bytes=size_bytes, sha256=digest))
+        entries.append(FileEntry(path=relative, size_bytes=size_bytes, sha256=file_sha256(path)))
         done_bytes += size_bytes
         progress("hash", done_bytes, total_bytes)
     return tuple(entries)

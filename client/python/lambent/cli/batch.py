@@ -48,12 +48,13 @@ def batch(
         if dry_run:
             raise typer.Exit(_list_server_work(asked, document, output_folder, output, url))
         raise typer.Exit(batch_on_server(asked, document, output_folder, output, url=url, shards=shards))
-    from lambent.batch_inputs import with_local_bundles
+    from lambent.batch_inputs import plan_here, with_local_bundles
 
     with relight_errors():
-        plan = make_plan(with_local_bundles(asked, output_folder, output.note, url=url))
         if dry_run:
+            plan = plan_here(asked, output.note, url=url)
             raise typer.Exit(_list_work(plan, asked, document, output_folder, output))
+        plan = make_plan(with_local_bundles(asked, output_folder, output.note, url=url))
         raise typer.Exit(_render(plan, asked, document, output_folder, output, jobs or available_threads()))
 
 
@@ -83,11 +84,10 @@ def _list_server_work(manifest: Manifest, document: Document, folder: Path, outp
 
 def _list_work(plan: Plan, manifest: Manifest, document: Document, folder: Path, output: Output) -> int:
     """Print what would be done and return the exit code."""
-    from lambent_relight.batch.journal import open_journal
+    from lambent_relight.batch.journal import peek_journal
     from lambent_relight.batch.run import sort_plan
 
-    with open_journal(folder) as journal:
-        parts = sort_plan(plan, manifest.files, journal, copy=False)
+    parts = sort_plan(plan, manifest.files, peek_journal(folder), copy=False)
     todo = {row.path: suffixes for row, suffixes in parts.tasks}
     for row in plan.rows:
         state = f"make {','.join(todo[row.path])}" if row.path in todo else "keep"

@@ -30,6 +30,7 @@ from lambent_relight.sampling_plan import Bounces
 
 from lambent.cli.output import Output, format_duration
 from lambent.errors import LambentError, UsageProblemError
+from lambent.file_hash import file_sha256
 
 if TYPE_CHECKING:
     from lambent_relight.probe_overlay import LightProbes
@@ -147,13 +148,16 @@ def render_shots(
     index = folder / "pictures.json"
     records = _read_records(index)
     environments: dict[Path, OpenedEnvironment] = {}
+    hashes: dict[Path, str] = {}
     probes = ProbeDrawer(look)
     told: set[tuple[Path, str]] = set()
     began, num_made = time.monotonic(), 0
     with PictureBar(len(shots), output) as bar:
         for number, shot in enumerate(shots):
             files = [folder / f"{shot.name}{suffix}" for suffix in ((".png", ".exr") if exr else (".png",))]
-            key = _key(renderer, shot, look)
+            if shot.environment not in hashes:
+                hashes[shot.environment] = _light_hash(shot.environment)
+            key = _key(renderer, shot, hashes[shot.environment], look)
             if records.get(shot.name, {}).get("key") == key and all(path.is_file() for path in files):
                 bar.done(number, shot.name, "kept")
                 continue
@@ -224,13 +228,14 @@ def _load(path: Path, light: EnvironmentInput, output: Output) -> OpenedEnvironm
     return opened
 
 
-def _key(renderer: Renderer, shot: Shot, look: Look) -> str:
-    if not shot.environment.is_file():
-        raise UsageProblemError(
-            "environment.missing", f"there is no file {shot.environment}", "check the path"
-        )
-    with shot.environment.open("rb") as file:
-        light = hashlib.file_digest(file, "sha256").hexdigest()
+def _light_hash(path: Path) -> str:
+    if not path.is_file():
+        raise UsageProblemError("environment.missing", f"there is no file {path}", "check the path")
+    return file_sha256(path)
+
+
+def _key(renderer: Renderer, shot: Shot, light: str, look: Look) -> str:
+    """Return a hash of everything that a picture is made from; `light` is that of the map's file."""
     files = sorted(entry.sha256 for entry in renderer.bundle.manifest.files)
     parts = [*files, light, shot.camera.key().hex(), shot.rotate_deg, repr(look)]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

@@ -4,7 +4,6 @@ A line that a crash cut off is the last one and is left out; the picture it was 
 """
 
 import contextlib
-import hashlib
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from lambent_relight.errors import SettingError
+from lambent_relight.file_hash import file_sha256
 
 NAME = "pictures.jsonl"
 _LOCK = ".lambent-batch.lock"
@@ -73,10 +73,8 @@ class Journal:
     def is_whole(self, made: MadeFile) -> bool:
         """Return whether the file is there with the bytes it was written with."""
         path = self.folder / made.path
-        if not path.is_file() or path.stat().st_size != made.size_bytes:
-            return False
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == made.sha256
+        whole = path.is_file() and path.stat().st_size == made.size_bytes
+        return whole and file_sha256(path) == made.sha256
 
     def lines(self, paths: Collection[str]) -> str:
         """Return the lines of these pictures, as the file holds them."""
@@ -95,6 +93,17 @@ class Journal:
             self.by_key[made.key] = made
 
 
+def peek_journal(folder: Path) -> Journal:
+    """Return what the journal of a folder says, for a look only: nothing is written, nothing is locked.
+
+    Raises SettingError (`batch.bad_journal`) as `open_journal` does. A folder that is not there has none.
+    """
+    journal = Journal(folder)
+    for record in read_records(folder / NAME):
+        journal._remember(record)
+    return journal
+
+
 @contextlib.contextmanager
 def open_journal(folder: Path) -> Iterator[Journal]:
     """Open the journal of a folder for one program at a time.
@@ -104,10 +113,7 @@ def open_journal(folder: Path) -> Iterator[Journal]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        journal = Journal(folder)
-        path = folder / NAME
-        for record in read_records(path):
-            journal._remember(record)
+        journal, path = peek_journal(folder), folder / NAME
         # One line for each picture again, and no half line at the end.
         partial = path.with_name(f".partial-{NAME}")
         lines = [json.dumps(asdict(record)) + "\n" for record in journal.records.values()]

@@ -16,6 +16,7 @@ from lambent_relight.batch.reading import safe_name
 from lambent_relight.bundle import Bundle, load_bundle
 from lambent_relight.cameras import Camera, load_cameras
 from lambent_relight.errors import CameraError, RelightError, SettingError
+from lambent_relight.file_hash import file_sha256
 from lambent_relight.object_cameras import around_object
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")
@@ -81,35 +82,24 @@ def make_plan(
 ) -> Plan:
     """Return the pictures of a manifest: by asset, quality, environment and camera.
 
-    Bundles are opened (and checked) one after the other for their cameras, by `opening`. What belongs to a
-    bundle, map or file of cameras that cannot be read becomes a failure. `known_lights` has the SHA-256 of
-    maps that lie on a server, by their id. Raises SettingError (`batch.too_many`) above 100 000 pictures,
-    and (`batch.same_name`) where two pictures have one name.
+    Bundles are opened (and checked) one after the other for their cameras, by `opening`, each of them once.
+    What belongs to a bundle, map or file of cameras that cannot be read becomes a failure. `known_lights` has
+    the SHA-256 of maps that lie on a server, by their id. Raises SettingError (`batch.too_many`) above
+    100 000 pictures, and (`batch.same_name`) where two pictures have one name.
     """
     rows: list[Row] = []
     failures: list[Failure] = []
-    digests = {
-        light.name: known_lights.get(light.environment_id) or light_digest(light)
-        for light in manifest.environments
-    }
+    digests = _light_digests(manifest.environments, known_lights)
+    known: dict[Path | None, _Opened] = {}
     for asset in manifest.assets:
-        try:
-            bundle = opening(_require_path(asset.path, asset.bundle_id))
-            with bundle.source.open("manifest.json") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-        except (RelightError, OSError) as error:
-            failures.append(_failure(f"{asset.name}/*", error, asset.pointer))
-            continue
-        cameras: list[Camera] = []
-        for entry in manifest.cameras:
-            try:
-                cameras += cameras_of(entry, bundle)
-            except (RelightError, OSError) as error:
-                failures.append(_failure(f"{asset.name}/*", error, entry.pointer))
+        if asset.path is None or asset.path not in known:
+            known[asset.path] = _open(asset, manifest.cameras, opening)
+        opened = known[asset.path]
+        failures += [_failure(f"{asset.name}/*", error, at or asset.pointer) for error, at in opened.errors]
         for quality in manifest.qualities:
             for light in manifest.environments:
                 found = digests[light.name]
-                for camera in cameras:
+                for camera in opened.cameras:
                     path = manifest.files.path.format(
                         asset=asset.name,
                         environment=light.name,
@@ -126,13 +116,58 @@ def make_plan(
                             light=light,
                             quality=quality,
                             camera=camera,
-                            bundle_digest=digest,
+                            bundle_digest=opened.digest,
                             light_digest=found,
                         )
                     )
                 _check_count(len(rows) + len(failures))
     _check_names(rows)
     return Plan(rows=tuple(rows), failures=tuple(failures))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Opened:
+    """What a batch needs to know of a bundle, and what cannot be made of it: errors and their places."""
+
+    digest: str = ""
+    cameras: tuple[Camera, ...] = ()
+    errors: tuple[tuple[Exception, str], ...] = ()
+
+
+def _open(asset: Asset, entries: Sequence[Cameras], opening: Callable[[Path | str], Bundle]) -> _Opened:
+    """Open the bundle of an asset; several materials of one bundle share what is found."""
+    try:
+        bundle = opening(_require_path(asset.path, asset.bundle_id))
+        digest = bundle_digest(bundle)
+    except (RelightError, OSError) as error:
+        return _Opened(errors=((error, ""),))
+    cameras: list[Camera] = []
+    errors: list[tuple[Exception, str]] = []
+    for entry in entries:
+        try:
+            cameras += cameras_of(entry, bundle)
+        except (RelightError, OSError) as error:
+            errors.append((error, entry.pointer))
+    return _Opened(digest=digest, cameras=tuple(cameras), errors=tuple(errors))
+
+
+def bundle_digest(bundle: Bundle) -> str:
+    """Return the hash of a bundle's manifest, which holds those of all its files."""
+    with bundle.source.open("manifest.json") as file:
+        return hashlib.sha256(file.read()).hexdigest()
+
+
+def _light_digests(lights: Sequence[Light], known: Mapping[str, str]) -> dict[str, str | Exception]:
+    """Return the hash of every environment's map by its name; a map is read once, however it is turned."""
+    found: dict[Path | None, str | Exception] = {}
+    for light in lights:
+        if light.path is not None and light.path not in found:
+            found[light.path] = light_digest(light)
+    return {
+        light.name: known.get(light.environment_id)
+        or (found[light.path] if light.path is not None else light_digest(light))
+        for light in lights
+    }
 
 
 def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
@@ -221,8 +256,7 @@ def light_digest(light: Light) -> str | Exception:
         path = _require_path(light.path, light.environment_id)
         if not path.is_file():
             return SettingError("environment.missing", f'there is no file "{path}"', "check the path")
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_sha256(path)
     except (RelightError, OSError) as error:
         return error
 

@@ -1,6 +1,5 @@
 """Makes single pictures of a batch. It keeps one bundle and one map open, whatever the number of pictures."""
 
-import hashlib
 import os
 import time
 from collections.abc import Callable, Collection
@@ -9,10 +8,11 @@ from typing import cast
 
 from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import BACKGROUNDS, Files, Light
-from lambent_relight.batch.plan import Row, light_digest
+from lambent_relight.batch.plan import Row, bundle_digest, light_digest
 from lambent_relight.bundle import load_bundle
 from lambent_relight.environment_input import OpenedEnvironment, open_environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
+from lambent_relight.file_hash import file_sha256
 from lambent_relight.images import write_picture_exr, write_png
 from lambent_relight.picture import RelitPicture
 from lambent_relight.renderer import Renderer
@@ -87,8 +87,7 @@ class Studio:
         if known is None or known[0] != path or known[1] != row.bundle_digest:
             self._renderer = None  # two bundles are never held at once
             bundle = load_bundle(path)
-            with bundle.source.open("manifest.json") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = bundle_digest(bundle)
             if digest != row.bundle_digest:
                 raise BundleError(
                     "bundle.changed", f"{path} was changed while the batch ran", "run the batch again"
@@ -134,8 +133,7 @@ class Studio:
                     passes=self._files.passes,
                     attributes={"lambent:bundle": row.bundle_digest, "lambent:environment": row.light_digest},
                 )
-            with partial.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = file_sha256(partial)
             size_bytes = partial.stat().st_size
             os.replace(partial, path)
         finally:
