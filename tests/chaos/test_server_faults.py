@@ -9,10 +9,13 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import httpx2
+import psutil
 import pytest
+from lambent_server.serving import ServeError, sole_user
 from support.live_server import LiveServer, stream, wait_until
 
 pytestmark = pytest.mark.slow
@@ -20,10 +23,59 @@ SERVER_KILLS = int(os.environ.get("LAMBENT_CHAOS_SERVER_KILLS", "1"))
 SUBMIT_KILLS = int(os.environ.get("LAMBENT_CHAOS_SUBMIT_KILLS", "1"))
 
 
+ENDLESS = {"num_steps": 100_000, "step_s": 0.05}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Started:
+    """A server that has just answered for the first time."""
+
+    server: LiveServer
+    busy_s: float
+    """Time of the processor: on a machine with nothing else to do that is the time one waits."""
+    size_bytes: int
+    libraries: str
+
+
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveServer]:
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Started]:
     with LiveServer(tmp_path_factory.mktemp("server") / "data") as server:
-        yield server
+        assert server.process is not None
+        process = psutil.Process(server.process.pid)
+        server.client.get("/v1/limits").raise_for_status()
+        busy = process.cpu_times()
+        family = [process, *process.children(recursive=True)]
+        yield Started(
+            server=server,
+            busy_s=busy.user + busy.system,
+            size_bytes=sum(each.memory_info().rss for each in family),
+            libraries=Path(f"/proc/{process.pid}/maps").read_text(),
+        )
+
+
+@pytest.fixture
+def server(started: Started) -> LiveServer:
+    """Return the server, which a test before may have killed."""
+    server = started.server
+    assert server.process is not None
+    if server.process.poll() is not None:
+        server.start()
+    return server
+
+
+@pytest.fixture
+def scene(server: LiveServer) -> str:
+    return server.scene()
+
+
+@pytest.fixture
+def end(tmp_path: Path) -> Path:
+    """Return the file that lets endless jobs end."""
+    return tmp_path / "end"
+
+
+def database_of(server: LiveServer) -> contextlib.closing[sqlite3.Connection]:
+    return contextlib.closing(sqlite3.connect(server.data / "lambent.sqlite", timeout=10))
 
 
 def follow(server: LiveServer, jobs: list[str], seen: list[tuple[str, int]], ended: threading.Event) -> None:
@@ -44,22 +96,29 @@ def follow(server: LiveServer, jobs: list[str], seen: list[tuple[str, int]], end
         time.sleep(0.05)
 
 
-def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(server: LiveServer):
-    scene = server.scene()
-    jobs = [server.submit(scene, num_steps=40, step_s=0.06, checkpoint_every=10) for _ in range(4)]
+def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(
+    server: LiveServer, scene: str, end: Path
+):
+    """The first job is one whose process the server that was killed had not noted yet."""
+    jobs = [server.submit(scene, **ENDLESS, until=end, checkpoint_every=10) for _ in range(4)]
     seen: list[tuple[str, int]] = []
     ended = threading.Event()
     follower = threading.Thread(target=follow, args=(server, jobs, seen, ended))
     follower.start()
     for job in jobs:
         server.wait_step(job, 2)
+    supervisor = server.supervisor(jobs[0])
     for _ in range(SERVER_KILLS):
         server.kill()
-        time.sleep(0.5)
+        with database_of(server) as database:
+            database.execute("UPDATE jobs SET handle = NULL WHERE id = ?", (jobs[0],))
+            database.commit()
         server.start()
-        time.sleep(0.5)
+        wait_until(lambda: f'"pid": {supervisor.pid}' in str(handle_of(server, jobs[0])))
+    end.touch()
     found = [server.wait(job) for job in jobs]
-    time.sleep(1.0)
+    with contextlib.suppress(AssertionError):  # What is missing is told below.
+        wait_until(lambda: {(job["id"], job["last_event"]) for job in found} <= set(seen), timeout_s=20)
     ended.set()
     follower.join(timeout=20)
     assert [job["state"] for job in found] == ["succeeded"] * 4
@@ -72,9 +131,16 @@ def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(ser
         assert told == list(range(first + 1, job["last_event"] + 1))
 
 
-def test_the_server_ends_in_time_with_open_streams_and_leaves_runs_alone(server: LiveServer):
-    scene = server.scene()
-    job = server.submit(scene, num_steps=70, step_s=0.05)
+def handle_of(server: LiveServer, job: str) -> str | None:
+    with database_of(server) as database:
+        (handle,) = database.execute("SELECT handle FROM jobs WHERE id = ?", (job,)).fetchone()
+    return handle
+
+
+def test_the_server_ends_in_time_with_open_streams_and_leaves_runs_alone(
+    server: LiveServer, scene: str, end: Path
+):
+    job = server.submit(scene, **ENDLESS, until=end)
     server.wait_step(job, 1)
     opened = threading.Semaphore(0)
 
@@ -94,15 +160,19 @@ def test_the_server_ends_in_time_with_open_streams_and_leaves_runs_alone(server:
     assert server.process.returncode == 0
     assert [process for process in server.run_processes() if job in process.environ()["LAMBENT_RUN"]]
     server.start()
+    end.touch()
     assert server.wait(job)["run"] == 1
 
 
-def test_ctrl_c_ends_runs_after_a_checkpoint_and_the_next_server_goes_on(server: LiveServer):
-    job = server.submit(server.scene(), num_steps=60, step_s=0.05, checkpoint_every=1000)
+def test_ctrl_c_ends_runs_after_a_checkpoint_and_the_next_server_goes_on(
+    server: LiveServer, scene: str, end: Path
+):
+    job = server.submit(scene, **ENDLESS, until=end, checkpoint_every=100_000)
     server.wait_step(job, 5)
     assert server.end(signal.SIGINT) < 10
     assert server.run_processes() == []
     assert not (server.data / "server.json").exists()
+    end.touch()
     server.start()
     found = server.wait(job)
     assert (found["state"], found["run"]) == ("succeeded", 2)
@@ -110,37 +180,7 @@ def test_ctrl_c_ends_runs_after_a_checkpoint_and_the_next_server_goes_on(server:
     assert int(re.findall(r'"first_step": (\d+)', log)[1]) >= 5
 
 
-def test_every_accepted_job_is_there_after_kills_in_a_submit_loop(tmp_path: Path):
-    with LiveServer(tmp_path / "data", local_slots=1) as server:
-        scene = server.scene()
-        accepted: list[str] = []
-        for _ in range(SUBMIT_KILLS):
-            ended = threading.Event()
-
-            def submit(ended: threading.Event = ended) -> None:
-                while not ended.is_set():
-                    with contextlib.suppress(httpx2.HTTPError, AssertionError):
-                        accepted.append(server.submit(scene, num_steps=1, step_s=0))
-
-            threads = [threading.Thread(target=submit) for _ in range(3)]
-            for thread in threads:
-                thread.start()
-            time.sleep(0.7)
-            server.kill()
-            ended.set()
-            for thread in threads:
-                thread.join()
-            database = sqlite3.connect(server.data / "lambent.sqlite")
-            assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-            known = {row[0] for row in database.execute("SELECT id FROM jobs")}
-            database.close()
-            assert set(accepted) <= known
-            server.start()
-        assert len(accepted) > SUBMIT_KILLS
-
-
-def test_duplicate_submits_make_one_job(server: LiveServer):
-    scene = server.scene()
+def test_duplicate_submits_make_one_job(server: LiveServer, scene: str):
 
     def submit(_: int) -> str:
         answer = server.client.post(
@@ -158,57 +198,21 @@ def test_duplicate_submits_make_one_job(server: LiveServer):
     assert [event["state"] for event in history].count("queued") == 1
 
 
-def test_a_server_killed_before_it_noted_the_process_adopts_it_by_its_registration(server: LiveServer):
-    job = server.submit(server.scene(), num_steps=30, step_s=0.05)
-    server.wait_step(job, 1)
-    server.kill()
-    database = sqlite3.connect(server.data / "lambent.sqlite")
-    database.execute("UPDATE jobs SET handle = NULL")
-    database.commit()
-    database.close()
-    supervisor = server.supervisor(job)
-    server.start()
-
-    def noted() -> str:
-        database = sqlite3.connect(server.data / "lambent.sqlite", timeout=10)
-        (handle,) = database.execute("SELECT handle FROM jobs WHERE id = ?", (job,)).fetchone()
-        database.close()
-        return str(handle)
-
-    wait_until(lambda: f'"pid": {supervisor.pid}' in noted())
-    found = server.wait(job)
-    assert (found["state"], found["run"]) == ("succeeded", 1)
-
-
 def test_a_second_server_on_the_same_folder_is_refused(server: LiveServer):
-    other = LiveServer(server.data)
-    with pytest.raises(AssertionError, match=r"serve\.data_in_use"):
-        other.start()
+    with pytest.raises(ServeError, match=r"serve\.data_in_use"), sole_user(server.data):
+        pass
     assert server.client.get("/healthz").status_code == 200
 
 
-def test_the_server_starts_fast_and_stays_small_without_torch(server: LiveServer):
-    import psutil
-
-    server.end()
-    server.start()
-    assert server.process is not None
-    process = psutil.Process(server.process.pid)
-    server.client.get("/v1/limits").raise_for_status()
-    # Time of the processor: on a machine with nothing else to do that is the time one waits.
-    busy = process.cpu_times()
-    time.sleep(0.5)
-    family = [process, *process.children(recursive=True)]
-    size = sum(each.memory_info().rss for each in family)
-    maps = Path(f"/proc/{process.pid}/maps").read_text()
-    assert busy.user + busy.system < 3
-    assert size < 200 * 2**20
-    assert "libtorch" not in maps
-    assert "numpy" not in maps
+def test_the_server_starts_fast_and_stays_small_without_torch(started: Started):
+    assert started.busy_s < 3
+    assert started.size_bytes < 200 * 2**20
+    assert "libtorch" not in started.libraries
+    assert "numpy" not in started.libraries
 
 
-def test_streams_of_clients_that_went_away_are_closed(server: LiveServer):
-    job = server.submit(server.scene(), num_steps=1)
+def test_streams_of_clients_that_went_away_are_closed(server: LiveServer, scene: str):
+    job = server.submit(scene, num_steps=1)
     server.wait(job)
     for _ in range(5):
         assert next(iter(stream(server.url, server.key, [job])))
@@ -218,3 +222,30 @@ def test_streams_of_clients_that_went_away_are_closed(server: LiveServer):
         return float(re.search(r"^lambent_open_streams (\S+)", text, re.MULTILINE)[1])  # type: ignore[index]
 
     wait_until(lambda: num_open() == 0, timeout_s=10)
+
+
+def test_every_accepted_job_is_there_after_kills_in_a_submit_loop(server: LiveServer, scene: str):
+    accepted: list[str] = []
+    for number in range(SUBMIT_KILLS):
+        if number:
+            server.start()
+        ended = threading.Event()
+
+        def submit(ended: threading.Event = ended) -> None:
+            while not ended.is_set():
+                with contextlib.suppress(httpx2.HTTPError, AssertionError):
+                    accepted.append(server.submit(scene, num_steps=1, step_s=0))
+
+        before = len(accepted)
+        threads = [threading.Thread(target=submit) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        wait_until(lambda before=before: len(accepted) > before + 10)
+        server.kill()
+        ended.set()
+        for thread in threads:
+            thread.join()
+        with database_of(server) as database:
+            assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+            known = {row[0] for row in database.execute("SELECT id FROM jobs")}
+        assert set(accepted) <= known

@@ -1,8 +1,9 @@
 """A run process whose pipeline only sleeps: the faults of the service are tried on it, without a model.
 
 `python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer
-it: `num_steps`, `step_s`, `checkpoint_every`, `hang_at`, `fail_at` (with `fail_how`, and `fail_once`: a file
-that the first failure makes), and `touch`: a file that gets a line each time the pipeline comes to its end.
+it: `num_steps`, `until` (a file: once it is there, the step in work is the last), `step_s`, `stage`,
+`checkpoint_every`, `hang_at`, `fail_at` (with `fail_how`, and `fail_once`: a file that the first failure
+makes), and `touch`: a file that gets a line each time the pipeline comes to its end.
 """
 
 import hashlib
@@ -40,6 +41,8 @@ def pipeline(task: Task) -> Path:
     """Count steps, keep the count in checkpoints, and write a bundle that says how far it came."""
     params = task.spec.params
     num_steps = int(params.get("num_steps", "20"))
+    stage = params.get("stage", "joint")
+    until = Path(params["until"]) if "until" in params else None
     step_s = float(params.get("step_s", "0.02"))
     every = int(params.get("checkpoint_every", "5"))
     folder = task.run_dir / "joint"
@@ -57,7 +60,7 @@ def pipeline(task: Task) -> Path:
         while step == int(params.get("hang_at", "0")):
             time.sleep(0.1)
         task.reporter.progress(
-            stage="joint",
+            stage=stage,
             step=step,
             num_steps=num_steps,
             fraction=step / num_steps,
@@ -75,6 +78,8 @@ def pipeline(task: Task) -> Path:
             task.reporter.checkpoint("joint", step, target)
         if stopping:
             raise Stopped
+        if until is not None and until.exists():
+            break
     return write_result(task, num_steps)
 
 
