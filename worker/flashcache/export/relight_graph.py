@@ -35,11 +35,10 @@ def relight_graph(
     prefiltered = graph.input("spec_prefiltered", 3)
 
     arriving = graph.node("MatMul", direct, light)
-    # Per channel: the coefficients of one channel lie three apart.
+    # Per channel: the coefficients of one channel lie three apart, so that pixels need one product only.
     low = graph.node("Gather", light, np.arange(INDIRECT_COEFFICIENTS, dtype=np.int32), axis=0)
-    flat = graph.reshape(low, 1, 3 * INDIRECT_COEFFICIENTS)
     channel = np.tile(np.eye(3, dtype=np.float32), (INDIRECT_COEFFICIENTS, 1))
-    bounced = graph.node("MatMul", indirect * flat, channel)
+    bounced = graph.node("MatMul", indirect, graph.reshape(low, 3 * INDIRECT_COEFFICIENTS, 1) * channel)
     irradiance = graph.at_least(arriving + bounced, 0.0)
     free = graph.reduce("ReduceSum", visibility * reflect)
     free = graph.node("Clip", free, 0.0, 1.0)
