@@ -20,9 +20,9 @@ RED = Surface(albedo=(0.7, 0.1, 0.1), perceptual_roughness=0.8)
 BLUE = Surface(albedo=(0.1, 0.1, 0.7), perceptual_roughness=0.8)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def collected():
-    """Collect garbage before the next test, whose warnings are errors."""
+    """Collect garbage before the next file's tests, whose warnings are errors."""
     yield
     gc.collect()
 
