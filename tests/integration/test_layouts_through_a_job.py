@@ -28,9 +28,12 @@ SAMPLES = {
 }
 SMALL = {
     "max_side": "16",
-    "stage_one.num_steps": "6",
-    "stage_two.num_steps": "4",
-    "stage_two.warmup_steps": "2",
+    "stage_one.num_steps": "3",
+    "stage_one.num_rays": "64",
+    "stage_two.num_steps": "3",
+    "stage_two.num_rays": "32",
+    "stage_two.warmup_steps": "1",
+    "stage_two.distil.num_steps": "1",
     "evaluation.num_views": "1",
     "evaluation.num_directions": "8",
 }
@@ -89,7 +92,7 @@ def test_a_model_far_from_the_origin_trains_and_is_evaluated_in_the_world_it_was
     shutil.copytree(LAYOUTS / "colmap" / "sparse_text", scene / "sparse")
     shift(scene / "sparse" / "0" / "images.txt", np.array([100.0, -50.0, 20.0]), 10.0)
     run = prepared(scene, tmp_path / "run", "")
-    steps = ("ingest", "cache", "joint", "evaluate")
+    steps = ("ingest", "cache", "joint")
     run_pipeline(scene, tmp_path / "run", run.config, 0, "cpu", RecordingReporter(), steps)
     manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
     world = np.array(manifest["world_from_capture"]).reshape(4, 4)

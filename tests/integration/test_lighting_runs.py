@@ -1,5 +1,6 @@
 """Runs in several lights, in one turned light and in a given one, from the capture to the trained model."""
 
+import functools
 import json
 
 import numpy as np
@@ -12,6 +13,7 @@ from lambent_worker.errors import UsageError, WorkerError
 from lambent_worker.pipeline import run_pipeline
 from lambent_worker.run_folder import step_folder
 from lambent_worker.stage_sharing import adopt_nerf_cache
+from lambent_worker.steps import ingest
 from lambent_worker.steps.training import load_trained, read_scene
 from lambent_worker.training_run import prepare_run, step_context
 from support.captures import REFERENCES
@@ -28,9 +30,18 @@ SMALL = {
     "stage_two.num_steps": "3",
     "stage_two.num_rays": "32",
     "stage_two.warmup_steps": "1",
+    "stage_two.distil.num_steps": "1",
     "model.environment.known_height": "8",
 }
 STEPS = ("ingest", "cache", "joint")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def checked_once():
+    """Check the capture once: it is the same for all runs here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ingest, "check_capture", functools.cache(ingest.check_capture))
+        yield
 
 
 def trained(folder, lights, known=(), steps=STEPS, **settings):
