@@ -112,6 +112,7 @@ def states(tmp_path):
 
 
 def test_a_batch_of_the_command_line_is_spread_over_jobs_and_fetched(client, bundle_id, sky, tmp_path):
+    """Its table and contact sheet are those that this machine would make."""
     write_batch(tmp_path, bundle_id, output={"path": "{asset}-{environment}/{camera}"})
     assert run_batch(tmp_path, "--server") == 0
     found = states(tmp_path)
@@ -119,31 +120,25 @@ def test_a_batch_of_the_command_line_is_spread_over_jobs_and_fetched(client, bun
     assert set(found.values()) == {"made"}
     with Image.open(tmp_path / "out/red-sky_90/turntable_002.png") as image:
         assert image.size == (8, 8)
-    assert (tmp_path / "out/contact_sheet.png").is_file()
+    fetched = lines(tmp_path / "out")
     batch = next(client.batches())
     assert (batch.name, batch.num_pictures, batch.num_done, len(batch.job_ids)) == ("spring", 12, 12, 3)
+    by_sdk = client.fetch_batch(batch.id, tmp_path / "sdk")
+    names = {path.relative_to(tmp_path / "sdk").as_posix() for path in by_sdk}
+    assert len(names) == 2 * 12 + 2
+    assert {"contact_sheet.png", "pictures.csv", "red-sky_90/turntable_002.exr"} <= names
     assert run_batch(tmp_path, "--server") == 0
     assert next(client.batches()).id == batch.id, "the same manifest is the same batch"
     assert set(states(tmp_path).values()) == {"kept"}
+    sheet = (tmp_path / "out" / "contact_sheet.png").read_bytes()
     # What the server made is what this machine would make: the journal knows it.
     assert run_batch(tmp_path) == 0
     assert set(states(tmp_path).values()) == {"kept"}
-
-
-def test_table_and_contact_sheet_of_a_batch_are_those_of_this_machine(client, bundle_id, sky, tmp_path):
-    write_batch(tmp_path, bundle_id, output={"path": "{asset}-{environment}/{camera}", "files": ["png"]})
-    assert run_batch(tmp_path, "--server") == 0
-    batch = next(client.batches())
-    fetched = client.fetch_batch(batch.id, tmp_path / "sdk")
-    names = {path.relative_to(tmp_path / "sdk").as_posix() for path in fetched}
-    assert len(names) == 12 + 2
-    assert {"contact_sheet.png", "pictures.csv", "red-sky_90/turntable_002.png"} <= names
-    shutil.move(tmp_path / "out", tmp_path / "server")
+    shutil.rmtree(tmp_path / "out")
     assert run_batch(tmp_path) == 0
     local = (tmp_path / "out" / "contact_sheet.png").read_bytes()
-    assert (tmp_path / "sdk" / "contact_sheet.png").read_bytes() == local
-    assert (tmp_path / "server" / "contact_sheet.png").read_bytes() == local
-    assert lines(tmp_path / "sdk") == lines(tmp_path / "server") == lines(tmp_path / "out")
+    assert local == sheet == (tmp_path / "sdk" / "contact_sheet.png").read_bytes()
+    assert lines(tmp_path / "sdk") == fetched == lines(tmp_path / "out")
 
 
 def lines(folder):
@@ -157,11 +152,12 @@ def test_a_dry_run_on_a_server_lists_the_work_and_sends_nothing(client, bundle_i
     before = client.environments(), [batch.id for batch in client.batches()]
     write_batch(tmp_path, bundle_id, environments=["dry.exr"], name="dry")
     assert run_batch(tmp_path, "--server", "--dry-run") == 0
+    assert not (tmp_path / "out").exists()
     shown = capsys.readouterr()
     assert "6 to make, 0 to keep, 0 cannot be made" in shown.out
     assert f"to send: {sky}" in shown.err
     assert (client.environments(), [batch.id for batch in client.batches()]) == before
-    assert run_batch(tmp_path, "--server") == 0
+    assert run_batch(tmp_path, "--server", "--shards", "1") == 0
     capsys.readouterr()
     assert run_batch(tmp_path, "--server", "--dry-run") == 0
     shown = capsys.readouterr()
@@ -181,7 +177,7 @@ def test_what_a_server_cannot_make_is_listed_with_exit_code_one(client, bundle_i
     radiance[1, 1] = np.nan
     write_environment(tmp_path / "broken.exr", radiance)
     write_batch(tmp_path, bundle_id, environments=["sky.exr", "broken.exr"], name="partly")
-    assert run_batch(tmp_path, "--server") == 1
+    assert run_batch(tmp_path, "--server", "--shards", "1") == 1
     told = [line for line in capsys.readouterr().err.splitlines() if "environment.unusable_values" in line]
     assert len(told) == 6, "each failure is told once"
     found = states(tmp_path)
