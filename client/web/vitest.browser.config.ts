@@ -5,8 +5,11 @@ export default defineConfig({
   test: {
     include: ["tests/browser/**/*.browser.ts"],
     globalSetup: ["tests/browser/setup.ts"],
+    setupFiles: ["tests/browser/failures.ts"],
     testTimeout: 180_000,
     hookTimeout: 300_000,
+    // One process, so that all files share one browser: it keeps what it compiled.
     fileParallelism: false,
+    isolate: false,
   },
 });

@@ -3,10 +3,10 @@
 // Prints JSON: sizes in bytes, times in milliseconds (all of them, not only their medians), wall clock and processor
 // time of all of the browser's processes. OTHER_PAGES are measured in turn with the first.
 import { createServer } from "node:http";
-import { existsSync, readdirSync, readFileSync, statSync } from "node:fs";
+import { existsSync, readFileSync, statSync } from "node:fs";
 import { delimiter, extname, join, normalize } from "node:path";
-import { gzipSync } from "node:zlib";
 import { chromium } from "playwright-core";
+import { scriptBytes } from "./script_bytes.mjs";
 
 const [pages, bundle, map, others] = process.argv.slice(2);
 if (!pages || !bundle || !map) {
@@ -29,23 +29,6 @@ const server = createServer((request, response) => {
 });
 await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
 const site = `http://127.0.0.1:${server.address().port}`;
-
-// What the page loads before anyone refines: its script, what that imports, and the two workers.
-function scriptBytes() {
-  const start = readFileSync(join(pages, "viewer.html"), "utf8").matchAll(/src="\.\/assets\/([^"]+\.js)"/g);
-  const workers = readdirSync(join(pages, "assets")).filter((name) =>
-    /^(bundle|light)Worker.*\.js$/.test(name),
-  );
-  const names = new Set([...[...start].map(([, name]) => name), ...workers]);
-  const found = {};
-  for (const name of names) {
-    const text = readFileSync(join(pages, "assets", name));
-    found[name.replace(/-[\w-]{8}\.js$/, "")] = gzipSync(text, { level: 9 }).length;
-    for (const [, other] of text.toString().matchAll(/(?:from|import)\s*"\.\/([^"]+\.js)"/g))
-      names.add(other);
-  }
-  return found;
-}
 
 function chromiumPath() {
   const folders = (process.env.PATH ?? "").split(delimiter);
@@ -177,4 +160,4 @@ const after = { heapBytes: await heap(), textures: await textures() };
 await browser.close();
 server.close();
 const memory = { changes, before, after };
-console.log(JSON.stringify({ scriptBytes: scriptBytes(), ...results, rotatedFrameMs, memory }, null, 1));
+console.log(JSON.stringify({ scriptBytes: scriptBytes(pages), ...results, rotatedFrameMs, memory }, null, 1));

@@ -2,6 +2,7 @@ import { readFileSync } from "node:fs";
 import { deflateSync } from "node:zlib";
 import { describe, expect, it } from "vitest";
 import { energy } from "../src/engine/environmentMap.js";
+import { sumFactors } from "../src/engine/fallingLight.js";
 import { halfValue } from "../src/engine/half.js";
 import { cosineFactors } from "../src/engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../src/engine/lobes.js";
@@ -13,7 +14,6 @@ import { maxDominant, numLevels, prepareLight, usableMap } from "../src/light/pr
 import { presetMap, presetNames } from "../src/light/presets.js";
 import { readRgbe } from "../src/light/rgbe.js";
 import { encodeExr } from "../src/viewer/save.js";
-import { sumFactors } from "../src/render/irradiance.js";
 import { turnMatrix } from "../src/render/light.js";
 
 async function codeOf(work: () => unknown): Promise<string> {

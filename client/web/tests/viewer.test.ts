@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { ballOf, orbitCamera, photoCamera } from "../src/viewer/camera.js";
+import { ballOf } from "../src/render/ball.js";
+import { orbitCamera, photoCamera } from "../src/viewer/camera.js";
 import { afterKey, orbited, panned, zoomed } from "../src/viewer/orbit.js";
 import { encodeExr, momentOf } from "../src/viewer/save.js";
 import {

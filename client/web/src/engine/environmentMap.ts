@@ -1,6 +1,6 @@
 /** Environment maps as arrays: look-up, solid angles, other programs' layouts, smaller maps. */
 
-import { directionOfUv, rotateAboutZ, uvOfDirection, type Direction } from "./environment.js";
+import { rotateAboutZ, uvOfDirection, type Direction } from "./environment.js";
 
 /** A latitude-longitude map; row 0 is +z. */
 export type EnvironmentMap = {
@@ -78,12 +78,7 @@ export function energy(map: EnvironmentMap): Rgb {
 export function resized(map: EnvironmentMap, height: number, width: number): EnvironmentMap {
   const radianceRgb = new Float64Array(3 * height * width);
   if (map.height < height || map.width < width) {
-    for (let row = 0; row < height; row++) {
-      for (let column = 0; column < width; column++) {
-        const direction = directionOfUv([(column + 0.5) / width, (row + 0.5) / height]);
-        radianceRgb.set(lookup(map, direction), 3 * (row * width + column));
-      }
-    }
+    interpolate(map, height, width, radianceRgb);
     return { height, width, radianceRgb };
   }
   const line = new Float64Array(3 * map.width);
@@ -109,6 +104,33 @@ export function resized(map: EnvironmentMap, height: number, width: number): Env
     }
   }
   return { height, width, radianceRgb };
+}
+
+/** Write what `lookup` gives at the centres of other pixels. */
+function interpolate(map: EnvironmentMap, height: number, width: number, radianceRgb: Float64Array): void {
+  const places = Float64Array.from(
+    { length: width },
+    (_, column) => ((column + 0.5) / width) * map.width - 0.5,
+  );
+  for (let row = 0; row < height; row++) {
+    const place = Math.min(Math.max(((row + 0.5) / height) * map.height - 0.5, 0), map.height - 1);
+    const top = Math.floor(place);
+    const down = place - top;
+    const upper = 3 * top * map.width;
+    const lower = 3 * Math.min(top + 1, map.height - 1) * map.width;
+    for (let column = 0; column < width; column++) {
+      const first = Math.floor(places[column]!);
+      const across = places[column]! - first;
+      const left = 3 * ((first + map.width) % map.width);
+      const right = 3 * ((first + 1) % map.width);
+      for (let channel = 0; channel < 3; channel++) {
+        const at = (start: number): number => map.radianceRgb[start + channel]!;
+        const above = at(upper + left) * (1 - across) + at(upper + right) * across;
+        const below = at(lower + left) * (1 - across) + at(lower + right) * across;
+        radianceRgb[3 * (row * width + column) + channel] = above * (1 - down) + below * down;
+      }
+    }
+  }
 }
 
 /** Write the mean of the source's rows under row `row` of `height` rows. */

@@ -8,7 +8,8 @@ import { type PackedTransport, tableWidth } from "../bundle/transport.js";
 import { basis } from "../engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../engine/lobes.js";
 import { splitSum, splitSumTable } from "../engine/splitSum.js";
-import { bouncedIrradiance, directIrradiance, type TurnedLight } from "./litTexels.js";
+import type { FallingLight } from "../engine/fallingLight.js";
+import { bouncedIrradiance, directIrradiance } from "./litTexels.js";
 import { NearestPoint } from "./nearestPoint.js";
 import { dielectricF0 } from "./reflection.js";
 import type { SkyLight } from "./skyLight.js";
@@ -56,7 +57,7 @@ export class Hits {
   constructor(
     private readonly scene: HitScene,
     private readonly light: SkyLight,
-    falling: TurnedLight,
+    falling: FallingLight,
     edit: RefineEdit,
   ) {
     const { transport, surroundings } = scene;

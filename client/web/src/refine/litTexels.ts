@@ -8,17 +8,8 @@ import {
   tableWidth,
 } from "../bundle/transport.js";
 import type { Direction } from "../engine/environment.js";
-import { basis } from "../engine/harmonics.js";
+import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
 import { shadowDirections, shadowWeights } from "../engine/shadows.js";
-
-/** Light as it falls on the object: turned and scaled; the same as the renderer's `FallingLight`. */
-export type TurnedLight = {
-  /** Harmonics of the light without the dominant lights, [bands^2, 3]. */
-  readonly coefficientsRgb: Float64Array;
-  readonly directions: readonly Direction[];
-  /** Of a surface that faces the light. */
-  readonly irradianceRgb: readonly (readonly number[])[];
-};
 
 const stored = shadowDirections(numShadowDirections);
 
@@ -26,7 +17,7 @@ const stored = shadowDirections(numShadowDirections);
 export function directIrradiance(
   transport: PackedTransport,
   normals: Float32Array,
-  light: TurnedLight,
+  light: FallingLight,
 ): Float32Array {
   const { direct, numTexels } = transport;
   const result = planeSums(direct, numTexels, light.coefficientsRgb, 1);
@@ -48,27 +39,16 @@ export function directIrradiance(
   return result.map((value) => Math.max(value, 0));
 }
 
-/**
- * Return what arrives by way of other surfaces at every texel, triples, not below zero. Dominant lights take part
- * through their harmonics.
- */
+/** Return what arrives by way of other surfaces at every texel, triples, not below zero. */
 export function bouncedIrradiance(
   transport: PackedTransport,
-  light: TurnedLight,
+  light: FallingLight,
   gain: readonly number[],
 ): Float32Array {
   const { indirect, coarseOfTexel, numTexels } = transport;
-  const coefficients = light.coefficientsRgb.slice(0, 3 * indirect.bands ** 2);
-  light.directions.forEach((direction, index) => {
-    basis(direction, indirect.bands).forEach((value, k) => {
-      for (let channel = 0; channel < 3; channel++) {
-        coefficients[3 * k + channel]! += value * light.irradianceRgb[index]![channel]!;
-      }
-    });
-  });
   let numCoarse = 0;
   for (let texel = 0; texel < numTexels; texel++) numCoarse = Math.max(numCoarse, coarseOfTexel[texel]! + 1);
-  const coarse = planeSums(indirect, numCoarse, coefficients, 3);
+  const coarse = planeSums(indirect, numCoarse, bouncedCoefficients(light, indirect.bands), 3);
   const result = new Float32Array(3 * numTexels);
   for (let texel = 0; texel < numTexels; texel++) {
     for (let channel = 0; channel < 3; channel++) {
@@ -86,18 +66,18 @@ function planeSums(
   coefficients: ArrayLike<number>,
   channels: 1 | 3,
 ): Float32Array {
-  const result = new Float32Array(3 * count);
+  const { red, green, blue, base } = sumFactors(table, coefficients, channels);
+  const result = Float32Array.from({ length: 3 * count }, (_, index) => base[index % 3]!);
   const layer = 4 * table.rows * tableWidth;
   for (let plane = 0; plane < table.bands ** 2 * channels; plane++) {
     const start = (plane >> 2) * layer + (plane & 3);
-    for (let channel = 0; channel < 3; channel++) {
-      if (channels === 3 && plane % 3 !== channel) continue;
-      const value = coefficients[3 * Math.floor(plane / channels) + channel] ?? 0;
-      const [scale, offset] = [value * table.scales[plane]!, value * table.offsets[plane]!];
+    [red, green, blue].forEach((factors, channel) => {
+      const factor = factors[plane]!;
+      if (factor === 0) return;
       for (let texel = 0; texel < count; texel++) {
-        result[3 * texel + channel]! += offset + scale * table.steps[start + 4 * texel]!;
+        result[3 * texel + channel]! += factor * table.steps[start + 4 * texel]!;
       }
-    }
+    });
   }
   return result;
 }

@@ -5,7 +5,7 @@ import type { BundleOrigin } from "../bundle/source.js";
 import type { PackedTransport } from "../bundle/transport.js";
 import type { PreparedLight } from "../light/prepare.js";
 import type { RefinedPicture } from "./accumulation.js";
-import type { TurnedLight } from "./litTexels.js";
+import type { FallingLight } from "../engine/fallingLight.js";
 import type { Backend, RefineOptions } from "./status.js";
 import type { RefineEdit, SurfaceSamples } from "./surfacePoints.js";
 
@@ -28,7 +28,7 @@ export type StartQuestion = {
   /** From the light's map to the world, rows of a rotation. */
   readonly turn: readonly number[];
   readonly intensity: number;
-  readonly falling: TurnedLight;
+  readonly falling: FallingLight;
   readonly edit: RefineEdit;
   readonly indirect: boolean;
   readonly seen: SurfaceSamples;

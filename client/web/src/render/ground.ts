@@ -14,7 +14,6 @@ import {
   DoubleSide,
   FloatType,
   GLSL3,
-  HalfFloatType,
   LessDepth,
   LinearFilter,
   Mesh,
@@ -31,9 +30,11 @@ import {
 } from "three";
 import type { Direction } from "../engine/environment.js";
 import { maxDominant } from "../light/prepare.js";
+import { ballOf } from "./ball.js";
 import { type FullScreen, screenProgram } from "./fullScreen.js";
 import { header } from "./glsl.js";
 import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
+import { halfFloatTarget } from "./targets.js";
 
 /** Half the side of the square of ground that is drawn, in radii of the object's box. */
 export const reachInRadii = 2.5;
@@ -53,9 +54,9 @@ export type GroundPlace = {
 
 /** Return the ground under a box: the plane of its lowest points. */
 export function groundUnder(low: readonly number[], high: readonly number[]): GroundPlace {
-  const radius = 0.5 * Math.hypot(...low.map((value, axis) => high[axis]! - value));
+  const { centre, radius } = ballOf(low, high);
   return {
-    centre: [0.5 * (low[0]! + high[0]!), 0.5 * (low[1]! + high[1]!)],
+    centre: [centre[0]!, centre[1]!],
     height: low[2]!,
     reach: reachInRadii * radius,
   };
@@ -124,17 +125,6 @@ function bytes(side: number, depthBuffer: boolean): WebGLRenderTarget {
   });
 }
 
-function shares(side: number): WebGLRenderTarget {
-  return new WebGLRenderTarget(side, side, {
-    format: RGBAFormat,
-    type: HalfFloatType,
-    minFilter: LinearFilter,
-    magFilter: LinearFilter,
-    depthBuffer: false,
-    generateMipmaps: false,
-  });
-}
-
 /** A light as it stands over the ground. */
 export type GroundLights = {
   readonly directions: readonly Direction[];
@@ -146,7 +136,7 @@ export type GroundLights = {
 export class Ground {
   readonly #tiles = bytes(tilesAcross * skySide, false);
   readonly #lights = bytes(2 * lightSide, true);
-  readonly #sky = shares(skySide);
+  readonly #sky = halfFloatTarget(skySide, skySide, LinearFilter);
   readonly #skyLight = new DataTexture(new Float32Array(4 * numSky), numSky, 1, RGBAFormat, FloatType);
   readonly #skyPass = screenProgram(skyProgram, ["tiles", "skyLight"]);
   readonly #sharePass = screenProgram(shareProgram, ["sky", "lights", "lightsRgb", "numLights", "whole"]);
@@ -266,7 +256,7 @@ export class Ground {
 
 /** Return a table of shares for one light. */
 export function groundTable(): WebGLRenderTarget {
-  return shares(lightSide);
+  return halfFloatTarget(lightSide, lightSide, LinearFilter);
 }
 
 function clear(renderer: WebGLRenderer, target: WebGLRenderTarget): void {

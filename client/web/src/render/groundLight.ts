@@ -5,8 +5,8 @@
  */
 
 import type { Direction } from "../engine/environment.js";
+import type { FallingLight } from "../engine/fallingLight.js";
 import { basis } from "../engine/harmonics.js";
-import type { FallingLight } from "./irradiance.js";
 
 /** Directions of the sky; a square number of tiles. */
 export const numSky = 256;

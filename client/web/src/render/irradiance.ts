@@ -5,28 +5,18 @@
  * The same sums as `lambent_relight.baked_light`.
  */
 
-import { HalfFloatType, NearestFilter, type RawShaderMaterial, RGBAFormat, WebGLRenderTarget } from "three";
+import type { RawShaderMaterial, WebGLRenderTarget } from "three";
 import type { PlaneTable } from "../bundle/transport.js";
 import { tableWidth } from "../bundle/transport.js";
-import type { Direction } from "../engine/environment.js";
-import { basis } from "../engine/harmonics.js";
+import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
 import { type ShadowWeights, shadowDirections, shadowWeights } from "../engine/shadows.js";
 import { maxDominant } from "../light/prepare.js";
 import { header } from "./glsl.js";
 import { type FullScreen, screenProgram } from "./fullScreen.js";
+import { halfFloatTarget } from "./targets.js";
 import type { BundleTextures } from "./textures.js";
 
 const storedDirections = shadowDirections(256);
-
-/** Light as it falls on the object now: turned, and brighter or darker. */
-export type FallingLight = {
-  /** Without the dominant lights, [bands^2, 3]. */
-  readonly coefficientsRgb: Float64Array;
-  readonly bands: number;
-  readonly directions: readonly Direction[];
-  /** Of a surface that faces the light. */
-  readonly irradianceRgb: readonly (readonly number[])[];
-};
 
 function planeSum(layers: number): string {
   return `
@@ -108,17 +98,6 @@ void main() {
 }`;
 }
 
-function target(rows: number): WebGLRenderTarget {
-  return new WebGLRenderTarget(tableWidth, rows, {
-    format: RGBAFormat,
-    type: HalfFloatType,
-    minFilter: NearestFilter,
-    magFilter: NearestFilter,
-    depthBuffer: false,
-    generateMipmaps: false,
-  });
-}
-
 const sumNames = ["planes", "red", "green", "blue", "base"];
 const shadowNames = [
   ...["material", "materialScales", "materialOffsets", "shadowBits"],
@@ -163,18 +142,7 @@ export class IrradiancePasses {
       const { irradiance } = lights;
       set(this.#direct, { ...lights.shadows, lightIrradiance: irradiance, shares: into.shares.texture });
     }
-    // Dominant lights take part in indirect light through their harmonics.
-    const count = indirect.bands ** 2;
-    const coefficients = light.coefficientsRgb.slice(0, 3 * count);
-    light.directions.forEach((direction, index) => {
-      basis(direction, indirect.bands).forEach((value, k) => {
-        for (let channel = 0; channel < 3; channel++) {
-          coefficients[3 * k + channel] =
-            coefficients[3 * k + channel]! + value * light.irradianceRgb[index]![channel]!;
-        }
-      });
-    });
-    setSums(this.#indirect, indirect, coefficients, 3);
+    setSums(this.#indirect, indirect, bouncedCoefficients(light, indirect.bands), 3);
     screen.draw(this.#direct, into.direct);
     screen.draw(this.#indirect, into.indirect);
   }
@@ -195,9 +163,12 @@ export class IrradianceTables {
   readonly shares: WebGLRenderTarget;
 
   constructor(textures: BundleTextures) {
-    this.direct = target(textures.transport.direct.rows);
-    this.indirect = target(textures.transport.indirect.rows);
-    this.shares = target(textures.shadowBits === null ? 1 : textures.transport.direct.rows);
+    this.direct = halfFloatTarget(tableWidth, textures.transport.direct.rows);
+    this.indirect = halfFloatTarget(tableWidth, textures.transport.indirect.rows);
+    this.shares = halfFloatTarget(
+      tableWidth,
+      textures.shadowBits === null ? 1 : textures.transport.direct.rows,
+    );
   }
 
   /** Give the memory back. */
@@ -206,25 +177,6 @@ export class IrradianceTables {
     this.indirect.dispose();
     this.shares.dispose();
   }
-}
-
-/**
- * Set the factors of the planes' bytes. Plane p holds coefficient p / channels of channel p mod channels, or of all
- * three where there is one channel.
- */
-export function sumFactors(table: PlaneTable, coefficientsRgb: ArrayLike<number>, channels: 1 | 3) {
-  const rgb = [0, 1, 2].map(() => new Float32Array(4 * table.layers));
-  const base = [0, 0, 0];
-  const count = table.bands ** 2 * channels;
-  for (let plane = 0; plane < count; plane++) {
-    for (let channel = 0; channel < 3; channel++) {
-      if (channels === 3 && plane % 3 !== channel) continue;
-      const value = coefficientsRgb[3 * Math.floor(plane / channels) + channel] ?? 0;
-      rgb[channel]![plane] = value * table.scales[plane]!;
-      base[channel] = base[channel]! + value * table.offsets[plane]!;
-    }
-  }
-  return { red: rgb[0]!, green: rgb[1]!, blue: rgb[2]!, base };
 }
 
 function set(pass: RawShaderMaterial, values: Readonly<Record<string, unknown>>): void {

@@ -2,10 +2,11 @@
 
 import type { DataTexture, WebGLRenderTarget } from "three";
 import type { Direction } from "../engine/environment.js";
+import type { FallingLight } from "../engine/fallingLight.js";
 import { cosineFactors, type Matrix3, rotate, rotateZ } from "../engine/harmonics.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { groundTable } from "./ground.js";
-import { type FallingLight, IrradianceTables } from "./irradiance.js";
+import { IrradianceTables } from "./irradiance.js";
 import type { LightTurn } from "./looks.js";
 import { type BundleTextures, levelsTexture } from "./textures.js";
 

@@ -1,5 +1,7 @@
 /** What can be asked of the renderer. */
 
+import type { PhotoCamera } from "../bundle/cameras.js";
+
 /** Numbers of the channels, as the shaders know them. */
 export const channels = {
   final: 0,
@@ -65,13 +67,4 @@ export type LightTurn = {
 export type Method = "baked" | "plain";
 
 /** A picture's size and lens in pixels, rows from the top, and a pose: x right, y up, looking along -z. */
-export type ViewCamera = {
-  readonly width: number;
-  readonly height: number;
-  readonly focalX: number;
-  readonly focalY: number;
-  readonly centreX: number;
-  readonly centreY: number;
-  /** Row-major 4 x 4. */
-  readonly cameraToWorld: readonly number[];
-};
+export type ViewCamera = Omit<PhotoCamera, "name">;

@@ -40,7 +40,6 @@ uniform int channel;
 uniform bool plain;
 uniform bool indirect;
 uniform vec3 albedoGain;
-uniform vec3 bounceGain;
 uniform float roughnessScale;
 uniform float metalnessShift;
 uniform vec2 depthRange;
@@ -119,7 +118,7 @@ void main() {
       }
       float free = freeShare(open, mirror, roughness);
       arriving = max(arriving * share, 0.0);
-      bounce = max(bounce * share * bounceGain, 0.0);
+      bounce = max(bounce * share * albedoGain, 0.0);
       float alpha = max(roughness * roughness, 1e-4);
       vec3 single = glints(normal, toViewer, mirror, alpha, f0, lightShares * share, prefiltered);
       vec3 straight = diffuse * arriving + reflectance * free * prefiltered + single;
@@ -156,7 +155,7 @@ const uniformNames = [
   ],
   ...["toMap", "lightScale", "irradiance", "bounced", "plainIrradiance", "channel", "plain", "indirect"],
   ...["numLights", "lightDirections", "lightIrradiance", "shares"],
-  ...["albedoGain", "bounceGain", "roughnessScale", "metalnessShift", "depthRange"],
+  ...["albedoGain", "roughnessScale", "metalnessShift", "depthRange"],
   ...["uncertainty", "gridLow", "gridSize"],
 ] as const;
 
@@ -218,7 +217,6 @@ export class Shading {
       plain: method === "plain",
       indirect: look.indirect,
       albedoGain: gain,
-      bounceGain: gain,
       roughnessScale: look.edit.roughnessScale,
       metalnessShift: look.edit.metalnessShift,
     });

@@ -3,7 +3,6 @@
 import {
   HalfFloatType,
   Matrix4,
-  NearestFilter,
   PerspectiveCamera,
   RGBAFormat,
   Scene,
@@ -15,6 +14,7 @@ import {
 import type { DataTexture } from "three";
 import type { LoadedBundle } from "../bundle/load.js";
 import type { PreparedLight } from "../light/prepare.js";
+import { ballOf } from "./ball.js";
 import { FullScreen } from "./fullScreen.js";
 import { IrradiancePasses } from "./irradiance.js";
 import { Ground, groundUnder } from "./ground.js";
@@ -24,6 +24,7 @@ import type { LightTurn, Look, Method, ViewCamera } from "./looks.js";
 import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
 import { Surface, sampleTarget } from "./surface.js";
+import { halfFloatTarget } from "./targets.js";
 import { BundleTextures, splitSumTexture } from "./textures.js";
 
 /** One half of the picture, or all of it. */
@@ -107,7 +108,6 @@ export class Stage {
 
   /** Show another bundle; lights go with the one before. */
   setBundle(bundle: LoadedBundle): void {
-    this.#clear();
     const textures = new BundleTextures(bundle.transport, bundle.uncertainty);
     const surface = new Surface(bundle.mesh, textures);
     const shading = new Shading(bundle, textures, this.#splitSum);
@@ -115,12 +115,14 @@ export class Stage {
     scene.matrixWorldAutoUpdate = false;
     scene.add(surface.mesh);
     const passes = new IrradiancePasses(textures);
-    this.#scenery = { bundle, textures, passes, surface, shading, scene, ground: null };
-    // Programs are compiled and tables sent while the light is still being prepared.
+    // Programs are compiled and tables sent while the light is still being prepared. The bundle before goes in
+    // between: its programs can be used again, and there is never memory for the tables of both.
     this.renderer.compile(scene, this.#camera);
     for (const each of [...passes.programs, shading.material, this.#resolve.material]) {
       this.#screen.compile(each);
     }
+    this.#clear();
+    this.#scenery = { bundle, textures, passes, surface, shading, scene, ground: null };
     for (const texture of textures.all) this.renderer.initTexture(texture);
   }
 
@@ -270,7 +272,7 @@ export class Stage {
     }
     const { width, height } = camera;
     this.#look(camera, samples, scenery);
-    this.#radiance = this.#fitting(this.#radiance, width, height, radianceTarget);
+    this.#radiance = this.#fitting(this.#radiance, width, height, halfFloatTarget);
     const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
     scenery.shading.light(side.look, side.method, light, turn);
     this.#scissor(this.#radiance, columns, height);
@@ -334,8 +336,7 @@ export class Stage {
   /** Set the camera and return the range of distances of the object. */
   #aim(camera: ViewCamera, { boundsMin, boundsMax }: LoadedBundle): readonly [number, number] {
     const pose = camera.cameraToWorld;
-    const centre = boundsMin.map((value, axis) => 0.5 * (value + boundsMax[axis]!));
-    const radius = 0.5 * Math.hypot(...boundsMin.map((value, axis) => boundsMax[axis]! - value));
+    const { centre, radius } = ballOf(boundsMin, boundsMax);
     const away = Math.hypot(...centre.map((value, axis) => value - pose[4 * axis + 3]!));
     const near = Math.max(away - radius, 0.01 * radius);
     const far = away + 1.1 * radius;
@@ -368,15 +369,4 @@ export class Stage {
 
 function turnKey({ yawDeg, pitchDeg, rollDeg, intensity }: LightTurn): string {
   return `${yawDeg} ${pitchDeg} ${rollDeg} ${intensity}`;
-}
-
-function radianceTarget(width: number, height: number): WebGLRenderTarget {
-  return new WebGLRenderTarget(width, height, {
-    format: RGBAFormat,
-    type: HalfFloatType,
-    minFilter: NearestFilter,
-    magFilter: NearestFilter,
-    depthBuffer: false,
-    generateMipmaps: false,
-  });
 }

@@ -1,20 +1,12 @@
 /** From an orbit to a camera, and what a photograph's camera becomes on a canvas. */
 
 import type { PhotoCamera } from "../bundle/cameras.js";
+import type { Ball } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
 import type { OrbitPose } from "./state.js";
 
 /** Vertical field of view on a square canvas. */
 export const fieldOfViewDeg = 35;
-
-/** The object's box as a sphere. */
-export type Ball = { readonly centre: readonly number[]; readonly radius: number };
-
-/** Return the sphere around a box. */
-export function ballOf(low: readonly number[], high: readonly number[]): Ball {
-  const centre = low.map((value, axis) => 0.5 * (value + high[axis]!));
-  return { centre, radius: 0.5 * Math.hypot(...low.map((value, axis) => high[axis]! - value)) };
-}
 
 /** Return the camera of an orbit; the field of view fits into the shorter side. */
 export function orbitCamera(pose: OrbitPose, ball: Ball, width: number, height: number): ViewCamera {

@@ -3,6 +3,7 @@
 import type { BundleOrigin } from "../bundle/source.js";
 import type { ViewCamera } from "../render/looks.js";
 import { Interface } from "./interface.js";
+import { type FilmKind, filmOf } from "./save.js";
 import { fromParameters, toParameters, type ViewerState } from "./state.js";
 import { Viewer } from "./viewer.js";
 
@@ -61,6 +62,11 @@ export class LambentViewerElement extends HTMLElement {
         ? viewer.pixelsOf(size, samples)
         : viewer.pixels(size.width, size.height, samples);
     return new ImageData(pixels, size.width, size.height);
+  }
+
+  /** Record one turn of the camera or of the light, as WebM; takes as long as the film. */
+  film(kind: FilmKind, seconds?: number): Promise<Blob> {
+    return filmOf(this.#open(), kind, seconds);
   }
 
   connectedCallback(): void {

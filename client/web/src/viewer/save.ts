@@ -66,6 +66,10 @@ export function encodeExr(halfRgba: Uint16Array, width: number, height: number):
 export type FilmKind = "turntable" | "light";
 
 const filmSeconds = 6;
+/** How often the recorder hands out what it has. */
+const sliceMs = 50;
+/** How long it may take to begin. */
+const patienceSeconds = 30;
 
 /** Return the state at a moment of a film, from 0 to 1. */
 export function momentOf(state: ViewerState, kind: FilmKind, moment: number): Partial<ViewerState> {
@@ -84,19 +88,34 @@ export async function filmOf(viewer: Viewer, kind: FilmKind, seconds = filmSecon
   const stream = viewer.canvas.captureStream(30);
   const recorder = new MediaRecorder(stream, { mimeType: type, videoBitsPerSecond: 8_000_000 });
   const parts: Blob[] = [];
-  recorder.ondataavailable = ({ data }) => parts.push(data);
+  let recording = false;
+  recorder.ondataavailable = ({ data }) => {
+    parts.push(data);
+    recording ||= data.size > 0;
+  };
   const ended = new Promise<void>((resolve, reject) => {
     recorder.onstop = () => resolve();
     recorder.onerror = () => reject(new Error("the browser stopped recording; try a smaller window"));
   });
   ended.catch(() => {}); // It is awaited at the end, and may fail before.
   viewer.moving = true;
-  recorder.start();
-  const start = performance.now();
+  recorder.start(sliceMs);
+  const show = async (moment: number): Promise<void> => {
+    await viewer.update(momentOf(first, kind, moment));
+    await new Promise((resolve) => requestAnimationFrame(resolve));
+  };
   try {
+    // An encoder takes its time to begin, more of it on a busy machine: a film that ends before then is empty.
+    const asked = performance.now();
+    while (!recording && recorder.state === "recording") {
+      if (performance.now() - asked > 1000 * patienceSeconds) {
+        throw new Error("the browser records no picture; close other pages, or try a smaller window");
+      }
+      await show(0);
+    }
+    const start = performance.now();
     for (let moment = 0; moment < 1; moment = (performance.now() - start) / (1000 * seconds)) {
-      await viewer.update(momentOf(first, kind, moment));
-      await new Promise((resolve) => requestAnimationFrame(resolve));
+      await show(moment);
     }
   } finally {
     if (recorder.state !== "inactive") recorder.stop();

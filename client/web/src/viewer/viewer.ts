@@ -10,9 +10,10 @@ import type { MapOrigin } from "../light/lightWorker.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
+import { type Ball, ballOf } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
 import { type Side, Stage } from "../render/stage.js";
-import { type Ball, ballOf, orbitCamera, photoCamera } from "./camera.js";
+import { orbitCamera, photoCamera } from "./camera.js";
 import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
 import { initialState, isPreset, type ViewerState } from "./state.js";
 
@@ -159,6 +160,8 @@ export class Viewer {
   /** Keep a dropped map and return the name it has from now on. */
   addMap(name: string, data: Uint8Array<ArrayBuffer>): string {
     this.#files.set(name, data);
+    // A map that was changed on disk and dropped again is another one.
+    for (const [slot, shown] of this.#shown) if (shown === `file:${name}`) this.#shown.delete(slot);
     return `file:${name}`;
   }
 

@@ -1,6 +1,6 @@
 import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import { startChromium } from "../support/chromium.js";
+import { closePages, sharedChromium } from "../support/chromium.js";
 import { meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
@@ -9,9 +9,9 @@ let browser: Browser;
 const state = (page: Page) => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
 
 beforeAll(async () => {
-  browser = await startChromium();
+  browser = await sharedChromium();
 });
-afterAll(() => browser.close());
+afterAll(() => closePages(browser));
 
 describe("on a telephone", () => {
   let context: BrowserContext;

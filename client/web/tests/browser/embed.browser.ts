@@ -1,15 +1,15 @@
 import type { Browser } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import { startChromium } from "../support/chromium.js";
+import { closePages, sharedChromium } from "../support/chromium.js";
 import { meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 let browser: Browser;
 
 beforeAll(async () => {
-  browser = await startChromium();
+  browser = await sharedChromium();
 });
-afterAll(() => browser.close());
+afterAll(() => closePages(browser));
 
 describe("the element on another page", () => {
   it("shows what the viewer's page shows, without controls", async () => {

@@ -3,7 +3,7 @@ import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { directionOfPixel, type Direction, rotateAboutZ } from "../../src/engine/environment.js";
 import { type EnvironmentMap, pixelSolidAngle } from "../../src/engine/environmentMap.js";
 import { readExr } from "../../src/light/exrInput.js";
-import { startChromium } from "../support/chromium.js";
+import { closePages, sharedChromium } from "../support/chromium.js";
 import { fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 /** The boxes of tests/support/viewer_fixture.py; the ground is under the first. */
@@ -44,10 +44,10 @@ let browser: Browser;
 let page: Page;
 
 beforeAll(async () => {
-  browser = await startChromium();
+  browser = await sharedChromium();
   page = await openViewer(browser, { env: "preset:even", background: "transparent", ground: "1" });
 });
-afterAll(() => browser.close());
+afterAll(() => closePages(browser));
 
 /** Whether a ray from the ground meets a box. */
 function hidden(x: number, y: number, direction: Direction): boolean {

@@ -1,16 +1,16 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { startChromium } from "../support/chromium.js";
+import { closePages, sharedChromium } from "../support/chromium.js";
 import { expectedPictures, fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 let browser: Browser;
 let page: Page;
 
 beforeAll(async () => {
-  browser = await startChromium();
+  browser = await sharedChromium();
   page = await openViewer(browser, { tone: "linear", background: "transparent" });
 });
-afterAll(() => browser.close());
+afterAll(() => closePages(browser));
 
 describe("the picture", () => {
   const pictures = expectedPictures();

@@ -1,6 +1,6 @@
 import type { Browser, BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, expect, inject, it } from "vitest";
-import { startChromium } from "../support/chromium.js";
+import { closePages, sharedChromium } from "../support/chromium.js";
 
 type Link = { id: string; bundle_id: string; url: string; expires_at: string };
 
@@ -37,13 +37,13 @@ async function answerLinks(page: Page): Promise<void> {
 }
 
 beforeAll(async () => {
-  browser = await startChromium();
+  browser = await sharedChromium();
   context = await browser.newContext({ viewport: { width: 900, height: 700 } });
   await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   page = await context.newPage();
   await answerLinks(page);
 });
-afterAll(() => browser.close());
+afterAll(() => closePages(browser));
 
 /** Open the viewer's page on a bundle. */
 async function open(src: string): Promise<void> {

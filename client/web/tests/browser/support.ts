@@ -2,7 +2,7 @@
 
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { join, resolve } from "node:path";
-import type { Browser, Page } from "playwright-core";
+import type { Browser, BrowserContext, Page } from "playwright-core";
 import { inject } from "vitest";
 import type { LambentViewerElement } from "../../src/viewer/element.js";
 import type { ViewCamera } from "../../src/render/looks.js";
@@ -34,12 +34,12 @@ export function fixtureFile(name: string): Buffer {
 
 /** Open the viewer's page; `parameters` follow the hash, with src unless it is null. */
 export async function openViewer(
-  browser: Browser,
+  browser: Browser | BrowserContext,
   parameters: Record<string, string> = {},
   src: string | null = "data/bundle/",
   size = { width: 640, height: 480 },
 ): Promise<Page> {
-  const page = await browser.newPage({ viewport: size });
+  const page = await ("newContext" in browser ? browser.newPage({ viewport: size }) : browser.newPage());
   page.on("pageerror", (error) => {
     throw error;
   });

@@ -32,3 +32,16 @@ export function chromiumPath(): string {
 export async function startChromium(more: readonly string[] = []): Promise<Browser> {
   return chromium.launch({ executablePath: chromiumPath(), args: [...flags, ...more] });
 }
+
+let shared: Promise<Browser> | null = null;
+
+/** Return the browser that all tests of this process share; it ends with the process. Close the pages that you open. */
+export function sharedChromium(): Promise<Browser> {
+  shared ??= startChromium();
+  return shared;
+}
+
+/** Close all pages of a browser. */
+export async function closePages(browser: Browser): Promise<void> {
+  await Promise.all(browser.contexts().map((context) => context.close()));
+}

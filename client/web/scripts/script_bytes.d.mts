@@ -1,0 +1,1 @@
+export function scriptBytes(pages: string): Record<string, number>;
