@@ -1,5 +1,7 @@
 """From a bundle on disk to pictures on disk."""
 
+from dataclasses import replace
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -10,6 +12,7 @@ from lambent_relight import (
     environment_from_array,
     load_bundle,
     load_environment,
+    look_at,
     render,
     turntable,
     write_environment,
@@ -19,6 +22,7 @@ from lambent_relight import (
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere, Surface
+from support.baked_bundle import write_baked_bundle
 
 CLAY = Surface(albedo=(0.6, 0.4, 0.2), perceptual_roughness=0.8)
 
@@ -177,3 +181,33 @@ def test_settings_out_of_range_are_refused(renderer, arguments, code):
 def test_qualities_that_a_bundle_does_not_have_are_refused(renderer, quality, reason):
     with pytest.raises(UnsupportedQuality, match=reason):
         renderer.render(CAMERA, SKY, quality=quality)
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    """Return a renderer of boxes with baked transport; one is a cube from -0.4 to 0.4."""
+    folder = write_baked_bundle(tmp_path_factory.mktemp("baked") / "boxes.relight", side=12)
+    return Renderer(load_bundle(folder), num_threads=1, reader="onnx")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quality", ["preview", "baked", "refined"])
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3999, 0.0, 0.1), (0.4, 0.4, 0.4)])
+def test_a_camera_inside_the_object_sees_its_walls_and_nothing_strange(boxes, quality, place):
+    looking = replace(CAMERA, camera_to_world=look_at(place, (-0.2, -0.1, 0.0)))
+    picture = boxes.render(looking, SKY, quality=quality, num_samples=8, antialias=1)
+    for name in ("rgb", "direct", "indirect", "standard_error", "distance", "normal"):
+        assert np.isfinite(getattr(picture, name)).all(), name
+    assert (picture.opacity == 1.0).all(), "there is a wall wherever one looks"
+    assert picture.distance.max() < 1.5
+    assert picture.rgb.min() >= 0.0
+    assert picture.rgb.max() < 2.0 * SKY.radiance.max()
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.999, 0.0, 0.0)])
+def test_a_camera_inside_a_ball_makes_a_picture(renderer, place):
+    looking = replace(CAMERA, camera_to_world=look_at(place, (-0.2, -0.1, 0.0)))
+    picture = renderer.render(looking, SKY, num_samples=8, antialias=1)
+    assert np.isfinite(picture.rgb).all()
+    assert (picture.opacity == 1.0).all()
+    assert 0.0 <= picture.rgb.min() <= picture.rgb.max() < 2.0 * SKY.radiance.max()
