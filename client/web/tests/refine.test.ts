@@ -3,6 +3,7 @@ import { directionOfUv } from "../src/engine/environment.js";
 import { pixelSolidAngle } from "../src/engine/environmentMap.js";
 import { toHalf } from "../src/light/half.js";
 import { Accumulation } from "../src/refine/accumulation.js";
+import { adaptedNote } from "../src/refine/adapted.js";
 import type { Hits } from "../src/refine/hitRadiance.js";
 import { cosineLobe, LightSampler, lobeOfAlpha, pixelMasses, tableRow } from "../src/refine/lightSampler.js";
 import { NearestPoint } from "../src/refine/nearestPoint.js";
@@ -366,5 +367,17 @@ describe("the status", () => {
     expect(statusText({ ...notRefining, phase: "failed", message: "no networks" })).toBe(
       "Cannot refine: no networks",
     );
+  });
+});
+
+describe("caches that were adapted to a light", () => {
+  it("are named where there are some, since they are not used", () => {
+    const graph = (name: string, light: string) => ({ name, light });
+    const manifest = (...graphs: { name: string; light: string }[]) =>
+      ({ graphs, trainLights: ["sky"] }) as unknown as Parameters<typeof adaptedNote>[0];
+    expect(adaptedNote(manifest(graph("fast_cache", "sky"), graph("gbuffer", "")))).toBe("");
+    const note = adaptedNote(manifest(graph("fast_cache", "sky"), graph("fast_cache", "sunset")));
+    expect(note).toContain("adapted to sunset");
+    expect(statusText({ ...notRefining, phase: "running", backend: "wgsl", note })).toContain(note);
   });
 });

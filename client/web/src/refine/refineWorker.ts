@@ -4,6 +4,7 @@ import { BundleFault } from "../bundle/fault.js";
 import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
 import type { PreparedLight } from "../light/prepare.js";
+import { adaptedNote } from "./adapted.js";
 import { Accumulation } from "./accumulation.js";
 import { Hits, HitScene } from "./hitRadiance.js";
 import { LightSampler } from "./lightSampler.js";
@@ -54,7 +55,8 @@ async function open({ origin, sceneId, mesh, transport, backend }: OpenQuestion)
   const { tracer, note } = await openTracer(files, backend);
   const scene = new HitScene(transport, mesh);
   opened = { tracer, scene, originOffset: files.manifest.secondaryRays?.originOffset ?? 0 };
-  answer({ kind: "opened", backend: tracer.backend, note, slow: tracer.slow });
+  const notes = [note, adaptedNote(files.manifest)].filter((text) => text !== "").join("; ");
+  answer({ kind: "opened", backend: tracer.backend, note: notes, slow: tracer.slow });
 }
 
 /** Fetch and check a fast cache; any of them will do, since no light changes what rays hit. */

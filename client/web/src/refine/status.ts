@@ -8,7 +8,7 @@ export type RefineStatus = {
   /** "waiting": something moves, or moved just now; the baked picture is shown. */
   readonly phase: "off" | "waiting" | "loading" | "running" | "done" | "failed";
   readonly backend: Backend | null;
-  /** Why it is not a faster one; empty where there is no reason. */
+  /** Why it is not a faster one, and which adapted caches are not used; empty where there is nothing to tell. */
   readonly note: string;
   /** Light directions of a pixel so far. */
   readonly samplesPerPixel: number;
