@@ -202,6 +202,17 @@ def test_a_dry_run_lists_the_work_and_renders_nothing(folder, capsys):
     assert lines[-1]["to_make"] == 1
 
 
+def test_pictures_of_a_batch_go_on_until_they_are_as_quiet_as_asked(folder):
+    text = HEAD.replace("sky", "lamp") + (
+        "cameras: [{turntable: 1, size: 8}]\nsettings: {spp: 4, antialias: 1}\n"
+        "qualities: [{name: quick}, {name: quiet, until_stderr: 0.05}]\n"
+    )
+    assert batch(folder, text) == 0
+    quick, quiet = (table(folder)[f"ball/lamp/{name}/turntable_000"] for name in ("quick", "quiet"))
+    assert float(quiet["relative_standard_error"]) <= 0.05 < float(quick["relative_standard_error"])
+    assert int(quiet["num_samples"]) > int(quick["num_samples"])
+
+
 def test_a_dry_run_writes_nothing(folder, capsys):
     assert batch(folder, SMALL, "--dry-run") == 0
     assert not (folder / "out").exists()

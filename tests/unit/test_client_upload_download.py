@@ -6,6 +6,8 @@ import httpx2
 import pytest
 from lambent import Client
 from lambent.errors import DigestMismatchError, JobNotSucceededError, UnreachableError, UsageProblemError
+from lambent.fetch import download_all
+from lambent.models import Artifact
 from lambent.scenes import content_sha256, list_files
 from support.fake_server import FakeServer, sha256
 
@@ -220,3 +222,12 @@ def test_leftovers_of_another_bundle_do_not_get_in(server, client, tmp_path):
     (tmp_path / "out.partial" / "old" / "stranger.bin").write_bytes(b"x")
     client.fetch("bundle_1", tmp_path / "out")
     assert not (tmp_path / "out" / "old").exists()
+
+
+@pytest.mark.parametrize("name", ["../a.png", "/a.png", "a/../../b.png", "a\\b.png", ""])
+def test_a_file_of_a_batch_whose_name_leaves_the_folder_is_not_written(tmp_path, name):
+    """All names are looked at before the first file is fetched, so no connection is needed here."""
+    artifacts = [Artifact(name=each, sha256="0" * 64) for each in ("fine/c.png", name)]
+    with pytest.raises(UsageProblemError, match=r"fetch\.unsafe_path"):
+        download_all(None, artifacts, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
