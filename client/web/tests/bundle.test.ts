@@ -1,3 +1,5 @@
+import { toldOf } from "../src/bundle/fault.js";
+import { MapFault, toldOf as toldOfMap } from "../src/light/fault.js";
 import { createHash } from "node:crypto";
 import { describe, expect, it } from "vitest";
 import { BundleFault } from "../src/bundle/fault.js";
@@ -192,5 +194,23 @@ describe("places outside charts", () => {
         return first === second ? owner[place] : first < second ? 0 : 1;
       }),
     );
+  });
+});
+
+describe("what does not fit into memory", () => {
+  const unfit = (): unknown => {
+    try {
+      return new Float64Array(2 ** 52);
+    } catch (error) {
+      return error;
+    }
+  };
+
+  it("is told as that, of bundles and of maps", () => {
+    expect(toldOf(unfit()).code).toBe("bundle.memory");
+    expect(toldOf(unfit()).message).toContain("not enough memory");
+    expect(toldOfMap(unfit()).code).toBe("environment.memory");
+    expect(toldOf(new TypeError("x"))).toEqual({ code: "bundle.failed", message: "x" });
+    expect(toldOfMap(new MapFault("environment.x", "what", "advice")).message).toBe("what; advice");
   });
 });

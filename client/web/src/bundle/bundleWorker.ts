@@ -1,6 +1,6 @@
 /** Reads bundles beside the page: fetching, digests and packing cost the main thread nothing. */
 
-import { BundleFault } from "./fault.js";
+import { toldOf } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 
@@ -19,8 +19,7 @@ self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
     const bundle = await loadBundle(data, (news) => answer(news));
     answer({ kind: "loaded", bundle }, buffersOf(bundle));
   } catch (error) {
-    const code = error instanceof BundleFault ? error.code : "bundle.failed";
-    answer({ kind: "failed", code, message: error instanceof Error ? error.message : String(error) });
+    answer({ kind: "failed", ...toldOf(error) });
   }
 };
 

@@ -18,3 +18,14 @@ export class BundleFault extends Error {
 export function exportAgain(code: string, what: string): BundleFault {
   return new BundleFault(code, what, "export the bundle again");
 }
+
+/** Return an error of a reader as its code and what to tell. */
+export function toldOf(error: unknown): { readonly code: string; readonly message: string } {
+  if (error instanceof BundleFault) return { code: error.code, message: error.message };
+  // Arrays that do not fit are range errors.
+  if (error instanceof RangeError) {
+    const advice = "close other pages, or use a bundle of the lite tier";
+    return { code: "bundle.memory", message: `there is not enough memory for this bundle; ${advice}` };
+  }
+  return { code: "bundle.failed", message: error instanceof Error ? error.message : String(error) };
+}

@@ -11,3 +11,14 @@ export class MapFault extends Error {
     super(`${what}; ${advice}`);
   }
 }
+
+/** Return an error of preparing a map as its code and what to tell. */
+export function toldOf(error: unknown): { readonly code: string; readonly message: string } {
+  if (error instanceof MapFault) return { code: error.code, message: error.message };
+  // Arrays that do not fit are range errors.
+  if (error instanceof RangeError) {
+    const message = "there is not enough memory for this map; close other pages, or reduce it";
+    return { code: "environment.memory", message };
+  }
+  return { code: "environment.failed", message: error instanceof Error ? error.message : String(error) };
+}

@@ -54,6 +54,14 @@ const tileSide = 1024;
 /** Thrown where the browser cannot draw what the viewer needs. */
 export class GraphicsFault extends Error {
   override readonly name = "GraphicsFault";
+
+  /** `advice` tells what to do. */
+  constructor(
+    what: string,
+    advice = "update the browser, switch hardware acceleration on, or use another device",
+  ) {
+    super(`${what}; ${advice}`);
+  }
 }
 
 /** What may be drawn in place of the light "a" with baked transport. */
@@ -106,7 +114,7 @@ export class Stage {
     return this.#scenery?.bundle ?? null;
   }
 
-  /** Show another bundle; lights go with the one before. */
+  /** Show another bundle; lights go with the one before. Throws GraphicsFault where its tables do not fit. */
   setBundle(bundle: LoadedBundle): void {
     const textures = new BundleTextures(bundle.transport, bundle.uncertainty);
     const surface = new Surface(bundle.mesh, textures);
@@ -124,6 +132,13 @@ export class Stage {
     this.#clear();
     this.#scenery = { bundle, textures, passes, surface, shading, scene, ground: null };
     for (const texture of textures.all) this.renderer.initTexture(texture);
+    const gl = this.renderer.getContext();
+    for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
+      if (error !== gl.OUT_OF_MEMORY) continue;
+      this.#clear();
+      const advice = "close other pages, or use a bundle of the lite tier";
+      throw new GraphicsFault("this graphics card has not enough memory for the bundle", advice);
+    }
   }
 
   /** Keep a light under a name, in place of the one before. */

@@ -2,7 +2,6 @@
 
 import { BundleFault } from "../bundle/fault.js";
 import { MapFault } from "../light/fault.js";
-import { GraphicsFault } from "../render/stage.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { make } from "./fields.js";
 import { listenToOrbit } from "./orbit.js";
@@ -103,9 +102,6 @@ export class Interface {
     if (error instanceof DOMException && error.name === "AbortError") return;
     const known = error instanceof BundleFault || error instanceof MapFault;
     let text = error instanceof Error ? error.message : String(error);
-    if (error instanceof GraphicsFault) {
-      text = `${text}. Update the browser, switch hardware acceleration on, or use another device.`;
-    }
     if (error instanceof RangeError) text = `There is not enough memory for this (${text}).`;
     this.#tell(known ? `${text} [${error.code}]` : text, true);
   }

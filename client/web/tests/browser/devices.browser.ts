@@ -4,6 +4,7 @@ import { closePages, sharedChromium } from "../support/chromium.js";
 import { meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
+const small = { width: 320, height: 240 };
 let browser: Browser;
 
 const state = (page: Page) => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
@@ -180,5 +181,54 @@ describe("a graphics card that is taken away", () => {
     );
     expect(meanDifference(before, await pictureOf(page, size))).toBe(0);
     await page.close();
+  });
+});
+
+describe("a card without targets of full floats, as in telephones", () => {
+  it("shows the same picture", async () => {
+    const before = await openViewer(browser, { env: "preset:sky", ground: "1" }, "data/bundle/", small);
+    const wanted = await pictureOf(before, size);
+    const context = await browser.newContext({ viewport: small });
+    await context.addInitScript(() => {
+      const prototype = WebGL2RenderingContext.prototype;
+      const plain = prototype.getExtension;
+      // What was not asked for is not there, whatever the card can do.
+      prototype.getExtension = function (this: WebGL2RenderingContext, name: string) {
+        return /^(EXT_color_buffer_float|OES_texture_float_linear|EXT_float_blend)$/.test(name)
+          ? null
+          : (plain as (name: string) => unknown).call(this, name);
+      } as typeof plain;
+    });
+    const page = await openViewer(context, { env: "preset:sky", ground: "1" });
+    expect(meanDifference(await pictureOf(page, size), wanted)).toBe(0);
+    const gl = await page.evaluate(() => {
+      const { canvas } = document.querySelector("lambent-viewer")!.viewer!;
+      return canvas.getContext("webgl2")!.getSupportedExtensions();
+    });
+    expect(gl).toContain("EXT_color_buffer_half_float");
+    await before.close();
+    await context.close();
+  });
+});
+
+describe("a card without memory", () => {
+  it("is told, with what to do", async () => {
+    const context = await browser.newContext({ viewport: small });
+    await context.addInitScript(() => {
+      let times = 0;
+      const prototype = WebGL2RenderingContext.prototype;
+      prototype.getError = () => (times++ % 2 === 0 ? WebGL2RenderingContext.OUT_OF_MEMORY : 0);
+    });
+    const page = await openViewer(context, {}, null);
+    await page.evaluate(() => {
+      document.querySelector("lambent-viewer")!.setAttribute("src", "data/bundle/");
+    });
+    await page.waitForFunction(() =>
+      document
+        .querySelector("lambent-viewer")!
+        .shadowRoot!.querySelector("[data-problem]")
+        ?.textContent?.includes("not enough memory for the bundle; close other pages"),
+    );
+    await context.close();
   });
 });
