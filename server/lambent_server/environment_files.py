@@ -36,20 +36,38 @@ def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
         result = _read_hdr(head)
     else:
         raise _broken("this is neither an OpenEXR nor a Radiance HDR picture")
-    if result.width < 2 or result.height < 1 or result.width * result.height > max_pixels:
-        raise _broken(
-            f"{result.width} x {result.height} pixels are not between 2 x 1 and {max_pixels} in all"
-        )
+    if result.width < 1 or result.height < 1 or result.width * result.height > max_pixels:
+        raise _broken(f"{result.width} x {result.height} pixels are not between 1 and {max_pixels} in all")
     return result
 
 
 def _read_exr(head: bytes) -> EnvironmentHead:
+    """Return the size of the first part that has colour."""
     version = int.from_bytes(head[4:8], "little")
     # Bits of the version field: 0x200 tiled, 0x400 long names, 0x800 deep, 0x1000 several parts.
-    if version & 0xFF != 2 or version & 0x1800:
-        raise _broken("only flat OpenEXR 2 pictures with one part are read")
+    if version & 0xFF != 2 or version & 0x1800 == 0x800:
+        raise _broken("only flat OpenEXR 2 pictures are read")
+    at, several = 8, bool(version & 0x1000)
+    while True:
+        attributes, at = _attributes(head, at)
+        window = attributes.get(b"dataWindow:box2i", b"")
+        channels = attributes.get(b"channels:chlist", b"")
+        if len(window) != 16 or not channels:
+            raise _broken("the OpenEXR picture has no data window or no channels")
+        if {b"R", b"G", b"B"} <= _channel_names(channels):
+            break
+        # The last of several headers is followed by an empty one.
+        if not several or head[at : at + 1] in (b"\0", b""):
+            raise _broken("the OpenEXR picture needs the channels R, G and B in one part")
+    if attributes.get(b"type:string", b"").startswith(b"deep"):
+        raise _broken("deep pictures are not read")
+    left, top, right, bottom = struct.unpack("<4i", window)
+    return EnvironmentHead("exr", right - left + 1, bottom - top + 1, "image/x-exr")
+
+
+def _attributes(head: bytes, at: int) -> tuple[dict[bytes, bytes], int]:
+    """Return the attributes of the header at a place, by name and type, and where it ends."""
     attributes: dict[bytes, bytes] = {}
-    at = 8
     while head[at : at + 1] not in (b"\0", b""):
         name, type_, rest = _strings(head, at)
         (size,) = struct.unpack_from("<i", head, rest) if len(head) >= rest + 4 else (-1,)
@@ -57,14 +75,7 @@ def _read_exr(head: bytes) -> EnvironmentHead:
             raise _broken("the head of the OpenEXR picture is cut off or too long")
         attributes[name + b":" + type_] = head[rest + 4 : rest + 4 + size]
         at = rest + 4 + size
-    window = attributes.get(b"dataWindow:box2i", b"")
-    channels = attributes.get(b"channels:chlist", b"")
-    if len(window) != 16 or not channels:
-        raise _broken("the OpenEXR picture has no data window or no channels")
-    left, top, right, bottom = struct.unpack("<4i", window)
-    if not {b"R", b"G", b"B"} <= _channel_names(channels):
-        raise _broken("the OpenEXR picture needs the channels R, G and B")
-    return EnvironmentHead("exr", right - left + 1, bottom - top + 1, "image/x-exr")
+    return attributes, at + 1
 
 
 def _strings(head: bytes, at: int) -> tuple[bytes, bytes, int]:

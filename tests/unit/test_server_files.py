@@ -2,8 +2,12 @@
 
 import struct
 from collections.abc import Iterator
+from pathlib import Path
 
+import numpy as np
+import OpenEXR
 import pytest
+from lambent_relight import load_environment, write_environment
 from lambent_server.problems import Problem
 from lambent_server.routes.files import parse_range
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
@@ -139,6 +143,35 @@ def test_environments_are_kept_and_listed(api: Api):
     assert api.get(made[1]["url"]).headers["content-type"] == "image/vnd.radiance"
 
 
+def test_maps_that_relighting_reads_are_taken(api: Api, tmp_path: Path):
+    """One pixel, and colour in the second of two parts, are as good here as on the user's own machine."""
+    write_environment(tmp_path / "dot.exr", np.ones((1, 1, 3), np.float32))
+    depth = OpenEXR.Part({}, {"Z": np.zeros((4, 8), np.float32)}, "depth")
+    colour = OpenEXR.Part({}, {name: np.ones((4, 8), np.float32) for name in "RGB"}, "colour")
+    OpenEXR.File([depth, colour]).write(str(tmp_path / "parts.exr"))
+    for name, size in {"dot.exr": (1, 1), "parts.exr": (8, 4)}.items():
+        assert load_environment(tmp_path / name).radiance.shape == (*size[::-1], 3)
+        content = (tmp_path / name).read_bytes()
+        made = expect(api.post("/v1/environments", params={"name": name}, content=content), 201)
+        assert (made["width"], made["height"]) == size
+
+
+def test_parts_without_colour_and_deep_parts_are_refused(api: Api, tmp_path: Path):
+    depth = {"Z": np.zeros((4, 8), np.float32)}
+    flat = [OpenEXR.Part({}, depth, name) for name in ("near", "far")]
+    OpenEXR.File(flat).write(str(tmp_path / "flat.exr"))
+    samples = np.empty((4, 8), dtype=object)
+    for place in np.ndindex(4, 8):
+        samples[place] = np.ones(2, np.float32)
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    deep = OpenEXR.Part(header, {name: samples.copy() for name in "RGB"}, "deep")
+    OpenEXR.File([flat[0], deep]).write(str(tmp_path / "deep.exr"))
+    for name, word in (("flat", "in one part"), ("deep", "deep pictures")):
+        content = (tmp_path / f"{name}.exr").read_bytes()
+        answer = api.post("/v1/environments", params={"name": name}, content=content)
+        assert word in expect_problem(answer, 422, "environment_invalid")["detail"]
+
+
 @pytest.mark.parametrize(
     "data",
     [
@@ -149,6 +182,8 @@ def test_environments_are_kept_and_listed(api: Api):
         exr(-5, 10),
         exr(64, 32, channels=("Y",)),
         exr(64, 32, flags=0x800),
+        exr(64, 32, flags=0x1000)[:-101] + b"\xff" * 9,
+        exr(64, 32, channels=("Z",), flags=0x1000),
         exr(64, 32)[:40],
         b"\x76\x2f\x31\x01" + b"\xff" * 1000,
         b"#?RADIANCE\n\n-Y 99999999 +X 99999999\n",
