@@ -45,14 +45,15 @@ def render_pictures(task: "Task") -> None:
     (`render.spec_invalid`) for an order that cannot be meant and (`render.all_failed`) when no picture could
     be made.
     """
+    shard, num_shards = task.render.shard, task.render.num_shards
     try:
         manifest = manifest_of(task.render.spec, task.scene_dir)
-        if task.render.shard == task.render.num_shards:
-            sum_up(task, manifest)
-            return
-        plan = part_of(make_plan(manifest), task.render.shard, task.render.num_shards)
+        plan = part_of(make_plan(manifest), shard, num_shards) if shard < num_shards else None
     except (ManifestError, RelightError) as error:
         raise UsageError("render.spec_invalid", f"{error.message}; {error.advice}") from error
+    if plan is None:
+        sum_up(task, manifest)
+        return
     folder = task.run_dir / "pictures"
     _restore(task.run_dir, folder)
     with open_journal(folder) as journal:
