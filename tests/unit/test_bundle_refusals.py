@@ -1,53 +1,31 @@
 """Bundles that are refused for what surrounds their files: archives, limits, networks that are half there."""
 
-import zipfile
 from pathlib import Path
 
 import pytest
-from google.protobuf import json_format
-from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight import archive, bundle
 from lambent_relight.bundle import load_bundle
-from lambent_relight.errors import BundleError
-from support.analytic_bundle import write_analytic_bundle
-from support.analytic_scene import AnalyticScene, Sphere
+from support.refused_bundle import manifest_in, refusal, store, write_ball, zipped
 
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    return write_analytic_bundle(tmp_path / "ball.relight", AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),)))
-
-
-def stored_archive(folder: Path) -> Path:
-    """Return the bundle as an uncompressed archive."""
-    path = folder.with_suffix(".zip")
-    with zipfile.ZipFile(path, "w") as made:
-        for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-            made.write(file, file.relative_to(folder).as_posix())
-    return path
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(BundleError) as caught:
-        load_bundle(path)
-    assert caught.value.advice
-    return caught.value.code
+    return write_ball(tmp_path)
 
 
 def without_graphs(folder: Path, names: set[str]) -> None:
     """Take graphs out of a bundle, files and entries."""
-    path = folder / "manifest.json"
-    manifest = json_format.Parse(path.read_text(encoding="utf-8"), BundleManifest())
+    manifest = manifest_in(folder)
     gone = [graph for graph in manifest.graphs if graph.name in names]
     for graph in gone:
         (folder / graph.path).unlink()
         manifest.files.remove(next(file for file in manifest.files if file.path == graph.path))
         manifest.graphs.remove(graph)
-    path.write_text(json_format.MessageToJson(manifest, preserving_proto_field_name=True), encoding="utf-8")
+    store(folder, manifest)
 
 
 def test_an_encrypted_archive_is_refused_by_name(folder):
-    path = stored_archive(folder)
+    path = zipped(folder)
     data = bytearray(path.read_bytes())
     entry = data.index(b"PK\x01\x02")
     data[entry + 8] |= 1  # the flag of the first entry in the archive's list
@@ -56,7 +34,7 @@ def test_an_encrypted_archive_is_refused_by_name(folder):
 
 
 def test_an_archive_whose_bytes_do_not_fit_their_checksum_is_damaged(folder):
-    path = stored_archive(folder)
+    path = zipped(folder)
     data = bytearray(path.read_bytes())
     at = data.index((folder / "manifest.json").read_bytes())
     data[at + 5] ^= 1
@@ -66,7 +44,7 @@ def test_an_archive_whose_bytes_do_not_fit_their_checksum_is_damaged(folder):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_more_files_than_any_bundle_has_are_refused(folder, monkeypatch, packed):
-    path = stored_archive(folder) if packed else folder
+    path = zipped(folder) if packed else folder
     count = sum(file.is_file() for file in folder.rglob("*"))
     monkeypatch.setattr(archive, "MAX_FILES", count)
     assert load_bundle(path).has_networks

@@ -9,45 +9,19 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from google.protobuf import json_format
-from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.archive import check_path
 from lambent_relight.bundle import load_bundle
 from lambent_relight.errors import BundleError
 from lambent_relight.graphs import OnnxCaches
 from lambent_relight.onnx_check import summarise_onnx
 from lambent_relight.onnx_wire import keep_outputs, metadata
-from support.analytic_bundle import write_analytic_bundle, write_manifest
-from support.analytic_scene import AnalyticScene, Sphere
+from support.analytic_bundle import write_manifest
+from support.refused_bundle import manifest_in, refusal, store, write_ball, zipped
 
 
 @pytest.fixture
 def bundle(tmp_path) -> Path:
-    return write_analytic_bundle(tmp_path / "ball.relight", AnalyticScene((Sphere((0.0, 0.0, 0.0), 1.0),)))
-
-
-def manifest_in(folder: Path) -> BundleManifest:
-    return json_format.Parse((folder / "manifest.json").read_text(encoding="utf-8"), BundleManifest())
-
-
-def store(folder: Path, manifest: BundleManifest) -> None:
-    text = json_format.MessageToJson(manifest, preserving_proto_field_name=True)
-    (folder / "manifest.json").write_text(text, encoding="utf-8")
-
-
-def zipped(folder: Path, *, compression: int = zipfile.ZIP_STORED) -> Path:
-    path = folder.with_suffix(".relight.zip")
-    with zipfile.ZipFile(path, "w", compression) as archive:
-        for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-            archive.write(file, file.relative_to(folder).as_posix())
-    return path
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(BundleError) as caught:
-        load_bundle(path)
-    assert caught.value.advice
-    return caught.value.code
+    return write_ball(tmp_path)
 
 
 def test_a_folder_and_a_zip_of_it_are_the_same_bundle(bundle):
