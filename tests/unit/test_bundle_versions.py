@@ -1,7 +1,7 @@
 """Bundles with the fields of earlier versions of the format, which readers must open and relight as ever.
 
 `tests/golden/bundles` holds one each, and the pictures it gave when it was put there. They are never written
-again: a minor version that changes what a reader needs adds one (docs/reference/bundle-format.md, "Versions").
+again: a minor version that changes what a reader needs adds one (docs/reference/bundle-format.md, Versions).
 """
 
 import json
