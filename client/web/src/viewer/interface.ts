@@ -7,6 +7,7 @@ import { make } from "./fields.js";
 import { listenToOrbit } from "./orbit.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, type FilmKind, filmOf, pngOf } from "./save.js";
+import { lightText } from "./lightTexts.js";
 import { initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { statusText } from "../refine/status.js";
@@ -274,12 +275,12 @@ export class Interface {
     Object.assign(this.#handle, values);
     const right = {
       off: "",
-      environment: state.environmentB,
+      environment: lightText(this.viewer, state.environmentB),
       plain: "Plain image-based light",
       photo: "Photograph",
     };
     this.#sides.hidden = !comparing;
-    const left = state.compare === "environment" ? state.environment : "Relit";
+    const left = state.compare === "environment" ? lightText(this.viewer, state.environment) : "Relit";
     this.#sides.replaceChildren(
       ...[left, right[state.compare]].map((text) => make("span", { textContent: text })),
     );

@@ -1,8 +1,8 @@
 /** The controls, beside the picture. */
 
-import { presetNames } from "../light/presets.js";
 import type { BackgroundKind, Channel, LightTurn, Look, MaterialEdit, ToneCurve } from "../render/looks.js";
 import { button, check, choice, type Field, make, section, slider } from "./fields.js";
+import { lightTexts } from "./lightTexts.js";
 import { sharing } from "./sharing.js";
 import { type Comparison, limits, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
@@ -58,19 +58,16 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
   const edit = (part: Partial<MaterialEdit>): void => look({ edit: { ...viewer.state.look.edit, ...part } });
   const turn = (part: Partial<LightTurn>): void => act.change({ turn: { ...viewer.state.turn, ...part } });
 
-  const lightTexts = (): [string, string][] => [
-    ...(viewer.bundle?.trainedMaps ?? []).map(({ name }): [string, string] => [
-      `trained:${name}`,
-      `As photographed (${name})`,
-    ]),
-    ...Object.entries(presetNames).map(([name, text]): [string, string] => [`preset:${name}`, text]),
-    ...viewer.mapNames.map((name): [string, string] => [`file:${name}`, name]),
-    ...[viewer.state.environment, viewer.state.environmentB]
-      .filter((name, index, all) => name.startsWith("url:") && all.indexOf(name) === index)
-      .map((name): [string, string] => [name, name.split("/").at(-1) ?? name]),
-  ];
-  const lights = choice("Environment", lightTexts, (environment) => act.change({ environment }));
-  const lightsB = choice("On the right", lightTexts, (environmentB) => act.change({ environmentB }));
+  const lights = choice(
+    "Environment",
+    () => lightTexts(viewer),
+    (environment) => act.change({ environment }),
+  );
+  const lightsB = choice(
+    "On the right",
+    () => lightTexts(viewer),
+    (environmentB) => act.change({ environmentB }),
+  );
   const address = make("input", {
     type: "url",
     placeholder: "https://…/map.exr",

@@ -44,7 +44,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .split input { position: absolute; }
 .handle { position: absolute; top: 50%; left: -1.4rem; width: 2.8rem; height: 2.8rem; margin-top: -1.4rem; border-radius: 50%;
   background: #17191c; border: 2px solid #fff; pointer-events: auto; touch-action: none; cursor: ew-resize; display: grid; place-content: center; }
-.sides { position: absolute; top: 0.75rem; left: 0.75rem; display: flex; gap: 0.5rem; pointer-events: none; }
+.sides { position: absolute; top: 0.75rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
 .sides[hidden] { display: none; }
 .sides span { background: rgb(24 27 31 / 94%); border-radius: 0.3rem; padding: 0.15rem 0.5rem; }
 .photo { position: absolute; object-fit: fill; pointer-events: none; }

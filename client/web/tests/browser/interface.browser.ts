@@ -4,7 +4,7 @@ import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { expectedPictures, fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 let browser: Browser;
@@ -157,55 +157,6 @@ describe("maps of other hosts", () => {
     }, url);
     expect(told).toMatch(/^environment\.blocked: .*localhost.*; download the map and drop it here$/);
     expect((await state()).environment).toBe(before.environment);
-  });
-});
-
-describe("comparisons", () => {
-  it("show two lights beside each other", async () => {
-    const whole = { compare: "off", environment: "preset:studio" };
-    await update(whole);
-    const left = await pictureOf(page, size, 1);
-    await update({ ...whole, environment: "preset:even" });
-    const right = await pictureOf(page, size, 1);
-    await update({ ...whole, compare: "environment", environmentB: "preset:even", split: 0.5 });
-    const both = await pictureOf(page, size, 1);
-    const half = (picture: Uint8Array, first: number): Uint8Array =>
-      picture.filter((_, index) => Math.floor(index / 4) % size.width >= 48 === first >= 48);
-    expect(meanDifference(half(both, 0), half(left, 0))).toBe(0);
-    expect(meanDifference(half(both, 48), half(right, 48))).toBe(0);
-    expect(meanDifference(half(both, 48), half(left, 48))).toBeGreaterThan(2);
-  });
-
-  it("show what plain image-based light leaves out", async () => {
-    await update({ environment: "preset:studio", compare: "plain", split: 0 });
-    const plain = await pictureOf(page, size, 1);
-    await update({ compare: "off", split: 0.5 });
-    expect(meanDifference(plain, await pictureOf(page, size, 1))).toBeGreaterThan(2);
-  });
-});
-
-describe("a photograph", () => {
-  it("is laid over the view from its own camera", async () => {
-    const [first] = expectedPictures();
-    await update({ compare: "photo", photo: "turntable_000", split: 0.25 });
-    await page.waitForFunction(() => {
-      const photo = document.querySelector("lambent-viewer")!.shadowRoot!.querySelector("img")!;
-      return !photo.hidden && photo.complete && photo.naturalWidth === 256;
-    });
-    // The page is 480 x 360 without its controls' column: the photograph is square, in the middle.
-    const box = await page.evaluate(() => {
-      const root = document.querySelector("lambent-viewer")!.shadowRoot!;
-      const [photo, view] = [root.querySelector("img")!, root.querySelector(".view")!];
-      const [inner, outer] = [photo.getBoundingClientRect(), view.getBoundingClientRect()];
-      return [inner.width - inner.height, inner.left + inner.right - outer.left - outer.right].map(
-        Math.round,
-      );
-    });
-    expect(box).toEqual([0, 0]);
-    const { width, height } = first!.camera;
-    const seen = await pictureOf(page, { width, height }, 1);
-    expect(meanDifference(seen, await pictureOf(page, first!.camera, 1))).toBe(0);
-    await update({ compare: "off", split: 0.5 });
   });
 });
 
