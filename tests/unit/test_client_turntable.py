@@ -3,7 +3,6 @@
 import gc
 import json
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 from lambent.cli import app
@@ -13,6 +12,7 @@ from lambent_relight import load_environment, write_environment
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Box, Surface
+from support.films import decoded
 
 # imageio-ffmpeg leaves its pipes to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
@@ -47,33 +47,26 @@ def turntable(bundle, sky, out, *words):
     return app.run(["turntable", str(bundle), "--env", str(sky), "-o", str(out), "--spp", "8", *words])
 
 
-def decoded(path):
-    reader = imageio_ffmpeg.read_frames(str(path))
-    about = next(reader)
-    width, height = about["size"]
-    return about, [np.frombuffer(data, np.uint8).reshape(height, width, 3).astype(int) for data in reader]
-
-
 @pytest.mark.parametrize("suffix", ["mp4", "webm"])
 def test_a_film_has_the_pictures_of_the_folder(bundle, sky, tmp_path, suffix):
     film = tmp_path / "out" / f"spin.{suffix}"
     words = ("--frames", "4", "--size", "31", "--fps", "8", "--tone-mapping", "neutral")
     assert turntable(bundle, sky, film, *words, "--crf", "2") == 0
     assert [path.name for path in film.parent.iterdir()] == [film.name]
-    about, frames = decoded(film)
-    assert (len(frames), about["size"], about["fps"]) == (4, (32, 32), pytest.approx(8.0))
+    found = decoded(film)
+    assert (len(found.frames), found.size, found.fps) == (4, (32, 32), pytest.approx(8.0))
     assert turntable(bundle, sky, tmp_path / "frames", *words, "--format", "none") == 0
     pictures = sorted((tmp_path / "frames" / "frames").iterdir())
     assert [path.name for path in pictures] == ["0000.png", "0001.png", "0002.png", "0003.png"]
     assert not list((tmp_path / "frames").glob("turntable.*"))
-    for frame, path in zip(frames, pictures, strict=True):
+    for frame, path in zip(found.frames, pictures, strict=True):
         with Image.open(path) as image:
             expected = np.asarray(image.convert("RGB")).astype(int)
         # Brightness has full resolution; colour is shared by four pixels.
         difference = np.abs(frame[:31, :31].mean(-1) - expected.mean(-1))
         assert difference.mean() < 2.0
         assert np.abs(frame[:31, :31] - expected).mean() < 6.0
-    assert np.abs(frames[0] - frames[1]).mean() > 4.0
+    assert np.abs(found.frames[0] - found.frames[1]).mean() > 4.0
 
 
 def test_probes_stand_in_the_corner_of_a_film_and_of_single_pictures(bundle, sky, tmp_path):
@@ -81,7 +74,7 @@ def test_probes_stand_in_the_corner_of_a_film_and_of_single_pictures(bundle, sky
     assert turntable(bundle, sky, tmp_path / "plain", *words, "--format", "none") == 0
     assert turntable(bundle, sky, tmp_path / "balls", *words, "--format", "none", "--probes") == 0
     assert turntable(bundle, sky, tmp_path / "spin.mp4", *words, "--crf", "2", "--probes") == 0
-    _, frames = decoded(tmp_path / "spin.mp4")
+    frames = decoded(tmp_path / "spin.mp4").frames
     for number in range(2):
         shown = {}
         for name in ("plain", "balls"):
@@ -104,7 +97,7 @@ def test_a_folder_can_hold_a_film_too_and_goes_on_where_it_was(bundle, sky, tmp_
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[0]["made"] == 1
     assert lines[-1] == {"film": str(tmp_path / "out/turntable.mp4"), "frames": 3, "fps": 24}
-    assert len(decoded(tmp_path / "out/turntable.mp4")[1]) == 3
+    assert len(decoded(tmp_path / "out/turntable.mp4").frames) == 3
 
 
 def test_seconds_times_pictures_per_second_are_the_number_of_pictures(bundle, sky, tmp_path):
@@ -112,7 +105,7 @@ def test_seconds_times_pictures_per_second_are_the_number_of_pictures(bundle, sk
     assert (
         turntable(bundle, sky, film, "--seconds", "0.5", "--fps", "10", "--size", "8", "--turn", "light") == 0
     )
-    assert len(decoded(film)[1]) == 5
+    assert len(decoded(film).frames) == 5
 
 
 def test_an_object_that_turns_shows_what_relighting_shows_of_a_turned_object(bundle, sky):

@@ -2,7 +2,6 @@
 
 import gc
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from lambent.errors import LambentError, UsageProblemError
 from lambent.film import FilmWriter, encoder
+from support.films import decoded
 
 # Flat areas of the colours that tell matrices and ranges apart.
 COLOURS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (16, 16, 16), (235, 235, 235), (120, 60, 180)]
@@ -44,34 +44,19 @@ def write(path, pictures):
             film.add(frame)
 
 
-def decoded(path):
-    reader = imageio_ffmpeg.read_frames(str(path))
-    about = next(reader)
-    width, height = about["size"]
-    return about, [np.frombuffer(data, np.uint8).reshape(height, width, 3) for data in reader]
-
-
-def stream_line(path) -> str:
-    done = subprocess.run(
-        [imageio_ffmpeg.get_ffmpeg_exe(), "-hide_banner", "-i", str(path)], capture_output=True, text=True
-    )
-    return next(line for line in done.stderr.splitlines() if "Video:" in line)
-
-
 @pytest.mark.parametrize(("name", "codec"), [("spin.mp4", "h264"), ("spin.webm", "vp9")])
 def test_a_film_holds_its_pictures_with_the_colours_they_had(tmp_path, name, codec):
     with FilmWriter(tmp_path / name, fps=12, crf=4) as film:
         for number in range(7):
             film.add(picture(number))
     assert [path.name for path in tmp_path.iterdir()] == [name]
-    about, frames = decoded(tmp_path / name)
-    assert len(frames) == film.num_frames == 7
-    assert about["size"] == (96, 64)
-    assert about["fps"] == pytest.approx(12.0)
-    line = stream_line(tmp_path / name)
-    assert codec in line
-    assert re.search(r"yuv420p\(tv, bt709/bt709/iec61966-2-1", line), line
-    for number, frame in enumerate(frames):
+    found = decoded(tmp_path / name)
+    assert len(found.frames) == film.num_frames == 7
+    assert found.size == (96, 64)
+    assert found.fps == pytest.approx(12.0)
+    assert codec in found.stream
+    assert re.search(r"yuv420p\(tv, bt709/bt709/iec61966-2-1", found.stream), found.stream
+    for number, frame in enumerate(found.frames):
         # In the middle of the areas chroma of half resolution does not matter.
         difference = np.abs(frame.astype(int) - picture(number))[:, 8::16]
         assert difference.max() <= 6, number
@@ -81,9 +66,10 @@ def test_odd_sides_are_made_even_by_their_last_pixels(tmp_path):
     frame = np.full((33, 21, 3), 200, np.uint8)
     with FilmWriter(tmp_path / "odd.mp4", fps=5) as film:
         film.add(frame)
-    about, (found,) = decoded(tmp_path / "odd.mp4")
-    assert about["size"] == (22, 34)
-    assert np.abs(found.astype(int) - 200).max() <= 3
+    found = decoded(tmp_path / "odd.mp4")
+    assert found.size == (22, 34)
+    assert found.frames.shape == (1, 34, 22, 3)
+    assert np.abs(found.frames.astype(int) - 200).max() <= 3
 
 
 def test_a_lower_rate_factor_is_a_larger_and_better_film(tmp_path):
@@ -94,8 +80,8 @@ def test_a_lower_rate_factor_is_a_larger_and_better_film(tmp_path):
             for frame in noise:
                 film.add(frame)
         size.append((tmp_path / f"{crf}.mp4").stat().st_size)
-        frames = decoded(tmp_path / f"{crf}.mp4")[1]
-        error.append(np.abs(np.stack(frames).astype(int).mean(-1) - noise.mean(-1)).mean())
+        frames = decoded(tmp_path / f"{crf}.mp4").frames
+        error.append(np.abs(frames.astype(int).mean(-1) - noise.mean(-1)).mean())
     assert size[0] > 3 * size[1]
     assert error[0] < 0.5 * error[1]
 
