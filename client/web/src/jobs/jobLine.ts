@@ -13,6 +13,7 @@ export const stageNames: ReadonlyMap<string, string> = new Map([
   ["joint", "training materials and light"],
   ["evaluate", "evaluating"],
   ["export", "writing the bundle"],
+  ["contact_sheet", "laying out the contact sheet"],
 ]);
 
 const purposes: ReadonlyMap<string, string> = new Map([
