@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { chart, thinned } from "../src/jobs/curves.js";
+import { progressText } from "../src/jobs/jobLine.js";
 import { stageSeconds, stageStates } from "../src/jobs/live.js";
 import { JobStore, type Sample } from "../src/jobs/store.js";
 import type { Job, JobEvent, Progress } from "../src/page/rest.js";
@@ -154,6 +155,13 @@ describe("stages", () => {
     expect(now.map(([, state]) => state)).toEqual(["done", "done", "now", "waiting", "waiting"]);
     expect(stageStates(job({ state: "succeeded" })).every(([, state]) => state === "done")).toBe(true);
     expect(stageStates(job()).every(([, state]) => state === "waiting")).toBe(true);
+  });
+
+  it("are told in words, also those of jobs that train nothing", () => {
+    const told = (stage: string): string =>
+      progressText(job({ state: "running", progress: { ...progress, stage, psnr: 0, eta_s: 0 } }));
+    expect(told("joint")).toBe("training materials and light · step 1 of 10");
+    expect(told("contact_sheet")).toBe("laying out the contact sheet · step 1 of 10");
   });
 
   it("take the time until the next one begins", () => {

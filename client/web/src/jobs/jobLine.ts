@@ -13,8 +13,10 @@ export const stageNames: ReadonlyMap<string, string> = new Map([
   ["joint", "training materials and light"],
   ["evaluate", "evaluating"],
   ["export", "writing the bundle"],
-  ["contact_sheet", "laying out the contact sheet"],
 ]);
+
+/** What jobs do that train nothing. */
+const otherSteps: ReadonlyMap<string, string> = new Map([["contact_sheet", "laying out the contact sheet"]]);
 
 const purposes: ReadonlyMap<string, string> = new Map([
   ["check", "check of the scene"],
@@ -41,7 +43,7 @@ export function progressText(job: Job): string {
   }
   const { progress } = job;
   if (progress === null) return "";
-  const parts = [stageNames.get(progress.stage) ?? progress.stage];
+  const parts = [stageNames.get(progress.stage) ?? otherSteps.get(progress.stage) ?? progress.stage];
   if (progress.num_steps > 1) parts.push(`step ${progress.step} of ${progress.num_steps}`);
   if (progress.psnr > 0) parts.push(`PSNR ${progress.psnr.toFixed(1)} dB`);
   if (progress.eta_s > 0) parts.push(`about ${formatDuration(progress.eta_s)} to go`);
