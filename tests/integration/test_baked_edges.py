@@ -64,16 +64,8 @@ def test_a_slanted_plane_has_no_steps_however_flat_it_is_seen(tmp_path):
     )
     middle = np.float64([0.0, 0.0, -0.4])
     for height in (0.15, 0.5, 2.0):
-        camera = Camera(
-            name="over",
-            width=SIDE,
-            height=SIDE,
-            focal_x=3.0 * SIDE,
-            focal_y=3.0 * SIDE,
-            centre_x=SIDE / 2,
-            centre_y=SIDE / 2,
-            camera_to_world=look_at(middle + np.float64([1.5, 0.0, height]), middle),
-        )
+        pose = look_at(middle + np.float64([1.5, 0.0, height]), middle)
+        camera = Camera.centred("over", SIDE, SIDE, 3.0 * SIDE, pose)
         view = look_at_surface(scene, camera, 1)
         assert view.num_pixels > SIDE
         inside = np.abs(view.pixel // SIDE - SIDE / 2) < SIDE / 4

@@ -260,16 +260,7 @@ def test_half_covered_pixels_are_mixed_with_what_is_behind_them(cube):
 
 
 def camera_at(position, *, side: int = 6, name: str = "view") -> Camera:
-    return Camera(
-        name=name,
-        width=side,
-        height=side,
-        focal_x=4.0 * side,
-        focal_y=4.0 * side,
-        centre_x=side / 2,
-        centre_y=side / 2,
-        camera_to_world=look_at(position, (0.0, 0.0, 0.0)),
-    )
+    return Camera.centred(name, side, side, 4.0 * side, look_at(position, (0.0, 0.0, 0.0)))
 
 
 @pytest.fixture(scope="module")

@@ -210,7 +210,7 @@ def tiny() -> Config:
 
 
 def long() -> Config:
-    """A longer run without a GPU, meant for about 40 minutes on two cores; not tuned or timed whole yet."""
+    """A longer run without a GPU; what it buys: docs/benchmarks/long-curve.md."""
     base = fast()
     return replace(
         base,

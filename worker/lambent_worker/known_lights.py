@@ -1,6 +1,5 @@
 """Environments that are given instead of learned: files of the user, kept in the run folder by their hash."""
 
-import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from lambent_relight.errors import RelightError
 from numpy import ndarray
 
 from lambent_worker.errors import UsageError
+from lambent_worker.run_folder import file_sha256
 from lambent_worker.scenes.resample import area_weights
 
 FOLDER = "known_lights"
@@ -42,10 +42,7 @@ def parse_known_lights(items: Sequence[str]) -> dict[str, Path]:
 
 def names_by_content(files: Mapping[str, Path]) -> dict[str, str]:
     """Return the name under which each light's file is kept: its SHA-256 with its suffix."""
-    return {
-        light: hashlib.sha256(path.read_bytes()).hexdigest() + path.suffix.lower()
-        for light, path in files.items()
-    }
+    return {light: file_sha256(path) + path.suffix.lower() for light, path in files.items()}
 
 
 def keep_known_lights(run_dir: Path, files: Mapping[str, Path]) -> None:

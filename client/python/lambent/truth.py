@@ -39,16 +39,7 @@ def read_camera(folder: Path) -> Camera:
     width, height = int(data["imw"]), int(data["imh"])
     focal = 0.5 * width / np.tan(0.5 * float(data["cam_angle_x"]))
     pose = np.array([float(word) for word in data["cam_transform_mat"].split(",")]).reshape(4, 4)
-    return Camera(
-        name=folder.name,
-        width=width,
-        height=height,
-        focal_x=focal,
-        focal_y=focal,
-        centre_x=width / 2,
-        centre_y=height / 2,
-        camera_to_world=pose,
-    )
+    return Camera.centred(folder.name, width, height, focal, pose)
 
 
 def read_view(folder: Path, lights: tuple[str, ...]) -> TrueView:

@@ -35,6 +35,22 @@ class Camera:
     camera_to_world: NDArray[np.float64]
     """[4, 4], a rotation and a position."""
 
+    @classmethod
+    def centred(
+        cls, name: str, width: int, height: int, focal: float, camera_to_world: NDArray[np.float64]
+    ) -> "Camera":
+        """Return a camera with square pixels that looks through the middle of its picture."""
+        return cls(
+            name=name,
+            width=width,
+            height=height,
+            focal_x=focal,
+            focal_y=focal,
+            centre_x=width / 2.0,
+            centre_y=height / 2.0,
+            camera_to_world=camera_to_world,
+        )
+
     def rays(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return origins and unit directions of the pixel-centre rays, each [height * width, 3], by rows."""
         x = (np.arange(self.width) + 0.5 - self.centre_x) / self.focal_x
@@ -80,6 +96,16 @@ def look_at(position: Sequence[float], target: Sequence[float]) -> NDArray[np.fl
     return pose
 
 
+def position_around(
+    target: Sequence[float], distance: float, azimuth_deg: float, elevation_deg: float
+) -> NDArray[np.float64]:
+    """Return the point at `distance` from `target`, scene units; azimuth 0 is +x and grows towards +y."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    aside = math.cos(elevation)
+    away = (aside * math.cos(azimuth), aside * math.sin(azimuth), math.sin(elevation))
+    return np.asarray(target, np.float64) + distance * np.array(away)
+
+
 def turntable(
     num_views: int,
     *,
@@ -105,28 +131,11 @@ def turntable(
             "camera.field_of_view", f"field of view {field_of_view_deg} degrees", "give 0 to 180, exclusive"
         )
     focal = 0.5 * width / math.tan(math.radians(field_of_view_deg) / 2.0)
-    elevation = math.radians(elevation_deg)
     cameras = []
     for index in range(num_views):
-        azimuth = math.radians(start_deg + 360.0 * index / num_views)
-        offset = (
-            math.cos(azimuth) * math.cos(elevation),
-            math.sin(azimuth) * math.cos(elevation),
-            math.sin(elevation),
-        )
-        position = np.asarray(target, np.float64) + radius * np.array(offset)
-        cameras.append(
-            Camera(
-                name=f"turntable_{index:03d}",
-                width=width,
-                height=height,
-                focal_x=focal,
-                focal_y=focal,
-                centre_x=width / 2.0,
-                centre_y=height / 2.0,
-                camera_to_world=look_at(position, target),
-            )
-        )
+        position = position_around(target, radius, start_deg + 360.0 * index / num_views, elevation_deg)
+        pose = look_at(position, target)
+        cameras.append(Camera.centred(f"turntable_{index:03d}", width, height, focal, pose))
     return cameras
 
 

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from lambent_worker.errors import UsageError
 from lambent_worker.pipeline import input_hashes, step_inputs
 from lambent_worker.report import protocol
 from lambent_worker.report.published import published_rows, published_scene
-from lambent_worker.run_folder import digest
+from lambent_worker.run_folder import digest, file_sha256
 from lambent_worker.training_run import config_for
 
 FULL = "full"
@@ -214,4 +213,4 @@ def _preset_for(preset: str, scene: SuiteScene) -> str:
 def folder_hash(folder: Path) -> str:
     """Return a hash of the names and contents of the files directly in a folder."""
     files = sorted(path for path in folder.iterdir() if path.is_file())
-    return digest([[path.name, sha256(path.read_bytes()).hexdigest()] for path in files])
+    return digest([[path.name, file_sha256(path)] for path in files])

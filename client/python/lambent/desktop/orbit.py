@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from lambent_relight import Bundle, Camera, look_at
+from lambent_relight.cameras import position_around
 from lambent_relight.object_cameras import around_object
 
 MAX_ELEVATION_DEG = 89.0
@@ -28,22 +29,9 @@ class Orbit:
 
     def camera(self, width: int, height: int) -> Camera:
         """Return the camera of a picture with `width` x `height` pixels."""
-        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
-        aside = math.cos(elevation)
-        offset = np.array(
-            [aside * math.cos(azimuth), aside * math.sin(azimuth), math.sin(elevation)], np.float64
-        )
-        focal = self._focal(width, height)
-        return Camera(
-            name="orbit",
-            width=width,
-            height=height,
-            focal_x=focal,
-            focal_y=focal,
-            centre_x=width / 2.0,
-            centre_y=height / 2.0,
-            camera_to_world=look_at((np.array(self.target) + self.distance * offset).tolist(), self.target),
-        )
+        position = position_around(self.target, self.distance, self.azimuth_deg, self.elevation_deg)
+        pose = look_at(position, self.target)
+        return Camera.centred("orbit", width, height, self._focal(width, height), pose)
 
     def turned(self, azimuth_deg: float, elevation_deg: float) -> "Orbit":
         """Return the camera further around by `azimuth_deg` and higher by `elevation_deg`."""
