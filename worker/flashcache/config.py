@@ -191,6 +191,8 @@ class EvaluationConfig:
     num_repeats: int = 1
     num_directions: int = 64
     """Secondary rays per pixel and repeat."""
+    antialias: int = 1
+    """Camera rays along each side of a pixel; 1 is a ray through its centre, as in the paper."""
     uncertainty_points: int = 1000
     """Surface points at which the uncertainty of materials is measured; 0 leaves it out."""
 

@@ -132,7 +132,7 @@ def fast() -> Config:
             proposal_exponent=1.0,
             distil=DistilConfig(num_steps=300),
         ),
-        evaluation=EvaluationConfig(num_views=4, num_repeats=1, uncertainty_points=300),
+        evaluation=EvaluationConfig(num_views=4, num_repeats=1, antialias=2, uncertainty_points=300),
         export=ExportConfig(judge_samples=16),
         checkpoint_steps=100_000,
         checkpoint_interval_s=30.0,
@@ -220,7 +220,7 @@ def long() -> Config:
         stage_two=replace(
             base.stage_two, num_steps=4_000, warmup_steps=300, distil=DistilConfig(num_steps=1500)
         ),
-        evaluation=EvaluationConfig(num_views=8, num_repeats=2),
+        evaluation=EvaluationConfig(num_views=8, num_repeats=2, antialias=2),
         checkpoint_steps=1000,
         checkpoint_interval_s=300.0,
     )
@@ -257,7 +257,7 @@ def standard() -> Config:
             estimator=EstimatorConfig(stratified=True),
             distil=DistilConfig(num_steps=1000, num_points=2048),
         ),
-        evaluation=EvaluationConfig(num_views=8, num_repeats=4),
+        evaluation=EvaluationConfig(num_views=8, num_repeats=4, antialias=2),
     )
 
 

@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!lambent_proto/v1/evaluation.proto\x12\x10lambent_proto.v1\"\xd8\x04\n\x10\x45valuationReport\x12\x16\n\x0eschema_version\x18\x01 \x01(\t\x12\x18\n\x10protocol_version\x18\x02 \x01(\t\x12\r\n\x05scene\x18\x03 \x01(\t\x12\x0e\n\x06preset\x18\x04 \x01(\t\x12\x0c\n\x04seed\x18\x05 \x01(\r\x12\x11\n\tnum_views\x18\x06 \x01(\r\x12\x1a\n\x12num_secondary_rays\x18\x07 \x01(\r\x12\x13\n\x0bnum_repeats\x18\x08 \x01(\r\x12)\n\x07metrics\x18\t \x03(\x0b\x32\x18.lambent_proto.v1.Metric\x12\x18\n\x10\x61lbedo_ratio_rgb\x18\n \x03(\x01\x12@\n\x07seconds\x18\x0b \x03(\x0b\x32/.lambent_proto.v1.EvaluationReport.SecondsEntry\x12\r\n\x05notes\x18\x0c \x03(\t\x12\x10\n\x08protocol\x18\r \x03(\t\x12.\n\x06\x61\x62sent\x18\x0e \x03(\x0b\x32\x1e.lambent_proto.v1.AbsentMetric\x12\x0f\n\x07\x64\x61taset\x18\x0f \x01(\t\x12\x14\n\x0cobject_group\x18\x10 \x01(\t\x12\x34\n\tpublished\x18\x11 \x03(\x0b\x32!.lambent_proto.v1.PublishedResult\x12&\n\x1e\x61lbedo_ratio_least_squares_rgb\x18\x12 \x03(\x01\x12\x14\n\x0ctrain_lights\x18\x13 \x03(\t\x1a.\n\x0cSecondsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"K\n\x06Metric\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01\x12\x0c\n\x04unit\x18\x03 \x01(\t\x12\x16\n\x0estandard_error\x18\x04 \x01(\x01\",\n\x0c\x41\x62sentMetric\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"\x8f\x01\n\x0fPublishedResult\x12\x0e\n\x06method\x18\x01 \x01(\t\x12=\n\x06values\x18\x02 \x03(\x0b\x32-.lambent_proto.v1.PublishedResult.ValuesEntry\x1a-\n\x0bValuesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!lambent_proto/v1/evaluation.proto\x12\x10lambent_proto.v1\"\xeb\x04\n\x10\x45valuationReport\x12\x16\n\x0eschema_version\x18\x01 \x01(\t\x12\x18\n\x10protocol_version\x18\x02 \x01(\t\x12\r\n\x05scene\x18\x03 \x01(\t\x12\x0e\n\x06preset\x18\x04 \x01(\t\x12\x0c\n\x04seed\x18\x05 \x01(\r\x12\x11\n\tnum_views\x18\x06 \x01(\r\x12\x1a\n\x12num_secondary_rays\x18\x07 \x01(\r\x12\x13\n\x0bnum_repeats\x18\x08 \x01(\r\x12)\n\x07metrics\x18\t \x03(\x0b\x32\x18.lambent_proto.v1.Metric\x12\x18\n\x10\x61lbedo_ratio_rgb\x18\n \x03(\x01\x12@\n\x07seconds\x18\x0b \x03(\x0b\x32/.lambent_proto.v1.EvaluationReport.SecondsEntry\x12\r\n\x05notes\x18\x0c \x03(\t\x12\x10\n\x08protocol\x18\r \x03(\t\x12.\n\x06\x61\x62sent\x18\x0e \x03(\x0b\x32\x1e.lambent_proto.v1.AbsentMetric\x12\x0f\n\x07\x64\x61taset\x18\x0f \x01(\t\x12\x14\n\x0cobject_group\x18\x10 \x01(\t\x12\x34\n\tpublished\x18\x11 \x03(\x0b\x32!.lambent_proto.v1.PublishedResult\x12&\n\x1e\x61lbedo_ratio_least_squares_rgb\x18\x12 \x03(\x01\x12\x14\n\x0ctrain_lights\x18\x13 \x03(\t\x12\x11\n\tantialias\x18\x14 \x01(\r\x1a.\n\x0cSecondsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"K\n\x06Metric\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01\x12\x0c\n\x04unit\x18\x03 \x01(\t\x12\x16\n\x0estandard_error\x18\x04 \x01(\x01\",\n\x0c\x41\x62sentMetric\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"\x8f\x01\n\x0fPublishedResult\x12\x0e\n\x06method\x18\x01 \x01(\t\x12=\n\x06values\x18\x02 \x03(\x0b\x32-.lambent_proto.v1.PublishedResult.ValuesEntry\x1a-\n\x0bValuesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,15 +36,15 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_PUBLISHEDRESULT_VALUESENTRY']._loaded_options = None
   _globals['_PUBLISHEDRESULT_VALUESENTRY']._serialized_options = b'8\001'
   _globals['_EVALUATIONREPORT']._serialized_start=56
-  _globals['_EVALUATIONREPORT']._serialized_end=656
-  _globals['_EVALUATIONREPORT_SECONDSENTRY']._serialized_start=610
-  _globals['_EVALUATIONREPORT_SECONDSENTRY']._serialized_end=656
-  _globals['_METRIC']._serialized_start=658
-  _globals['_METRIC']._serialized_end=733
-  _globals['_ABSENTMETRIC']._serialized_start=735
-  _globals['_ABSENTMETRIC']._serialized_end=779
-  _globals['_PUBLISHEDRESULT']._serialized_start=782
-  _globals['_PUBLISHEDRESULT']._serialized_end=925
-  _globals['_PUBLISHEDRESULT_VALUESENTRY']._serialized_start=880
-  _globals['_PUBLISHEDRESULT_VALUESENTRY']._serialized_end=925
+  _globals['_EVALUATIONREPORT']._serialized_end=675
+  _globals['_EVALUATIONREPORT_SECONDSENTRY']._serialized_start=629
+  _globals['_EVALUATIONREPORT_SECONDSENTRY']._serialized_end=675
+  _globals['_METRIC']._serialized_start=677
+  _globals['_METRIC']._serialized_end=752
+  _globals['_ABSENTMETRIC']._serialized_start=754
+  _globals['_ABSENTMETRIC']._serialized_end=798
+  _globals['_PUBLISHEDRESULT']._serialized_start=801
+  _globals['_PUBLISHEDRESULT']._serialized_end=944
+  _globals['_PUBLISHEDRESULT_VALUESENTRY']._serialized_start=899
+  _globals['_PUBLISHEDRESULT_VALUESENTRY']._serialized_end=944
 # @@protoc_insertion_point(module_scope)

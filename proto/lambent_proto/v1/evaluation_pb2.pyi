@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class EvaluationReport(_message.Message):
-    __slots__ = ("schema_version", "protocol_version", "scene", "preset", "seed", "num_views", "num_secondary_rays", "num_repeats", "metrics", "albedo_ratio_rgb", "seconds", "notes", "protocol", "absent", "dataset", "object_group", "published", "albedo_ratio_least_squares_rgb", "train_lights")
+    __slots__ = ("schema_version", "protocol_version", "scene", "preset", "seed", "num_views", "num_secondary_rays", "num_repeats", "metrics", "albedo_ratio_rgb", "seconds", "notes", "protocol", "absent", "dataset", "object_group", "published", "albedo_ratio_least_squares_rgb", "train_lights", "antialias")
     class SecondsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -34,6 +34,7 @@ class EvaluationReport(_message.Message):
     PUBLISHED_FIELD_NUMBER: _ClassVar[int]
     ALBEDO_RATIO_LEAST_SQUARES_RGB_FIELD_NUMBER: _ClassVar[int]
     TRAIN_LIGHTS_FIELD_NUMBER: _ClassVar[int]
+    ANTIALIAS_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     protocol_version: str
     scene: str
@@ -53,7 +54,8 @@ class EvaluationReport(_message.Message):
     published: _containers.RepeatedCompositeFieldContainer[PublishedResult]
     albedo_ratio_least_squares_rgb: _containers.RepeatedScalarFieldContainer[float]
     train_lights: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, schema_version: _Optional[str] = ..., protocol_version: _Optional[str] = ..., scene: _Optional[str] = ..., preset: _Optional[str] = ..., seed: _Optional[int] = ..., num_views: _Optional[int] = ..., num_secondary_rays: _Optional[int] = ..., num_repeats: _Optional[int] = ..., metrics: _Optional[_Iterable[_Union[Metric, _Mapping]]] = ..., albedo_ratio_rgb: _Optional[_Iterable[float]] = ..., seconds: _Optional[_Mapping[str, float]] = ..., notes: _Optional[_Iterable[str]] = ..., protocol: _Optional[_Iterable[str]] = ..., absent: _Optional[_Iterable[_Union[AbsentMetric, _Mapping]]] = ..., dataset: _Optional[str] = ..., object_group: _Optional[str] = ..., published: _Optional[_Iterable[_Union[PublishedResult, _Mapping]]] = ..., albedo_ratio_least_squares_rgb: _Optional[_Iterable[float]] = ..., train_lights: _Optional[_Iterable[str]] = ...) -> None: ...
+    antialias: int
+    def __init__(self, schema_version: _Optional[str] = ..., protocol_version: _Optional[str] = ..., scene: _Optional[str] = ..., preset: _Optional[str] = ..., seed: _Optional[int] = ..., num_views: _Optional[int] = ..., num_secondary_rays: _Optional[int] = ..., num_repeats: _Optional[int] = ..., metrics: _Optional[_Iterable[_Union[Metric, _Mapping]]] = ..., albedo_ratio_rgb: _Optional[_Iterable[float]] = ..., seconds: _Optional[_Mapping[str, float]] = ..., notes: _Optional[_Iterable[str]] = ..., protocol: _Optional[_Iterable[str]] = ..., absent: _Optional[_Iterable[_Union[AbsentMetric, _Mapping]]] = ..., dataset: _Optional[str] = ..., object_group: _Optional[str] = ..., published: _Optional[_Iterable[_Union[PublishedResult, _Mapping]]] = ..., albedo_ratio_least_squares_rgb: _Optional[_Iterable[float]] = ..., train_lights: _Optional[_Iterable[str]] = ..., antialias: _Optional[int] = ...) -> None: ...
 
 class Metric(_message.Message):
     __slots__ = ("name", "value", "unit", "standard_error")

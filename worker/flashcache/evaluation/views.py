@@ -12,6 +12,8 @@ from flashcache.data.scene import Camera
 from flashcache.evaluation.gbuffer import GBuffer, camera_rays, render_gbuffer
 from flashcache.evaluation.monte_carlo import Picture, RenderRule, monte_carlo
 from flashcache.evaluation.relighting import MapLight, relit_radiance
+from flashcache.evaluation.supersampling import finer, mean_gbuffer, mean_picture
+from flashcache.evaluation.supersampling import points_per_ray as default_points
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
@@ -24,8 +26,14 @@ __all__ = [
     "render_gbuffer",
     "render_physical",
     "render_relit",
+    "render_surface",
 ]
 RULE = RenderRule()
+
+
+def render_surface(model: InverseModel, camera: Camera, *, light: int = 0, antialias: int = 1) -> GBuffer:
+    """Return the surface as `camera` sees it, a mean over `antialias` x `antialias` rays per pixel."""
+    return mean_gbuffer(render_gbuffer(model, finer(camera, antialias), light=light), camera, antialias)
 
 
 @torch.no_grad()
@@ -35,18 +43,21 @@ def render_physical(
     *,
     num_directions: int = 64,
     num_repeats: int = 1,
-    points_per_ray: int = 4,
+    points_per_ray: int = 0,
+    antialias: int = 1,
     light: int = 0,
     seed: int = 0,
     rule: RenderRule = RULE,
 ) -> Picture:
     """Return the physically based picture under a training light.
 
-    Every repeat shades `points_per_ray` points drawn anew and spreads `num_directions` secondary rays of the
-    fast estimate over them, with four more per point for the correction (supplement 2.5). A rule without
-    control variate leaves those four, to the NeRF cache alone.
+    A pixel has `antialias` x `antialias` rays. Every repeat shades `points_per_ray` points of each, drawn
+    anew (0: four per pixel, but two per ray at least), and spreads `num_directions` secondary rays per pixel
+    of the fast estimate over them, four per point at least, with four more per point for the correction
+    (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone.
     """
-    per_point = max(4, 4 * (num_directions // (4 * points_per_ray)))
+    points_per_ray = points_per_ray or default_points(antialias)
+    per_point = max(4, 4 * (num_directions // (4 * points_per_ray * antialias**2)))
     estimator = EstimatorConfig(
         fast=DirectionCounts.split(per_point),
         exact=DirectionCounts(cosine=1, sampler=1, specular=2),
@@ -71,9 +82,9 @@ def render_physical(
             generator=generator,
         ).rgb
 
-    return monte_carlo(
+    picture = monte_carlo(
         model,
-        camera,
+        finer(camera, antialias),
         shade,
         num_repeats=num_repeats,
         points_per_ray=points_per_ray,
@@ -82,6 +93,7 @@ def render_physical(
         purpose="physical",
         points=rule.points,
     )
+    return mean_picture(picture, antialias)
 
 
 @torch.no_grad()
@@ -93,7 +105,8 @@ def render_relit(
     albedo_ratio: tuple[float, float, float] = (1.0, 1.0, 1.0),
     num_directions: int = 64,
     num_repeats: int = 1,
-    points_per_ray: int = 4,
+    points_per_ray: int = 0,
+    antialias: int = 1,
     indirect: bool = True,
     seed: int = 0,
     rule: RenderRule = RULE,
@@ -102,12 +115,13 @@ def render_relit(
 
     Direct light with learned shadows as in the paper's relighting, and with `indirect` one bounce: what
     secondary rays hit is shaded under the new environment with its own materials. `albedo_ratio` multiplies
-    the albedo.
+    the albedo. Rays and points of a pixel as in `render_physical`.
     """
     device = next(model.parameters()).device
     light_map = MapLight.from_image(environment_map, device)
     ratio = torch.tensor(albedo_ratio, dtype=torch.float32, device=device)
-    per_point = max(4, num_directions // points_per_ray)
+    points_per_ray = points_per_ray or default_points(antialias)
+    per_point = max(4, num_directions // (points_per_ray * antialias**2))
 
     def shade(points: ShadingPoints, generator: torch.Generator) -> Tensor:
         cache = model.fast_source() if rule.shadow_cache == "fast" else model.nerf_source(generator)
@@ -122,9 +136,9 @@ def render_relit(
             generator=generator,
         )
 
-    return monte_carlo(
+    picture = monte_carlo(
         model,
-        camera,
+        finer(camera, antialias),
         shade,
         num_repeats=num_repeats,
         points_per_ray=points_per_ray,
@@ -133,3 +147,4 @@ def render_relit(
         purpose="relit",
         points=rule.points,
     )
+    return mean_picture(picture, antialias)

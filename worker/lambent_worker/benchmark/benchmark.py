@@ -79,7 +79,8 @@ def write_tables(
 
 def _notes(cells: Sequence[Cell], out: Path, evaluation: EvaluationOrder) -> tuple[str, ...]:
     views = f"{evaluation.views} test views" if evaluation.views else "all test views"
-    notes = [f"Evaluated on {views}, {evaluation.directions} secondary rays x {evaluation.repeats} repeats."]
+    rays = f"{evaluation.antialias**2} camera and {evaluation.directions} secondary rays per pixel"
+    notes = [f"Evaluated on {views}, {rays} x {evaluation.repeats} repeats."]
     if not evaluation.environments:
         notes.append("Not relit: no environment maps were given or found in the suite.")
     if not evaluation.lpips_weights:

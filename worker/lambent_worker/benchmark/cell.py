@@ -108,6 +108,7 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
         num_views=order.views,
         num_repeats=order.repeats,
         num_directions=order.directions,
+        antialias=order.antialias,
         environments=Path(order.environments) if order.environments else None,
         max_side=order.max_side,
         shadows=as_shadows(order.shadows),

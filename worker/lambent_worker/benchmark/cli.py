@@ -32,6 +32,9 @@ def benchmark(
     views: Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")] = 0,
     repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
     directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
+    antialias: Annotated[
+        int, typer.Option(min=1, max=8, help="Camera rays along each side of a pixel; 1 as in the paper.")
+    ] = 2,
     max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
     shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",
     lpips_weights: Annotated[list[Path] | None, typer.Option(help="Weights of LPIPS; repeatable.")] = None,
@@ -61,6 +64,7 @@ def benchmark(
         views=views,
         repeats=repeats,
         directions=directions,
+        antialias=antialias,
         max_side=max_side,
         shadows=as_shadows(shadows),
         environments="" if maps is None else str(maps.resolve()),

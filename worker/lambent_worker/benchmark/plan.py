@@ -34,6 +34,7 @@ class EvaluationOrder:
     views: int = 0
     repeats: int = 4
     directions: int = 64
+    antialias: int = 2
     max_side: int = 0
     shadows: str = "fast"
     environments: str = ""

@@ -47,6 +47,7 @@ def evaluate(
         num_views=len(subject.views),
         num_secondary_rays=subject.request.num_directions,
         num_repeats=subject.request.num_repeats,
+        antialias=subject.request.antialias,
         metrics=rows,
         absent=absent_metrics(subject, (row.name for row in rows)),
         albedo_ratio_rgb=[] if ratios is None else median.tolist(),

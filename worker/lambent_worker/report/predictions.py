@@ -21,7 +21,7 @@ import torch
 from flashcache.color import srgb_from_linear
 from flashcache.data.scene import View
 from flashcache.evaluation.metrics import normal_with_background
-from flashcache.evaluation.views import GBuffer, Picture, render_gbuffer, render_physical, render_relit
+from flashcache.evaluation.views import GBuffer, Picture, render_physical, render_relit, render_surface
 from jaxtyping import Float, Float32
 from lambent_relight.exr import write_exr
 from numpy import ndarray
@@ -41,7 +41,7 @@ def predict_surfaces(subject: Subject) -> None:
     for view in subject.views:
         folder = subject.out / "pred" / view.name
         if not (folder / "metallic.npy").is_file():
-            buffer = render_gbuffer(subject.model, view.camera, light=0)
+            buffer = render_surface(subject.model, view.camera, antialias=subject.request.antialias)
             _save_pictures_of_cache(subject, view, buffer)
             _save_surface(folder, buffer)
         subject.advance()
@@ -53,6 +53,7 @@ def predict_surfaces(subject: Subject) -> None:
                     view.camera,
                     num_directions=subject.request.num_directions,
                     num_repeats=subject.request.num_repeats,
+                    antialias=subject.request.antialias,
                     light=index,
                     seed=subject.seed,
                     rule=subject.rule,
@@ -80,6 +81,7 @@ def predict_relit(subject: Subject, ratio: tuple[float, float, float]) -> None:
                         albedo_ratio=factor,
                         num_directions=subject.request.num_directions,
                         num_repeats=subject.request.num_repeats,
+                        antialias=subject.request.antialias,
                         indirect=indirect,
                         seed=subject.seed,
                         rule=subject.rule,
@@ -132,7 +134,11 @@ def _save_surface(folder: Path, buffer: GBuffer) -> None:
 
 def _save_pictures_of_cache(subject: Subject, view: View, buffer: GBuffer) -> None:
     for index, light in enumerate(subject.scene.lights):
-        seen = buffer if index == 0 else render_gbuffer(subject.model, view.camera, light=index)
+        seen = buffer
+        if index:
+            seen = render_surface(
+                subject.model, view.camera, light=index, antialias=subject.request.antialias
+            )
         straight = seen.cache_rgb / np.maximum(seen.opacity, 1e-6)
         save_array(
             subject.out / CACHE_FOLDER / view.name / f"rgba_{light}.npy", encoded(straight, seen.opacity)

@@ -1,6 +1,6 @@
 """The evaluation protocol in short; docs/reference/protocol.md says the same with reasons."""
 
-VERSION = "1.1"
+VERSION = "1.2"
 """Version of docs/reference/protocol.md."""
 
 SUMMARY = (
@@ -8,6 +8,8 @@ SUMMARY = (
     "(11 x 11 Gaussian window, standard deviation 1.5) per view, then the mean over views.",
     "Physically based and relit pictures are means of independent repeats in linear light; each comes with "
     "its standard error per pixel, and noise_ceiling is the PSNR that this noise alone would leave.",
+    "Pictures and maps are means over a grid of camera rays per pixel, two by two unless the report says "
+    "otherwise, weighted with opacity; secondary rays are counted per pixel.",
     "Albedo is scaled by one factor per channel before it is compared: the median of truth / prediction "
     "(albedo_rgb_ratio), or least squares after a gamma of 2.2 (albedo_least_squares); PSNR after that "
     "gamma, over all views at once.",

@@ -31,6 +31,8 @@ class EvaluationRequest:
     """Repeats behind every Monte Carlo picture."""
     num_directions: int = 64
     """Secondary rays per pixel and repeat."""
+    antialias: int = 2
+    """Camera rays along each side of a pixel; 1 is a ray through its centre, as in the paper."""
     environments: Path | None = None
     """Folder of maps named like the scene's relighting lights."""
     max_side: int = 0

@@ -22,6 +22,7 @@ def run(context: StepContext) -> None:
         num_views=settings.num_views,
         num_repeats=settings.num_repeats,
         num_directions=settings.num_directions,
+        antialias=settings.antialias,
         max_side=context.config.max_side,
     )
     views, held_out = evaluated_views(scene, settings.num_views)

@@ -1,0 +1,87 @@
+"""Pictures as means over several rays per pixel.
+
+A photograph's pixel is a mean over its area. One ray through its centre sees one surface where the photograph
+mixes two, and a point of a texture where it has an average.
+"""
+
+import numpy as np
+from jaxtyping import Float32
+from numpy import ndarray
+
+from flashcache.data.scene import Camera
+from flashcache.errors import ConfigError
+from flashcache.evaluation.gbuffer import OPACITY_FLOOR, GBuffer
+from flashcache.evaluation.monte_carlo import Picture
+
+POINTS_PER_PIXEL = 4
+"""Points that a picture without supersampling shades per pixel and repeat."""
+MAX_ANTIALIAS = 8
+
+
+def finer(camera: Camera, antialias: int) -> Camera:
+    """Return the camera with `antialias` x `antialias` pixels for every one of `camera`.
+
+    Raises `ConfigError` where `antialias` is not 1 to 8.
+    """
+    if not 1 <= antialias <= MAX_ANTIALIAS:
+        raise ConfigError(f"antialias must be 1 to {MAX_ANTIALIAS}, got {antialias}")
+    return camera.resized(camera.width * antialias, camera.height * antialias)
+
+
+def points_per_ray(antialias: int) -> int:
+    """Return how many points a ray shades: two at least, for their spread tells the noise."""
+    return max(2, POINTS_PER_PIXEL // antialias)
+
+
+def area_mean(
+    values: Float32[ndarray, "rows columns channels"], antialias: int
+) -> Float32[ndarray, "height width channels"]:
+    """Return the means over blocks of `antialias` x `antialias` values."""
+    rows, columns, channels = values.shape
+    blocks = values.reshape(rows // antialias, antialias, columns // antialias, antialias, channels)
+    return blocks.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+
+
+def mean_picture(picture: Picture, antialias: int) -> Picture:
+    """Return the picture of the pixels, from one of their rays.
+
+    Radiance is averaged as it is composited, weighted with opacity. The rays' estimates are independent, so
+    the variances of their weighted values add up.
+    """
+    if antialias == 1:
+        return picture
+    opacity = area_mean(picture.opacity, antialias)
+    share = np.maximum(opacity, 1e-6)
+    variance = area_mean((picture.opacity * picture.standard_error) ** 2, antialias)
+    return Picture(
+        rgb=area_mean(picture.opacity * picture.rgb, antialias) / share,
+        standard_error=np.sqrt(variance) / antialias / share,
+        opacity=opacity,
+    )
+
+
+def mean_gbuffer(buffer: GBuffer, camera: Camera, antialias: int) -> GBuffer:
+    """Return the surface as the pixels of `camera` see it, from what their rays see.
+
+    Means are weighted with opacity; normals are scaled to length one again.
+    """
+    if antialias == 1:
+        return buffer
+    opacity = area_mean(buffer.opacity, antialias)
+    empty = opacity < OPACITY_FLOOR
+
+    def mean(values: Float32[ndarray, "rows columns channels"]) -> Float32[ndarray, "height width channels"]:
+        return area_mean(buffer.opacity * values, antialias) / np.maximum(opacity, 1e-6)
+
+    normal = mean(buffer.normal)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-8)
+    return GBuffer(
+        camera=camera,
+        opacity=opacity,
+        distance=np.where(empty, np.float32(0.0), mean(buffer.distance)),
+        normal=np.where(empty, np.float32([0.0, 0.0, 1.0]), normal),
+        albedo=mean(buffer.albedo),
+        perceptual_roughness=mean(buffer.perceptual_roughness),
+        metalness=mean(buffer.metalness),
+        cache_rgb=area_mean(buffer.cache_rgb, antialias),
+    )
