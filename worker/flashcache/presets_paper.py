@@ -1,7 +1,7 @@
 """The paper's settings by dataset, and by published scene where the authors' code tells scenes apart.
 
 Numbers come from the supplement; where it is silent, from the authors' public configuration. Meant for one
-GPU with 80 GB; not run on one yet.
+GPU with 80 GB; what its steps take there: docs/benchmarks/paper-step.md.
 """
 
 from collections.abc import Callable, Mapping
