@@ -67,6 +67,7 @@ def test_a_job_leaves_a_report_a_page_and_a_preview(run_dir):
     assert {"nvs/psnr", "nvs_cache/psnr", "normal/mae_mask", "albedo_rgb_ratio/psnr_gamma"} <= names
     assert set(report["seconds"]) == set(STEPS[:3])
     assert report["num_views"] == 1
+    assert report["antialias"] == 1  # Of preset tiny.
     assert (run_dir / "evaluation" / "report.html").read_text().startswith("<!doctype html>")
 
 
@@ -74,6 +75,7 @@ def test_the_full_evaluation_relights_and_is_scored_the_same_by_the_reference(ru
     request = EvaluationRequest(num_repeats=1, num_directions=8, environments=maps)
     reporter = RecordingReporter()
     report = evaluate_run(run_dir, SCENE, tmp_path / "out", request, device="", reporter=reporter)
+    assert report.antialias == 2
     ours = {row.name: row.value for row in report.metrics}
     reference = reference_evaluation().evaluate(SCENE, tmp_path / "out" / "pred")
     units = {row.name: row.unit for row in report.metrics}
