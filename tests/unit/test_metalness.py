@@ -12,17 +12,34 @@ GREY = torch.full((1, 8, 3), 0.3)
 FLICKER = torch.tensor([0.0, 1.0] * 4)[None, :, None].expand(1, 8, 3)
 
 
+ALONE = torch.ones(1)
+
+
 def test_a_matt_surface_does_not_vary_and_a_mirror_does():
-    assert directional_variation(GREY, torch.zeros_like(GREY)).item() == 0.0
-    assert directional_variation(torch.zeros_like(GREY), FLICKER).item() > 1.0
+    assert directional_variation(GREY, torch.zeros_like(GREY), ALONE).item() == 0.0
+    assert directional_variation(torch.zeros_like(GREY), FLICKER, ALONE).item() > 1.0
 
 
 def test_a_faint_highlight_on_a_bright_surface_varies_little():
-    assert directional_variation(GREY, 0.04 * FLICKER).item() < 0.1
+    assert directional_variation(GREY, 0.04 * FLICKER, ALONE).item() < 0.1
+
+
+def test_a_dark_dielectric_beside_a_white_surface_is_no_metal():
+    diffuse, specular = torch.cat([0.01 * GREY, GREY]), torch.cat([0.04 * FLICKER, 0.04 * FLICKER])
+    dark, white = directional_variation(diffuse, specular, torch.ones(2))
+    assert dark.item() == pytest.approx(white.item(), rel=0.2)
+    # By itself it could as well be a metal in a dark place.
+    assert directional_variation(0.01 * GREY, 0.04 * FLICKER, ALONE).item() > 0.8
+
+
+def test_what_the_photographs_do_not_show_sets_no_scale():
+    diffuse, specular = torch.cat([GREY, 100.0 * GREY]), torch.cat([FLICKER, FLICKER])
+    found = directional_variation(diffuse, specular, torch.tensor([1.0, 0.0]))
+    assert found[0].item() == pytest.approx(directional_variation(GREY, FLICKER, ALONE).item())
 
 
 def test_a_metal_in_uniform_light_gives_itself_away_by_nothing():
-    assert directional_variation(torch.zeros_like(GREY), GREY).item() < 1e-5
+    assert directional_variation(torch.zeros_like(GREY), GREY, ALONE).item() < 1e-5
 
 
 @pytest.mark.parametrize(("variation", "rises"), [(0.0, False), (1.0, True)])

@@ -19,7 +19,7 @@ class MetalnessPriorConfig:
     """Weight afterwards."""
     num_directions: int = 16
     """Directions per point in which the cache's radiance is compared."""
-    variation: tuple[float, float] = (0.1, 0.35)
+    variation: tuple[float, float] = (0.02, 0.06)
     """Relative variation of radiance of a surface without and of one with metal."""
     range: tuple[float, float] = (0.12, 0.95)
     """Metalness at the two ends."""
@@ -32,16 +32,23 @@ class MetalnessPriorConfig:
 
 
 def directional_variation(
-    diffuse: Float[Tensor, "points directions 3"], specular: Float[Tensor, "points directions 3"]
+    diffuse: Float[Tensor, "points directions 3"],
+    specular: Float[Tensor, "points directions 3"],
+    weight: Float[Tensor, " points"],
 ) -> Float[Tensor, " points"]:
-    """Return the standard deviation of specular radiance over directions, relative to the mean of all.
+    """Return the spread of specular radiance over directions, relative to what bright points send.
 
-    A dielectric reflects a few hundredths of what meets it and adds diffuse light, which does not vary; all
-    light from a metal is specular. Under a uniform environment both give zero.
+    A dielectric reflects a few hundredths of what meets it, a metal most of it. What meets a point is not
+    known yet; a white surface would send about as much. So the measure is the larger of the point's own mean
+    radiance and that of the brightest tenth of the points that have a `weight`: a dark dielectric reflects no
+    more than a white one, however large its highlights are beside its own colour. Under a uniform
+    environment nothing varies.
     """
     shine = specular.sum(dim=-1)
     mean = shine.mean(dim=-1) + diffuse.sum(dim=-1).mean(dim=-1)
-    return shine.std(dim=-1) / (mean + 1e-4)
+    seen = mean[weight > 0.0]
+    bright = torch.quantile(seen, 0.9) if len(seen) else mean.new_zeros(())
+    return shine.std(dim=-1) / (torch.maximum(mean, bright) + 1e-4)
 
 
 def metalness_prior(

@@ -178,9 +178,11 @@ def metalness_terms(
             points.light_index.repeat_interleave(repeats),
         )
         shape = (len(normal), repeats, 3)
-        variation = directional_variation(outgoing.diffuse.reshape(shape), outgoing.specular.reshape(shape))
-    metalness = first.materials.metalness
-    return {"metalness": weight * metalness_prior(metalness, variation, covered(batch, points), prior)}
+        seen = covered(batch, points)
+        variation = directional_variation(
+            outgoing.diffuse.reshape(shape), outgoing.specular.reshape(shape), seen
+        )
+    return {"metalness": weight * metalness_prior(first.materials.metalness, variation, seen, prior)}
 
 
 def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:
