@@ -29,6 +29,9 @@ from flashcache.physical.model import ModelConfig
 from flashcache.presets_paper import of_scene, paper_glossy, paper_openillumination, paper_tensoir
 from flashcache.volume.proposal_sampling import SampleCounts
 
+LONG_PRIOR = MetalnessPriorConfig(warmup_weight=1.0, weight=0.3, variation=(0.03, 0.12))
+"""For caches that learned for thousands of steps, whose radiance varies more (decision 0015)."""
+
 
 def _grid(
     finest: int, levels: int, features: int, log2_size: int, half_extent: float = 1.0
@@ -218,7 +221,11 @@ def long() -> Config:
         max_side=256,
         stage_one=replace(base.stage_one, num_steps=8_000, num_rays=1024),
         stage_two=replace(
-            base.stage_two, num_steps=4_000, warmup_steps=300, distil=DistilConfig(num_steps=1500)
+            base.stage_two,
+            num_steps=4_000,
+            warmup_steps=300,
+            metalness_prior=LONG_PRIOR,
+            distil=DistilConfig(num_steps=1500),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=2, antialias=2),
         checkpoint_steps=1000,
@@ -255,6 +262,7 @@ def standard() -> Config:
             num_rays=1024,
             warmup_steps=500,
             estimator=EstimatorConfig(stratified=True),
+            metalness_prior=LONG_PRIOR,
             distil=DistilConfig(num_steps=1000, num_points=2048),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=4, antialias=2),
