@@ -177,7 +177,7 @@ def evaluate(
     repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
     directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
     antialias: Annotated[
-        int, typer.Option(min=1, max=8, help="Camera rays along each side of a pixel; 1 as in the paper.")
+        int, typer.Option(min=1, max=4, help="Camera rays along each side of a pixel; 1 as in the paper.")
     ] = 2,
     max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
     shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",

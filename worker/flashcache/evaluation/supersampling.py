@@ -30,7 +30,7 @@ def finer(camera: Camera, antialias: int) -> Camera:
 
 def points_per_ray(antialias: int) -> int:
     """Return how many points a ray shades: two at least, for their spread tells the noise."""
-    return max(2, POINTS_PER_PIXEL // antialias)
+    return max(2, POINTS_PER_PIXEL // antialias**2)
 
 
 def area_mean(
