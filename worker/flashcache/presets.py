@@ -29,7 +29,7 @@ from flashcache.physical.model import ModelConfig
 from flashcache.presets_paper import of_scene, paper_glossy, paper_openillumination, paper_tensoir
 from flashcache.volume.proposal_sampling import SampleCounts
 
-LONG_PRIOR = MetalnessPriorConfig(warmup_weight=1.0, weight=0.3, variation=(0.03, 0.12))
+LONG_PRIOR = MetalnessPriorConfig(warmup_weight=1.0, weight=0.3, bright_variation=(0.03, 0.12))
 """For caches that learned for thousands of steps, whose radiance varies more (decision 0015)."""
 
 

@@ -1,6 +1,7 @@
 """A prior on metalness from how much the cache's radiance varies with direction."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -19,51 +20,68 @@ class MetalnessPriorConfig:
     """Weight afterwards."""
     num_directions: int = 16
     """Directions per point in which the cache's radiance is compared."""
-    variation: tuple[float, float] = (0.02, 0.06)
-    """Relative variation of radiance of a surface without and of one with metal."""
+    variation: tuple[float, float] = (0.1, 0.35)
+    """Variation of radiance, relative to the point's own, of a surface without and of one with metal."""
+    bright_variation: tuple[float, float] | None = None
+    """The same relative to bright points; where it is set, a metal must pass both."""
     range: tuple[float, float] = (0.12, 0.95)
     """Metalness at the two ends."""
 
     def __post_init__(self) -> None:
         if self.num_directions < 2:
             raise ConfigError(f"num_directions must be at least 2, got {self.num_directions}")
-        if not self.variation[0] < self.variation[1]:
-            raise ConfigError(f"variation must rise, got {self.variation}")
+        for name, ends in (("variation", self.variation), ("bright_variation", self.bright_variation)):
+            if ends is not None and not ends[0] < ends[1]:
+                raise ConfigError(f"{name} must rise, got {ends}")
+
+
+class Variation(NamedTuple):
+    """Spread of specular radiance over directions (standard deviation), relative to two levels."""
+
+    own: Float[Tensor, " points"]
+    """Relative to the point's own mean radiance."""
+    bright: Float[Tensor, " points"]
+    """Relative to that of bright points."""
 
 
 def directional_variation(
     diffuse: Float[Tensor, "points directions 3"],
     specular: Float[Tensor, "points directions 3"],
     weight: Float[Tensor, " points"],
-) -> Float[Tensor, " points"]:
-    """Return the spread of specular radiance over directions, relative to what bright points send.
+) -> Variation:
+    """Return how much the radiance of points varies with direction; see decision 0015.
 
-    A dielectric reflects a few hundredths of what meets it, a metal most of it. What meets a point is not
-    known yet; a white surface would send about as much. So the measure is the larger of the point's own mean
-    radiance and that of the brightest tenth of the points that have a `weight`: a dark dielectric reflects no
-    more than a white one, however large its highlights are beside its own colour. Under a uniform
-    environment nothing varies.
+    A dielectric reflects a few hundredths of what meets it and adds diffuse light, which does not vary; all
+    light from a metal is specular. Beside the radiance of something dark every highlight is large. So the
+    second level is the larger of the point's own and that of the brightest tenth of the points that have a
+    `weight`: about what a white surface would send. Under a uniform environment nothing varies.
     """
     shine = specular.sum(dim=-1)
     mean = shine.mean(dim=-1) + diffuse.sum(dim=-1).mean(dim=-1)
     seen = mean[weight > 0.0]
     bright = torch.quantile(seen, 0.9) if len(seen) else mean.new_zeros(())
-    return shine.std(dim=-1) / (torch.maximum(mean, bright) + 1e-4)
+    spread = shine.std(dim=-1)
+    return Variation(spread / (mean + 1e-4), spread / (torch.maximum(mean, bright) + 1e-4))
 
 
 def metalness_prior(
     metalness: Float[Tensor, "points 1"],
-    variation: Float[Tensor, " points"],
+    variation: Variation,
     weight: Float[Tensor, " points"],
     config: MetalnessPriorConfig,
 ) -> Float[Tensor, ""]:
     """Return the weighted mean squared distance of metalness from what `variation` suggests."""
-    low, high = config.variation
-    share = ((variation.detach() - low) / (high - low)).clamp(0.0, 1.0)
-    rise = share * share * (3.0 - 2.0 * share)
+    rise = _smooth_step(variation.own.detach(), config.variation)
+    if config.bright_variation is not None:
+        rise = torch.minimum(rise, _smooth_step(variation.bright.detach(), config.bright_variation))
     least, most = config.range
     wanted = least + (most - least) * rise
     return ((metalness[:, 0] - wanted).square() * weight).mean()
+
+
+def _smooth_step(values: Float[Tensor, " points"], ends: tuple[float, float]) -> Float[Tensor, " points"]:
+    share = ((values - ends[0]) / (ends[1] - ends[0])).clamp(0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 def directions_around(
