@@ -79,8 +79,10 @@ def test_steps_bring_the_picture_closer_to_the_photographs(renderer: None, ball:
 
     before = error()
     inversion = Inversion(asset, views, "sky", Settings(rate=0.1, light_rate=0.1, samples=4))
-    inversion.run(3.0)
-    assert inversion.steps > 1
+    while inversion.steps < 16:  # Not for a time: a busy machine takes few steps in it.
+        done = inversion.steps
+        inversion.run(0.1)
+        assert inversion.steps > done
     assert error() < 0.9 * before
 
 
