@@ -97,33 +97,33 @@ def likeness(renderer: Renderer, folder: Path, num_views: int, num_samples: int)
     Half the squared difference of two refined pictures with other random numbers is the noise of one; the
     last column takes it off the squared difference of the baked picture.
     """
-    print(
-        "| light | preview [dB] | baked [dB] | baked, direct only [dB] | refined, one bounce [dB] "
-        "| noise of refined [dB] | baked, without that noise [dB] |"
-    )
-    print("| --- | --- | --- | --- | --- | --- | --- |")
+    other_numbers = {"num_samples": num_samples, "seed": 1}
+    ways = {
+        "preview": {"quality": "preview"},
+        "baked": {"quality": "baked"},
+        "baked, direct only": {"quality": "baked", "indirect": False},
+        "refined, one bounce": {**other_numbers, "bounces": "one"},
+        "refined": other_numbers,
+    }
+    columns = (*list(ways)[:-1], "noise", "baked without noise")
+    print("| light | " + " | ".join(f"{name} [dB]" for name in columns) + " |")
+    print("| --- |" + " --- |" * len(columns))
     cameras = renderer.bundle.cameras()[:num_views]
     for path in sorted([*folder.glob("*.hdr"), *folder.glob("*.exr")]):
         light = load_environment(path)
-        ways = (
-            {"quality": "preview"},
-            {"quality": "baked"},
-            {"quality": "baked", "indirect": False},
-            {"num_samples": num_samples, "bounces": "one", "seed": 1},
-            {"num_samples": num_samples, "seed": 1},
-        )
-        errors = np.zeros(len(ways))
+        errors = dict.fromkeys(ways, 0.0)
         for camera in cameras:
             truth = renderer.render(camera, light, num_samples=num_samples)
-            for index, way in enumerate(ways):
+            for name, way in ways.items():
                 shown = [
                     srgb_from_linear(p.rgb) * p.opacity + 1.0 - p.opacity
                     for p in (truth, renderer.render(camera, light, **way))
                 ]
-                errors[index] += np.mean((shown[0] - shown[1]) ** 2) / len(cameras)
-        noise = 0.5 * errors[-1]
-        row = [*errors[:-1], noise, errors[1] - noise]
-        print(f"| {path.stem} | " + " | ".join(f"{-10 * np.log10(e):.1f}" for e in row) + " |", flush=True)
+                errors[name] += np.mean((shown[0] - shown[1]) ** 2) / len(cameras)
+        errors["noise"] = 0.5 * errors["refined"]
+        errors["baked without noise"] = errors["baked"] - errors["noise"]
+        row = (f"{-10 * np.log10(errors[name]):.1f}" for name in columns)
+        print(f"| {path.stem} | " + " | ".join(row) + " |", flush=True)
 
 
 def main() -> None:

@@ -11,9 +11,8 @@ from flashcache.losses.metalness import (
 
 GREY = torch.full((1, 8, 3), 0.3)
 FLICKER = torch.tensor([0.0, 1.0] * 4)[None, :, None].expand(1, 8, 3)
-
-
 ALONE = torch.ones(1)
+"""The weight of a single point."""
 
 
 def test_a_matt_surface_does_not_vary_and_a_mirror_does():

@@ -97,11 +97,12 @@ def test_the_predicted_variance_of_a_physical_picture_is_the_observed_one(model,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shadows", ["fast", "nerf"])
-def test_the_predicted_variance_of_a_relit_picture_is_the_observed_one(model, shadows):
+@pytest.mark.parametrize(("shadows", "antialias"), [("fast", 1), ("nerf", 1), ("fast", 2)])
+def test_the_predicted_variance_of_a_relit_picture_is_the_observed_one(model, shadows, antialias):
+    settings = {"num_directions": 16, "num_repeats": 2, "antialias": antialias}
     rule = RenderRule(shadows=shadows)
     predicted, observed = pairs_of(
-        lambda seed: render_relit(model, CAMERA, SKY, num_directions=16, num_repeats=2, seed=seed, rule=rule)
+        lambda seed: render_relit(model, CAMERA, SKY, seed=seed, rule=rule, **settings)
     )
     assert_mean(predicted - observed, 0.0)
 

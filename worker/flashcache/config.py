@@ -196,6 +196,10 @@ class EvaluationConfig:
     uncertainty_points: int = 1000
     """Surface points at which the uncertainty of materials is measured; 0 leaves it out."""
 
+    def __post_init__(self) -> None:
+        if self.antialias < 1:
+            raise ConfigError(f"evaluation.antialias must be at least 1, got {self.antialias}")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExportConfig:

@@ -29,8 +29,8 @@ from flashcache.physical.model import ModelConfig
 from flashcache.presets_paper import of_scene, paper_glossy, paper_openillumination, paper_tensoir
 from flashcache.volume.proposal_sampling import SampleCounts
 
-LONG_PRIOR = MetalnessPriorConfig(warmup_weight=1.0, weight=0.3, bright_variation=(0.03, 0.12))
-"""For caches that learned for thousands of steps, whose radiance varies more (decision 0015)."""
+BRIGHT_VARIATION = (0.03, 0.12)
+"""Second test of metals, for caches that learned for thousands of steps and vary more (decision 0015)."""
 
 
 def _grid(
@@ -224,7 +224,7 @@ def long() -> Config:
             base.stage_two,
             num_steps=4_000,
             warmup_steps=300,
-            metalness_prior=LONG_PRIOR,
+            metalness_prior=replace(base.stage_two.metalness_prior, bright_variation=BRIGHT_VARIATION),
             distil=DistilConfig(num_steps=1500),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=2, antialias=2),
@@ -262,7 +262,7 @@ def standard() -> Config:
             num_rays=1024,
             warmup_steps=500,
             estimator=EstimatorConfig(stratified=True),
-            metalness_prior=LONG_PRIOR,
+            metalness_prior=replace(base.stage_two.metalness_prior, bright_variation=BRIGHT_VARIATION),
             distil=DistilConfig(num_steps=1000, num_points=2048),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=4, antialias=2),

@@ -15,16 +15,15 @@ from flashcache.evaluation.monte_carlo import Picture
 
 POINTS_PER_PIXEL = 4
 """Points that a picture without supersampling shades per pixel and repeat."""
-MAX_ANTIALIAS = 8
 
 
 def finer(camera: Camera, antialias: int) -> Camera:
     """Return the camera with `antialias` x `antialias` pixels for every one of `camera`.
 
-    Raises `ConfigError` where `antialias` is not 1 to 8.
+    Raises `ConfigError` where that is no whole number of rays.
     """
-    if not 1 <= antialias <= MAX_ANTIALIAS:
-        raise ConfigError(f"antialias must be 1 to {MAX_ANTIALIAS}, got {antialias}")
+    if antialias < 1:
+        raise ConfigError(f"antialias must be at least 1 ray along a pixel's side, got {antialias}")
     return camera.resized(camera.width * antialias, camera.height * antialias)
 
 
@@ -33,10 +32,10 @@ def points_per_ray(antialias: int) -> int:
     return max(2, POINTS_PER_PIXEL // antialias**2)
 
 
-def area_mean(
+def block_means(
     values: Float32[ndarray, "rows columns channels"], antialias: int
 ) -> Float32[ndarray, "height width channels"]:
-    """Return the means over blocks of `antialias` x `antialias` values."""
+    """Return the means of blocks of `antialias` x `antialias` values."""
     rows, columns, channels = values.shape
     blocks = values.reshape(rows // antialias, antialias, columns // antialias, antialias, channels)
     return blocks.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
@@ -45,16 +44,16 @@ def area_mean(
 def mean_picture(picture: Picture, antialias: int) -> Picture:
     """Return the picture of the pixels, from one of their rays.
 
-    Radiance is averaged as it is composited, weighted with opacity. The rays' estimates are independent, so
-    the variances of their weighted values add up.
+    Linear, straight radiance is averaged as it is composited, weighted with opacity. The rays' estimates are
+    independent, so the variances of their weighted values add up.
     """
     if antialias == 1:
         return picture
-    opacity = area_mean(picture.opacity, antialias)
+    opacity = block_means(picture.opacity, antialias)
     share = np.maximum(opacity, 1e-6)
-    variance = area_mean((picture.opacity * picture.standard_error) ** 2, antialias)
+    variance = block_means((picture.opacity * picture.standard_error) ** 2, antialias)
     return Picture(
-        rgb=area_mean(picture.opacity * picture.rgb, antialias) / share,
+        rgb=block_means(picture.opacity * picture.rgb, antialias) / share,
         standard_error=np.sqrt(variance) / antialias / share,
         opacity=opacity,
     )
@@ -67,11 +66,11 @@ def mean_gbuffer(buffer: GBuffer, camera: Camera, antialias: int) -> GBuffer:
     """
     if antialias == 1:
         return buffer
-    opacity = area_mean(buffer.opacity, antialias)
+    opacity = block_means(buffer.opacity, antialias)
     empty = opacity < OPACITY_FLOOR
 
     def mean(values: Float32[ndarray, "rows columns channels"]) -> Float32[ndarray, "height width channels"]:
-        return area_mean(buffer.opacity * values, antialias) / np.maximum(opacity, 1e-6)
+        return block_means(buffer.opacity * values, antialias) / np.maximum(opacity, 1e-6)
 
     normal = mean(buffer.normal)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-8)
@@ -83,5 +82,5 @@ def mean_gbuffer(buffer: GBuffer, camera: Camera, antialias: int) -> GBuffer:
         albedo=mean(buffer.albedo),
         perceptual_roughness=mean(buffer.perceptual_roughness),
         metalness=mean(buffer.metalness),
-        cache_rgb=area_mean(buffer.cache_rgb, antialias),
+        cache_rgb=block_means(buffer.cache_rgb, antialias),
     )
