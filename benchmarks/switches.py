@@ -28,6 +28,13 @@ from reference_scores import figures_of
 PRIOR = "stage_two.environment_prior"
 SWITCHES: dict[str, dict[str, str]] = {
     "base": {},
+    "no-grey": {"stage_two.grey_weight": "0.0"},
+    "no-metalness-prior": {
+        "stage_two.metalness_prior.weight": "0.0",
+        "stage_two.metalness_prior.warmup_weight": "0.0",
+    },
+    "no-smoothness": {"stage_two.smoothness_weight": "0.0"},
+    "no-distillation": {"stage_two.distil.num_steps": "0"},
     "unobserved": {"stage_two.unobserved.weight": "0.1"},
     "clusters": {"stage_two.clusters.weight": "0.01", "stage_two.smoothness_weight": "0.0"},
     "white": {f"{PRIOR}.white_weight": "0.05", "stage_two.grey_weight": "0.0"},
@@ -51,7 +58,7 @@ SWITCHES: dict[str, dict[str, str]] = {
     "whole-pseudo-albedo": {"stage_two.pseudo_albedo": "radiance"},
     "cache-gradient": {"stage_two.estimator.through_cache": "1e-4"},
 }
-"""Settings by switch, weights as first guesses; "base" is the preset itself."""
+"""Settings by switch, weights as first guesses; "base" is the preset itself, "no-..." lacks a part of it."""
 
 
 def prepared(folder: Path, overrides: dict[str, str], seed: int, arguments: argparse.Namespace) -> Run:

@@ -48,11 +48,8 @@ class MapLight:
         return torch.lerp(upper, lower, fy)
 
 
-def scaled_materials(
-    model: InverseModel, positions: Float[Tensor, "points 3"], ratio: Float[Tensor, "3"]
-) -> Materials:
+def scaled(materials: Materials, ratio: Float[Tensor, "3"]) -> Materials:
     """Return the materials with their albedo multiplied by `ratio` per channel and kept in [0, 1]."""
-    materials = model.materials(positions)
     return Materials((materials.albedo * ratio).clamp(0.0, 1.0), materials.alpha, materials.metalness)
 
 
@@ -66,9 +63,11 @@ def relit_radiance(
     num_directions: int,
     indirect: bool,
     generator: torch.Generator,
+    materials: Materials | None = None,
 ) -> Float[Tensor, "points 3"]:
     """Return radiance towards the viewer under `light`, with the shadows of `cache`.
 
+    `materials` are those of `points`, the model's by default; what secondary rays hit has the model's.
     With `indirect`, a secondary ray that is blocked (decided at random with its opacity, which keeps the
     mean) finds the radiance of the point it hits: direct light under the same environment, with that
     point's material.
@@ -90,7 +89,7 @@ def relit_radiance(
         normal = facing(model.nerf.normals(positions, hidden), omega_o)
         return relight(
             ShadingPoints(positions, normal, omega_o, light_index),
-            scaled_materials(model, positions, ratio),
+            scaled(model.materials(positions), ratio),
             source=visibility_only(cache),
             environment=light,
             light=light.sampler,
@@ -100,11 +99,13 @@ def relit_radiance(
             generator=generator,
         ).rgb
 
+    if materials is None:
+        materials = model.materials(points.positions)
     quarter = max(1, num_directions // 4)
     counts = DirectionCounts(cosine=quarter, sampler=quarter, specular=num_directions - 2 * quarter)
     return relight(
         points,
-        scaled_materials(model, points.positions, ratio),
+        scaled(materials, ratio),
         source=near_field if indirect else visibility_only(cache),
         environment=light,
         light=light.sampler,
