@@ -33,10 +33,10 @@ SWITCHES: dict[str, dict[str, str]] = {
         "stage_two.metalness_prior.weight": "0.0",
         "stage_two.metalness_prior.warmup_weight": "0.0",
     },
-    "no-smoothness": {"stage_two.smoothness_weight": "0.0"},
+    "smoothness": {"stage_two.clusters.weight": "0.0", "stage_two.smoothness_weight": "0.003"},
     "no-distillation": {"stage_two.distil.num_steps": "0"},
     "unobserved": {"stage_two.unobserved.weight": "0.1"},
-    "clusters": {"stage_two.clusters.weight": "0.01", "stage_two.smoothness_weight": "0.0"},
+    "no-clusters": {"stage_two.clusters.weight": "0.0"},
     "white": {f"{PRIOR}.white_weight": "0.05", "stage_two.grey_weight": "0.0"},
     "texture": {"model.environment.texture_height": "32", "stage_two.environment_rate": "0.04"},
     "texture-smooth": {

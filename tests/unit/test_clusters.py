@@ -40,6 +40,14 @@ def test_a_stray_point_is_drawn_to_the_near_cluster_and_not_to_the_far_one():
     assert (rows.grad[8] > 0.0).all()
 
 
+def test_nothing_is_gained_by_making_all_albedo_darker():
+    rows = torch.rand(9, 5, generator=torch.Generator().manual_seed(2))
+    dark = rows * torch.tensor([0.3, 0.3, 0.3, 1.0, 1.0])
+    weight = torch.linspace(0.5, 1.0, 9)
+    bright, dim = (float(material_entropy(materials(values), weight, 0.1)) for values in (rows, dark))
+    assert dim == pytest.approx(bright, rel=1e-4)
+
+
 def test_a_width_of_zero_is_refused():
     with pytest.raises(ConfigError, match="width"):
         ClusterConfig(width=0.0)

@@ -21,6 +21,7 @@ from flashcache.errors import ConfigError
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig, NormalConfig
 from flashcache.fields.materials import MaterialConfig
+from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.losses.shape import ShapePriorConfig
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig
@@ -129,7 +130,8 @@ def fast() -> Config:
             normal_every=2,
             normal_rays=0.25,
             random_background=True,
-            smoothness_weight=0.003,
+            smoothness_weight=0.0,
+            clusters=ClusterConfig(weight=0.004),
             grey_weight=0.015,
             metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3),
             proposal_exponent=1.0,
@@ -193,6 +195,8 @@ def tiny() -> Config:
             num_steps=150,
             num_rays=128,
             warmup_steps=40,
+            smoothness_weight=0.003,
+            clusters=ClusterConfig(),
             material_rates=Rates(grid=2e-2, network=5e-3),
             environment_rate=1e-2,
             distil=DistilConfig(num_steps=20, num_points=256),

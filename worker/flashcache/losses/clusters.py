@@ -1,6 +1,8 @@
 """A preference for few materials: points are drawn towards others that are already like them.
 
-Materials are compared as vectors (albedo, GGX width, metalness), all in 0..1.
+Materials are compared as vectors of albedo, GGX width and metalness. Albedo counts relative to the batch's
+mean: a photograph does not tell dark surfaces in bright light from bright ones in dim light, and materials
+would all be alike if they were black.
 """
 
 from dataclasses import dataclass
@@ -11,6 +13,9 @@ from torch import Tensor
 
 from flashcache.errors import ConfigError
 from flashcache.physical.brdf import Materials
+
+TYPICAL_ALBEDO = 0.3
+"""Mean albedo to which a batch is scaled before its materials are compared."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,8 +42,10 @@ def material_entropy(
     see each other, so that clusters sharpen without moving together.
     Source: the parsimony prior of Barron and Malik (SIRFS), on materials instead of colours.
     """
-    vectors = torch.cat([materials.albedo, materials.alpha, materials.metalness], dim=-1)
-    squared = (vectors[:, None] - vectors[None]).square().sum(dim=-1)
     total = point_weight.sum().clamp_min(1e-6)
+    mean = (point_weight[:, None] * materials.albedo).sum() / (3.0 * total)
+    albedo = TYPICAL_ALBEDO * materials.albedo / mean.clamp_min(1e-3)
+    vectors = torch.cat([albedo, materials.alpha, materials.metalness], dim=-1)
+    squared = (vectors[:, None] - vectors[None]).square().sum(dim=-1)
     pairs = (point_weight[:, None] * point_weight[None]).clamp_min(1e-12).log()
     return 2.0 * total.log() - torch.logsumexp((pairs - squared / (4.0 * width**2)).reshape(-1), dim=0)
