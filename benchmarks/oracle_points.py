@@ -21,9 +21,11 @@ os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 import numpy as np
 import torch
 from flashcache.data.scene import Scene, View
+from flashcache.evaluation.metrics import median_albedo_ratio
 from flashcache.evaluation.monte_carlo import Picture, monte_carlo
 from flashcache.evaluation.relighting import MapLight, relit_radiance
 from flashcache.evaluation.supersampling import finer, mean_picture, points_per_ray
+from flashcache.evaluation.surface_points import project
 from flashcache.evaluation.views import render_surface
 from flashcache.physical.brdf import Materials
 from flashcache.physical.model import InverseModel
@@ -66,11 +68,9 @@ ROWS = {
 def pixels_of(view: View, positions: Float[Tensor, "points 3"]) -> Int[Tensor, " points"]:
     """Return the pixel of `view`, counted row by row, in which each point in front of its camera appears."""
     camera = view.camera
-    pose = positions.new_tensor(camera.camera_to_world)
-    local = (positions - pose[:3, 3]) @ pose[:3, :3]
-    depth = -local[:, 2]
-    column = (camera.centre_x + camera.focal_x * local[:, 0] / depth).long().clamp(0, camera.width - 1)
-    row = (camera.centre_y - camera.focal_y * local[:, 1] / depth).long().clamp(0, camera.height - 1)
+    seen = project(camera, positions)
+    column = seen.column.long().clamp(0, camera.width - 1)
+    row = seen.row.long().clamp(0, camera.height - 1)
     return row * camera.width + column
 
 
@@ -145,12 +145,13 @@ def relit(
 
 def albedo_ratio(model: InverseModel, views: tuple[View, ...], antialias: int) -> Float[Tensor, "3"]:
     """Return the median ratio per channel of true to found albedo where both cover the whole pixel."""
-    ratios = []
+    true, found = [], []
     for view in views:
-        found, true = render_surface(model, view.camera, antialias=antialias), view.truth["albedo"]
-        whole = (found.opacity[..., 0] > 0.99) & (true[..., 3] > 0.99)
-        ratios.append(true[whole][:, :3] / np.maximum(found.albedo[whole], 1e-6))
-    return torch.tensor(np.median(np.concatenate(ratios), axis=0), dtype=torch.float32)
+        surface, albedo = render_surface(model, view.camera, antialias=antialias), view.truth["albedo"]
+        whole = (surface.opacity[..., 0] > 0.99) & (albedo[..., 3] > 0.99)
+        true.append(albedo[whole][:, :3])
+        found.append(surface.albedo[whole])
+    return torch.tensor(median_albedo_ratio(np.concatenate(true), np.concatenate(found)), dtype=torch.float32)
 
 
 def read_run(run_dir: Path, scene_dir: Path, num_views: int) -> tuple[InverseModel, Scene, tuple[View, ...]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +34,27 @@ class SurfacePoints:
 
     positions: Float[Tensor, "points 3"]
     normal: Float[Tensor, "points 3"]
+
+
+class Projection(NamedTuple):
+    """Where a camera sees points."""
+
+    column: Float[Tensor, " points"]
+    """Pixels from the left edge; the first pixel's centre is at 0.5."""
+    row: Float[Tensor, " points"]
+    """Pixels from the upper edge."""
+    depth: Float[Tensor, " points"]
+    """Along the optical axis, scene units; negative behind the camera, where column and row mean nothing."""
+
+
+def project(camera: Camera, positions: Float[Tensor, "points 3"]) -> Projection:
+    """Return where `camera` (pinhole) sees world `positions`, inside its picture or not."""
+    pose = positions.new_tensor(camera.camera_to_world)
+    local = (positions - pose[:3, 3]) @ pose[:3, :3]
+    depth = -local[:, 2]
+    share = local[:, :2] / depth.clamp_min(1e-6)[:, None]
+    column = camera.centre_x + camera.focal_x * share[:, 0]
+    return Projection(column, camera.centre_y - camera.focal_y * share[:, 1], depth)
 
 
 @torch.no_grad()
@@ -138,14 +160,9 @@ def _visibility(
 ) -> Float[Tensor, " points"]:
     """Return the share 0..1 of each point that a camera sees; 0 outside the picture and at grazing angles."""
     like = points.positions
-    pose = like.new_tensor(camera.camera_to_world)
-    offset = like - pose[:3, 3]
-    local = offset @ pose[:3, :3]
-    depth = -local[:, 2]
-    column = camera.centre_x + camera.focal_x * local[:, 0] / depth.clamp_min(1e-6)
-    row = camera.centre_y - camera.focal_y * local[:, 1] / depth.clamp_min(1e-6)
+    column, row, depth = project(camera, like)
     inside = (depth > 0.0) & (column >= 0.0) & (column < camera.width) & (row >= 0.0) & (row < camera.height)
-    omega_o = -normalize(offset)
+    omega_o = normalize(like.new_tensor(camera.position) - like)
     facing = (points.normal * omega_o).sum(dim=-1)
     index = (inside & (facing > GRAZING)).nonzero()[:, 0]
     found = torch.zeros_like(depth)
