@@ -18,7 +18,7 @@ import numpy as np
 from flashcache.data.scene import View
 from flashcache.training.light_bake import LightBakeConfig
 from lambent_relight import Environment, Renderer, load_bundle, load_environment
-from lambent_worker.console import ConsoleReporter
+from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.light_bake.bake import BakeRequest, bake_light
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene

@@ -20,7 +20,7 @@ from lambent_relight import (
     load_environment,
     turntable,
 )
-from lambent_relight.baked_light import coarse_bounce, lit_texels, prepare_light, texel_irradiance
+from lambent_relight.baked.light import coarse_bounce, lit_texels, prepare_light, texel_irradiance
 from lambent_relight.images import srgb_from_linear
 
 REPEATS = 7

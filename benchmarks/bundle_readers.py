@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 from lambent_relight import Bundle, load_bundle
-from lambent_relight.fused import FusedCaches
-from lambent_relight.graphs import OnnxGraph, Rows
+from lambent_relight.bundle.graphs import OnnxGraph, Rows
+from lambent_relight.fused.reader import FusedCaches
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

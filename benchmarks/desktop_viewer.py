@@ -17,7 +17,7 @@ from lambent.desktop.painter import Painter
 from lambent.desktop.state import ViewerState
 from lambent.desktop.viewer import DesktopOptions, open_model
 from lambent_relight import Renderer, load_bundle
-from lambent_relight.environments import load_environment
+from lambent_relight.environment.maps import load_environment
 
 
 def timed_ms(work: Callable[[int], object], repeats: int) -> list[float]:

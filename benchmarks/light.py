@@ -13,13 +13,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from lambent_relight.baked.split_sum import split_sum, table
 from lambent_relight.directions import normalise
-from lambent_relight.dominant_lights import split
-from lambent_relight.environments import environment_from_array, load_environment, write_environment
-from lambent_relight.harmonics import project, rotate_z, rotation
-from lambent_relight.prefilter import prefilter
-from lambent_relight.split_sum import split_sum, table
-from lambent_relight.sun_clamp import clamp_sun
+from lambent_relight.environment.dominant_lights import split
+from lambent_relight.environment.harmonics import project, rotate_z, rotation
+from lambent_relight.environment.maps import environment_from_array, load_environment, write_environment
+from lambent_relight.environment.prefilter import prefilter
+from lambent_relight.environment.sun_clamp import clamp_sun
 
 COVERED_PIXELS = 104_858
 """40 % of 512 x 512."""

@@ -21,10 +21,11 @@ from pathlib import Path
 
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
-from lambent_worker.console import ConsoleReporter
-from lambent_worker.pipeline import run_pipeline
-from lambent_worker.run_folder import done_inputs, finish_step, read_record
-from lambent_worker.training_run import Run, prepare_run
+from lambent_worker.console_reporter import ConsoleReporter
+from lambent_worker.files import read_record
+from lambent_worker.run.folder import done_inputs, finish_step
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import Run, prepare_run
 from reference_scores import FIGURES, figures_of
 
 STAGES = ("cache", "joint")

@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 from flashcache.data.scene import Camera, Scene, View
 from jaxtyping import Float, Int
-from lambent_relight.environments import load_environment
+from lambent_relight.environment.maps import load_environment
 from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.scenes.detect import describe_scene

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from flashcache.data.scene import Scene
 from flashcache.evaluation.relighting import MapLight
-from lambent_relight.environments import load_environment
+from lambent_relight.environment.maps import load_environment
 from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.scenes.detect import describe_scene

@@ -31,16 +31,16 @@ from flashcache.physical.brdf import Materials
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
 from jaxtyping import Float, Float32, Int
-from lambent_worker.console import ConsoleReporter
-from lambent_worker.evaluation_run import read_maps
-from lambent_worker.process import prepare
+from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
+from lambent_worker.run.evaluation import read_maps
+from lambent_worker.run.prepare import open_run, step_context
+from lambent_worker.run.steps.training import load_trained, read_scene
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
-from lambent_worker.steps.training import load_trained, read_scene
-from lambent_worker.training_run import open_run, step_context
+from lambent_worker.startup import prepare
 from numpy import ndarray
 from reference_scores import reference_scores
 from torch import Tensor

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 from lambent_proto.v1 import scene_pb2
-from lambent_relight.environments import load_environment
+from lambent_relight.environment.maps import load_environment
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.masks.consensus import MaskView

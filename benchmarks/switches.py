@@ -17,12 +17,12 @@ from pathlib import Path
 
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
-from lambent_worker.console import ConsoleReporter
-from lambent_worker.pipeline import run_pipeline
-from lambent_worker.process import prepare
-from lambent_worker.run_folder import stage_seconds
+from lambent_worker.console_reporter import ConsoleReporter
+from lambent_worker.run.folder import stage_seconds
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import Run, prepare_run
 from lambent_worker.stage_sharing import adopt_nerf_cache
-from lambent_worker.training_run import Run, prepare_run
+from lambent_worker.startup import prepare
 from reference_scores import figures_of
 
 PRIOR = "stage_two.environment_prior"

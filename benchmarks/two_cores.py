@@ -27,7 +27,7 @@ from flashcache.physical.model import InverseModel
 from flashcache.presets import preset
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
-from lambent_worker.process import prepare
+from lambent_worker.startup import prepare
 from support.lit_sphere import lit_sphere
 
 SIDES = {"both at once": (2, 2), "in one piece, two threads": (1, 2), "in one piece, one thread": (1, 1)}

@@ -33,9 +33,9 @@ from flashcache.presets import tiny
 from flashcache.randomness import generator_for
 from flashcache.training.passes import shade
 from jaxtyping import Float
-from lambent_worker.console import ConsoleReporter
-from lambent_worker.steps.training import load_trained, read_scene
-from lambent_worker.training_run import open_run, step_context
+from lambent_worker.console_reporter import ConsoleReporter
+from lambent_worker.run.prepare import open_run, step_context
+from lambent_worker.run.steps.training import load_trained, read_scene
 from numpy import ndarray
 from scipy import stats
 

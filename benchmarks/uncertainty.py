@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from lambent_relight.uncertainty import CHANNELS
+from lambent_relight.bundle.uncertainty import CHANNELS
 from scipy.stats import spearmanr
 
 VARIANTS = {
@@ -118,8 +118,8 @@ def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
     """Print how the map and its use change with the priors."""
     from lambent_worker.report.request import rule_of
     from lambent_worker.report.uncertainty import PRIORS, measure_uncertainty, uncertainty_map
-    from lambent_worker.steps.training import load_trained, read_scene
-    from lambent_worker.training_run import open_run, step_context
+    from lambent_worker.run.prepare import open_run, step_context
+    from lambent_worker.run.steps.training import load_trained, read_scene
 
     run = open_run(run_dir)
     context = step_context(run, run_dir, None, "evaluate")

@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lambent_relight import dominant_lights, environment_axes, harmonics, prefilter, split_sum
+from lambent_relight.baked import split_sum
 from lambent_relight.directions import normalise, pixel_directions
-from lambent_relight.environments import Environment
+from lambent_relight.environment import axes as environment_axes
+from lambent_relight.environment import dominant_lights, harmonics, prefilter
+from lambent_relight.environment.maps import Environment
 
 GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "golden"
 LEVELS = 5

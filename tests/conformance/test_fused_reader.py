@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
-from lambent_relight import fused_kernels as kernels
-from lambent_relight.bundle import load_bundle
+from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.errors import BundleError, SettingError
-from lambent_relight.fused import FusedCaches
-from lambent_relight.fused_weights import NotFused
-from lambent_relight.graphs import OnnxCaches
+from lambent_relight.fused import kernels
+from lambent_relight.fused.reader import FusedCaches
+from lambent_relight.fused.weights import NotFused
 from lambent_relight.renderer import Renderer
 from support.analytic_bundle import write_manifest
 from support.network_bundle import network_constants, set_network_metadata, write_network_bundle

@@ -6,7 +6,7 @@ import lambent
 import make_sample_scene
 import numpy as np
 import pytest
-from lambent_relight.environments import load_environment
+from lambent_relight.environment.maps import load_environment
 from PIL import Image
 
 SAMPLE = Path(lambent.__file__).parent / "sample"

@@ -8,14 +8,14 @@ light, and the diffuse part, which both know exactly, without it. A mirrored map
 import numpy as np
 import pytest
 from lambent_relight import load_bundle, turntable
+from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.brdf import base_reflectance, materials_from_roughness
 from lambent_relight.directions import dot, normalise, pixel_directions
-from lambent_relight.environment_axes import to_axes
-from lambent_relight.environments import environment_from_array
-from lambent_relight.harmonics import cosine_factors, evaluate, project
-from lambent_relight.prefilter import prefilter
+from lambent_relight.environment.axes import to_axes
+from lambent_relight.environment.harmonics import cosine_factors, evaluate, project
+from lambent_relight.environment.maps import environment_from_array
+from lambent_relight.environment.prefilter import prefilter
 from lambent_relight.renderer import Renderer
-from lambent_relight.split_sum import split_sum
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere, Surface
 

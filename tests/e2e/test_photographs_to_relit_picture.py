@@ -19,7 +19,7 @@ import pytest
 from lambent import Client, Event, Job, truth
 from lambent.cli import app
 from lambent_relight import cameras_json, load_bundle, load_environment
-from lambent_relight.adapted import adapted_lights, environment_digest
+from lambent_relight.bundle.adapted import adapted_lights, environment_digest
 from PIL import Image
 from support.live_server import LiveServer
 

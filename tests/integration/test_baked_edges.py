@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from lambent_relight import Renderer, environment_from_array, load_bundle, turntable
-from lambent_relight.baked_edges import with_soft_edges
-from lambent_relight.baked_scene import load_baked_scene
-from lambent_relight.baked_steps import depth_steps
-from lambent_relight.baked_view import look_at_surface
+from lambent_relight.baked.depth_steps import depth_steps
+from lambent_relight.baked.edges import with_soft_edges
+from lambent_relight.baked.scene import load_baked_scene
+from lambent_relight.baked.view import look_at_surface
+from lambent_relight.bundle.graphs import NoCaches, PrimaryHits
 from lambent_relight.cameras import Camera, look_at
-from lambent_relight.graphs import NoCaches, PrimaryHits
 from support.analytic_scene import AnalyticScene
 from support.baked_bundle import SCENE, SLAB, write_baked_bundle
 

@@ -14,9 +14,9 @@ from lambent_relight import (
     turntable,
     write_picture_exr,
 )
-from lambent_relight.baked_steps import depth_steps
+from lambent_relight.baked.depth_steps import depth_steps
+from lambent_relight.baked.transport import read_transport
 from lambent_relight.images import srgb_from_linear
-from lambent_relight.transport import read_transport
 from support.baked_bundle import write_baked_bundle
 
 pytestmark = pytest.mark.slow
@@ -227,7 +227,7 @@ def test_two_lights_that_take_turns_are_prepared_once(renderer, monkeypatch):
     lights = [sky(10), sky(11)]
     first = [renderer.render(CAMERA, light, quality="baked").rgb for light in lights]
     monkeypatch.setattr(
-        "lambent_relight.baked_renderer.prepare_light", lambda *_: pytest.fail("prepared again")
+        "lambent_relight.baked.renderer.prepare_light", lambda *_: pytest.fail("prepared again")
     )
     again = [renderer.render(CAMERA, light, quality="baked").rgb for light in lights]
     np.testing.assert_array_equal(first, again)

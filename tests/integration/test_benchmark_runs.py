@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 from lambent.cli import app
-from lambent_relight.environments import write_environment
+from lambent_relight.environment.maps import write_environment
 from support.captures import REFERENCES
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]

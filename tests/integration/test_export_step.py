@@ -9,13 +9,13 @@ import pytest
 import torch
 import trimesh
 from flashcache.export import reference
-from lambent_relight.bundle import load_bundle
-from lambent_relight.graphs import OnnxCaches
+from lambent_relight.baked.raster import sample_plane
+from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.images import srgb_from_linear
-from lambent_relight.raster import sample_plane
 from lambent_worker.bundle.half_tables import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
-from lambent_worker.steps import export
+from lambent_worker.run.steps import export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import RADIUS, sphere_model
 

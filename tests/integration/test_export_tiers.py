@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import pytest
 import torch
-from lambent_relight.bundle import load_bundle
+from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import turntable
 from lambent_relight.directions import pixel_directions
-from lambent_relight.environments import environment_from_array
+from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.errors import UnsupportedQuality
 from lambent_relight.renderer import Renderer
 from lambent_worker.errors import WorkerError
-from lambent_worker.steps import export
+from lambent_worker.run.steps import export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import sphere_model
 

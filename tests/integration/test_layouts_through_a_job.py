@@ -5,12 +5,12 @@ import shutil
 
 import numpy as np
 import pytest
-from lambent_worker import evaluation_run
-from lambent_worker.check import check_scene
-from lambent_worker.pipeline import run_pipeline
+from lambent_worker.capture_qa.check import check_scene
 from lambent_worker.report.request import EvaluationRequest
+from lambent_worker.run import evaluation as evaluation_run
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import prepare_run
 from lambent_worker.scenes.load import load_scene
-from lambent_worker.training_run import prepare_run
 from support.captures import REFERENCES
 from support.layouts import ColmapBinaryFolder
 from support.recording_reporter import RecordingReporter

@@ -8,14 +8,14 @@ import pytest
 import torch
 from flashcache.errors import ConfigError
 from flashcache.training.checkpoint import latest_checkpoint
-from lambent_relight.environments import write_environment
+from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import UsageError, WorkerError
-from lambent_worker.pipeline import run_pipeline
-from lambent_worker.run_folder import step_folder
+from lambent_worker.run.folder import step_folder
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import prepare_run, step_context
+from lambent_worker.run.steps import ingest
+from lambent_worker.run.steps.training import load_trained, read_scene
 from lambent_worker.stage_sharing import adopt_nerf_cache
-from lambent_worker.steps import ingest
-from lambent_worker.steps.training import load_trained, read_scene
-from lambent_worker.training_run import prepare_run, step_context
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
 

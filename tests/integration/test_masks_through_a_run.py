@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.errors import SceneRefusedError
-from lambent_worker.evaluation_run import _scene_to_compare
-from lambent_worker.pipeline import run_pipeline
 from lambent_worker.report.request import EvaluationRequest
+from lambent_worker.run.evaluation import _scene_to_compare
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import prepare_run, step_context
+from lambent_worker.run.steps.ingest import read_manifest
 from lambent_worker.scenes.load import load_scene
-from lambent_worker.steps.ingest import read_manifest
-from lambent_worker.training_run import prepare_run, step_context
 from painted_scene import overlap
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks

@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 import typer
-from lambent_worker import pipeline, poses_cli
-from lambent_worker.cli import train
+from lambent_worker.commands import poses as poses_cli
+from lambent_worker.commands.training import train
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.poses.capture import solve_capture
-from lambent_worker.run_folder import read_settings
+from lambent_worker.run import pipeline
+from lambent_worker.run.folder import read_settings
 from lambent_worker.scenes.detect import describe_scene
 from PIL import Image
 from pose_errors import pose_errors

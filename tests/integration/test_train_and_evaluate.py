@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from flashcache.config import with_overrides
 from flashcache.presets import PRESETS
-from lambent_relight.environments import write_environment
-from lambent_relight.exr import read_exr_rgb
+from lambent_relight.environment.exr import read_exr_rgb
+from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import Stopped, UsageError
-from lambent_worker.evaluation_run import evaluate_run, read_maps
-from lambent_worker.pipeline import run_pipeline
 from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.training_run import prepare_run
+from lambent_worker.run.evaluation import evaluate_run, read_maps
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import prepare_run
 from support.captures import REFERENCES
 from support.predictions import reference_evaluation
 from support.recording_reporter import RecordingReporter

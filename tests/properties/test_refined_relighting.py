@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lambent_relight.brdf import materials_from_roughness
-from lambent_relight.bundle import load_bundle
+from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.bundle.graphs import OnnxCaches, PointMaterials, PrimaryHits, SecondaryHits
 from lambent_relight.cameras import Camera, look_at
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environments import Environment, environment_from_array
-from lambent_relight.graphs import OnnxCaches, PointMaterials, PrimaryHits, SecondaryHits
-from lambent_relight.light_sampling import LightSampler
-from lambent_relight.refined import Light, Scene, outgoing_radiance
+from lambent_relight.environment.light_sampling import LightSampler
+from lambent_relight.environment.maps import Environment, environment_from_array
+from lambent_relight.refined.scattering import SurfacePoints
+from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
 from lambent_relight.renderer import Renderer
-from lambent_relight.scattering import SurfacePoints
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Box, Plane, Sphere, Surface
 from support.brute_force import reflected_samples

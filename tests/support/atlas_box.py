@@ -1,7 +1,7 @@
 """A box with an atlas of known layout, and textures of known colours."""
 
 import numpy as np
-from lambent_relight.raster import interpolate, nearest_texel, rasterise_uv
+from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
 from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.textures import TextureSet, tangent_normals
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lambent_worker.benchmark.cell import RESULT
 from lambent_worker.benchmark.plan import Cell, EvaluationOrder
-from lambent_worker.run_folder import write_json
+from lambent_worker.files import write_json
 
 CELL = Cell(
     scene="crate",

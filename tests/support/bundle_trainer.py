@@ -10,9 +10,10 @@ from pathlib import Path
 # Not the folder of this file: it has modules with names of the standard library.
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from lambent_worker.check_result import CaptureCheck
-from lambent_worker.run import Task, work
-from lambent_worker.supervisor import supervise
+from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.job.process import work
+from lambent_worker.job.supervisor import supervise
+from lambent_worker.job.task import Task
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
 from support.sleep_trainer import check

@@ -22,10 +22,10 @@ import torch
 from google.protobuf import json_format
 from lambent_pages import content_policy
 from lambent_proto.v1.bundle_pb2 import BundleManifest
+from lambent_relight.baked.transport import transport_files
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import pixel_directions
-from lambent_relight.environments import write_environment
-from lambent_relight.transport import transport_files
+from lambent_relight.environment.maps import write_environment
 from support.analytic_bundle import gbuffer_model, material_model, write_manifest
 from support.analytic_scene import AnalyticScene, Box, Surface
 from support.baked_bundle import baked_transport, glb

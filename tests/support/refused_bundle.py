@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
-from lambent_relight.bundle import load_bundle
+from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.errors import BundleError
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere

@@ -15,10 +15,11 @@ from pathlib import Path
 
 from google.protobuf.json_format import MessageToJson
 from lambent_proto.v1 import bundle_pb2, scene_pb2
-from lambent_worker.check_result import CaptureCheck
+from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import Stopped, WorkerError
-from lambent_worker.run import Task, work
-from lambent_worker.supervisor import supervise
+from lambent_worker.job.process import work
+from lambent_worker.job.supervisor import supervise
+from lambent_worker.job.task import Task
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d494844520000000100000001080200000090"

@@ -12,8 +12,8 @@ from flashcache.presets import tiny
 from lambent_relight.cameras import look_at
 from lambent_worker.bundle import graphs as bundle_graphs
 from lambent_worker.bundle import manifest as bundle_manifest
-from lambent_worker.pipeline import StepContext
-from lambent_worker.steps import export
+from lambent_worker.run.context import StepContext
+from lambent_worker.run.steps import export
 from support.sphere_model import BOUND
 
 SIDE = 16

@@ -19,7 +19,7 @@ from lambent_relight import load_bundle, load_environment
 from lambent_relight.cameras import Camera, turntable
 from lambent_relight.directions import pixel_directions
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environments import write_environment
+from lambent_relight.environment.maps import write_environment
 from lambent_relight.images import encode_png
 from lambent_relight.renderer import Renderer
 from PIL import Image

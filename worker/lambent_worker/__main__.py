@@ -2,7 +2,7 @@
 
 import sys
 
-from lambent_worker.supervisor import supervise
+from lambent_worker.job.supervisor import supervise
 
 USAGE = "usage: python -m lambent_worker run (started by the server, with LAMBENT_RUN in the environment)"
 
@@ -12,10 +12,10 @@ def main(arguments: list[str]) -> int:
     if arguments == ["run"]:
         return supervise([sys.executable, "-m", "lambent_worker", "work"])
     if arguments == ["work"]:
-        from lambent_worker.process import prepare
+        from lambent_worker.startup import prepare
 
         prepare()
-        from lambent_worker.run import work
+        from lambent_worker.job.process import work
 
         return work()
     print(USAGE, file=sys.stderr)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lambent_relight.batch.manifest import Asset, Manifest
 from lambent_relight.batch.plan import Plan, make_plan
-from lambent_relight.bundle import Bundle, load_bundle, peek_bundle
+from lambent_relight.bundle.bundle import Bundle, load_bundle, peek_bundle
 
 from lambent.client import Client
 from lambent.errors import RefusedError, UsageProblemError

@@ -4,10 +4,10 @@
 `write_picture_exr`. Conventions: docs/reference/conventions.md.
 """
 
-from lambent_relight.bundle import Bundle, load_bundle
+from lambent_relight.bundle.bundle import Bundle, load_bundle
 from lambent_relight.cameras import Camera, cameras_json, load_cameras, look_at, turntable
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environments import (
+from lambent_relight.environment.maps import (
     Cleaning,
     Environment,
     environment_from_array,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from lambent_relight.aovs import ATTRIBUTES, exr_channels
-from lambent_relight.exr import write_exr
+from lambent_relight.environment.exr import write_exr
 from lambent_relight.picture import RelitPicture
 from lambent_relight.tone_mapping import tone_mapped
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.cameras import Camera
-from lambent_relight.environments import Environment
+from lambent_relight.environment.maps import Environment
+from lambent_relight.environment.prefilter import irradiance
+from lambent_relight.environment.probes import Ball, chrome_ball, lit_ball
 from lambent_relight.picture import RelitPicture
-from lambent_relight.prefilter import irradiance
-from lambent_relight.probes import Ball, chrome_ball, lit_ball
 
 _SHARE = 7
 """A ball is this part of a picture's shorter side."""

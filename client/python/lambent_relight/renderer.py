@@ -12,25 +12,25 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.adapted import choose
 from lambent_relight.brdf import materials_from_roughness
-from lambent_relight.bundle import Bundle
+from lambent_relight.bundle.adapted import choose
+from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, PrimaryHits, SurfaceCaches
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environments import Environment
+from lambent_relight.environment.light_sampling import LightSampler
+from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import SettingError, UnsupportedQuality
-from lambent_relight.graphs import NoCaches, OnnxCaches, PrimaryHits, SurfaceCaches
-from lambent_relight.light_sampling import LightSampler
 from lambent_relight.picture import RelitPicture
-from lambent_relight.refined import Light, Scene
-from lambent_relight.sampling_plan import BOUNCES, Bounces, Sampling, estimated
-from lambent_relight.scattering import SurfacePoints
+from lambent_relight.refined.sampling_plan import BOUNCES, Bounces, Sampling, estimated
+from lambent_relight.refined.scattering import SurfacePoints
+from lambent_relight.refined.shading import Light, Scene
 from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
-    from lambent_relight.baked_renderer import BakedRenderer
-    from lambent_relight.fused import FusedCaches
+    from lambent_relight.baked.renderer import BakedRenderer
+    from lambent_relight.fused.reader import FusedCaches
 
 Background = Literal["transparent", "environment"] | tuple[float, float, float]
 
@@ -167,7 +167,7 @@ class Renderer:
     def baked(self) -> "BakedRenderer":
         """Return what renders `preview` and `baked`; raises UnsupportedQuality without baked transport."""
         # Compiled code takes a second to import, which refined relighting through graphs does not pay.
-        from lambent_relight.baked_renderer import BakedRenderer
+        from lambent_relight.baked.renderer import BakedRenderer
 
         if self._baked is None:
             self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
@@ -253,7 +253,7 @@ def _open_caches(
     if reader == "onnx":
         return OnnxCaches(bundle, num_threads=num_threads)
     # Compiled code takes a second to import, which programs that only look at bundles do not pay.
-    from lambent_relight.fused import FusedCaches, NotFused
+    from lambent_relight.fused.reader import FusedCaches, NotFused
 
     try:
         return FusedCaches(bundle, num_threads=num_threads)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.bundle.graphs import PrimaryHits, Rows, SurfaceCaches
 from lambent_relight.cameras import Camera
-from lambent_relight.graphs import PrimaryHits, Rows, SurfaceCaches
 
 MIN_OPACITY = 1e-3
 """Rays that are covered less than this see nothing."""

@@ -9,9 +9,10 @@ from lambent_worker.benchmark.results import average_rows, differences, finished
 from lambent_worker.benchmark.runner import Task, run_tasks, tasks_of
 from lambent_worker.benchmark.suite import Setting, SuiteScene
 from lambent_worker.benchmark.tables import ABLATION_COLUMNS, Content, as_csv, as_json, markdown
-from lambent_worker.console import format_duration
+from lambent_worker.console_reporter import format_duration
 from lambent_worker.errors import UsageError
-from lambent_worker.run_folder import locked, read_record, write_json
+from lambent_worker.files import read_record, write_json
+from lambent_worker.run.folder import locked
 
 MARKER = "benchmark.json"
 

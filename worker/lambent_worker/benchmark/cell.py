@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lambent_worker.process import prepare
+from lambent_worker.startup import prepare
 
 if TYPE_CHECKING:
     from lambent_worker.benchmark.plan import Cell
@@ -29,7 +29,7 @@ def main(arguments: list[str]) -> int:
     prepare()
     _end_with_parent()
     from lambent_worker.benchmark.plan import cell_from_json
-    from lambent_worker.console import ConsoleReporter
+    from lambent_worker.console_reporter import ConsoleReporter
     from lambent_worker.errors import WorkerError
 
     kind, folder, device, stage_one = arguments[0], Path(arguments[1]), arguments[2], Path(arguments[3])
@@ -50,8 +50,8 @@ def main(arguments: list[str]) -> int:
 
 def train_stage_one(cell: "Cell", folder: Path, device: str, reporter: "Reporter") -> None:
     """Train what all ablations of a scene and seed start from."""
-    from lambent_worker.pipeline import run_pipeline
-    from lambent_worker.training_run import config_for
+    from lambent_worker.run.pipeline import run_pipeline
+    from lambent_worker.run.prepare import config_for
 
     config = config_for(cell.preset, cell.base_overrides)
     run_pipeline(
@@ -70,12 +70,13 @@ def train_stage_one(cell: "Cell", folder: Path, device: str, reporter: "Reporter
 def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: "Reporter") -> None:
     """Train stage two from a shared stage one, evaluate, and write `result.json` last."""
     from lambent_worker.bundle.manifest import git_revision
-    from lambent_worker.evaluation_run import evaluate_run
+    from lambent_worker.files import write_json
     from lambent_worker.messages import message_to_dict
-    from lambent_worker.pipeline import run_pipeline
     from lambent_worker.report.request import EvaluationRequest, as_shadows
-    from lambent_worker.run_folder import stage_seconds, write_json
-    from lambent_worker.training_run import prepare_run
+    from lambent_worker.run.evaluation import evaluate_run
+    from lambent_worker.run.folder import stage_seconds
+    from lambent_worker.run.pipeline import run_pipeline
+    from lambent_worker.run.prepare import prepare_run
 
     scene_dir, run_dir = Path(cell.scene_dir), folder / RUN
     if run_dir.exists() and not (run_dir / "run.json").exists():

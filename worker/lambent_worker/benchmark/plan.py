@@ -13,11 +13,11 @@ from flashcache.presets_paper import SCENES
 
 from lambent_worker.benchmark.suite import Setting, SuiteScene
 from lambent_worker.errors import UsageError
-from lambent_worker.pipeline import input_hashes, step_inputs
+from lambent_worker.files import digest, file_sha256
 from lambent_worker.report import protocol
 from lambent_worker.report.published import published_rows, published_scene
-from lambent_worker.run_folder import digest, file_sha256
-from lambent_worker.training_run import config_for
+from lambent_worker.run.hashes import input_hashes, step_inputs
+from lambent_worker.run.prepare import config_for
 
 FULL = "full"
 GROUPS = {

@@ -8,7 +8,7 @@ import numpy as np
 
 from lambent_worker.benchmark.cell import RESULT
 from lambent_worker.benchmark.plan import FULL, Cell
-from lambent_worker.run_folder import read_record
+from lambent_worker.files import read_record
 
 SEEDS, VIEWS, SCENES = "seeds", "views", "scenes and seeds"
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from lambent_worker.benchmark.cell import ORDER, RESULT, RUN
 from lambent_worker.benchmark.plan import Cell
 from lambent_worker.errors import Stopped
-from lambent_worker.run_folder import done_inputs, read_record
+from lambent_worker.files import read_record
+from lambent_worker.run.folder import done_inputs
 
 COMMAND = (sys.executable, "-m", "lambent_worker.benchmark.cell")
 POLL_S = 0.2

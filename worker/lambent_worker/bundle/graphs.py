@@ -10,7 +10,7 @@ from flashcache.export.onnx import WEIGHTS_NAME, WeightFile
 from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.bundle import NETWORKS
+from lambent_relight.bundle.bundle import NETWORKS
 
 from lambent_worker.bundle import manifest as manifests
 from lambent_worker.bundle.parity import Inputs, ParityResult, Twin, compare

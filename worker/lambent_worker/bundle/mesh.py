@@ -7,8 +7,8 @@ import fast_simplification
 import numpy as np
 import torch
 from flashcache.physical.model import InverseModel
+from lambent_relight.baked.raster import rasterise
 from lambent_relight.cameras import Camera, look_at
-from lambent_relight.raster import rasterise
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from skimage.measure import marching_cubes

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from flashcache.config import ExportConfig
 from flashcache.physical.model import InverseModel
-from lambent_relight.raster import interpolate, rasterise_uv
+from lambent_relight.baked.raster import interpolate, rasterise_uv
 from numpy.typing import NDArray
 
 from lambent_worker.bundle.atlas import angle_weighted_normals, unit, unwrap

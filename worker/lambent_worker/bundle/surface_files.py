@@ -9,12 +9,12 @@ from flashcache.data.scene import View
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
-from lambent_relight.archive import open_source
-from lambent_relight.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.fused import FusedCaches
-from lambent_relight.fused_weights import NotFused
-from lambent_relight.graphs import OnnxCaches, SurfaceCaches
-from lambent_relight.raster import block_means, rasterise
+from lambent_relight.baked.raster import block_means, rasterise
+from lambent_relight.bundle.archive import open_source
+from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
+from lambent_relight.bundle.graphs import OnnxCaches, SurfaceCaches
+from lambent_relight.fused.reader import FusedCaches
+from lambent_relight.fused.weights import NotFused
 from numpy.typing import NDArray
 
 from lambent_worker.bundle.glb import check_glb, write_glb

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from lambent_relight.graphs import SecondaryHits
+from lambent_relight.bundle.graphs import SecondaryHits
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from flashcache.color import perceptual_roughness_from_alpha
 from flashcache.physical.model import InverseModel
+from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
 from lambent_relight.images import srgb_from_linear
-from lambent_relight.raster import interpolate, nearest_texel, rasterise_uv
 from numpy.typing import NDArray
 from PIL import Image
 

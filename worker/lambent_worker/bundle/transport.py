@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from lambent_relight import harmonics
-from lambent_relight.transport import Transport, coarse_blocks
-from lambent_relight.transport_kernels import basis_rows, mirrored_sums
+from lambent_relight.baked.transport import Transport, coarse_blocks
+from lambent_relight.baked.transport_kernels import basis_rows, mirrored_sums
+from lambent_relight.environment import harmonics
 from numpy import ndarray
 
 from lambent_worker.bundle.transport_bounce import Reflectors, indirect_transfer

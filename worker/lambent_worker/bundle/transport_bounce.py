@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
+from lambent_relight.baked.split_sum import split_sum
+from lambent_relight.baked.transport_kernels import NearestPoint, basis_rows
+from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
 from lambent_relight.brdf import DIELECTRIC_F0
-from lambent_relight.split_sum import split_sum
-from lambent_relight.transport_kernels import NearestPoint, basis_rows
-from lambent_relight.transport_lobes import factors_at, ggx_bands, per_coefficient
 from numpy import ndarray
 
 from lambent_worker.bundle.transport_rays import CELL, Occlusion

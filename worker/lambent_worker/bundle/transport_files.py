@@ -14,8 +14,8 @@ from flashcache.export.relight_graph import relight, relight_graph
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.graphs import SurfaceCaches
-from lambent_relight.transport import transport_files
+from lambent_relight.baked.transport import transport_files
+from lambent_relight.bundle.graphs import SurfaceCaches
 from numpy import ndarray
 
 from lambent_worker.bundle.graphs import PARITY_ROWS

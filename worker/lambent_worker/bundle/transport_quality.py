@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.archive import open_source
-from lambent_relight.bundle import Bundle
+from lambent_relight.bundle.archive import open_source
+from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import pixel_directions
-from lambent_relight.environments import Environment, environment_from_array
+from lambent_relight.environment.maps import Environment, environment_from_array
 from lambent_relight.images import srgb_from_linear
 from lambent_relight.picture import RelitPicture
 from lambent_relight.renderer import Renderer

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from lambent_relight.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
+from lambent_relight.baked.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
 from numpy import ndarray
 
 NUM_SETS = 16

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.uncertainty import PATH, UncertaintyGrid
+from lambent_relight.bundle.uncertainty import PATH, UncertaintyGrid
 
 
 def write_uncertainty(folder: Path, manifest: bundle_pb2.BundleManifest, grid: UncertaintyGrid) -> None:

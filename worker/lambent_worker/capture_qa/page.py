@@ -6,9 +6,9 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
+from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.plot import plot_views
-from lambent_worker.check_result import CaptureCheck
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,10 +12,10 @@ from flashcache.caches.fast_cache import FastCache
 from flashcache.export import graphs, reference
 from flashcache.export.onnx import StoredTensor, WeightFile
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.adapted import METADATA_KEY, AdaptedLight
-from lambent_relight.archive import read_checked
-from lambent_relight.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.onnx_wire import metadata
+from lambent_relight.bundle.adapted import METADATA_KEY, AdaptedLight
+from lambent_relight.bundle.archive import read_checked
+from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
+from lambent_relight.bundle.onnx_wire import metadata
 
 from lambent_worker.bundle import manifest as manifests
 from lambent_worker.bundle.parity import compare

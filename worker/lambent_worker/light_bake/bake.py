@@ -14,24 +14,25 @@ from flashcache.presets import preset as preset_of
 from flashcache.training.bake_scene import ModelScene
 from flashcache.training.light_bake import STAGE, BakeScene, LightBake, LightBakeConfig, adaptable
 from jaxtyping import Float32
-from lambent_relight.adapted import AdaptedLight, environment_digest
-from lambent_relight.bundle import Bundle, load_bundle
+from lambent_relight.bundle.adapted import AdaptedLight, environment_digest
+from lambent_relight.bundle.bundle import Bundle, load_bundle
 from lambent_relight.directions import pixel_directions, pixel_solid_angles
-from lambent_relight.environments import Environment, load_environment
+from lambent_relight.environment.maps import Environment, load_environment
 from lambent_relight.errors import RelightError
 from numpy import ndarray
 
 from lambent_worker.errors import UsageError
-from lambent_worker.evaluation_run import trained_scene
-from lambent_worker.known_lights import resampled
+from lambent_worker.files import digest
 from lambent_worker.light_bake.adapted_bundle import write_adapted
 from lambent_worker.light_bake.bundle_scene import bundle_scene, cache_of
 from lambent_worker.light_bake.judge import judged, transported
-from lambent_worker.pipeline import Clock, StepContext
 from lambent_worker.reporter import Reporter
-from lambent_worker.run_folder import begin_step, digest, done_inputs, locked, step_folder
-from lambent_worker.steps.training import drive, load_trained
-from lambent_worker.training_run import Run, open_run, step_context
+from lambent_worker.run.context import Clock, StepContext
+from lambent_worker.run.evaluation import trained_scene
+from lambent_worker.run.folder import begin_step, done_inputs, locked, step_folder
+from lambent_worker.run.known_lights import resampled
+from lambent_worker.run.prepare import Run, open_run, step_context
+from lambent_worker.run.steps.training import drive, load_trained
 
 MAP_ROWS = 256
 """Rows to which larger environments are reduced, each pixel the mean of those it covers."""

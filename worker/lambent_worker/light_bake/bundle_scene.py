@@ -18,9 +18,9 @@ from flashcache.training.bake_scene import RAYS_PER_POINT, rays_into_box
 from flashcache.training.light_bake import Hits
 from flashcache.training.taught_rays import SOLID
 from jaxtyping import Float
-from lambent_relight.bundle import Bundle
-from lambent_relight.fused import FusedCaches
-from lambent_relight.fused_weights import FeatureGrid, NotFused, Weights, graph_constants
+from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.fused.reader import FusedCaches
+from lambent_relight.fused.weights import FeatureGrid, NotFused, Weights, graph_constants
 from torch import Tensor
 
 from lambent_worker.errors import WorkerError

@@ -14,10 +14,10 @@ from flashcache.physical.incident import SecondaryRays
 from flashcache.randomness import generator_for
 from flashcache.training.light_bake import STAGE, LightBake
 from jaxtyping import Float
-from lambent_relight.adapted import AdaptedLight, error_names
-from lambent_relight.bundle import Bundle
+from lambent_relight.bundle.adapted import AdaptedLight, error_names
+from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environments import Environment
+from lambent_relight.environment.maps import Environment
 from lambent_relight.renderer import Renderer
 from torch import Tensor
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from lambent_worker.errors import SceneRefusedError, UsageError
+from lambent_worker.files import digest, file_sha256, read_record, write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.poses.advice import PoseLimits, advise
 from lambent_worker.poses.photographs import Photographs, find_photographs, lay_out
 from lambent_worker.poses.solve import PoseSettings, Solution, load_colmap, solve
-from lambent_worker.run_folder import digest, file_sha256, read_record, write_json
 from lambent_worker.scenes.problems import Problems
 
 RECORD = "poses.json"

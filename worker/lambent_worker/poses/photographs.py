@@ -8,9 +8,9 @@ import numpy as np
 from lambent_proto.v1 import scene_pb2
 from PIL import Image
 
-from lambent_worker.masks.apply import attach_masks
 from lambent_worker.scenes.float_pictures import FLOAT_SUFFIXES
 from lambent_worker.scenes.frames import frame_names, listed
+from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import (
     PICTURE_SUFFIXES,

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from lambent_proto.v1 import evaluation_pb2
 from numpy import ndarray
 
+from lambent_worker.files import write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.report import figures, protocol
 from lambent_worker.report.absent import absent_metrics
@@ -17,7 +18,6 @@ from lambent_worker.report.predictions import encoded, predict_relit, predict_su
 from lambent_worker.report.published import object_group, published_scene
 from lambent_worker.report.request import UNSCALED_VIEWS, Subject
 from lambent_worker.report.scores import Ruling, albedo_ratios, score
-from lambent_worker.run_folder import write_json
 
 SCHEMA_VERSION = "1.1"
 SHEET_VIEWS = 3

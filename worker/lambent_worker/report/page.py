@@ -10,7 +10,7 @@ from flashcache.evaluation import metrics
 from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from lambent_proto.v1 import evaluation_pb2
-from lambent_relight.uncertainty import CHANNELS
+from lambent_relight.bundle.uncertainty import CHANNELS
 from numpy import ndarray
 
 from lambent_worker.report import figures

@@ -23,12 +23,12 @@ from flashcache.data.scene import View
 from flashcache.evaluation.metrics import normal_with_background
 from flashcache.evaluation.views import GBuffer, Picture, render_physical, render_relit, render_surface
 from jaxtyping import Float, Float32
-from lambent_relight.exr import write_exr
+from lambent_relight.environment.exr import write_exr
 from numpy import ndarray
 
+from lambent_worker.files import write_json
 from lambent_worker.report.request import UNSCALED_VIEWS, Subject, evenly_spaced
 from lambent_worker.report.uncertainty import uncertainty_map
-from lambent_worker.run_folder import write_json
 
 CACHE_FOLDER = "pred_cache"
 DIRECT_FOLDER = "pred_direct"

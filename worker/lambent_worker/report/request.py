@@ -11,7 +11,7 @@ from flashcache.evaluation.lpips import Lpips
 from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float32
-from lambent_relight.uncertainty import UncertaintyGrid
+from lambent_relight.bundle.uncertainty import UncertaintyGrid
 from numpy import ndarray
 
 from lambent_worker.errors import UsageError

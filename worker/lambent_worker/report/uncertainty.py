@@ -23,7 +23,7 @@ from flashcache.evaluation.surface_points import (
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from jaxtyping import Float, Float32
-from lambent_relight.uncertainty import UncertaintyGrid
+from lambent_relight.bundle.uncertainty import UncertaintyGrid
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -46,7 +46,7 @@ MANY_VIEWS = 1e4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPoints:
-    """Surface points and what is known about each, in the order of `lambent_relight.uncertainty.CHANNELS`."""
+    """Surface points and what is known about each, in the order of `bundle.uncertainty.CHANNELS`."""
 
     positions: Float32[ndarray, "points 3"]
     values: Float32[ndarray, "points channels"]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from flashcache.data.scene import View
 from jaxtyping import Float
-from lambent_relight.uncertainty import CHANNELS
+from lambent_relight.bundle.uncertainty import CHANNELS
 from numpy import ndarray
 from scipy.stats import spearmanr
 

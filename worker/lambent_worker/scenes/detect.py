@@ -5,7 +5,6 @@ from pathlib import Path
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError, UsageError
-from lambent_worker.masks.apply import attach_masks
 from lambent_worker.scenes import (
     colmap,
     glossy_synthetic,
@@ -17,6 +16,7 @@ from lambent_worker.scenes import (
 from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.frames import check_names, report_extra_files
+from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
 from lambent_worker.scenes.silhouette_check import fit_to_silhouettes, training_silhouettes
@@ -101,7 +101,7 @@ def describe_scene(
 
     `masks` is a folder of masks that go before those of the layout. Where there are masks they say where the
     object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
-    show; other pixels are looked at by `lambent_worker.check`.
+    show; other pixels are looked at by `lambent_worker.capture_qa.check`.
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks)

@@ -60,8 +60,8 @@ def _hdr_size(head: bytes) -> tuple[int, int]:
 
 
 def _hdr_pixels(path: Path) -> Float32[ndarray, "height width 3"]:
+    from lambent_relight.environment.rgbe import read_rgbe
     from lambent_relight.errors import EnvironmentFileError
-    from lambent_relight.rgbe import read_rgbe
 
     try:
         picture = read_rgbe(path, max_pixels=MAX_FLOAT_PIXELS)

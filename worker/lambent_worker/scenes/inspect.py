@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lambent_proto.v1 import scene_pb2
 
-from lambent_worker.run_folder import file_sha256
+from lambent_worker.files import file_sha256
 from lambent_worker.scenes import glossy_synthetic
 from lambent_worker.scenes.detect import collect_scene, detect_layout
 from lambent_worker.scenes.picture_error import PictureError

@@ -12,7 +12,7 @@ import typer
 from lambent_relight.batch.manifest import Manifest
 from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
-from lambent_relight.graphs import available_threads
+from lambent_relight.bundle.graphs import available_threads
 
 from lambent.cli.batch_failures import list_failures
 from lambent.cli.output import JsonOption, Output, UrlOption, format_duration

@@ -3,8 +3,8 @@
 from typing import Annotated
 
 import typer
-from lambent_relight.environment_axes import QUARTER_TURNS
-from lambent_relight.environment_input import EnvironmentInput
+from lambent_relight.environment.axes import QUARTER_TURNS
+from lambent_relight.environment.input import EnvironmentInput
 
 from lambent.errors import UsageProblemError
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from lambent_relight import Environment, write_environment
-from lambent_relight.environment_axes import OURS
-from lambent_relight.environment_input import OpenedEnvironment, open_environment
+from lambent_relight.environment.axes import OURS
+from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.images import srgb_from_linear
 from PIL import Image
 
@@ -36,7 +36,7 @@ def probe(
     output = Output(as_json)
     with relight_errors():
         # Compiled code takes a moment to import, which the help text should not pay.
-        from lambent_relight.probes import chrome_ball, grey_ball, upright_map
+        from lambent_relight.environment.probes import chrome_ball, grey_ball, upright_map
 
         opened = open_environment(env, environment_input(env_axes, sun_clamp, mend_env))
         for note in opened.notes(env.name):
@@ -65,7 +65,7 @@ def probe(
 
 def describe(opened: OpenedEnvironment, light: Environment, name: str) -> dict[str, Any]:
     """Return the figures of a map: size, energy, brightest value, dominant lights, what was changed."""
-    from lambent_relight.dominant_lights import energy, split
+    from lambent_relight.environment.dominant_lights import energy, split
 
     total = energy(light.radiance)
     parts = split(light, _NUM_LIGHTS)

@@ -5,8 +5,8 @@ from typing import Annotated, cast
 
 import typer
 from lambent_relight import MaterialEdit, load_cameras
-from lambent_relight.environment_axes import OURS
-from lambent_relight.sampling_plan import BOUNCES, Bounces
+from lambent_relight.environment.axes import OURS
+from lambent_relight.refined.sampling_plan import BOUNCES, Bounces
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 from lambent.cli.environment_options import (

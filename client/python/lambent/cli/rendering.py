@@ -17,16 +17,16 @@ from lambent_relight import (
     RelightError,
     Renderer,
     load_bundle,
-    object_cameras,
     write_picture_exr,
     write_png,
 )
 from lambent_relight.batch.manifest import BACKGROUNDS
-from lambent_relight.environment_input import EnvironmentInput, OpenedEnvironment, open_environment
-from lambent_relight.environments import Environment
+from lambent_relight.bundle import object_cameras
+from lambent_relight.environment.input import EnvironmentInput, OpenedEnvironment, open_environment
+from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.sampling_plan import Bounces
 from lambent_relight.renderer import KEPT_RAYS
-from lambent_relight.sampling_plan import Bounces
 
 from lambent.cli.output import Output, format_duration
 from lambent.errors import LambentError, UsageProblemError

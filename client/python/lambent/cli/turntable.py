@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from lambent_relight import Renderer
-from lambent_relight.environment_axes import OURS
-from lambent_relight.environment_input import open_environment
+from lambent_relight.environment.axes import OURS
+from lambent_relight.environment.input import open_environment
 from lambent_relight.images import encode_png
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 from PIL import Image

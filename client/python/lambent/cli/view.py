@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from lambent_relight.environment_axes import OURS
-from lambent_relight.environment_input import EnvironmentInput
+from lambent_relight.environment.axes import OURS
+from lambent_relight.environment.input import EnvironmentInput
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 from lambent.cli.environment_options import (
@@ -121,7 +121,7 @@ def view(
 def _show_in_browser(
     context: typer.Context, bundle: Path, environments: list[Path], light: EnvironmentInput, output: Output
 ) -> None:
-    from lambent.web_view import view_in_browser
+    from lambent.cli.web_view import view_in_browser
 
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from lambent_relight import Bundle, RelitPicture
+from lambent_relight.bundle.uncertainty import UncertaintyGrid
 from lambent_relight.directions import rotate_about_z
 from lambent_relight.images import srgb_from_linear
 from lambent_relight.tone_mapping import tone_mapped
-from lambent_relight.uncertainty import UncertaintyGrid
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]

@@ -5,7 +5,7 @@ from pathlib import Path
 from threading import Lock
 
 from lambent_relight import Bundle, Environment
-from lambent_relight.environment_input import EnvironmentInput, open_environment
+from lambent_relight.environment.input import EnvironmentInput, open_environment
 
 _KEPT = 4
 """Maps that stay in memory; the renderer knows a map again by its array."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from lambent_relight import Camera, RelitPicture, Renderer, write_picture_exr
-from lambent_relight.graphs import (
+from lambent_relight.bundle.graphs import (
     NoCaches,
     PointMaterials,
     PrimaryHits,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from lambent_relight import Bundle, Renderer
-from lambent_relight.environment_input import EnvironmentInput
+from lambent_relight.environment.input import EnvironmentInput
 from PIL import Image
 
 from lambent.desktop import opengl

@@ -7,7 +7,7 @@ from pathlib import Path
 from lambent_relight.aovs import PASSES
 from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environment_input import EnvironmentInput
+from lambent_relight.environment.input import EnvironmentInput
 
 SCHEMA = "lambent-batch/1"
 """What `schema` must say; a reader refuses another number."""

@@ -13,11 +13,11 @@ from typing import Any
 
 from lambent_relight.batch.manifest import MAX_PICTURES, Asset, Cameras, Files, Light, Manifest, Quality
 from lambent_relight.batch.reading import safe_name
-from lambent_relight.bundle import Bundle, load_bundle
+from lambent_relight.bundle.bundle import Bundle, load_bundle
+from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import Camera, load_cameras
 from lambent_relight.errors import CameraError, RelightError, SettingError
 from lambent_relight.file_hash import file_sha256
-from lambent_relight.object_cameras import around_object
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")
 
@@ -235,10 +235,12 @@ def _sized(camera: Camera, size: int) -> Camera:
 @cache
 def renderer_digest() -> str:
     """Return a hash of the program that renders: its sources, those of this package left out."""
+    root = Path(str(resources.files("lambent_relight")))
     digest = hashlib.sha256()
-    for entry in sorted(resources.files("lambent_relight").iterdir(), key=lambda each: each.name):
-        if entry.name.endswith(".py"):
-            digest.update(f"{entry.name}\0".encode() + hashlib.sha256(entry.read_bytes()).digest())
+    for path in sorted(root.rglob("*.py")):
+        name = path.relative_to(root).as_posix()
+        if not name.startswith("batch/"):
+            digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 
 

@@ -15,8 +15,8 @@ from lambent_relight.batch.journal import Record
 from lambent_relight.batch.manifest import Files
 from lambent_relight.batch.plan import Failure, Row
 from lambent_relight.batch.studio import KEPT_RAYS, Studio
+from lambent_relight.bundle.graphs import available_threads
 from lambent_relight.errors import RelightError
-from lambent_relight.graphs import available_threads
 
 Task = tuple[Row, tuple[str, ...]]
 """A picture, and the suffixes of the files to write of it."""

@@ -24,11 +24,11 @@ from lambent_relight.batch.manifest import (
 from lambent_relight.batch.members import Members, Problem, Problems, shown
 from lambent_relight.cameras import parse_camera_list
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environment_axes import OURS, QUARTER_TURNS
-from lambent_relight.environment_input import EnvironmentInput
+from lambent_relight.environment.axes import OURS, QUARTER_TURNS
+from lambent_relight.environment.input import EnvironmentInput
 from lambent_relight.errors import CameraError, RelightError
+from lambent_relight.refined.sampling_plan import BOUNCES
 from lambent_relight.renderer import QUALITIES
-from lambent_relight.sampling_plan import BOUNCES
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 T = TypeVar("T", Asset, Light, Quality)

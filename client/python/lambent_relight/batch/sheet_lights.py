@@ -7,11 +7,11 @@ import numpy as np
 from PIL import Image
 
 from lambent_relight.batch.manifest import Light, Manifest
-from lambent_relight.environment_input import EnvironmentInput, open_environment
+from lambent_relight.environment.input import EnvironmentInput, open_environment
+from lambent_relight.environment.probes import GREY
 from lambent_relight.errors import RelightError
 from lambent_relight.images import srgb_from_linear
 from lambent_relight.probe_overlay import LightProbes
-from lambent_relight.probes import GREY
 
 SIDE = 32
 """Width of a ball, pixels."""

@@ -9,14 +9,14 @@ from typing import cast
 from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import BACKGROUNDS, Files, Light
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
-from lambent_relight.bundle import load_bundle
-from lambent_relight.environment_input import OpenedEnvironment, open_environment
+from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
 from lambent_relight.file_hash import file_sha256
 from lambent_relight.images import write_picture_exr, write_png
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.sampling_plan import Bounces
 from lambent_relight.renderer import Renderer
-from lambent_relight.sampling_plan import Bounces
 
 KEPT_RAYS = 1_000_000
 """Camera rays whose views are remembered, about 70 MB; other lights of the same cameras find them again."""

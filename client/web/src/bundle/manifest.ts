@@ -1,4 +1,4 @@
-/** Reading manifest.json and the files it lists, with the checks of `lambent_relight.bundle`. */
+/** Reading manifest.json and the files it lists, with the checks of `lambent_relight.bundle.bundle`. */
 
 import { fromJsonString } from "@bufbuild/protobuf";
 import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_proto/v1/bundle_pb.js";

@@ -1,4 +1,4 @@
-/** The surface of a bundle, read from its mesh/asset.glb, as `lambent_relight.baked_mesh` does. */
+/** The surface of a bundle, read from its mesh/asset.glb, as `lambent_relight.baked.mesh` does. */
 
 import { type BundleFault, exportAgain } from "./fault.js";
 

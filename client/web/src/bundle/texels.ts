@@ -1,4 +1,4 @@
-/** Which covered texel is nearest to each place of an atlas, the same rule as `lambent_relight.raster.nearest_texel`. */
+/** Which covered texel is nearest to each place of an atlas, the same rule as `lambent_relight.baked.raster.nearest_texel`. */
 
 const around = [
   [0, 1],

@@ -1,5 +1,5 @@
 /**
- * Baked light transport, checked as `lambent_relight.transport` does and laid out for textures.
+ * Baked light transport, checked as `lambent_relight.baked.transport` does and laid out for textures.
  *
  * Values per covered texel lie in tables `tableWidth` texels wide; texel t is at (t mod tableWidth, t / tableWidth).
  * Planes keep their signed bytes q, four planes to a layer; value = offset + scale q.

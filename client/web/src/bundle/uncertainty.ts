@@ -1,4 +1,4 @@
-/** The grid of uncertainties, an NPY file of float16, as `lambent_relight.uncertainty` reads it. */
+/** The grid of uncertainties, an NPY file of float16, as `lambent_relight.bundle.uncertainty` reads it. */
 
 import type { Uncertainty } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { exportAgain, type BundleFault } from "./fault.js";

@@ -1,5 +1,5 @@
 /**
- * Bright compact peaks of a map as directional lights, the same rule as `lambent_relight.dominant_lights`.
+ * Bright compact peaks of a map as directional lights, the same rule as `lambent_relight.environment.dominant_lights`.
  *
  * Source: docs/reference/conventions.md (dominant lights).
  */

@@ -1,4 +1,4 @@
-/** Light as it falls on an object, and its sums over baked planes: the same as `lambent_relight.baked_light`. */
+/** Light as it falls on an object, and its sums over baked planes: the same as `lambent_relight.baked.light`. */
 
 import type { Direction } from "./environment.js";
 import { basis } from "./harmonics.js";

@@ -1,6 +1,6 @@
 /**
  * The tensors, layers and feature grids of a bundle's models/weights.bin, as the fused reader packs them for
- * graphics hardware. What shaders will index is checked here. The same as lambent_relight/fused_weights.py.
+ * graphics hardware. What shaders will index is checked here. The same as lambent_relight/fused/weights.py.
  */
 
 import type { BundleManifest, TensorEntry } from "../contract/lambent_proto/v1/bundle_pb.js";

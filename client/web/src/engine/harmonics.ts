@@ -1,5 +1,5 @@
 /**
- * Real spherical harmonics, the same as `lambent_relight.harmonics`.
+ * Real spherical harmonics, the same as `lambent_relight.environment.harmonics`.
  *
  * Orthonormal, no Condon-Shortley sign, index l (l + 1) + m. Coefficients are [bands^2, 3] in one array:
  * `coefficientsRgb[3 * index + channel]`. Source: docs/reference/conventions.md (spherical harmonics).

@@ -1,6 +1,6 @@
 /**
  * What smoothing with the GGX lobe does to spherical harmonics, one factor per band: the same sums as
- * `lambent_relight.transport_lobes`.
+ * `lambent_relight.baked.transport_lobes`.
  */
 
 /** Values of perceptual roughness that are tabulated. */

@@ -1,6 +1,6 @@
 /**
  * The protobuf wire format, as far as looking into and trimming an ONNX file needs it: a message is a list of
- * fields, each a key (number and wire type) and a value. The same as lambent_relight/onnx_wire.py.
+ * fields, each a key (number and wire type) and a value. The same as lambent_relight/bundle/onnx_wire.py.
  */
 
 const decoder = new TextDecoder("utf-8", { fatal: true });

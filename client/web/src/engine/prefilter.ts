@@ -1,5 +1,5 @@
 /**
- * Environments seen through GGX lobes, the same formula as `lambent_relight.prefilter`.
+ * Environments seen through GGX lobes, the same formula as `lambent_relight.environment.prefilter`.
  *
  * Level k of K has perceptual roughness k / (K - 1); level 0 is the map. Every other level is the mean under
  * w(c) = max(c, 0) / (alpha^2 (1 + c) / 2 + (1 - c) / 2)^2 over the pixels of a source map of its own size.

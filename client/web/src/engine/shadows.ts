@@ -1,4 +1,4 @@
-/** Which stored directions decide whether a light is visible: the same rule as `lambent_relight.baked_light`. */
+/** Which stored directions decide whether a light is visible: the same rule as `lambent_relight.baked.light`. */
 
 import type { Direction } from "./environment.js";
 

@@ -1,5 +1,5 @@
 /**
- * Specular reflectance under even light, the same sums as `lambent_relight.split_sum`.
+ * Specular reflectance under even light, the same sums as `lambent_relight.baked.split_sum`.
  *
  * Reflected radiance under constant unit light is F0 scale + bias. Source: docs/reference/conventions.md
  * (split sum).

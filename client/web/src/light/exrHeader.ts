@@ -1,4 +1,4 @@
-/** What an OpenEXR file states about itself, and which of it can be used: the checks of `lambent_relight.exr`. */
+/** What an OpenEXR file states about itself, and which of it can be used: the checks of `lambent_relight.environment.exr`. */
 
 import { MapFault } from "./fault.js";
 

@@ -1,5 +1,5 @@
 /**
- * A map as the renderer needs it, the same as `lambent_relight.baked_light.prepare_light`: a few dominant lights,
+ * A map as the renderer needs it, the same as `lambent_relight.baked.light.prepare_light`: a few dominant lights,
  * harmonics of the rest, and prefiltered levels in one texture.
  */
 

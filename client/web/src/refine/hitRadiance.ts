@@ -1,5 +1,5 @@
 /**
- * What hit points of secondary rays send back, from baked transport: `lambent_relight.baked_hits`. Every bounce is in
+ * What hit points of secondary rays send back, from baked transport: `lambent_relight.baked.hits`. Every bounce is in
  * it: the diffuse part comes from the irradiance of the nearest texel, the specular part from the split sum.
  */
 

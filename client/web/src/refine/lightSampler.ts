@@ -1,5 +1,5 @@
 /**
- * Importance sampling of an environment together with a lobe of the surface: `lambent_relight.light_sampling`.
+ * Importance sampling of an environment together with a lobe of the surface: `lambent_relight.environment.light_sampling`.
  *
  * A table holds, for lobes about a grid of axes, the probability of every cell of the map in proportion to radiance
  * times lobe; inside a cell, pixels are drawn by their radiance and directions uniformly in solid angle. The density is

@@ -1,4 +1,4 @@
-/** Irradiance of every texel under a light: `lambent_relight.baked_light`, on the processor. */
+/** Irradiance of every texel under a light: `lambent_relight.baked.light`, on the processor. */
 
 import {
   numShadowDirections,

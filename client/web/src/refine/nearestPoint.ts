@@ -1,4 +1,4 @@
-/** Finds a nearest point among many on a surface: `NearestPoint` of `lambent_relight.transport_kernels`. */
+/** Finds a nearest point among many on a surface: `NearestPoint` of `lambent_relight.baked.transport_kernels`. */
 
 /** Exact beside the surface, nearly so far from it. */
 export class NearestPoint {

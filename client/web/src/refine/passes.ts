@@ -1,4 +1,4 @@
-/** Monte Carlo passes over the points of a picture: `lambent_relight.refined`, one pass at a time. */
+/** Monte Carlo passes over the points of a picture: `lambent_relight.refined.shading`, one pass at a time. */
 
 import type { Hits } from "./hitRadiance.js";
 import type { LightSampler } from "./lightSampler.js";

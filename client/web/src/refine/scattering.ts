@@ -1,5 +1,5 @@
 /**
- * Directions of incoming light by multiple importance sampling: `lambent_relight.scattering`.
+ * Directions of incoming light by multiple importance sampling: `lambent_relight.refined.scattering`.
  *
  * Each direction comes from one of four strategies: light times the cosine, the cosine alone, the GGX lobe alone, light
  * times the mirror lobe. It is weighted by one over the density of their mixture: Veach's balance heuristic.

@@ -79,7 +79,7 @@ vec2 splitSum(float cosine, float roughness) {
 `;
 
 /**
- * Dominant lights in the specular lobe, as `lambent_relight.baked_glints`: taken out of prefiltered radiance, and
+ * Dominant lights in the specular lobe, as `lambent_relight.baked.dominant_highlights`: taken out of prefiltered radiance, and
  * reflected one by one, each in its own shadow. A lobe much narrower than a light sees its extent.
  */
 export const glints = `

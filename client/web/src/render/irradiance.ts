@@ -2,7 +2,7 @@
  * Irradiance of every texel under a light, drawn into small tables whenever the light changes or turns.
  *
  * direct: E = sum_k direct_k l_k + dominant lights with shadow bits; indirect: per channel, over coarse texels.
- * The same sums as `lambent_relight.baked_light`.
+ * The same sums as `lambent_relight.baked.light`.
  */
 
 import type { RawShaderMaterial, WebGLRenderTarget } from "three";

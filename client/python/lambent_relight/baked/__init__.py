@@ -1,0 +1,1 @@
+"""Relighting from baked transport: no sampling, no noise."""

@@ -1,0 +1,65 @@
+"""What hit points of refined relighting send back, from baked transport: every bounce, without own noise.
+
+The diffuse part comes from the irradiance of the nearest texel, the specular part from the split sum, as in
+`lambent_relight.baked.shading`. Source: docs/reference/conventions.md (relighting).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.baked.light import BakedLight, coarse_bounce, lit_texels, texel_irradiance
+from lambent_relight.baked.scene import BakedScene, texel_positions
+from lambent_relight.baked.split_sum import split_sum
+from lambent_relight.baked.transport_kernels import NearestPoint, basis_rows
+from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
+from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.directions import dot
+from lambent_relight.edits import MaterialEdit
+
+
+class HitFinder:
+    """Finds the texel at hit points; the same for every light."""
+
+    def __init__(self, scene: BakedScene) -> None:
+        """Sort the texels of `scene` in space."""
+        self.scene = scene
+        self.lit = lit_texels(scene)
+        self.nearest = NearestPoint(texel_positions(scene.mesh, scene.transport))
+        bands = round(scene.visibility.shape[1] ** 0.5)
+        self.lobes = ggx_bands(bands)
+
+
+class BakedHits:
+    """The radiance that hit points send under one light."""
+
+    def __init__(self, finder: HitFinder, light: BakedLight, edit: MaterialEdit) -> None:
+        """Light all texels once."""
+        scene = finder.scene
+        self._finder, self._light = finder, light
+        bands = round(len(scene.transport.direct) ** 0.5)
+        gain = edit.bounce_gain(scene.mean_albedo)
+        lit = finder.lit
+        bounced = np.maximum(coarse_bounce(lit, light) * gain, 0.0)[lit.coarse]
+        arriving = np.maximum(texel_irradiance(lit, light, bands), 0.0) + bounced
+        albedo, self._roughness = edit.apply(scene.albedo, scene.perceptual_roughness)
+        self._diffuse = (1.0 - scene.metalness) * albedo * arriving / np.float32(np.pi)
+        self._f0 = scene.metalness * albedo + (1.0 - scene.metalness) * np.float32(DIELECTRIC_F0)
+        self._around = bounced * scene.surroundings[:, None]
+
+    def __call__(self, position: NDArray[np.float32], omega_o: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the radiance that points [n, 3] send towards `omega_o` [n, 3]."""
+        scene = self._finder.scene
+        texel = self._finder.nearest(position)
+        normal = scene.normal[texel]
+        cosine = dot(normal, omega_o)
+        mirror = (2.0 * cosine * normal - omega_o).astype(np.float32)
+        roughness = self._roughness[texel]
+        scale, bias = split_sum(cosine[:, 0], roughness[:, 0])
+        lobe = per_coefficient(factors_at(self._finder.lobes, roughness[:, 0]))
+        visibility = scene.visibility[texel]
+        bands = round(visibility.shape[1] ** 0.5)
+        free = np.einsum("nk,nk->n", basis_rows(mirror, bands) * lobe, visibility).clip(0.0, 1.0)[:, None]
+        prefiltered = self._light.prefiltered.lookup(mirror, roughness[:, 0])
+        lit = free * prefiltered + (1.0 - free) * self._around[texel]
+        reflectance = self._f0[texel] * scale[:, None] + bias[:, None]
+        return (self._diffuse[texel] + (cosine > 0.0) * reflectance * lit).astype(np.float32)

@@ -1,0 +1,53 @@
+"""Compiled loops of baked relighting. They release the interpreter lock and write only their outputs."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lambent_relight.compiling import COMPILE_OPTIONS
+
+Rows = NDArray[np.float32]
+
+
+def shade_pixels(
+    places: tuple[NDArray[np.int64], NDArray[np.int32], Rows, NDArray[np.int64], NDArray[np.int32]],
+    light: tuple[Rows, Rows, Rows, Rows],
+    lobes: tuple[Rows, Rows, Rows],
+    num_pixels: int,
+) -> tuple[Rows, ...]:
+    """Return the radiance of all `num_pixels` pixels: whole, direct, indirect, diffuse, specular, [pixel, 3].
+
+    `places`: pixels that show the object, their texels, how much each of these counts, where each pixel's
+    begin, the coarse texel of each texel. `light`: irradiance per texel and per coarse texel, prefiltered
+    radiance and reflected dominant lights per shown pixel. `lobes`: factors of diffuse, free and surrounded
+    reflection (`lambent_relight.baked.shading.Lobes`).
+    """
+    out = np.zeros((5, num_pixels, 3), np.float32)
+    _shade_pixels(*places, *light, *lobes, out)
+    return tuple(out)
+
+
+@njit(**COMPILE_OPTIONS)
+def _shade_pixels(
+    pixel, texel, share, first, coarse, straight, bounced, prefiltered, glint, diffuse, free, around, out
+):
+    zero = np.float32(0.0)
+    for number in range(len(pixel)):
+        start, end = first[number], first[number + 1]
+        p = pixel[number]
+        for channel in range(3):
+            arriving, bounce = np.float32(0.0), np.float32(0.0)
+            for place in range(start, end):
+                t = texel[place]
+                arriving += share[place] * straight[t, channel]
+                bounce += share[place] * bounced[coarse[t], channel]
+            arriving, bounce = max(arriving, zero), max(bounce, zero)
+            mirrored = free[number, channel] * prefiltered[number, channel] + glint[number, channel]
+            surrounding = around[number, channel] * bounce
+            scattered = diffuse[number, channel] * arriving
+            scattered_again = diffuse[number, channel] * bounce
+            out[1, p, channel] = scattered + mirrored
+            out[2, p, channel] = scattered_again + surrounding
+            out[3, p, channel] = scattered + scattered_again
+            out[4, p, channel] = mirrored + surrounding
+            out[0, p, channel] = scattered + scattered_again + mirrored + surrounding

@@ -1,0 +1,107 @@
+"""The surface of a bundle, read from its mesh/asset.glb: what the rasteriser and the atlas need.
+
+Positions stay as the file stores them, which is the world (z up); the node that turns them to glTF's y up is
+for other programs. Source: glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB); the file may come
+from a stranger, so nothing in it is believed before it is checked.
+"""
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.bundle.archive import read_checked
+from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.errors import BundleError
+
+_MAX_BYTES = 512 << 20
+_TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+
+
+@dataclass(frozen=True, eq=False)
+class AtlasMesh:
+    """Triangles with a place in the atlas."""
+
+    vertices: NDArray[np.float32]
+    """World coordinates [vertex, 3]."""
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float32]
+    """[vertex, 2] in [0, 1], v down from the top row of the atlas."""
+
+
+def read_mesh(bundle: Bundle) -> AtlasMesh:
+    """Return the mesh of a bundle; raises BundleError `bundle.mesh_invalid` for one that cannot be used."""
+    paths = [file.path for file in bundle.manifest.files if file.path == "mesh/asset.glb"]
+    if not paths:
+        raise BundleError("bundle.file_missing", '"mesh/asset.glb" is not in files', "export it again")
+    return mesh_from_glb(read_checked(bundle.source, paths[0], limit_bytes=_MAX_BYTES))
+
+
+def mesh_from_glb(data: bytes) -> AtlasMesh:
+    """Return the first primitive of a binary glTF file."""
+    try:
+        document, payload = _chunks(data)
+        primitive = document["meshes"][0]["primitives"][0]
+        attributes = primitive["attributes"]
+        vertices = _accessor(document, payload, attributes["POSITION"], "VEC3")
+        uv = _accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
+        indices = _accessor(document, payload, primitive["indices"], "SCALAR")
+        mode = primitive.get("mode", 4)
+    except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
+        raise _invalid(f"cannot be read ({type(error).__name__}: {str(error)[:100]})") from error
+    if mode != 4 or indices.size % 3 or indices.dtype.kind != "u":
+        raise _invalid("is not made of triangles")
+    if vertices.dtype != np.float32 or len(uv) != len(vertices):
+        raise _invalid("has other texture coordinates than positions")
+    if uv.dtype.kind == "u":
+        uv = uv / np.float32(np.iinfo(uv.dtype).max)
+    if not (np.isfinite(vertices).all() and np.isfinite(uv).all() and uv.min() >= 0.0 and uv.max() <= 1.0):
+        raise _invalid("has coordinates out of range")
+    if len(vertices) == 0 or indices.size == 0 or int(indices.max()) >= len(vertices):
+        raise _invalid("refers to vertices that are not there")
+    faces = np.ascontiguousarray(indices.reshape(-1, 3), np.int32)
+    return AtlasMesh(np.ascontiguousarray(vertices), faces, np.ascontiguousarray(uv, np.float32))
+
+
+def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    magic, version, size = struct.unpack_from("<III", data, 0)
+    if magic != 0x46546C67 or version != 2 or size > len(data):
+        raise ValueError("not a GLB of version 2")
+    length, kind = struct.unpack_from("<II", data, 12)
+    if kind != 0x4E4F534A or 20 + length > len(data):
+        raise ValueError("no JSON chunk")
+    document = json.loads(data[20 : 20 + length])
+    start = 20 + length
+    payload_length, payload_kind = struct.unpack_from("<II", data, start)
+    if payload_kind != 0x004E4942 or start + 8 + payload_length > len(data):
+        raise ValueError("no binary chunk")
+    return document, data[start + 8 : start + 8 + payload_length]
+
+
+def _accessor(document: dict[str, Any], payload: bytes, index: int, kind: str) -> NDArray[Any]:
+    accessor = document["accessors"][index]
+    view = document["bufferViews"][accessor["bufferView"]]
+    dtype, components, count = (
+        np.dtype(_TYPES[accessor["componentType"]]),
+        _COMPONENTS[kind],
+        accessor["count"],
+    )
+    if accessor["type"] != kind or "sparse" in accessor or view.get("buffer", 0) != 0:
+        raise ValueError(f"accessor {index} has another form")
+    stride = view.get("byteStride", dtype.itemsize * components)
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    numbers = (stride, start, count, view["byteLength"])
+    if not all(isinstance(n, int) and n >= 0 for n in numbers) or stride < dtype.itemsize * components:
+        raise ValueError(f"accessor {index} has a size that is no size")
+    if count and start + (count - 1) * stride + dtype.itemsize * components > len(payload):
+        raise ValueError(f"accessor {index} leaves the file")
+    shape, strides = (count, components), (stride, dtype.itemsize)
+    return np.ndarray(shape, dtype, payload, start if count else 0, strides).copy()
+
+
+def _invalid(what: str) -> BundleError:
+    return BundleError("bundle.mesh_invalid", f"mesh/asset.glb {what}", "export the bundle again")

@@ -1,0 +1,124 @@
+"""Which triangle each pixel of a picture, or each texel of an atlas, shows.
+
+Pixels are sampled at their centres; for smoother edges draw a camera `resized` to a multiple and take
+`block_means`. An atlas has u to the right and v down, both 0..1, texel (row, column) centred at
+((column + 0.5) / size, (row + 0.5) / size).
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.baked import raster_kernels as kernels
+from lambent_relight.bundle.graphs import available_threads
+from lambent_relight.cameras import Camera
+
+_ROWS_PER_TASK = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fragments:
+    """What is seen at the places of a grid."""
+
+    face: NDArray[np.int32]
+    """[height, width], -1 where nothing is."""
+    barycentric: NDArray[np.float32]
+    """[height, width, 2]: weights of the triangle's second and third corner, perspective-correct."""
+    depth: NDArray[np.float32]
+    """[height, width], along the ray from the camera, scene units; inf where nothing is, 0 in an atlas."""
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Whether a triangle is seen."""
+        return self.face >= 0
+
+
+def rasterise(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    camera: Camera,
+    *,
+    num_threads: int | None = None,
+) -> Fragments:
+    """Return the nearest triangle at each pixel centre of `camera`.
+
+    Both sides of triangles are seen, and the camera may stand inside the object. `vertices` [vertex, 3] are
+    world coordinates.
+    """
+    pose = camera.camera_to_world
+    points = (np.asarray(vertices, np.float64) - pose[:3, 3]) @ pose[:3, :3]
+    faces = np.ascontiguousarray(faces, np.int32)
+    shape = (camera.height, camera.width)
+    face_of, weights = np.full(shape, -1, np.int32), np.zeros((*shape, 2), np.float32)
+    depth = np.full(shape, np.inf, np.float32)
+    lens = np.array([camera.focal_x, camera.focal_y, camera.centre_x, camera.centre_y], np.float64)
+
+    def draw(first: int) -> None:
+        rows = np.array([first, min(first + _ROWS_PER_TASK, camera.height)])
+        kernels.draw_faces(points, faces, lens, rows, face_of, weights, depth)
+
+    starts = range(0, camera.height, _ROWS_PER_TASK)
+    threads = num_threads or available_threads()
+    if threads == 1 or len(starts) < 2:
+        for start in starts:
+            draw(start)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(draw, starts))
+    return Fragments(face_of, weights, depth)
+
+
+def rasterise_uv(uv: NDArray[np.floating], faces: NDArray[np.integer], size: int) -> Fragments:
+    """Return the triangle at each texel centre of a square atlas; the first where charts overlap."""
+    places = np.asarray(uv, np.float64) * size
+    face_of, weights = np.full((size, size), -1, np.int32), np.zeros((size, size, 2), np.float32)
+    kernels.draw_charts(places, np.ascontiguousarray(faces, np.int32), size, face_of, weights)
+    return Fragments(face_of, weights, np.zeros((size, size), np.float32))
+
+
+def interpolate(
+    fragments: Fragments, faces: NDArray[np.integer], values: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """Return `values` [vertex, n] at the covered places, [count, n] in row-major order."""
+    corners = faces[fragments.face[fragments.covered]]
+    second, third = fragments.barycentric[fragments.covered].T[:, :, None]
+    a, b, c = (values[corners[:, k]] for k in range(3))
+    return (a + second * (b - a) + third * (c - a)).astype(np.float32)
+
+
+def nearest_texel(texel_index: NDArray[np.integer], size: int) -> NDArray[np.int32]:
+    """Return for each texel [size, size] the position in `texel_index` of the nearest covered one.
+
+    `values[nearest_texel(...)]` is then the whole plane of values per covered texel, its gutters filled, so
+    that filtering across the border of a chart finds the chart's own values. There must be a covered texel.
+    """
+    owner = np.full(size * size, -1, np.int32)
+    owner[texel_index] = np.arange(len(texel_index), dtype=np.int32)
+    queue = np.empty(size * size, np.int32)
+    queue[: len(texel_index)] = texel_index
+    plane = owner.reshape(size, size)
+    kernels.spread(plane, queue, len(texel_index))
+    return plane
+
+
+def sample_plane(plane: NDArray[np.floating], uv: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return `plane` [size, size, n] at `uv` [count, 2], bilinear, clamped at the rim."""
+    height, width = plane.shape[:2]
+    x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
+    y = np.clip(uv[:, 1] * height - 0.5, 0.0, height - 1.0)
+    left = np.minimum(x.astype(np.int32), max(width - 2, 0))
+    top = np.minimum(y.astype(np.int32), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = (x - left)[:, None], (y - top)[:, None]
+    upper = plane[top, left] * (1.0 - fx) + plane[top, right] * fx
+    lower = plane[bottom, left] * (1.0 - fx) + plane[bottom, right] * fx
+    return (upper * (1.0 - fy) + lower * fy).astype(np.float32)
+
+
+def block_means(image: NDArray[np.floating], factor: int) -> NDArray[np.floating]:
+    """Return the means of `factor` x `factor` blocks of `image` [height, width, ...]."""
+    rows, columns = image.shape[0] // factor, image.shape[1] // factor
+    cut = image[: rows * factor, : columns * factor]
+    return cut.reshape(rows, factor, columns, factor, *image.shape[2:]).mean(axis=(1, 3))

@@ -1,0 +1,170 @@
+"""Pictures of the qualities `preview` and `baked`; views and the light are remembered between pictures."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lambent_relight.baked.edges import with_soft_edges
+from lambent_relight.baked.hits import BakedHits, HitFinder
+from lambent_relight.baked.light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
+from lambent_relight.baked.scene import load_baked_scene
+from lambent_relight.baked.shading import Lobes, lobes_of, shade
+from lambent_relight.baked.view import BakedView, look_at_surface
+from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.bundle.graphs import SurfaceCaches
+from lambent_relight.cameras import Camera
+from lambent_relight.edits import MaterialEdit
+from lambent_relight.environment.maps import Environment
+from lambent_relight.picture import RelitPicture
+
+QUALITIES = ("preview", "baked")
+_KEPT_PIXELS = 2_000_000
+"""Pixels of views that are remembered; about 400 bytes each."""
+_KEPT_LIGHTS = 3
+"""Prepared environments that are remembered: those that are compared side by side."""
+
+
+class BakedRenderer:
+    """Renders from baked transport. A known view in a known light, turned or not, costs a matrix product."""
+
+    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_pixels: int = _KEPT_PIXELS) -> None:
+        """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
+
+        `kept_pixels` bounds the views that are remembered; the last one always is.
+        """
+        self._kept_pixels = kept_pixels
+        self.scene = load_baked_scene(bundle)
+        self._caches = caches
+        self._views: dict[tuple[bytes, int, bool], BakedView] = {}
+        self._known: _Prepared | None = None
+        self._finder: HitFinder | None = None
+        self._lights: list[tuple[Environment, int, BakedLight]] = []
+
+    def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
+        """Return what `camera` sees; the last few cameras are remembered."""
+        key = (camera.key(), antialias, soft_edges)
+        if key not in self._views:
+            view = look_at_surface(self.scene, camera, antialias)
+            if soft_edges:
+                view = with_soft_edges(view, self._caches, antialias)
+            while (
+                self._views
+                and sum(v.num_pixels for v in self._views.values()) + view.num_pixels > self._kept_pixels
+            ):
+                self._views.pop(next(iter(self._views)))
+            self._views[key] = view
+        return self._views[key]
+
+    def light(self, environment: Environment, dominant_lights: int) -> BakedLight:
+        """Return `environment` prepared; turning one of the last few only turns what was prepared."""
+        known = next(
+            (
+                light
+                for light in self._lights
+                if light[0].radiance is environment.radiance and light[1] == dominant_lights
+            ),
+            None,
+        )
+        if known is None:
+            bands = round(len(self.scene.transport.direct) ** 0.5)
+            known = (environment, dominant_lights, prepare_light(environment, bands, dominant_lights))
+            self._lights = [*self._lights[1 - _KEPT_LIGHTS :], known]
+        turn = environment.rotate_deg - known[0].rotate_deg
+        return known[2].rotated(turn) if turn else known[2]
+
+    def hits(self, environment: Environment, edit: MaterialEdit) -> BakedHits:
+        """Return what hit points of refined relighting send back under `environment`."""
+        if self._finder is None:
+            self._finder = HitFinder(self.scene)
+        can_split = self.scene.transport.shadow_bits is not None
+        light = self.light(environment, MAX_DOMINANT if can_split else 0)
+        return BakedHits(self._finder, light, edit)
+
+    def render(
+        self,
+        camera: Camera,
+        environment: Environment,
+        *,
+        preview: bool,
+        antialias: int,
+        indirect: bool,
+        edit: MaterialEdit,
+        soft_edges: bool = True,
+        compiled: bool = True,
+    ) -> RelitPicture:
+        """Return the object as `camera` sees it, without background.
+
+        Without `soft_edges` the mesh decides what is covered, which makes a new view many times faster; so
+        it does in a `preview`. `compiled` False keeps to numpy where there is a choice; results differ by
+        rounding only.
+        """
+        view = self.view(camera, antialias, soft_edges=soft_edges and not preview)
+        can_split = self.scene.transport.shadow_bits is not None and not preview
+        light = self.light(environment, MAX_DOMINANT if can_split else 0)
+        known = self._prepared(view, edit, preview=preview)
+        found = shade(
+            view,
+            known.lit,
+            known.lobes,
+            light,
+            preview=preview,
+            indirect=indirect,
+            bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
+            compiled=compiled,
+        )
+        return replace(
+            known.still,
+            rgb=found.rgb,
+            direct=found.direct,
+            indirect=found.indirect,
+            diffuse=found.diffuse,
+            specular=found.specular,
+        )
+
+    def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
+        """Return what a view needs of materials and texels; kept for the last view and edit."""
+        known = self._known
+        if known is None or known.view is not view or known.edit != edit or known.preview != preview:
+            lobes = lobes_of(view, edit, preview=preview)
+            same = known is not None and known.view is view
+            lit = known.lit if same and known is not None else lit_texels(self.scene, view.used)
+            known = _Prepared(view, edit, preview, lit, lobes, _still(view, lobes))
+            self._known = known
+        return known
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    view: BakedView
+    edit: MaterialEdit
+    preview: bool
+    lit: LitTexels
+    lobes: Lobes
+    still: RelitPicture
+    """Everything in a picture that does not depend on the light; arrays are shared between pictures."""
+
+
+def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
+    black = np.zeros((view.camera.height, view.camera.width, 3), np.float32)
+    coverage = view.image(view.coverage)
+    still = RelitPicture(
+        rgb=black,
+        opacity=coverage,
+        standard_error=black,
+        direct=black,
+        indirect=black,
+        diffuse=black,
+        specular=black,
+        visibility=view.image(view.openness),
+        albedo=view.image(lobes.albedo),
+        normal=view.image(view.normal),
+        perceptual_roughness=view.image(lobes.perceptual_roughness),
+        metalness=view.image(view.metalness),
+        distance=view.image(view.distance),
+        coverage=coverage,
+        num_samples=0,
+    )
+    for name in ("opacity", "standard_error", "visibility", "albedo", "normal", "metalness", "distance"):
+        getattr(still, name).flags.writeable = False
+    still.perceptual_roughness.flags.writeable = False
+    return still

@@ -1,0 +1,100 @@
+"""A bundle's baked surface in memory: mesh, texels with their materials, and their light transport."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.baked.mesh import AtlasMesh, read_mesh
+from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
+from lambent_relight.baked.transport import Transport, read_transport
+from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.directions import normalise
+from lambent_relight.errors import BundleError, UnsupportedQuality
+
+_LEAST_BLOCKED = 0.05
+"""Share of the hemisphere that is taken to be surrounded at least, where light from there is wanted."""
+
+
+@dataclass(frozen=True, eq=False)
+class BakedScene:
+    """Everything about the object that `preview` and `baked` need, whatever the light and the camera."""
+
+    mesh: AtlasMesh
+    transport: Transport
+    texel_plane: NDArray[np.int32]
+    """Number of the nearest covered texel at every place of the atlas, [size, size]."""
+    albedo: NDArray[np.float32]
+    """Of every covered texel, [texel, 3]; as are the next three."""
+    perceptual_roughness: NDArray[np.float32]
+    metalness: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+    @cached_property
+    def openness(self) -> NDArray[np.float32]:
+        """The share of the cosine-weighted hemisphere that is free, [texel] in [0, 1]."""
+        return np.clip(self.transport.direct[0] / np.float32(0.5 * np.sqrt(np.pi)), 0.0, 1.0)
+
+    @cached_property
+    def mean_albedo(self) -> NDArray[np.float32]:
+        """The object's mean albedo, [3]."""
+        return self.albedo.mean(axis=0)
+
+    @cached_property
+    def surroundings(self) -> NDArray[np.float32]:
+        """Factor from indirect irradiance to the mean radiance of what stands around, [texel]."""
+        return 1.0 / (np.float32(np.pi) * np.maximum(1.0 - self.openness, _LEAST_BLOCKED))
+
+    @cached_property
+    def visibility(self) -> NDArray[np.float32]:
+        """The sky's openness as harmonics, coefficients last, [texel, bands^2]."""
+        return np.ascontiguousarray(self.transport.visibility.T)
+
+    def texels_at(self, uv: NDArray[np.floating]) -> NDArray[np.int32]:
+        """Return the number of the texel at places `uv` [n, 2] of the atlas."""
+        size = self.transport.size
+        place = np.clip((uv * size).astype(np.int32), 0, size - 1)
+        return self.texel_plane[place[:, 1], place[:, 0]]
+
+
+def load_baked_scene(bundle: Bundle) -> BakedScene:
+    """Return the baked surface of a bundle.
+
+    Raises UnsupportedQuality when the bundle has no transport, BundleError when its parts do not fit.
+    """
+    transport = read_transport(bundle)
+    if transport is None:
+        raise UnsupportedQuality(
+            "relight.quality_unsupported",
+            "this bundle has no baked light transport (it was exported before version 1.1)",
+            'export it again, or use the quality "refined"',
+        )
+    return baked_scene(read_mesh(bundle), transport)
+
+
+def baked_scene(mesh: AtlasMesh, transport: Transport) -> BakedScene:
+    """Return the surface of a mesh and the transport of its atlas."""
+    columns = np.ascontiguousarray(transport.material.T)
+    return BakedScene(
+        mesh=mesh,
+        transport=transport,
+        texel_plane=nearest_texel(transport.texel_index, transport.size),
+        albedo=np.clip(columns[:, 0:3], 0.0, 1.0),
+        perceptual_roughness=np.clip(columns[:, 3:4], 0.0, 1.0),
+        metalness=np.clip(columns[:, 4:5], 0.0, 1.0),
+        normal=normalise(columns[:, 5:8]),
+    )
+
+
+def texel_positions(mesh: AtlasMesh, transport: Transport) -> NDArray[np.float32]:
+    """Return the world position of every covered texel's centre, on the mesh, [texel, 3].
+
+    A texel that the mesh does not cover takes the position of the nearest one it does cover.
+    """
+    fragments = rasterise_uv(mesh.uv, mesh.faces, transport.size)
+    drawn = np.flatnonzero(fragments.covered.ravel()).astype(np.int32)
+    if len(drawn) == 0:
+        raise BundleError("bundle.mesh_invalid", "mesh/asset.glb covers no texel", "export it again")
+    positions = interpolate(fragments, mesh.faces, mesh.vertices)
+    return positions[nearest_texel(drawn, transport.size).ravel()[transport.texel_index]]

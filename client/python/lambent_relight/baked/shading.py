@@ -1,0 +1,146 @@
+"""Qualities `preview` and `baked`: relighting from baked transport, one matrix product per light.
+
+    diffuse  = (1 - m) albedo / pi (E_direct + E_indirect)
+    specular = (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings) + glints
+
+E is the texels' irradiance; s in [0, 1] is how much of the lobe is free, from the visibility's harmonics
+smoothed by the lobe; what is not free sees the mean radiance of what stands around. Dominant lights are taken
+out of the prefiltered map and reflected one by one, each in its own shadow (`baked.dominant_highlights`).
+`preview` keeps three bands, has no indirect light, and takes s from the openness alone. Source:
+docs/reference/conventions.md.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.baked import kernels as baked_kernels
+from lambent_relight.baked.dominant_highlights import glints, lobe_scale
+from lambent_relight.baked.light import (
+    PREVIEW_BANDS,
+    BakedLight,
+    LitTexels,
+    coarse_bounce,
+    seen_lights,
+    texel_irradiance,
+)
+from lambent_relight.baked.split_sum import split_sum
+from lambent_relight.baked.transport_kernels import basis_rows
+from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
+from lambent_relight.baked.view import BakedView
+from lambent_relight.brdf import DIELECTRIC_F0, MIN_ALPHA
+from lambent_relight.directions import dot
+from lambent_relight.edits import MaterialEdit
+
+
+@dataclass(frozen=True, eq=False)
+class Lobes:
+    """What the reflection of a view's pixels needs, whatever the light; [pixel, n] each."""
+
+    albedo: NDArray[np.float32]
+    perceptual_roughness: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+    """Diffuse albedo over pi, [pixel, 3]."""
+    free: NDArray[np.float32]
+    """Specular reflectance times the free part of the lobe, [pixel, 3]."""
+    surrounded: NDArray[np.float32]
+    """Specular reflectance times the rest, times the factor to mean radiance, [pixel, 3]."""
+    mirror: NDArray[np.float32]
+    """Direction of mirror reflection, [pixel, 3]."""
+    alpha: NDArray[np.float32]
+    """GGX width, [pixel]."""
+    lobe_scale: NDArray[np.float32]
+    """One over the integral of the prefilter's weight, 1/sr, [pixel]."""
+    f0: NDArray[np.float32]
+    """Specular reflectance at normal incidence, [pixel, 3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BakedRadiance:
+    """Outgoing radiance by path, as pictures [height, width, 3], black outside the object."""
+
+    rgb: NDArray[np.float32]
+    direct: NDArray[np.float32]
+    indirect: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+    specular: NDArray[np.float32]
+
+
+def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
+    """Return how the pixels of a view reflect, with `edit` applied."""
+    albedo, roughness = edit.apply(view.albedo, view.perceptual_roughness)
+    cosine = dot(view.normal, view.omega_o)
+    mirror = (2.0 * cosine * view.normal - view.omega_o).astype(np.float32)
+    scale, bias = split_sum(cosine[:, 0], roughness[:, 0])
+    alpha = np.maximum(roughness[:, 0] ** 2, MIN_ALPHA).astype(np.float32)
+    f0 = view.metalness * albedo + (1.0 - view.metalness) * np.float32(DIELECTRIC_F0)
+    reflectance = f0 * scale[:, None] + bias[:, None]
+    if preview:
+        free = view.openness
+    else:
+        bands = round(view.visibility.shape[1] ** 0.5)
+        lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
+        basis = basis_rows(mirror, bands) * lobe
+        free = np.clip(np.einsum("nk,nk->n", basis, view.visibility), 0.0, 1.0)[:, None]
+    return Lobes(
+        albedo,
+        roughness,
+        ((1.0 - view.metalness) * albedo / np.float32(np.pi)).astype(np.float32),
+        (reflectance * free).astype(np.float32),
+        (reflectance * (1.0 - free) * view.surroundings).astype(np.float32),
+        mirror,
+        alpha,
+        lobe_scale(alpha),
+        f0.astype(np.float32),
+    )
+
+
+def shade(
+    view: BakedView,
+    lit: LitTexels,
+    lobes: Lobes,
+    light: BakedLight,
+    *,
+    preview: bool,
+    indirect: bool,
+    bounce_gain: NDArray[np.float32],
+    compiled: bool = True,
+) -> BakedRadiance:
+    """Return what the pixels of `view` send to the camera under `light`; `lit` are its used texels.
+
+    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before. `compiled`
+    False keeps to numpy, with the same result but for rounding.
+    """
+    bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
+    seen = seen_lights(lit, light)
+    straight = texel_irradiance(lit, light, bands, seen)
+    bounced = coarse_bounce(lit, light) * bounce_gain
+    if preview or not indirect:
+        bounced = np.zeros_like(bounced)
+    prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
+    glint = np.zeros_like(prefiltered)
+    if len(light.directions):
+        shares = np.stack([view.mean(row[:, None])[:, 0] for row in seen])
+        prefiltered, glint = glints(
+            (view.normal, view.omega_o, lobes.mirror),
+            (lobes.alpha, lobes.lobe_scale, lobes.f0),
+            (light.directions, light.irradiance, shares),
+            prefiltered,
+        )
+    if compiled:
+        parts = baked_kernels.shade_pixels(
+            (view.pixel, view.texel, view.share, view.first, lit.coarse),
+            (straight, bounced, prefiltered, glint),
+            (lobes.diffuse, lobes.free, lobes.surrounded),
+            view.camera.height * view.camera.width,
+        )
+        shape = (view.camera.height, view.camera.width, 3)
+        return BakedRadiance(*(part.reshape(shape) for part in parts))
+    arriving = np.maximum(view.mean(straight), 0.0)
+    bounce = np.maximum(view.mean(bounced[lit.coarse]), 0.0)
+    mirrored, around = lobes.free * prefiltered + glint, lobes.surrounded * bounce
+    direct = view.image(lobes.diffuse * arriving + mirrored)
+    indirect_part = view.image(lobes.diffuse * bounce + around)
+    rgb, specular = direct + indirect_part, view.image(mirrored + around)
+    return BakedRadiance(rgb, direct, indirect_part, rgb - specular, specular)

@@ -1,0 +1,118 @@
+"""What a camera sees of the baked surface: per pixel, the texels it covers and one averaged surface point.
+
+Coverage and materials are means over `antialias` x `antialias` fragments of a pixel, and so is the irradiance
+of their texels. The specular lobe is looked up once per pixel. Nothing here depends on the light, so a new
+light on a known view costs little.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.baked.raster import interpolate, rasterise
+from lambent_relight.baked.scene import BakedScene
+from lambent_relight.cameras import Camera
+from lambent_relight.directions import dot, normalise
+
+
+@dataclass(frozen=True, eq=False)
+class BakedView:
+    """Pixels that show the surface, in rising order, and what they show."""
+
+    camera: Camera
+    pixel: NDArray[np.int64]
+    """row * width + column, [pixel]."""
+    first: NDArray[np.int64]
+    """Where the texels of every pixel begin in `texel`, [pixel + 1]."""
+    texel: NDArray[np.int32]
+    """Texels of all fragments, pixel after pixel, as places in `used`."""
+    share: NDArray[np.float32]
+    """How much each of `texel` counts in its pixel's mean; a pixel's sum to one."""
+    used: NDArray[np.int32]
+    """The texels that are seen at all, rising."""
+    coverage: NDArray[np.float32]
+    """Share of the pixel's fragments that show the surface, [pixel, 1]."""
+    distance: NDArray[np.float32]
+    omega_o: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    """Unit, turned towards the viewer where it faced away, [pixel, 3]."""
+    albedo: NDArray[np.float32]
+    perceptual_roughness: NDArray[np.float32]
+    metalness: NDArray[np.float32]
+    visibility: NDArray[np.float32]
+    """Harmonics of the sky's openness, [pixel, coefficient]."""
+    openness: NDArray[np.float32]
+    surroundings: NDArray[np.float32]
+
+    @property
+    def num_pixels(self) -> int:
+        """How many pixels show the surface."""
+        return len(self.pixel)
+
+    def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return the mean of values per used texel [used, n] over the texels of every pixel, [pixel, n]."""
+        found = values.reshape(len(values), -1)[self.texel]
+        if len(found) in (0, self.num_pixels):
+            return found.astype(np.float32, copy=False)
+        return np.add.reduceat(found * self.share[:, None], self.first[:-1], axis=0).astype(np.float32)
+
+    def image(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return values per pixel [pixel, n] as a picture [height, width, n], zero elsewhere."""
+        result = np.zeros((self.camera.height * self.camera.width, values.shape[1]), np.float32)
+        result[self.pixel] = values
+        return result.reshape(self.camera.height, self.camera.width, -1)
+
+
+def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedView:
+    """Return what `camera` sees with `antialias` x `antialias` fragments per pixel."""
+    fine = camera.resized(camera.width * antialias, camera.height * antialias) if antialias > 1 else camera
+    fragments = rasterise(scene.mesh.vertices, scene.mesh.faces, fine)
+    row, column = np.nonzero(fragments.covered)
+    owner = (row // antialias).astype(np.int64) * camera.width + column // antialias
+    texel = scene.texels_at(interpolate(fragments, scene.mesh.faces, scene.mesh.uv))
+    depth = fragments.depth[row, column]
+    if antialias > 1:
+        order = np.argsort(owner, kind="stable")
+        owner, texel, depth = owner[order], texel[order], depth[order]
+    used, place = np.unique(texel, return_inverse=True)
+    pixel, start = np.unique(owner, return_index=True)
+    first = np.append(start, len(owner)).astype(np.int64)
+    count = np.diff(first)
+    omega_o = -camera.rays()[1][pixel]
+    return BakedView(
+        camera=camera,
+        pixel=pixel,
+        first=first,
+        texel=place.astype(np.int32),
+        share=np.repeat(1.0 / count, count).astype(np.float32),
+        used=used,
+        coverage=(count[:, None] / antialias**2).astype(np.float32),
+        distance=_means(depth[:, None], first),
+        omega_o=omega_o,
+        normal=turned_to(omega_o, normalise(_means(scene.normal[texel], first))),
+        albedo=_means(scene.albedo[texel], first),
+        perceptual_roughness=_means(scene.perceptual_roughness[texel], first),
+        metalness=_means(scene.metalness[texel], first),
+        visibility=_means(scene.visibility[texel], first),
+        openness=_means(scene.openness[texel][:, None], first),
+        surroundings=_means(scene.surroundings[texel][:, None], first),
+    )
+
+
+def turned_to(omega_o: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return unit normals, those that face away from the viewer turned until they just do not.
+
+    A mean normal may face away at a silhouette, where the true one cannot.
+    """
+    away = np.minimum(dot(normal, omega_o) - 1e-3, 0.0)
+    return normalise(normal - away * omega_o).astype(np.float32)
+
+
+def _means(values: NDArray[np.floating], first: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return the means of rows [first[i], first[i + 1]) of `values`."""
+    if len(values) == len(first) - 1:
+        return values.astype(np.float32, copy=False)
+    if len(values) == 0:
+        return np.zeros((0, values.shape[1]), np.float32)
+    return (np.add.reduceat(values, first[:-1], axis=0) / np.diff(first)[:, None]).astype(np.float32)

@@ -1,0 +1,1 @@
+"""The relightable bundle: files, checks, networks."""

@@ -1,0 +1,227 @@
+"""A relightable bundle, opened and checked.
+
+Everything is checked before anything is used: paths, links, sizes, SHA-256 of every file, the version,
+the conventions, and what the graphs refer to. Source: docs/reference/bundle-format.md.
+"""
+
+import math
+import re
+import tempfile
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from google.protobuf import json_format
+from lambent_proto.v1.bundle_pb2 import BundleManifest
+
+from lambent_relight.bundle.archive import FileSource, check_path, open_source, read_checked, verify
+from lambent_relight.bundle.onnx_check import check_onnx
+from lambent_relight.bundle.uncertainty import UncertaintyGrid, read_uncertainty
+from lambent_relight.cameras import Camera, parse_cameras
+from lambent_relight.environment.maps import Environment, load_environment
+from lambent_relight.errors import BundleError
+
+SCHEMA_MAJOR = 1
+"""The major version of the format that this reader knows."""
+_MAX_MANIFEST_BYTES = 16 << 20
+_MAX_GRAPH_BYTES = 64 << 20
+_MAX_WEIGHTS_BYTES = 2 << 30
+_MAX_PICTURE_BYTES = 512 << 20
+WEIGHTS_PATH = "models/weights.bin"
+NETWORKS = ("gbuffer", "material", "fast_cache")
+"""Graphs that a bundle has all of, or, where it has baked transport, none of."""
+_CONVENTIONS = {
+    "up_axis": "z",
+    "handedness": "right",
+    "environment_convention": "tensoir",
+    "radiance": "linear-rec709",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """A checked bundle. Graph and weight bytes are those that were checked."""
+
+    path: Path
+    manifest: BundleManifest
+    source: FileSource
+
+    @property
+    def has_networks(self) -> bool:
+        """Whether there are graphs to ask about rays and points; lite bundles carry baked transport alone."""
+        return any(graph.name in NETWORKS for graph in self.manifest.graphs)
+
+    def graph_path(self, name: str, light: str = "") -> str:
+        """Return the path of the graph `name` ("gbuffer", "material", "fast_cache" of a training light)."""
+        for graph in self.manifest.graphs:
+            if graph.name == name and (not light or graph.light == light):
+                return graph.path
+        raise BundleError(
+            "bundle.graph_missing",
+            f'there is no graph "{name}"' + (f' for the light "{light}"' if light else ""),
+            f"the bundle has {[graph.path for graph in self.manifest.graphs]}",
+        )
+
+    def graph(self, path: str) -> bytes:
+        """Return the bytes of an ONNX graph."""
+        return read_checked(self.source, path, limit_bytes=_MAX_GRAPH_BYTES)
+
+    @cached_property
+    def weights(self) -> bytes:
+        """The bytes of models/weights.bin; empty when the graphs carry their own weights."""
+        if not any(file.path == WEIGHTS_PATH for file in self.manifest.files):
+            return b""
+        return read_checked(self.source, WEIGHTS_PATH, limit_bytes=_MAX_WEIGHTS_BYTES)
+
+    def cameras(self) -> list[Camera]:
+        """Return the cameras of cameras.json: those the object was photographed from."""
+        path = self._path_of_role("cameras")
+        return parse_cameras(read_checked(self.source, path, limit_bytes=_MAX_GRAPH_BYTES), source=path)
+
+    def trained_environment(self, light: str) -> Environment:
+        """Return the environment recovered for a training light."""
+        data = read_checked(self.source, f"env/trained_{light}.exr", limit_bytes=_MAX_PICTURE_BYTES)
+        with tempfile.TemporaryDirectory(prefix="lambent-") as folder:
+            copy = Path(folder) / "trained.exr"
+            copy.write_bytes(data)
+            return load_environment(copy)
+
+    def uncertainty(self) -> UncertaintyGrid | None:
+        """Return how well the photographs determine the materials, or None where the bundle does not say."""
+        if not self.manifest.HasField("uncertainty"):
+            return None
+        stated = self.manifest.uncertainty
+        if all(file.path != stated.path for file in self.manifest.files):
+            raise BundleError(
+                "bundle.file_missing", f'"{stated.path[:200]}" is not in files', "export the bundle again"
+            )
+        data = read_checked(self.source, stated.path, limit_bytes=_MAX_PICTURE_BYTES)
+        box = stated.box
+        return read_uncertainty(data, list(box.minimum), list(box.maximum), list(stated.channels))
+
+    def _path_of_role(self, role: str) -> str:
+        for file in self.manifest.files:
+            if file.role == role:
+                return file.path
+        raise BundleError(
+            "bundle.file_missing", f"there is no file with the role {role!r}", "export it again"
+        )
+
+
+def load_bundle(path: Path | str) -> Bundle:
+    """Return the bundle in the folder or zip archive at `path`.
+
+    Raises BundleError, with a code that starts with `bundle.`, unless every check of
+    docs/reference/bundle-format.md holds. Nothing is written to disk and no graph is run.
+    """
+    path = Path(path)
+    source = open_source(path)
+    present = source.paths()
+    if "manifest.json" not in present:
+        raise BundleError(
+            "bundle.manifest_missing",
+            f'"{path}" has no manifest.json',
+            "give the folder that holds it, or a .zip",
+        )
+    manifest = _parse_manifest(read_checked(source, "manifest.json", limit_bytes=_MAX_MANIFEST_BYTES))
+    _check_version(manifest)
+    _check_files(manifest, present, source)
+    _check_values(manifest)
+    bundle = Bundle(path=path, manifest=manifest, source=source)
+    _check_graphs(bundle)
+    return bundle
+
+
+def peek_bundle(path: Path | str) -> Bundle:
+    """Return the bundle at `path` of which only some files are there, for what its manifest and cameras say.
+
+    The manifest is checked, files and graphs are not: nothing else of the bundle may be used.
+    """
+    path = Path(path)
+    source = open_source(path)
+    manifest = _parse_manifest(read_checked(source, "manifest.json", limit_bytes=_MAX_MANIFEST_BYTES))
+    _check_version(manifest)
+    _check_values(manifest)
+    return Bundle(path=path, manifest=manifest, source=source)
+
+
+def _parse_manifest(data: bytes) -> BundleManifest:
+    try:
+        # A later minor version may add fields, which an older reader must not trip over.
+        return json_format.Parse(data.decode("utf-8"), BundleManifest(), ignore_unknown_fields=True)
+    except (json_format.ParseError, UnicodeDecodeError, RecursionError) as error:
+        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise BundleError(
+            "bundle.manifest_unreadable", f"manifest.json cannot be read ({reason})", "fetch the bundle again"
+        ) from error
+
+
+def _check_version(manifest: BundleManifest) -> None:
+    match = re.fullmatch(r"(\d{1,4})\.(\d{1,4})", manifest.schema_version)
+    if match is None or int(match[1]) != SCHEMA_MAJOR:
+        raise BundleError(
+            "bundle.version_unknown",
+            f"schema_version is {manifest.schema_version[:32]!r}, this reader knows {SCHEMA_MAJOR}.x",
+            "update lambent, or export the bundle with a matching version",
+        )
+
+
+def _check_files(manifest: BundleManifest, present: set[str], source: FileSource) -> None:
+    stated = [file.path for file in manifest.files]
+    for name in stated:
+        check_path(name)
+    if len(set(stated)) != len(stated):
+        raise BundleError("bundle.manifest_invalid", "a file is listed twice", "export the bundle again")
+    missing, extra = sorted(set(stated) - present), sorted(present - set(stated) - {"manifest.json"})
+    if missing:
+        raise BundleError("bundle.file_missing", f"{missing[:8]} are not there", "fetch the bundle again")
+    if extra:
+        raise BundleError("bundle.file_unlisted", f"{extra[:8]} are not in the manifest", "remove them")
+    for file in manifest.files:
+        verify(source, file.path, int(file.size_bytes), file.sha256)
+
+
+def _check_values(manifest: BundleManifest) -> None:
+    def invalid(what: str) -> BundleError:
+        return BundleError("bundle.manifest_invalid", what, "export the bundle again")
+
+    for name, expected in _CONVENTIONS.items():
+        found = getattr(manifest.world, name)
+        if found != expected:
+            raise BundleError(
+                "bundle.convention_unknown",
+                f"world.{name} is {found[:64]!r}, this reader knows {expected!r}",
+                "export the bundle with the conventions of docs/reference/conventions.md",
+            )
+    rays = manifest.secondary_rays
+    if not (0.0 <= rays.origin_offset < math.inf and 0.0 <= rays.near < rays.far < math.inf):
+        raise invalid("secondary_rays needs origin_offset >= 0 and 0 <= near < far")
+    lower, upper = list(manifest.bounds.minimum), list(manifest.bounds.maximum)
+    if (
+        len(lower) != 3
+        or len(upper) != 3
+        or not all(-math.inf < a < b < math.inf for a, b in zip(lower, upper, strict=True))
+    ):
+        raise invalid("bounds needs three minimum values below three maximum values")
+    scale = list(manifest.albedo_scale_rgb)
+    if len(scale) != 3 or not all(0.0 < value < math.inf for value in scale):
+        raise invalid("albedo_scale_rgb needs three positive numbers")
+
+
+def _check_graphs(bundle: Bundle) -> None:
+    listed = {file.path for file in bundle.manifest.files}
+    for graph in bundle.manifest.graphs:
+        if graph.path not in listed:
+            raise BundleError(
+                "bundle.file_missing", f'the graph "{graph.path}" is not in files', "export the bundle again"
+            )
+        # External data is looked up beside the graph, so graphs may only lie beside weights.bin.
+        if not re.fullmatch(r"models/[\w.\-]+\.onnx", graph.path):
+            raise BundleError(
+                "bundle.manifest_invalid", f'the graph "{graph.path}" is not in models/', "export it again"
+            )
+        data = bundle.graph(graph.path)
+        check_onnx(data, path=graph.path, weights_bytes=len(bundle.weights))
+    if bundle.has_networks or not bundle.manifest.HasField("transport"):
+        for name in NETWORKS:
+            bundle.graph_path(name)

@@ -1,0 +1,54 @@
+"""An environment file as a user gives it: the file, its axes, what to mend and what to clamp."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lambent_relight.environment.axes import OURS, from_axes
+from lambent_relight.environment.maps import Environment, load_environment
+from lambent_relight.environment.sun_clamp import ClampReport, clamp_sun
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EnvironmentInput:
+    """How a map is to be understood."""
+
+    axes: str = OURS
+    """The map's convention, a name of `environment_axes.QUARTER_TURNS`."""
+    mend: bool = False
+    """Whether NaN, negative and infinite values are replaced; otherwise they are an error."""
+    sun_clamp: float = 0.0
+    """Largest radiance of a channel; 0 keeps everything."""
+
+
+@dataclass(frozen=True)
+class OpenedEnvironment:
+    """A map in our convention, and what was done to it."""
+
+    environment: Environment
+    clamp: ClampReport | None
+    """Set where a limit was asked for."""
+
+    def notes(self, name: str) -> list[str]:
+        """Return one sentence for everything that a user should know about the map `name`."""
+        found = []
+        read = self.environment
+        if read.cleaning:
+            found.append(f"{name}: mended {read.cleaning}")
+        if read.reduced_from is not None:
+            (rows, columns), (height, width) = read.reduced_from, read.radiance.shape[:2]
+            found.append(f"{name}: reduced from {columns} x {rows} to {width} x {height} pixels")
+        if self.clamp is not None:
+            found.append(f"{name}: sun clamp: {self.clamp}")
+        return found
+
+
+def open_environment(path: Path | str, given: EnvironmentInput | None = None) -> OpenedEnvironment:
+    """Return the light of a file, in our convention, mended and clamped as `given` asks.
+
+    Raises EnvironmentFileError for a file or a convention that cannot be used.
+    """
+    given = given or EnvironmentInput()
+    environment = from_axes(load_environment(path, mend=given.mend), given.axes)
+    if given.sun_clamp == 0.0:
+        return OpenedEnvironment(environment, None)
+    return OpenedEnvironment(*clamp_sun(environment, given.sun_clamp))

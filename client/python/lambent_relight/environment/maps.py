@@ -1,0 +1,164 @@
+"""Environment maps: light that comes from infinitely far away, as a latitude-longitude picture.
+
+Directions, rows and columns as in `lambent_relight.directions`. Radiance between pixel centres is
+bilinear, wrapping around in azimuth and held constant above the first and below the last row.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.directions import Array, rotate_about_z, uv_of_directions
+from lambent_relight.environment.exr import read_exr_rgb, write_exr
+from lambent_relight.environment.rgbe import read_rgbe
+from lambent_relight.errors import EnvironmentFileError
+from lambent_relight.picture_rows import block_means
+
+MAX_PIXELS = 1 << 25
+"""Largest map that is kept by default, 8192 x 4096; larger files are reduced while they are read."""
+MAX_FILE_PIXELS = 1 << 27
+"""Largest file that is read: 16384 x 8192."""
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """How many values of a map were unusable, and mended on request.
+
+    NaN and negative values became 0, infinite ones the largest finite value.
+    """
+
+    num_nan: int = 0
+    num_infinite: int = 0
+    num_negative: int = 0
+
+    def __bool__(self) -> bool:
+        """Return whether anything had to be mended."""
+        return bool(self.num_nan or self.num_infinite or self.num_negative)
+
+    def __str__(self) -> str:
+        """Return the counts in words."""
+        return f"{self.num_nan} NaN, {self.num_infinite} infinite and {self.num_negative} negative values"
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A map and the angle it is turned by."""
+
+    radiance: NDArray[np.float32]
+    """Linear Rec. 709 radiance [height, width, 3], finite and not negative."""
+    rotate_deg: float = 0.0
+    """The light is turned by this angle about +z: L(d) = L_0(Rz(-rotate_deg) d)."""
+    cleaning: Cleaning = Cleaning()
+    reduced_from: tuple[int, int] | None = None
+    """Height and width of the file, where that was above the limit and the map is a mean of its pixels."""
+
+    def rotated(self, degrees: float) -> "Environment":
+        """Return the same light turned by a further +`degrees` about +z."""
+        return replace(self, rotate_deg=self.rotate_deg + degrees)
+
+    def scaled(self, factor: float) -> "Environment":
+        """Return the same light, `factor` times as bright."""
+        return replace(self, radiance=self.radiance * np.float32(factor))
+
+    def lookup(self, directions: Array) -> NDArray[np.float32]:
+        """Return the radiance that arrives from unit `directions` [*batch, 3], as [*batch, 3]."""
+        if self.rotate_deg:
+            directions = rotate_about_z(directions, -self.rotate_deg)
+        height, width, _ = self.radiance.shape
+        u, v = uv_of_directions(directions)
+        column, row = u * width - 0.5, np.clip(v * height - 0.5, 0.0, height - 1.0)
+        column_floor, row_floor = np.floor(column), np.floor(row)
+        fraction_x = (column - column_floor).astype(np.float32)[..., None]
+        fraction_y = (row - row_floor).astype(np.float32)[..., None]
+        left, top = column_floor.astype(np.int64) % width, row_floor.astype(np.int64)
+        right, bottom = (left + 1) % width, np.minimum(top + 1, height - 1)
+        flat = self.radiance.reshape(-1, 3)
+        upper = flat[top * width + left] * (1 - fraction_x) + flat[top * width + right] * fraction_x
+        lower = flat[bottom * width + left] * (1 - fraction_x) + flat[bottom * width + right] * fraction_x
+        return upper * (1 - fraction_y) + lower * fraction_y
+
+
+def environment_from_array(
+    radiance: Array, *, source: str = "environment", mend: bool = False
+) -> Environment:
+    """Return an environment of linear values [height, width, 3].
+
+    NaN, negative and infinite values are an error, unless `mend` asks for them to be replaced: NaN and
+    negative ones by 0, infinite ones by the largest finite value of the map; `cleaning` tells how many.
+    Raises EnvironmentFileError for those, for a wrong shape, and where nothing usable is left.
+    """
+    image = np.array(radiance, np.float32)
+    if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
+        raise EnvironmentFileError(
+            "environment.shape",
+            f'"{source}" has shape {image.shape}, expected [height, width, 3]',
+            "give an RGB latitude-longitude map",
+        )
+    nan, infinite = np.isnan(image), np.isinf(image)
+    positive_infinite = infinite & (image > 0)
+    negative = ~nan & (image < 0)
+    unusable = nan | infinite | negative
+    if not unusable.any():
+        return Environment(image)
+    usable = image[~unusable]
+    if usable.size == 0:
+        raise EnvironmentFileError(
+            "environment.no_values", f'"{source}" holds no finite, non-negative value', "export the map again"
+        )
+    cleaning = Cleaning(int(nan.sum()), int(infinite.sum()), int((negative & ~infinite).sum()))
+    if not mend:
+        row, column, _ = (int(place[0]) for place in np.nonzero(unusable))
+        raise EnvironmentFileError(
+            "environment.unusable_values",
+            f'"{source}" holds {cleaning}, the first in row {row}, column {column}',
+            "mend the map, or have them replaced: --mend-env (mend=True); "
+            "`lambent probe MAP --mend-env -o DIR` writes a mended map",
+        )
+    image[nan | negative] = 0.0
+    image[positive_infinite] = usable.max()
+    return Environment(image, cleaning=cleaning)
+
+
+def load_environment(
+    path: Path | str,
+    *,
+    max_pixels: int = MAX_PIXELS,
+    max_file_pixels: int = MAX_FILE_PIXELS,
+    mend: bool = False,
+) -> Environment:
+    """Return the environment map in a Radiance (.hdr) or OpenEXR (.exr) file.
+
+    `mend` as in `environment_from_array`. A map above `max_pixels` is reduced by a whole number, each pixel
+    the mean of a block, and says so in `reduced_from`. Raises EnvironmentFileError, with a code that starts
+    with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise EnvironmentFileError("environment.missing", f'there is no file "{path}"', "check the path")
+    readers = {".hdr": read_rgbe, ".pic": read_rgbe, ".rgbe": read_rgbe, ".exr": read_exr_rgb}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise EnvironmentFileError(
+            "environment.unknown_format",
+            f'"{path.name}" is neither .hdr nor .exr',
+            "convert it to one of them",
+        )
+    picture = reader(path, max_pixels=max_file_pixels)
+    height, width = picture.height, picture.width
+    step = next(step for step in range(1, height * width + 1) if height * width <= max_pixels * step * step)
+    if height % step or width % step:
+        raise EnvironmentFileError(
+            "environment.too_large",
+            f'"{path.name}" has {width} x {height} pixels, which blocks of {step} x {step} do not divide',
+            f"reduce the map to at most {max_pixels} pixels (8192 x 4096 is plenty for lighting)",
+        )
+    read = environment_from_array(block_means(picture, step), source=path.name, mend=mend)
+    return replace(read, reduced_from=(height, width)) if step > 1 else read
+
+
+def write_environment(path: Path | str, radiance: Array, *, half: bool = True) -> None:
+    """Write linear radiance [height, width, 3] as an EXR latitude-longitude map in our convention."""
+    image = np.asarray(radiance)
+    write_exr(Path(path), {name: image[..., index] for index, name in enumerate("RGB")}, half=half)

@@ -1,0 +1,1 @@
+"""The bundle's networks as compiled functions, without onnxruntime."""

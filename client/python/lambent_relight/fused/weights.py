@@ -1,0 +1,185 @@
+"""Tensors, layers and feature grids that a bundle keeps in models/weights.bin, for compiled code.
+
+Float32 arrays look into the file's bytes, float16 ones are widened: a processor interpolates those no faster.
+Everything compiled code will index is checked here.
+"""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.bundle.graphs import Rows
+from lambent_relight.bundle.onnx_wire import metadata
+from lambent_relight.errors import BundleError
+from lambent_relight.fused import kernels
+
+METADATA_KEY = "lambent.network"
+_DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
+
+
+class NotFused(Exception):  # noqa: N818 - an answer, not a fault
+    """The bundle's networks are not the ones compiled code knows; the message says why."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """An affine layer: weight [out, in], bias [out]."""
+
+    weight: Rows
+    bias: Rows
+
+
+@dataclass(frozen=True)
+class FeatureGrid:
+    """A multi-resolution feature grid."""
+
+    table: Rows
+    levels: NDArray[np.int64]
+    half_extent: float
+    output_scale: np.float32
+
+    @property
+    def num_outputs(self) -> int:
+        """Features of a point."""
+        return len(self.levels) * self.table.shape[1]
+
+    def encode(self, points: Rows, count: int) -> Rows:
+        """Return the features [num_outputs, block] of contracted `points` [3, block]."""
+        out = np.zeros((self.num_outputs, kernels.BLOCK), np.float32)
+        kernels.encode_grid(points, count, self.table, self.levels, self.half_extent, self.output_scale, out)
+        return out
+
+
+class Weights:
+    """The named tensors of a bundle."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        """Index the manifest's tensors."""
+        self._data = bundle.weights
+        self._tensors = {tensor.name: tensor for tensor in bundle.manifest.tensors}
+        self._grids = {grid.name: grid for grid in bundle.manifest.grids}
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether there is a tensor of this name."""
+        return name in self._tensors
+
+    def tensor(self, name: str) -> Rows:
+        """Return a tensor as float32; raises NotFused without one, BundleError where it is cut off."""
+        entry = self._tensors.get(name)
+        dtype = _DTYPES.get(entry.dtype) if entry is not None else None
+        if entry is None or dtype is None:
+            raise NotFused(f"there is no float32 or float16 tensor {name!r}")
+        shape = tuple(entry.shape)
+        count = 1
+        for size in shape:
+            count *= size
+        offset, size = entry.offset_bytes, dtype.itemsize * count
+        aligned = offset >= 0 and offset % dtype.itemsize == 0
+        if not (aligned and size == entry.size_bytes and offset + size <= len(self._data)):
+            raise BundleError(
+                "bundle.tensor_invalid",
+                f"tensor {name!r} does not lie inside models/weights.bin",
+                "export the bundle again",
+            )
+        values = np.frombuffer(self._data, dtype, count, int(offset)).reshape(shape)
+        return values.astype(np.float32, copy=False)
+
+    def layer(self, *names: str) -> Layer:
+        """Return an affine layer, or several with the same inputs as one, their outputs after each other."""
+        weights = [self.tensor(f"{name}.weight") for name in names]
+        biases = [self.tensor(f"{name}.bias") for name in names]
+        for name, weight, bias in zip(names, weights, biases, strict=True):
+            if weight.ndim != 2 or bias.shape != weight.shape[:1] or weight.shape[1] != weights[0].shape[1]:
+                raise NotFused(f"{name!r} is not an affine layer of the expected shape")
+        return Layer(np.concatenate(weights), np.concatenate(biases))
+
+    def layers(self, name: str) -> list[Layer]:
+        """Return the layers `name`.0, `name`.1, ... as far as they go."""
+        found: list[Layer] = []
+        while f"{name}.{len(found)}.weight" in self:
+            found.append(self.layer(f"{name}.{len(found)}"))
+        return found
+
+    def grid(self, name: str) -> FeatureGrid:
+        """Return the feature grid of this name; raises BundleError where it names rows that are not there."""
+        entry = self._grids.get(name)
+        if entry is None:
+            raise NotFused(f"there is no grid {name!r}")
+        table = self.tensor(entry.tensor)
+        levels = np.array(
+            [(v.resolution, v.first_row, v.num_rows, v.multiplier_y, v.multiplier_z) for v in entry.levels],
+            np.int64,
+        ).reshape(-1, 5)
+        fits = table.ndim == 2 and table.shape[1] == entry.num_features
+        # Compiled code does not check indices, so that every row a level can name must be there.
+        inside = (levels[:, 0] >= 2) & (levels[:, 2] >= 1)
+        inside &= levels[:, 1] + levels[:, 2] <= (len(table) if fits else 0)
+        if not (len(levels) and inside.all() and entry.half_extent > 0.0):
+            raise BundleError(
+                "bundle.grid_invalid",
+                f"grid {name!r} names rows its table has not",
+                "export the bundle again",
+            )
+        return FeatureGrid(table, levels, entry.half_extent, np.float32(entry.output_scale))
+
+
+def network_constants(
+    bundle: Bundle, graph: str, kind: str, names: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict:
+    """Return the constants of a graph's network; those in `optional` may be None.
+
+    Raises NotFused unless the network is of this `kind`.
+    """
+    return graph_constants(bundle, bundle.graph_path(graph), kind, names, optional)
+
+
+def graph_constants(
+    bundle: Bundle, path: str, kind: str, names: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict:
+    """Return what `network_constants` does, of the graph at `path`."""
+    graph = path.rpartition("/")[2]
+    data = bundle.graph(path)
+    try:
+        text = metadata(data).get(METADATA_KEY, "")
+        values = json.loads(text) if text else {}
+        if values.get("kind") != kind:
+            raise NotFused(f"the {graph} graph's network is {values.get('kind')!r}, not {kind!r}")
+        found = {name: values[name] for name in names + optional}
+        for name, value in found.items():
+            given = value is not None or name not in optional
+            if given and not np.isfinite(np.asarray(value, np.float64)).all():
+                raise ValueError(f"{name} is not finite")
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+        raise NotFused(f"the {graph} graph's {METADATA_KEY} is incomplete ({error})") from error
+    return found
+
+
+def chained(layers: list[Layer], num_inputs: int, *, may_skip: bool = False) -> tuple[int, int | None]:
+    """Return the width behind `layers`, and before which of them the inputs join again (None: nowhere).
+
+    Raises NotFused when sizes do not fit each other.
+    """
+    width, skip = num_inputs, None
+    for index, layer in enumerate(layers):
+        size = layer.weight.shape[1]
+        if may_skip and index > 0 and skip is None and size == width + num_inputs:
+            skip = index
+        elif size != width:
+            raise NotFused(f"a layer has {size} inputs, expected {width}")
+        width = layer.weight.shape[0]
+    return width, skip
+
+
+def run_layers(layers: list[Layer], values: Rows, skip: int | None = None, *, relu: bool = True) -> Rows:
+    """Return the activations [out, block] behind `layers`; the inputs join again before layer `skip`."""
+    inputs = values
+    for index, layer in enumerate(layers):
+        if index == skip:
+            values = np.concatenate([values, inputs])
+        out = np.empty((len(layer.bias), kernels.BLOCK), np.float32)
+        kernels.affine(layer.weight, layer.bias, values, out, relu)
+        values = out
+    return values

@@ -1,0 +1,1 @@
+"""Relighting by sampling directions, to a wanted standard error."""

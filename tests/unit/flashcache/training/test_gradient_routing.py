@@ -1,0 +1,188 @@
+"""Which loss of stage two moves which part of the model, term by term."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from flashcache.data.ray_budget import RayBudget
+from flashcache.losses.consistency import UnobservedConfig
+from flashcache.physical.model import InverseModel
+from flashcache.presets import tiny
+from flashcache.training.joint_losses import physical_loss
+from flashcache.training.stage_two import StageTwo
+from support.full_stage_two import stage
+
+PARTS = (
+    "nerf.proposals",
+    "nerf.density",
+    "nerf.normals",
+    "nerf.appearance",
+    "materials",
+    "environment",
+    "fast",
+    "light_sampler",
+)
+SHAPE = {"nerf.density", "nerf.normals"}
+HEADS = {"nerf.appearance"}
+REACHED = {
+    "colour": SHAPE | HEADS,
+    "mask": {"nerf.density"},
+    "normals": SHAPE,
+    "orientation": SHAPE,
+    "distortion": {"nerf.density"},
+    "physical": {"materials", "environment", "nerf.normals"},
+    "consistency_diffuse": HEADS,
+    "consistency_specular": HEADS,
+    "consistency_irradiance": HEADS,
+    "unobserved_diffuse": HEADS,
+    "unobserved_specular": HEADS,
+    "unobserved_irradiance": HEADS,
+    "smoothness": {"materials"},
+    "clusters": {"materials"},
+    "metalness": {"materials"},
+    "grey": {"environment"},
+    "white": {"environment"},
+    "variation": {"environment"},
+    "fast": {"fast"},
+    "sampler": {"light_sampler"},
+    "grid_decay": {"nerf.density", "materials", "light_sampler"},
+}
+
+
+def sizes(made: StageTwo, term: torch.Tensor) -> dict[str, float]:
+    """Return the largest gradient of a term in each part of the model that it reaches."""
+    found = {}
+    for part in PARTS:
+        parameters = [p for p in made.model.get_submodule(part).parameters() if p.requires_grad]
+        for parameter in parameters:
+            if parameter.grad is not None:
+                parameter.grad.zero_()
+    term.backward(retain_graph=True)
+    for part in PARTS:
+        gradients = [p.grad for p in made.model.get_submodule(part).parameters() if p.grad is not None]
+        largest = max((float(g.abs().max()) for g in gradients), default=0.0)
+        if largest:
+            found[part] = largest
+    return found
+
+
+@pytest.fixture(scope="module")
+def reached() -> dict[str, set[str]]:
+    made = stage()
+    terms = made.losses()[0]
+    return {name: set(sizes(made, term)) for name, term in terms.items()}
+
+
+def test_every_loss_of_stage_two_is_in_the_table(reached):
+    assert set(reached) == set(REACHED)
+
+
+@pytest.mark.parametrize("name", REACHED)
+def test_a_loss_moves_the_parts_it_should_and_no_other(reached, name):
+    assert reached[name] == REACHED[name]
+
+
+def physical_gradients(**settings) -> dict[str, float]:
+    base = tiny().stage_two.estimator
+    weight = settings.pop("weight_gradient", 0.0)
+    made = stage(estimator=replace(base, **settings), weight_gradient=weight)
+    return sizes(made, made.losses()[0]["physical"])
+
+
+def test_gradients_through_the_caches_reach_their_parts_in_proportion():
+    small, large = (physical_gradients(through_cache=factor) for factor in (1e-4, 1e-2))
+    for part in ("nerf.density", "nerf.appearance", "fast"):
+        assert large[part] == pytest.approx(100.0 * small[part], rel=1e-3)
+    assert large["materials"] == pytest.approx(small["materials"], rel=1e-5)
+
+
+def test_the_factors_on_environment_and_normal_are_those_of_the_settings():
+    one = physical_gradients()
+    half = physical_gradients(environment_gradient=0.5, normal_gradient=0.05)
+    assert half["environment"] == pytest.approx(0.5 * one["environment"], rel=1e-4)
+    assert half["nerf.normals"] == pytest.approx(5.0 * one["nerf.normals"], rel=1e-3)
+
+
+def test_render_weights_get_a_share_of_the_physical_gradient_where_asked():
+    assert "nerf.density" not in physical_gradients()
+    tenth, whole = (physical_gradients(weight_gradient=factor)["nerf.density"] for factor in (0.1, 1.0))
+    assert whole == pytest.approx(10.0 * tenth, rel=1e-3)
+
+
+def test_the_width_gets_a_quarter_of_its_gradient():
+    config = tiny()
+    gradients = []
+    for factor in (1.0, 0.25):
+        materials = replace(config.model.materials, alpha_gradient=factor)
+        made = stage(replace(config, model=replace(config.model, materials=materials)))
+        made.losses()[0]["physical"].backward()
+        # Row 6 of the head is the raw width.
+        gradients.append(made.model.materials.head.bias.grad[6])
+    torch.testing.assert_close(gradients[1], 0.25 * gradients[0])
+
+
+def test_drawing_by_error_remembers_where_the_picture_is_wrong():
+    made = stage(budget=RayBudget(error_share=0.5, block=8))
+    before = made.errors.error.clone()
+    made.losses()
+    assert not torch.equal(made.errors.error, before)
+    other = stage(budget=RayBudget(error_share=0.5, block=8))
+    other.restore_extra_state(made.extra_state())
+    assert torch.equal(other.errors.error, made.errors.error)
+    assert stage().extra_state() == {}
+
+
+def terms_of(**settings) -> dict[str, float]:
+    return {name: float(term.detach()) for name, term in stage(**settings).losses()[0].items()}
+
+
+def changed(**settings) -> set[str]:
+    """Return the losses that a setting changes."""
+    usual, other = terms_of(), terms_of(**settings)
+    return {name for name in usual if usual[name] != other.get(name)}
+
+
+def test_counting_halves_alike_changes_the_loss_of_the_fast_cache_only():
+    assert changed(fast_by_half=True) == {"fast"}
+
+
+def test_the_weight_of_derived_normals_changes_the_orientation_loss_only():
+    assert changed(orientation_derived=0.0) == {"orientation"}
+
+
+def test_jitter_of_secondary_rays_reaches_what_comes_from_the_nerf_cache():
+    assert {"physical", "fast", "sampler"} <= changed(secondary_jitter=True)
+
+
+def test_the_radius_of_the_fast_caches_loss_is_the_domains():
+    made, near = stage(), stage()
+    near.model.domain = replace(near.model.domain, fast_radius=1e-3)
+    assert float(made.losses()[0]["fast"].detach()) > 0.0
+    assert float(near.losses()[0]["fast"].detach()) == 0.0
+
+
+def test_the_fast_cache_alone_is_taught_by_the_first_pass_only(monkeypatch):
+    asked = []
+    made = stage(estimator=replace(tiny().stage_two.estimator, control_variate="fast_only"))
+    right = InverseModel.ask_nerf
+
+    def counted(self, rays, generator, **options):
+        asked.append(len(rays))
+        return right(self, rays, generator, **options)
+
+    monkeypatch.setattr(InverseModel, "ask_nerf", counted)
+    made.config = replace(made.config, unobserved=UnobservedConfig())
+    terms = made.losses()[0]
+    assert len(asked) == 1
+    assert {"fast", "sampler"} <= set(terms)
+
+
+def test_two_symmetric_passes_weigh_half_each():
+    made = stage()
+    batch = made.pixels.draw(20, torch.Generator().manual_seed(0))
+    cache, picture, other = torch.rand(3, 20, 3, generator=torch.Generator().manual_seed(1))
+    one, both = (
+        physical_loss(replace(made.config, symmetric=flag), batch, cache, picture, other)
+        for flag in (False, True)
+    )
+    torch.testing.assert_close(both, 0.5 * one)

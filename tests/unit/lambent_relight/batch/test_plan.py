@@ -1,0 +1,125 @@
+"""What makes a picture the same picture: every input is in its key, and bytes are looked at, not sizes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lambent_relight.aovs import PASSES
+from lambent_relight.batch import plan as planning
+from lambent_relight.batch.journal import MadeFile, Record, open_journal
+from lambent_relight.batch.manifest import Asset, Files, Light, Quality
+from lambent_relight.batch.plan import Row, renderer_digest
+from lambent_relight.cameras import turntable
+from lambent_relight.edits import MaterialEdit
+from lambent_relight.environment.input import EnvironmentInput
+
+ROW = Row(
+    path="a/b",
+    asset=Asset(name="a"),
+    light=Light(name="b"),
+    quality=Quality(),
+    camera=turntable(1, radius=2.0)[0],
+    bundle_digest="0" * 64,
+    light_digest="1" * 64,
+)
+
+
+def changed(**parts):
+    """Return ROW with members of its members changed: quality={"spp": 3}."""
+    found = ROW
+    for name, values in parts.items():
+        part = getattr(found, name)
+        found = replace(found, **{name: replace(part, **values) if isinstance(values, dict) else values})
+    return found
+
+
+@pytest.mark.parametrize("suffix", ["png", "exr"])
+@pytest.mark.parametrize(
+    "row",
+    [
+        changed(bundle_digest="2" * 64),
+        changed(light_digest="2" * 64),
+        changed(light={"rotate_deg": 1.0}),
+        changed(light={"given": EnvironmentInput(mend=True)}),
+        changed(light={"given": EnvironmentInput(sun_clamp=2.0)}),
+        changed(light={"given": EnvironmentInput(axes="skylibs")}),
+        changed(asset={"object_rotate_deg": 1.0}),
+        changed(asset={"edit": MaterialEdit(albedo_gain=(1.0, 1.0, 0.9))}),
+        changed(asset={"edit": MaterialEdit(albedo=(0.5, 0.5, 0.5))}),
+        changed(asset={"edit": MaterialEdit(roughness_scale=0.9)}),
+        changed(camera={"width": 511}),
+        changed(camera={"camera_to_world": np.eye(4)}),
+        changed(quality={"quality": "baked"}),
+        changed(quality={"spp": 65}),
+        changed(quality={"until_stderr": 0.1}),
+        changed(quality={"antialias": 1}),
+        changed(quality={"indirect": False}),
+        changed(quality={"bounces": "one"}),
+        changed(quality={"seed": 1}),
+        changed(quality={"background": "white"}),
+    ],
+)
+def test_every_input_is_in_the_key(row, suffix):
+    assert row.key(suffix, Files()) != ROW.key(suffix, Files())
+
+
+def test_names_are_not_in_the_key():
+    other = changed(
+        asset={"name": "x"}, light={"name": "y"}, quality={"name": "z"}, camera={"name": "c"}, path="d"
+    )
+    assert other.key("png", Files()) == ROW.key("png", Files())
+
+
+def test_each_file_has_a_key_of_its_own():
+    for shown in (changed(quality={"exposure_ev": 1.0}), changed(quality={"tone_mapping": "agx"})):
+        assert shown.key("exr", Files()) == ROW.key("exr", Files())
+        assert shown.key("png", Files()) != ROW.key("png", Files())
+    assert ROW.key("png", Files()) != ROW.key("exr", Files())
+    for files in (Files(half=False), Files(passes=PASSES[:2])):
+        assert ROW.key("exr", files) != ROW.key("exr", Files())
+        assert ROW.key("png", files) == ROW.key("png", Files())
+    assert ROW.key("exr", Files(passes=PASSES[::-1])) == ROW.key("exr", Files())
+
+
+def test_another_renderer_makes_other_pictures(monkeypatch):
+    before = ROW.key("png", Files())
+    assert len(renderer_digest()) == 64
+    monkeypatch.setattr(planning, "renderer_digest", lambda: "3" * 64)
+    assert ROW.key("png", Files()) != before
+
+
+def made(path, key, sha256, size_bytes=4):
+    return MadeFile(path=path, key=key, sha256=sha256, size_bytes=size_bytes)
+
+
+def record(path, files):
+    return Record(
+        path=path,
+        asset="a",
+        environment="b",
+        quality="c",
+        camera="d",
+        files=files,
+        width=1,
+        height=1,
+        seconds=0.5,
+        num_samples=2,
+        mean_standard_error=0.0,
+        relative_standard_error=0.0,
+    )
+
+
+def test_a_file_of_the_same_size_with_other_bytes_is_not_known(tmp_path):
+    import hashlib
+
+    (tmp_path / "a.png").write_bytes(b"abcd")
+    one = made("a.png", "key", hashlib.sha256(b"abcd").hexdigest())
+    with open_journal(tmp_path) as journal:
+        journal.add(record("a", {"png": one}))
+        assert journal.known("png", "a", "key") == one
+        assert journal.known("png", "elsewhere", "key") == one
+        assert journal.known("png", "a", "other key") is None
+        (tmp_path / "a.png").write_bytes(b"abcX")
+        assert journal.known("png", "a", "key") is None
+    with open_journal(tmp_path) as journal:
+        assert journal.records == {"a": record("a", {"png": one})}

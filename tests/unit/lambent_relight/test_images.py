@@ -1,0 +1,102 @@
+"""Writing pictures."""
+
+import numpy as np
+import OpenEXR
+import pytest
+from lambent_relight.environment.exr import REC709_CHROMATICITIES
+from lambent_relight.images import (
+    encode_png,
+    linear_from_srgb,
+    srgb_from_linear,
+    write_picture_exr,
+    write_png,
+)
+from lambent_relight.picture import RelitPicture
+from PIL import Image
+
+
+def test_a_tone_curve_changes_the_png_and_keeps_its_alpha(tmp_path):
+    bright = picture().exposed(2.0)
+    write_png(tmp_path / "clipped.png", bright)
+    write_png(tmp_path / "curved.png", bright, tone_mapping="neutral")
+    clipped, curved = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("clipped", "curved"))
+    np.testing.assert_array_equal(clipped[..., 3], curved[..., 3])
+    assert (curved[..., :3] == 255).sum() < 0.2 * (clipped[..., :3] == 255).sum()
+
+
+def picture(*, opaque: bool = False) -> RelitPicture:
+    rng = np.random.default_rng(0)
+
+    def image(channels: int) -> np.ndarray:
+        return rng.random((3, 5, channels)).astype(np.float32)
+
+    opacity = np.ones((3, 5, 1), np.float32) if opaque else image(1)
+    return RelitPicture(
+        rgb=2.0 * image(3),
+        opacity=opacity,
+        standard_error=image(3),
+        direct=image(3),
+        indirect=image(3),
+        diffuse=image(3),
+        specular=image(3),
+        visibility=image(1),
+        albedo=image(3),
+        normal=image(3),
+        perceptual_roughness=image(1),
+        metalness=image(1),
+        distance=image(1),
+        coverage=opacity,
+        num_samples=8,
+    )
+
+
+def test_srgb_encoding_is_undone_by_decoding_and_hits_known_values():
+    values = np.linspace(0.0, 1.0, 1001)
+    np.testing.assert_allclose(linear_from_srgb(srgb_from_linear(values)), values, atol=1e-6)
+    assert srgb_from_linear(np.array(0.5)) == pytest.approx(0.735357, abs=1e-6)
+    assert srgb_from_linear(np.array([-1.0, 2.0])) == pytest.approx([0.0, 1.0])
+
+
+def test_png_has_straight_alpha_and_exposure_doubles_radiance(tmp_path):
+    source = picture()
+    write_png(tmp_path / "a" / "p.png", source.exposed(-1.0))
+    with Image.open(tmp_path / "a" / "p.png") as opened:
+        assert opened.mode == "RGBA"
+        pixels = np.asarray(opened)
+    expected = np.round(255 * srgb_from_linear(source.rgb / 2.0))
+    np.testing.assert_array_equal(pixels[..., :3], expected)
+    np.testing.assert_array_equal(pixels[..., 3], np.round(255 * source.opacity[..., 0]))
+
+
+def test_an_opaque_picture_becomes_a_png_without_alpha():
+    assert encode_png(picture(opaque=True)).shape == (3, 5, 3)
+
+
+def test_exr_is_linear_premultiplied_named_and_states_its_primaries(tmp_path):
+    source = picture()
+    write_picture_exr(tmp_path / "p.exr", source, half=False)
+    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    np.testing.assert_allclose(part.header["chromaticities"], REC709_CHROMATICITIES, atol=1e-6)
+    channels = {name: channel.pixels for name, channel in part.channels.items()}
+    np.testing.assert_array_equal(channels["G"], (source.rgb * source.opacity)[..., 1])
+    np.testing.assert_array_equal(channels["A"], source.opacity[..., 0])
+    np.testing.assert_array_equal(channels["albedo.B"], source.albedo[..., 2])
+    np.testing.assert_array_equal(channels["normal.Z"], source.normal[..., 2])
+    np.testing.assert_array_equal(channels["Z"], source.distance[..., 0])
+    assert {"direct.R", "indirect.R", "standard_error.R", "perceptual_roughness.V", "metalness.V"} <= set(
+        channels
+    )
+
+
+def test_exr_without_passes_is_half_rgba(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), passes=False)
+    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    assert set(channels) == set("RGBA")
+    assert channels["R"].pixels.dtype == np.float16
+
+
+def test_exr_holds_the_passes_that_are_named_and_no_others(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), passes=("normal", "depth", "indirect"))
+    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    layers = {f"normal.{letter}" for letter in "XYZ"} | {f"indirect.{letter}" for letter in "RGB"}
+    assert set(channels) == {*"RGBAZ"} | layers

@@ -1,0 +1,113 @@
+"""Looks at a capture before any training, in a child process that cannot harm anyone.
+
+The child may use 2 GiB of address space, ten minutes of processor time, and cannot write files. A picture
+that makes it die is named, left out, and the rest is checked without it.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from google.protobuf import json_format
+from lambent_proto.v1 import capture_pb2, scene_pb2
+
+from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.errors import UsageError
+from lambent_worker.scenes.detect import LAYOUTS
+from lambent_worker.scenes.problems import Problems
+
+MAX_MEMORY_BYTES = 2 * 2**30
+MAX_CPU_S = 600
+MAX_WALL_S = 900
+MAX_DEATHS = 5
+"""Files that may kill the child before the check gives up."""
+MAX_THUMBNAIL_CHARACTERS = 64 * 1024
+_BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
+
+
+def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneReport:
+    """Return what is wrong with the capture in `folder`: every problem, at most 100."""
+    return check_capture(folder, layout).report
+
+
+def check_capture(folder: Path, layout: str | None = None, masks: Path | None = None) -> CaptureCheck:
+    """Return what is wrong with the capture in `folder`, and what was measured on it where it can be used.
+
+    `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures; an
+    unknown layout is a `UsageError`. Nothing a capture holds makes this function raise.
+    """
+    if layout is not None and layout not in LAYOUTS:
+        raise UsageError(
+            "scene.layout_unknown",
+            f'--layout "{layout}" is none of {", ".join(LAYOUTS)}; choose one of these',
+        )
+    killers: list[str] = []
+    for _ in range(MAX_DEATHS):
+        check, reading = _run_child(folder, layout, masks, killers)
+        if check is not None:
+            return check
+        if not reading or reading in killers:
+            break
+        killers.append(reading)
+    problems = Problems()
+    problems.error(
+        "scene.check_failed",
+        "the check needed more memory or time than it may use"
+        + (f" while reading {', '.join(killers)}" if killers else "")
+        + "; reduce the number or the size of the files",
+    )
+    report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
+    return CaptureCheck(report=report)
+
+
+def _run_child(
+    folder: Path, layout: str | None, masks: Path | None, killers: list[str]
+) -> tuple[CaptureCheck | None, str | None]:
+    """Return what the child found, or None and the file it was reading when it died."""
+    task = {
+        "folder": str(folder.resolve()),
+        "layout": layout,
+        "masks": None if masks is None else str(masks.resolve()),
+        "killers": killers,
+        "memory_bytes": MAX_MEMORY_BYTES,
+        "cpu_s": MAX_CPU_S,
+    }
+    try:
+        child = subprocess.run(
+            [sys.executable, "-I", "-B", "-m", "lambent_worker.capture_qa.check_child"],
+            input=json.dumps(task),
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=MAX_WALL_S,
+            check=False,
+            env={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PATH": os.environ.get("PATH", "")},
+        )
+        output = child.stdout
+    except subprocess.TimeoutExpired as expired:
+        output = (expired.stdout or b"").decode(errors="replace")
+    reading, figures, thumbnails = None, None, {}
+    for line in output.splitlines():
+        kind, _, rest = line.partition(" ")
+        if kind == "report":
+            report = json_format.Parse(rest, scene_pb2.SceneReport())
+            return CaptureCheck(report=report, figures=figures, thumbnails=thumbnails), None
+        if kind == "figures":
+            figures = json_format.Parse(rest, capture_pb2.CaptureFigures())
+        if kind == "thumbnail":
+            thumbnails |= _thumbnail(json.loads(rest))
+        if kind == "reading":
+            reading = json.loads(rest)
+    return None, reading
+
+
+def _thumbnail(value: dict[str, Any]) -> dict[str, str]:
+    """Return a thumbnail by its frame, if it is what it should be: the child has read files of strangers."""
+    name, data = value.get("name"), value.get("jpeg")
+    if not isinstance(name, str) or not isinstance(data, str):
+        return {}
+    return {name: data} if len(data) <= MAX_THUMBNAIL_CHARACTERS and _BASE64.fullmatch(data) else {}

@@ -1,0 +1,61 @@
+"""The command that looks at a capture before any training."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lambent_worker.commands.shared import Json, Layout, reporting_errors
+
+
+@reporting_errors
+def check(
+    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for capture.html and capture.json.")
+    ] = None,
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks named like the pictures; they go before others.")
+    ] = None,
+    layout: Layout = "",
+    as_json: Json = False,
+) -> None:
+    """Say what is wrong with a capture before any training; exit code 4 if it cannot be used."""
+    from lambent_worker.capture_qa.check import check_capture
+
+    checked = check_capture(scene_dir, layout or None, masks)
+    record = capture_record(checked)
+    if out is not None:
+        from lambent_worker.capture_qa.limits import CaptureLimits
+        from lambent_worker.capture_qa.page import build_page, write_capture_report
+
+        page = build_page(scene_dir.resolve().name, checked, CaptureLimits())
+        write_capture_report(out, page, json.dumps(record, indent=1))
+    if as_json:
+        typer.echo(json.dumps(record))
+    else:
+        _tell(scene_dir, record, out)
+    if not checked.report.usable:
+        raise typer.Exit(4)
+
+
+def capture_record(checked: Any) -> dict[str, Any]:
+    """Return the report on a capture as JSON, its figures under "figures" (null where there are none)."""
+    from lambent_worker.messages import message_to_dict
+
+    figures = None if checked.figures is None else message_to_dict(checked.figures)
+    return {**message_to_dict(checked.report), "figures": figures}
+
+
+def _tell(scene_dir: Path, record: dict[str, Any], out: Path | None) -> None:
+    for finding in record["findings"]:
+        kind = "error" if finding["severity"] == "SEVERITY_ERROR" else "note"
+        typer.echo(f"{kind}: {finding['code']}: {finding['message']}")
+    verdict = "can be used" if record["usable"] else "cannot be used"
+    typer.echo(
+        f'"{scene_dir}" {verdict}: {record["layout"] or "no known layout"}, '
+        f"{record['num_train_frames']} training and {record['num_test_frames']} test views"
+    )
+    if out is not None:
+        typer.echo(f"report: {out / 'capture.html'}")

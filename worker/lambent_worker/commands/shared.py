@@ -1,0 +1,72 @@
+"""What the commands share: options, messages for errors, the first Ctrl-C."""
+
+import functools
+import json
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+
+from lambent_worker.errors import SceneRefusedError, UsageError, WorkerError
+
+Json = Annotated[bool, typer.Option("--json", help="Write machine-readable lines to standard output.")]
+Layout = Annotated[str, typer.Option(help="Read the folder as this layout instead of detecting it.")]
+Device = Annotated[str, typer.Option(help="cpu, cuda, or cuda:N; by default what the run has, else cpu.")]
+
+
+def reporting_errors(command: Callable[..., None]) -> Callable[..., None]:
+    """Turn our errors into a message and the command line's exit codes; anything else stays a traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except Exception as error:
+            known = _as_worker_error(error)
+            if known is None:
+                raise
+            _tell(known, as_json=bool(kwargs.get("as_json")))
+            raise typer.Exit(known.exit_code) from None
+
+    return wrapped
+
+
+def _as_worker_error(error: Exception) -> WorkerError | None:
+    """Return the error as one of ours, also where the method raised it, or None for a mistake of ours."""
+    from flashcache.errors import ConfigError, FlashCacheError
+
+    if isinstance(error, WorkerError):
+        return error
+    if isinstance(error, ConfigError):
+        return UsageError("config.invalid", str(error))
+    return WorkerError("training.failed", str(error)) if isinstance(error, FlashCacheError) else None
+
+
+def _tell(error: WorkerError, *, as_json: bool) -> None:
+    """Print an error as every command of ours does: a line, or one JSON object on standard output."""
+    if not as_json:
+        typer.echo(f"error: {error}", err=True)
+        return
+    findings = error.report.findings if isinstance(error, SceneRefusedError) else []
+    problems = [{"pointer": f.subject, "message": f"{f.code}: {f.message}"} for f in findings]
+    fault = {"code": error.code, "message": error.message, "advice": "", "errors": problems}
+    typer.echo(json.dumps({"error": fault}))
+
+
+@contextmanager
+def stopping_on_signals(request_stop: Callable[[], None]) -> Iterator[None]:
+    """Ask the run to end on the first Ctrl-C or SIGTERM; a second one ends the process at once."""
+
+    def handle(number: int, frame: object) -> None:
+        request_stop()
+        typer.echo("stopping after this step; once more to stop at once", err=True)
+        signal.signal(number, signal.default_int_handler)
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

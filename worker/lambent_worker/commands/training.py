@@ -1,0 +1,203 @@
+"""The commands that need no server: train, evaluate, export. Torch is imported only when they run."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lambent_worker.commands.shared import Device, Json, Layout, reporting_errors, stopping_on_signals
+from lambent_worker.errors import UsageError
+
+
+@reporting_errors
+def train(
+    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
+    preset: Annotated[
+        str, typer.Option(help="tiny, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
+    ] = "fast",
+    light: Annotated[str, typer.Option(help="Training light, or several with commas.")] = "",
+    rotated: Annotated[
+        bool, typer.Option("--rotated", help="The lights are one, turned by the angles in their names.")
+    ] = False,
+    known_light: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
+    ] = None,
+    layout: Layout = "",
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks named like the pictures; they go before others.")
+    ] = None,
+    no_masks: Annotated[
+        bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
+    ] = False,
+    poses: Annotated[
+        str, typer.Option(help="auto: SCENE_DIR holds photographs without cameras; COLMAP finds them.")
+    ] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    device: Device = "",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
+    ] = None,
+    resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only print steps, rays and the memory they would take.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Train on a capture and write a relightable bundle; run again to go on after a stop."""
+    from lambent_worker.startup import prepare
+
+    prepare()
+    from lambent_worker.run.prepare import config_for, prepare_run
+
+    overrides = {"model.environment.lights": "rotated"} if rotated else {}
+    overrides |= parse_settings(settings or [])
+    if dry_run:
+        from lambent_worker.run.memory_plan import as_text, plan
+
+        num_lights = max(1, len([name for name in light.split(",") if name]))
+        found = plan(config_for(preset, overrides), num_lights=num_lights, device=device)
+        typer.echo(json.dumps(found) if as_json else as_text(found))
+        return
+    photographs, scene_dir = scene_dir, capture_of(scene_dir, out, poses)
+    run = prepare_run(
+        scene_dir,
+        out,
+        preset=preset,
+        lights=tuple(name for name in light.split(",") if name),
+        layout=layout,
+        seed=seed,
+        device=device,
+        overrides=overrides,
+        resume=resume,
+        known_lights=known_light or (),
+        masks=None if poses else masks,
+        whole_view=no_masks,
+    )
+    if poses:
+        from lambent_worker.commands.poses import solve_for_run
+
+        solve_for_run(photographs, scene_dir, masks, run.seed, quiet=as_json)
+    from lambent_worker.console_reporter import ConsoleReporter
+    from lambent_worker.run.pipeline import run_pipeline
+
+    with ConsoleReporter(out, as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
+        run_pipeline(
+            scene_dir,
+            out,
+            run.config,
+            run.seed,
+            run.device,
+            reporter,
+            lights=run.lights,
+            layout=run.layout,
+            known_lights=run.known_lights,
+            masks=run.masks,
+        )
+    if not as_json:
+        typer.echo(f"bundle: {out / 'bundle'}")
+        typer.echo(f"report: {out / 'evaluation' / 'report.html'}")
+
+
+@reporting_errors
+def evaluate(
+    run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
+    scene_dir: Annotated[Path, typer.Argument(help="The capture, or another one of the same object.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for predictions and reports.")],
+    environments: Annotated[
+        Path | None,
+        typer.Option(help="Folder of .hdr or .exr maps named like the scene's test lights, to relight with."),
+    ] = None,
+    views: Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")] = 0,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
+    directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
+    antialias: Annotated[
+        int, typer.Option(min=1, max=4, help="Camera rays along each side of a pixel; 1 as in the paper.")
+    ] = 2,
+    max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
+    shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",
+    lpips_weights: Annotated[
+        list[Path] | None,
+        typer.Option(help="Weights of LPIPS, .safetensors or .pth; repeat for backbone and linear layers."),
+    ] = None,
+    exr: Annotated[bool, typer.Option("--exr", help="Also write pictures as linear EXR with noise.")] = False,
+    device: Device = "",
+    as_json: Json = False,
+) -> None:
+    """Render test views, relight them, compare with the truth: report.json, report.html, pred/."""
+    from lambent_worker.startup import prepare
+
+    prepare()
+    from lambent_worker.console_reporter import ConsoleReporter
+    from lambent_worker.report.request import EvaluationRequest, as_shadows
+    from lambent_worker.run.evaluation import evaluate_run
+
+    request = EvaluationRequest(
+        num_views=views,
+        num_repeats=repeats,
+        num_directions=directions,
+        antialias=antialias,
+        environments=environments,
+        max_side=max_side,
+        shadows=as_shadows(shadows),
+        lpips_weights=tuple(lpips_weights or ()),
+        exr=exr,
+    )
+    with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
+        report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
+    if not as_json:
+        for metric in report.metrics:
+            if metric.name.count("/") == 1:  # figures of single lights are in the report
+                unit = "" if metric.unit == "1" else f" {metric.unit}"
+                typer.echo(f"{metric.name:32s} {metric.value:9.3f} +- {metric.standard_error:.3f}{unit}")
+        for row in report.absent:
+            typer.echo(f"{row.name:32s}         - {row.reason}")
+        typer.echo(f"report: {out / 'report.html'}")
+
+
+@reporting_errors
+def export(
+    run_dir: Annotated[Path, typer.Argument(help="Folder made by lambent train.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Bundle folder; must not exist yet.")],
+    tier: Annotated[
+        str, typer.Option(help="full, or lite: less baked transport and no networks, for phones.")
+    ] = "",
+    weights: Annotated[
+        str, typer.Option(help="fp16, fp32, none, or auto: fp16 unless that moves the answers.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Write the relightable bundle of a trained run into a folder of its own."""
+    from lambent_worker.startup import prepare
+
+    prepare()
+    from lambent_worker.console_reporter import ConsoleReporter
+    from lambent_worker.run.prepare import export_run
+
+    with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
+        export_run(run_dir, out, reporter, tier=tier, weights=weights)
+    if not as_json:
+        typer.echo(f"bundle: {out}")
+
+
+def capture_of(scene_dir: Path, run_dir: Path, poses: str) -> Path:
+    """Return the folder that is trained on: in the run where cameras are found first.
+
+    Raises `UsageError` where `poses` is neither empty nor "auto".
+    """
+    if poses not in ("", "auto"):
+        raise UsageError("config.poses_unknown", f'--poses "{poses}" must be auto, or left out')
+    return run_dir / "capture" if poses else scene_dir
+
+
+def parse_settings(items: list[str]) -> dict[str, str]:
+    """Return `KEY=VALUE` items as a mapping; raises `UsageError` for one without a key or an equals sign."""
+    parsed: dict[str, str] = {}
+    for item in items:
+        key, equals, value = item.partition("=")
+        if not key or not equals:
+            raise UsageError("config.setting_syntax", f'--set "{item}" must look like stage_one.num_rays=512')
+        parsed[key] = value
+    return parsed

@@ -1,0 +1,295 @@
+"""The part of a run process that works: fetch, check, resume, train, publish."""
+
+import ctypes
+import os
+import re
+import signal
+import sys
+import traceback
+from importlib.metadata import version
+from pathlib import Path
+
+from flashcache.errors import ConfigError, TrainingError
+from lambent_proto.v1 import scene_pb2, worker_pb2
+
+from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
+from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
+from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_worker.job.server_reporter import ServerReporter, media_type
+from lambent_worker.job.task import Check, Pipeline, Task
+from lambent_worker.reporter import Reporter
+
+_SIGKILL_ON_PARENT_DEATH = 1
+
+
+def train(task: Task) -> Path | None:
+    """Run the steps of `lambent_worker.run.pipeline` and return the bundle's folder."""
+    from lambent_worker.job.order import config_of, known_lights_of, masks_of
+    from lambent_worker.run.folder import step_folder
+    from lambent_worker.run.known_lights import keep_known_lights, names_by_content, parse_known_lights
+    from lambent_worker.run.masks import keep_masks, masks_setting
+    from lambent_worker.run.pipeline import run_pipeline
+
+    config, lights, layout = config_of(task.spec, task.adjustments)
+    known = parse_known_lights(known_lights_of(task.spec, task.scene_dir))
+    keep_known_lights(task.run_dir, known)
+    masks, whole_view = masks_of(task.spec, task.scene_dir)
+    setting = masks_setting(masks, whole_view=whole_view)
+    if masks is not None:
+        keep_masks(task.run_dir, masks)
+    run_pipeline(
+        task.scene_dir,
+        task.run_dir,
+        config,
+        task.spec.seed,
+        task.device,
+        task.reporter,
+        lights=lights,
+        layout=layout,
+        known_lights=names_by_content(known),
+        masks=setting,
+    )
+    return step_folder(task.run_dir, "export")
+
+
+def perform(task: Task) -> Path | None:
+    """Train, or adapt a bundle to a light, as the order's kind says."""
+    return bake(task) if task.spec.kind == "bake" else train(task)
+
+
+def bake(task: Task) -> Path:
+    """Adapt a bundle's fast cache to an environment and return the folder of the bundle that has it."""
+    from lambent_worker.job.bake import run_bake
+
+    return run_bake(task.spec, task.scene_dir, task.run_dir, task.device, task.reporter)
+
+
+def render(task: Task) -> None:
+    """Make pictures of bundles; they are artifacts of the job."""
+    from lambent_worker.job.render import render_pictures
+
+    render_pictures(task)
+
+
+def check(scene_dir: Path) -> CaptureCheck:
+    """Return what is wrong with the scene, and what was measured on it."""
+    from lambent_worker.capture_qa.check import check_capture
+
+    return check_capture(scene_dir)
+
+
+def work(pipeline: Pipeline = perform, check: Check = check) -> int:
+    """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
+    _die_with_parent()
+    identity = Identity.from_environment()
+    connection = Connection(identity)
+    try:
+        start = connection.call(
+            connection.stub.Start,
+            worker_pb2.StartRequest(fence=identity.fence, code_version=version("lambent")),
+        )
+        reporter = ServerReporter(
+            connection,
+            identity.work_dir,
+            code_version=version("lambent"),
+            progress_interval_s=start.progress_interval_s,
+            preview_interval_s=start.preview_interval_s,
+        )
+
+        def end(_number: int, _frame: object) -> None:
+            connection.ending.set()
+            reporter.request_stop()
+
+        signal.signal(signal.SIGTERM, end)
+        signal.signal(signal.SIGINT, end)
+        _work(connection, reporter, start, pipeline, check)
+    except FencedError as error:
+        print(f"fenced: {error}", file=sys.stderr)
+        return EXIT_FENCED
+    except UnreachableError as error:
+        print(f"unreachable: {error}", file=sys.stderr)
+        return EXIT_UNREACHABLE
+    finally:
+        connection.close()
+    return 0
+
+
+def _work(
+    connection: Connection,
+    reporter: ServerReporter,
+    start: worker_pb2.StartResponse,
+    pipeline: Pipeline,
+    check: Check,
+) -> None:
+    """Work, and tell the server how it ended."""
+    fence = connection.identity.fence
+    try:
+        bundle = _do(connection, reporter, start, pipeline, check)
+    except (FencedError, UnreachableError):
+        raise
+    except Exception as error:
+        # Whatever ended the pipeline, a server that has given the run up comes first.
+        if isinstance(reporter.broken, FencedError | UnreachableError):
+            raise reporter.broken from error
+        if isinstance(error, Stopped):
+            reporter.close()
+            outcome = worker_pb2.OUTCOME_STOPPED
+            connection.call(connection.stub.Finish, worker_pb2.FinishRequest(fence=fence, outcome=outcome))
+            return
+        traceback.print_exc()
+        request = describe_failure(error)
+        request.fence.CopyFrom(fence)
+        reporter.close()
+        connection.call(connection.stub.Fail, request)
+        return
+    reporter.close()
+    if start.spec.kind == "check":
+        outcome = worker_pb2.OUTCOME_SUCCEEDED
+        connection.call(connection.stub.Finish, worker_pb2.FinishRequest(fence=fence, outcome=outcome))
+        return
+    files = _send_bundle(connection, bundle) if bundle is not None else []
+    request = worker_pb2.PublishRequest(fence=fence, bundle_files=files, artifacts=reporter.artifacts)
+    connection.call(connection.stub.Publish, request)
+
+
+def _do(
+    connection: Connection,
+    reporter: ServerReporter,
+    start: worker_pb2.StartResponse,
+    pipeline: Pipeline,
+    check: Check,
+) -> Path | None:
+    identity = connection.identity
+    scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
+    if start.check_scene or start.spec.kind == "check":
+        checked = check(scene_dir)
+        report = checked.report
+        _report_scene(connection, start.scene_name, checked)
+        for finding in report.findings:
+            error = finding.severity == scene_pb2.SEVERITY_ERROR
+            reporter.finding(finding.code, finding.message, subject=finding.subject, error=error)
+        if start.spec.kind == "check":
+            return None
+        if not report.usable:
+            raise SceneRefusedError(report)
+    restore_checkpoints(connection, reporter, start, identity.work_dir)
+    task = Task(
+        spec=start.spec,
+        scene_dir=scene_dir,
+        run_dir=identity.work_dir,
+        device=start.device,
+        adjustments=start.adjustments,
+        reporter=reporter,
+        render=start.render,
+    )
+    bundle = render(task) if start.HasField("render") else pipeline(task)
+    if reporter.broken is not None:
+        raise reporter.broken
+    return bundle
+
+
+def _report_scene(connection: Connection, name: str, checked: CaptureCheck) -> None:
+    """Tell the server what was found out about the scene, with a page where there is something to see."""
+    identity = connection.identity
+    page_sha256 = ""
+    if checked.figures is not None:
+        from lambent_worker.capture_qa.limits import CaptureLimits
+        from lambent_worker.capture_qa.page import build_page
+
+        path = identity.work_dir / "capture.html"
+        path.write_text(build_page(name, checked, CaptureLimits()), encoding="utf-8")
+        page_sha256 = connection.put_file(path, "text/html").sha256
+    request = worker_pb2.ReportSceneRequest(
+        fence=identity.fence, report=checked.report, figures=checked.figures, page_sha256=page_sha256
+    )
+    connection.call(connection.stub.ReportScene, request)
+
+
+def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent: Path) -> Path:
+    """Bring the scene's files here and return their folder, which is named like the scene."""
+    folder = parent / (re.sub(r"[^A-Za-z0-9._-]+", "_", start.scene_name).strip("._") or "scene")
+    for file in start.files:
+        connection.get_file(file.sha256, folder / file.path)
+    return folder
+
+
+def restore_checkpoints(
+    connection: Connection, reporter: Reporter, start: worker_pb2.StartResponse, run_dir: Path
+) -> None:
+    """Bring the kept checkpoints to where the pipeline left them; one that is broken is left out."""
+    for manifest in start.checkpoints:
+        if manifest.stage == start.adjustments.stage:
+            # It was made with the settings that failed.
+            continue
+        try:
+            for file in manifest.files:
+                connection.get_file(file.sha256, run_dir / file.path)
+        except (RefusedError, OSError) as error:
+            reporter.log("checkpoint.broken", stage=manifest.stage, step=manifest.step, reason=str(error))
+            for file in manifest.files:
+                (run_dir / file.path).unlink(missing_ok=True)
+            continue
+        reporter.log("checkpoint.restored", stage=manifest.stage, step=manifest.step, run=manifest.run)
+
+
+def _send_bundle(connection: Connection, folder: Path) -> list[worker_pb2.PublishedFile]:
+    files = []
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        name = path.relative_to(folder).as_posix()
+        sent = connection.put_file(path, media_type(name))
+        sent.path = name
+        files.append(sent)
+    return files
+
+
+def describe_failure(error: Exception) -> worker_pb2.FailRequest:
+    """Return what the server is told; the cause decides whether and how the job is tried again."""
+    if isinstance(error, SceneRefusedError):
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_BAD_SCENE, code=error.code, message=error.message
+        )
+    if isinstance(error, ConfigError):
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code="config.invalid", message=str(error)
+        )
+    if isinstance(error, UsageError):
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code=error.code, message=error.message
+        )
+    if isinstance(error, TrainingError):
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_DIVERGED, code="training.failed", message=str(error)
+        )
+    if isinstance(error, WorkerError):
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_INTERNAL, code=error.code, message=error.message
+        )
+    # By name: torch is not imported for a look at an exception.
+    if type(error).__name__ == "OutOfMemoryError":
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_GPU_OUT_OF_MEMORY,
+            code="run.gpu_out_of_memory",
+            message="the GPU has too little memory for this preset; it is tried once with half the rays",
+        )
+    if isinstance(error, MemoryError):
+        return worker_pb2.FailRequest(
+            cause=worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY,
+            code="run.out_of_memory",
+            message="the machine has too little memory for this preset",
+        )
+    return worker_pb2.FailRequest(
+        cause=worker_pb2.FAIL_CAUSE_INTERNAL,
+        code="run.crashed",
+        message=f"{type(error).__name__}: {str(error)[:500]}; the log has the traceback",
+    )
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this process when its supervisor is killed (Linux)."""
+    if not sys.platform.startswith("linux"):
+        return
+    parent = os.getppid()
+    ctypes.CDLL(None).prctl(_SIGKILL_ON_PARENT_DEATH, signal.SIGKILL)
+    if os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGKILL)

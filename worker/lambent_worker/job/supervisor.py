@@ -1,0 +1,128 @@
+"""The part of a run process that stays calm: it says "alive" while its child works, and tells why it died."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+from lambent_proto.v1 import worker_pb2
+
+from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
+from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+
+FIRST_HEARTBEAT_S = 1.0
+
+
+def supervise(child_command: Sequence[str]) -> int:
+    """Start the child and watch it to its end; return the exit code.
+
+    The heartbeat must not come from the process that trains: one long step would look like death.
+    """
+    identity = Identity.from_environment()
+    connection = Connection(identity)
+    oom_kills = count_oom_kills()
+    child = subprocess.Popen(list(child_command), stdin=subprocess.DEVNULL)
+
+    def pass_on(number: int, _frame: FrameType | None) -> None:
+        connection.ending.set()
+        with contextlib.suppress(ProcessLookupError):
+            child.send_signal(number)
+
+    signal.signal(signal.SIGTERM, pass_on)
+    signal.signal(signal.SIGINT, pass_on)
+    try:
+        _watch(connection, child)
+        return _tell(connection, child.returncode, oom_kills)
+    except FencedError as error:
+        print(f"fenced: {error}", file=sys.stderr, flush=True)
+        return EXIT_FENCED
+    except UnreachableError:
+        return EXIT_UNREACHABLE
+    except RefusedError as error:
+        print(f"refused: {error}", file=sys.stderr, flush=True)
+        return 1
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.wait()
+        connection.close()
+
+
+def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
+    identity = connection.identity
+    interval_s, registered, stopped = FIRST_HEARTBEAT_S, False, False
+    while child.poll() is None:
+        began = time.monotonic()
+        if not registered:
+            request = worker_pb2.RegisterRequest(
+                fence=identity.fence,
+                pid=os.getpid(),
+                process_identity=process_identity(os.getpid()),
+                host=socket.gethostname(),
+            )
+            reply = connection.once(connection.stub.Register, request)
+            if reply is not None:
+                registered, interval_s = True, reply.heartbeat_s
+        else:
+            reply = connection.once(
+                connection.stub.Heartbeat, worker_pb2.HeartbeatRequest(fence=identity.fence)
+            )
+            # A server that was away may be another one, which does not know yet where this process is.
+            registered = reply is not None
+            if reply is not None and reply.stop and not stopped:
+                stopped = True
+                connection.ending.set()
+                child.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(max(interval_s - (time.monotonic() - began), 0.05))
+
+
+def _tell(connection: Connection, code: int, oom_kills_before: int) -> int:
+    """Tell the server about a child that could not do so itself."""
+    if code in (0, EXIT_FENCED, EXIT_UNREACHABLE):
+        return code
+    request = worker_pb2.FailRequest(fence=connection.identity.fence)
+    if code == -signal.SIGKILL and count_oom_kills() > oom_kills_before:
+        request.cause = worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY
+        request.code = "run.out_of_memory"
+        request.message = "the system ended the run because memory ran out; take a smaller preset"
+    elif code in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP):
+        request.cause = worker_pb2.FAIL_CAUSE_KILLED
+        request.code = "run.killed"
+        request.message = f"the pipeline was ended by {signal.Signals(-code).name}"
+    else:
+        request.cause = worker_pb2.FAIL_CAUSE_INTERNAL
+        request.code = "run.crashed"
+        how = signal.Signals(-code).name if code < 0 else f"code {code}"
+        request.message = f"the pipeline ended with {how}; the log has the rest"
+    connection.call(connection.stub.Fail, request)
+    return 0
+
+
+def count_oom_kills() -> int:
+    """Return how many processes the kernel has ended for memory, in this group where it is known (Linux)."""
+    for path in (Path("/sys/fs/cgroup/memory.events"), Path("/proc/vmstat")):
+        with contextlib.suppress(OSError, ValueError):
+            for line in path.read_text(encoding="ascii").splitlines():
+                name, _, value = line.partition(" ")
+                if name == "oom_kill":
+                    return int(value)
+    return 0
+
+
+def process_identity(pid: int) -> str:
+    """Return what tells a process from a later one with the same pid, as the server's local executor does."""
+    try:
+        ticks = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except FileNotFoundError:
+        import psutil
+
+        return f"created:{psutil.Process(pid).create_time():.2f}"
+    return f"{boot}:{ticks}"

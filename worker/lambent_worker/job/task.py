@@ -1,0 +1,29 @@
+"""What a run process is asked to do."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
+
+from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.reporter import Reporter
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Task:
+    """What a pipeline is given."""
+
+    spec: job_pb2.JobSpec
+    scene_dir: Path
+    run_dir: Path
+    device: str
+    adjustments: worker_pb2.Adjustments
+    reporter: Reporter
+    render: render_pb2.RenderTask = field(default_factory=render_pb2.RenderTask)
+    """The pictures to make; empty for other kinds."""
+
+
+Pipeline = Callable[[Task], Path | None]
+"""Does the work and returns the folder of the bundle, or None where it makes none."""
+Check = Callable[[Path], CaptureCheck]

@@ -1,0 +1,167 @@
+"""What `lambent evaluate` does around an evaluation: the run's model, the scene, environments, the folder."""
+
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from flashcache.data.scene import Scene
+from flashcache.evaluation.lpips import load_lpips
+from flashcache.physical.model import InverseModel
+from jaxtyping import Float32
+from lambent_proto.v1 import evaluation_pb2, scene_pb2
+from lambent_relight.bundle.uncertainty import UncertaintyGrid
+from lambent_relight.environment.maps import load_environment
+from lambent_relight.errors import RelightError
+from numpy import ndarray
+
+from lambent_worker.errors import UsageError
+from lambent_worker.files import digest, read_record, write_json
+from lambent_worker.report import protocol
+from lambent_worker.report.evaluate import evaluate
+from lambent_worker.report.request import EvaluationRequest, Subject, rule_of
+from lambent_worker.reporter import Reporter
+from lambent_worker.run.context import StepContext
+from lambent_worker.run.folder import done_inputs, stage_seconds
+from lambent_worker.run.hashes import scene_hash
+from lambent_worker.run.prepare import open_run, step_context
+from lambent_worker.run.steps.evaluate import evaluated_views, with_progress
+from lambent_worker.run.steps.ingest import read_manifest, use_own_masks
+from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
+from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.lights import select_lights
+from lambent_worker.scenes.load import load_scene
+from lambent_worker.scenes.world import in_world, world_matrix
+
+MAP_SUFFIXES = (".hdr", ".exr")
+ANY_SIZE = 1 << 30
+
+
+def evaluate_run(
+    run_dir: Path, scene_dir: Path, out: Path, request: EvaluationRequest, *, device: str, reporter: Reporter
+) -> evaluation_pb2.EvaluationReport:
+    """Evaluate a trained run on the views of `scene_dir` and return what is in `out/report.json`.
+
+    Called again with the same arguments it keeps the pictures that are there. Raises `UsageError` for a run
+    that is not trained, an environment folder without usable maps, or an `out` that holds something else, and
+    `SceneRefusedError` for a scene that cannot be read.
+    """
+    run = open_run(run_dir, device)
+    trained = done_inputs(run_dir, "joint")
+    if trained is None:
+        raise UsageError(
+            "run.not_trained",
+            f'the run in "{run_dir}" is not finished; run lambent train with --resume first',
+        )
+    context = step_context(run, run_dir, reporter, "evaluate")
+    scene, manifest = _scene_to_compare(context, scene_dir, request)
+    maps = read_maps(request.environments, tuple(manifest.relight_lights))
+    # What is computed from pictures, or written beside them, does not make them others.
+    settings = {
+        name: value for name, value in asdict(request).items() if name not in ("lpips_weights", "exr")
+    }
+    settings |= {"environments": sorted(maps), "scene": scene_hash(scene_dir), "protocol": protocol.VERSION}
+    lpips = load_lpips(request.lpips_weights) if request.lpips_weights else None
+    _prepare_out(out, digest(trained, settings, [float(image.sum()) for _, image in sorted(maps.items())]))
+    views, held_out = evaluated_views(scene, request.num_views)
+    model = load_trained(context, trained_scene(context), "joint")
+    subject = Subject(
+        model=model,
+        scene=scene,
+        views=views,
+        held_out=held_out,
+        maps=maps,
+        request=request,
+        seed=run.seed,
+        out=out,
+        advance=lambda: None,
+        rule=rule_of(run.config.stage_two, request.shadows),
+        dataset=manifest.layout,
+        lpips=lpips,
+        uncertainty=_uncertainty(context, model),
+    )
+    report = evaluate(
+        with_progress(subject, context), preset=run.config.preset, seconds=stage_seconds(run_dir)
+    )
+    reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
+    return report
+
+
+def read_maps(folder: Path | None, lights: tuple[str, ...]) -> dict[str, Float32[ndarray, "rows columns 3"]]:
+    """Return the environment maps in `folder` that are named like one of `lights`, linear radiance.
+
+    Raises `UsageError` where the folder is not there, names none of the lights, or a map cannot be read.
+    """
+    if folder is None:
+        return {}
+    if not folder.is_dir():
+        raise UsageError("evaluate.environments_missing", f'--environments "{folder}" is not a folder')
+    found = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in MAP_SUFFIXES}
+    maps = {}
+    for light in lights:
+        if light not in found:
+            continue
+        try:
+            maps[light] = np.ascontiguousarray(load_environment(found[light]).radiance, dtype=np.float32)
+        except RelightError as error:
+            raise UsageError("evaluate.environment_unreadable", str(error)) from error
+    if not maps:
+        raise UsageError(
+            "evaluate.environments_unmatched",
+            f'"{folder}" has no .hdr or .exr map named like a test light of the scene '
+            f"({', '.join(lights) or 'it has none'}); rename the maps or leave --environments out",
+        )
+    return maps
+
+
+def _scene_to_compare(
+    context: StepContext, scene_dir: Path, request: EvaluationRequest
+) -> tuple[Scene, scene_pb2.SceneManifest]:
+    """Return the capture with the run's training lights, without the photographs that are not needed."""
+    full = describe_scene(scene_dir, context.layout or None)
+    trained = read_manifest(context)
+    trained_lights = tuple(trained.lights)
+    missing = [light for light in trained_lights if light not in full.lights]
+    if missing:
+        raise UsageError(
+            "evaluate.light_missing",
+            f'"{scene_dir}" has no photographs under {", ".join(missing)}, the light the run was trained in; '
+            "give the capture it was trained on, or another one in the same light",
+        )
+    manifest = select_lights(full, trained_lights)
+    in_world(manifest, world_matrix(trained))
+    use_own_masks(context, scene_dir, manifest, trained)
+    if any(frame.split == scene_pb2.SPLIT_TEST for frame in manifest.frames):
+        frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST]
+        del manifest.frames[:]
+        manifest.frames.extend(frames)
+    return load_scene(scene_dir, manifest, max_side=request.max_side or ANY_SIZE), manifest
+
+
+def trained_scene(context: StepContext) -> Scene:
+    """Return the scene the model was trained in, without pictures: the space it lives in."""
+    manifest = read_manifest(context)
+    del manifest.frames[:]
+    return load_scene(context.scene_dir, manifest, max_side=ANY_SIZE)
+
+
+def _uncertainty(context: StepContext, model: InverseModel) -> UncertaintyGrid | None:
+    """Return the uncertainty of the run's materials; None where it was not kept and its capture is gone."""
+    kept = kept_uncertainty(context.run_dir)
+    if kept is not None or not context.scene_dir.is_dir():
+        return kept
+    return uncertainty_of_run(context, model, read_scene(context))
+
+
+def _prepare_out(out: Path, inputs: str) -> None:
+    """Keep predictions that were made from the same inputs, and remove others of ours."""
+    marker = out / "inputs.json"
+    if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not marker.is_file())):
+        raise UsageError(
+            "evaluate.folder_not_empty", f'"{out}" holds something else; choose another folder with -o'
+        )
+    if marker.is_file() and read_record(marker).get("sha256") != inputs:
+        shutil.rmtree(out)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(marker, {"sha256": inputs})

@@ -1,0 +1,90 @@
+"""Environments that are given instead of learned: files of the user, kept in the run folder by their hash."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from flashcache.physical.model import InverseModel
+from jaxtyping import Float32
+from lambent_relight.environment.maps import load_environment
+from lambent_relight.errors import RelightError
+from numpy import ndarray
+
+from lambent_worker.errors import UsageError
+from lambent_worker.files import file_sha256
+from lambent_worker.scenes.resample import area_weights
+
+FOLDER = "known_lights"
+ANY_LIGHT = ""
+"""Stands for the only light, or for the one environment that rotated lights share."""
+
+
+def parse_known_lights(items: Sequence[str]) -> dict[str, Path]:
+    """Return files by light from `FILE` or `LIGHT=FILE`; a bare file belongs to `ANY_LIGHT`.
+
+    Raises `UsageError` for a light given twice, and for files that are no environment maps.
+    """
+    found: dict[str, Path] = {}
+    for item in items:
+        light, equals, name = item.partition("=")
+        light, path = (light, Path(name)) if equals else (ANY_LIGHT, Path(item))
+        if light in found:
+            raise UsageError("light.known_twice", f'--known-light "{item}": this light has a file already')
+        try:
+            load_environment(path)
+        except RelightError as error:
+            raise UsageError(error.code, f'--known-light "{item}": {error}') from error
+        found[light] = path
+    return found
+
+
+def names_by_content(files: Mapping[str, Path]) -> dict[str, str]:
+    """Return the name under which each light's file is kept: its SHA-256 with its suffix."""
+    return {light: file_sha256(path) + path.suffix.lower() for light, path in files.items()}
+
+
+def keep_known_lights(run_dir: Path, files: Mapping[str, Path]) -> None:
+    """Copy the files into a run folder, so that the run can go on without the originals."""
+    names = names_by_content(files)
+    for light, path in files.items():
+        (run_dir / FOLDER).mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, run_dir / FOLDER / names[light])
+
+
+def known_names(known: Mapping[str, str], lights: Sequence[str], *, rotated: bool) -> tuple[str, ...]:
+    """Return the lights whose environment is given, with `ANY_LIGHT` replaced by a name.
+
+    Raises `UsageError` where it could be any of several, or a name is not among the training lights.
+    """
+    if ANY_LIGHT in known and not rotated and len(lights) > 1:
+        raise UsageError(
+            "light.known_unnamed",
+            f"--known-light: there are {len(lights)} lights ({', '.join(lights)}); give LIGHT=FILE for each "
+            "that is known, or --rotated if they are one environment turned",
+        )
+    for light in known:
+        if light != ANY_LIGHT and light not in lights:
+            raise UsageError(
+                "light.known_unknown",
+                f'--known-light {light}=...: "{light}" is none of the training lights {", ".join(lights)}',
+            )
+    return tuple(light or lights[0] for light in known)
+
+
+def give_known_lights(model: InverseModel, run_dir: Path, known: Mapping[str, str]) -> None:
+    """Put the given environments into `model`, whose domain names their lights in the order of `known`."""
+    rows = model.config.environment.known_height
+    for light, name in zip(model.domain.known_lights, known.values(), strict=True):
+        image = resampled(load_environment(run_dir / FOLDER / name).radiance, rows)
+        device = next(model.parameters()).device
+        model.environment.set_known(model.domain.lights.index(light), torch.from_numpy(image).to(device))
+
+
+def resampled(radiance: Float32[ndarray, "height width 3"], rows: int) -> Float32[ndarray, "rows columns 3"]:
+    """Return a map of `rows` by twice as many pixels, each the mean over its area of the given ones."""
+    vertical = area_weights(radiance.shape[0], rows)
+    horizontal = area_weights(radiance.shape[1], 2 * rows)
+    mean = np.einsum("rh,hwc,kw->rkc", vertical, radiance.astype(np.float64), horizontal, optimize=True)
+    return mean.astype(np.float32)

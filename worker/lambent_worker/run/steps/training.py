@@ -1,0 +1,170 @@
+"""What the two training steps share: the scene in memory, the model, and the loop around a stage."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.scene import Scene
+from flashcache.data.space import domain_of, placed
+from flashcache.errors import TrainingError
+from flashcache.physical.model import Domain, InverseModel
+from flashcache.training.checkpoint import (
+    CheckpointState,
+    checkpoint_folder,
+    latest_checkpoint,
+    load_checkpoint,
+    load_extra,
+    prune_checkpoints,
+    save_checkpoint,
+)
+from flashcache.training.light_bake import LightBake
+from flashcache.training.stage_one import StageOne
+from flashcache.training.stage_two import StageTwo
+
+from lambent_worker.errors import Stopped
+from lambent_worker.files import digest
+from lambent_worker.run.context import StepContext
+from lambent_worker.run.folder import STEP_FOLDERS
+from lambent_worker.run.known_lights import give_known_lights, known_names
+from lambent_worker.run.steps.ingest import read_manifest
+from lambent_worker.scenes.load import load_scene
+
+Stage = StageOne | StageTwo | LightBake
+REPORT_INTERVAL_S = 0.5
+SKIPPED_SHARE_LIMIT = 0.05
+
+
+def read_scene(context: StepContext) -> Scene:
+    """Return the capture of the run, loaded at the preset's size."""
+    scene = load_scene(context.scene_dir, read_manifest(context), max_side=context.config.max_side)
+    return placed(scene, context.config.space)
+
+
+def domain_for(context: StepContext, scene: Scene) -> Domain:
+    """Return what the run's model must know of the scene's space and lights."""
+    environment = context.config.model.environment
+    rotated = environment.lights == "rotated"
+    known = known_names(context.known_lights, scene.lights, rotated=rotated)
+    return domain_of(scene, context.config.space, environment, known)
+
+
+def new_model(context: StepContext, scene: Scene) -> InverseModel:
+    """Return a model in its initial state, the same for the same seed, with the given environments in it."""
+    torch.manual_seed(context.seed)
+    model = InverseModel(context.config.model, domain_for(context, scene)).to(context.device)
+    give_known_lights(model, context.run_dir, context.known_lights)
+    return model
+
+
+def load_trained(context: StepContext, scene: Scene, stage: str) -> InverseModel:
+    """Return the model at the end of `stage` ("cache" or "joint")."""
+    model = new_model(context, scene)
+    folder = latest_checkpoint(context.run_dir / STEP_FOLDERS[stage])
+    if folder is None:
+        raise TrainingError(f"the run has no checkpoint of stage {stage!r}; train it first")
+    load_checkpoint(folder, model)
+    return model
+
+
+def training_pixels(context: StepContext, scene: Scene) -> TrainingPixels:
+    """Return the training photographs on the run's device."""
+    return TrainingPixels(scene, context.config.pixels, torch.device(context.device))
+
+
+def drive(context: StepContext, stage: Stage) -> None:
+    """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
+
+    Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too
+    many steps had gradients that were not finite.
+    """
+    config = context.config
+    fingerprint = digest(repr(config.model), repr(stage.config))
+    seconds = _resume(context, stage, fingerprint)
+    saved_at = reported_at = time.monotonic()
+    reported_step = stage.steps_done
+    while not stage.finished:
+        with matrix_precision(torch.device(context.device)):
+            record = stage.step()
+        now = time.monotonic()
+        if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
+            rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
+            context.progress(
+                record.step, record.num_steps, steps_per_s=rate, loss=record.loss, psnr=record.psnr
+            )
+            seconds += now - reported_at
+            reported_at, reported_step = now, record.step
+        if stage.num_skipped > 20 and stage.num_skipped > SKIPPED_SHARE_LIMIT * record.step:
+            raise TrainingError(
+                f"{stage.num_skipped} of {record.step} steps had gradients that were not finite; "
+                f"lower the learning rates (for example --set stage_one.rates.network=1e-3) and start again"
+            )
+        stopping = context.reporter.should_stop()
+        due = record.step % config.checkpoint_steps == 0 or now - saved_at >= config.checkpoint_interval_s
+        if stage.finished or stopping or due:
+            _save(context, stage, fingerprint, seconds)
+            saved_at = time.monotonic()
+        if stopping and not stage.finished:
+            raise Stopped
+
+
+@contextmanager
+def matrix_precision(device: torch.device) -> Iterator[None]:
+    """Let matrix products on a GPU use short factors with 32-bit sums: training only.
+
+    Not on a processor: there, oneDNN plans 16-bit products anew for every size of a batch, and the sizes of
+    stage two differ from step to step (docs/benchmarks/training-step.md).
+    """
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium" if device.type == "cuda" else "highest")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def _resume(context: StepContext, stage: Stage, fingerprint: str) -> float:
+    """Continue from the newest checkpoint that can be read, and return the seconds trained before it."""
+    while (folder := latest_checkpoint(context.folder)) is not None:
+        try:
+            state = load_checkpoint(folder, stage.model, stage.optimiser)
+            extra = load_extra(folder)
+        except TrainingError as error:
+            context.reporter.log("checkpoint.unreadable", folder=folder.name, reason=str(error))
+            _discard(folder)
+            continue
+        if state.config_sha256 != fingerprint or state.seed != context.seed:
+            raise TrainingError(
+                f"the checkpoint in {folder} was made with other settings or another seed; "
+                f"use another output folder, or the settings it was made with"
+            )
+        stage.steps_done, stage.num_skipped = state.step, state.num_skipped
+        if isinstance(stage, StageTwo):
+            stage.restore_extra_state(extra)
+        context.reporter.log("checkpoint.resumed", stage=context.stage, step=state.step)
+        return state.seconds
+    return 0.0
+
+
+def _save(context: StepContext, stage: Stage, fingerprint: str, seconds: float) -> None:
+    state = CheckpointState(
+        stage=context.stage,
+        step=stage.steps_done,
+        seed=context.seed,
+        config_sha256=fingerprint,
+        num_skipped=stage.num_skipped,
+        seconds=seconds,
+    )
+    folder = checkpoint_folder(context.folder, stage.steps_done)
+    extra = stage.extra_state() if isinstance(stage, StageTwo) else None
+    save_checkpoint(folder, stage.model, stage.optimiser, state, extra)
+    prune_checkpoints(context.folder, keep=2)
+    context.reporter.checkpoint(context.stage, stage.steps_done, folder)
+    if isinstance(stage, StageTwo):
+        context.reporter.log("scale.measured", step=stage.steps_done, **stage.scale())
+
+
+def _discard(folder: Path) -> None:
+    folder.rename(folder.with_name(f"unreadable_{folder.name}"))
