@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lambent_worker.errors import UsageError, WorkerError
+from lambent_worker.files import read_record, write_json
 
 SCHEMA_VERSION = "1.0"
 STEP_FOLDERS = {
