@@ -5,10 +5,9 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic.json_schema import models_json_schema
 
-from lambent_server.capability import read_or_create_secret
 from lambent_server.http import errors
-from lambent_server.http.gate import App, Gate
 from lambent_server.http.identity import LoginCodes
+from lambent_server.http.middleware import App, Gate
 from lambent_server.messages import ProblemDocument
 from lambent_server.routes import (
     about,
@@ -22,6 +21,7 @@ from lambent_server.routes import (
     renders,
     scenes,
 )
+from lambent_server.secrets import read_or_create_secret
 from lambent_server.services import Services
 from lambent_server.settings import Settings
 

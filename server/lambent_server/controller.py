@@ -12,7 +12,6 @@ import structlog
 from sqlalchemy import Connection, not_, or_
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server.capability import run_token
 from lambent_server.clock import now
 from lambent_server.database.leadership import Leadership
 from lambent_server.database.schema import jobs
@@ -33,6 +32,7 @@ from lambent_server.job_rows import (
 from lambent_server.metrics import RUNS_STARTED
 from lambent_server.outcomes import Failure, fail, lose, settle_cancel
 from lambent_server.render_rows import waits_for_parts
+from lambent_server.secrets import run_token
 from lambent_server.services import Services
 
 log = structlog.get_logger()

@@ -25,7 +25,7 @@ from lambent_server.job_rows import (
     move,
 )
 from lambent_server.messages import Event, Job, NewJob, Preset
-from lambent_server.pages_of_rows import select_newest
+from lambent_server.pagination import select_newest
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
 

@@ -9,8 +9,8 @@ from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.input_files import bundle_inputs, environment_input, input_file
 from lambent_server.job_rows import SUCCEEDED, Job, owner
-from lambent_server.mirror import from_rest
 from lambent_server.render_rows import Row, is_summary, newest_jobs, require_order
+from lambent_server.rest_json import from_rest
 
 PART_FILES = ("pictures.jsonl", "tiles.zip")
 """What every part of several leaves for the table and the contact sheet of all."""

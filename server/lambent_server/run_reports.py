@@ -18,10 +18,10 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.tenancy import add, change, find, rows
 from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fields
-from lambent_server.mirror import enum_text, to_rest
 from lambent_server.outcomes import Failure, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.problems import Problem, invalid
+from lambent_server.rest_json import enum_text, to_rest
 from lambent_server.run_inputs import inputs_of
 from lambent_server.scene_figures import store_figures
 from lambent_server.settings import Settings

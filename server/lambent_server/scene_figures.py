@@ -10,8 +10,8 @@ from sqlalchemy import Connection
 from lambent_server.database.schema import scene_figures
 from lambent_server.database.tenancy import Tenant, add, remove, rows
 from lambent_server.garbage import discard
-from lambent_server.mirror import to_rest
 from lambent_server.problems import Problem
+from lambent_server.rest_json import to_rest
 from lambent_server.store import find_blob
 
 Row = Mapping[str, Any]

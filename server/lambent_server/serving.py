@@ -22,11 +22,11 @@ from obstore.exceptions import BaseError
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.app import LOOPBACK, make_app
-from lambent_server.capability import read_or_create_secret
 from lambent_server.controller import Controller
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.local import LocalExecutor
 from lambent_server.http.identity import register_key
+from lambent_server.secrets import read_or_create_secret
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
 from lambent_server.worker_service import serve_workers

@@ -15,13 +15,13 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import run_reports
-from lambent_server.capability import run_token
 from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.job_rows import CANCELLING, HAS_RUN, SUCCEEDED, Job, owner, set_fields
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
+from lambent_server.secrets import run_token
 from lambent_server.services import Services
 from lambent_server.store import CHUNK_BYTES, find_blob, hash_file
 

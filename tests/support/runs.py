@@ -10,9 +10,9 @@ from typing import Any
 import grpc
 import pytest
 from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
-from lambent_server.capability import run_token
 from lambent_server.controller import Controller
 from lambent_server.executors import Gone, Handle, Launch
+from lambent_server.secrets import run_token
 from lambent_server.worker_service import serve_workers
 from support.api import Api, opened
 

@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
-from lambent_server.http.gate import unexpected
+from lambent_server.http.middleware import unexpected
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 
 log = structlog.get_logger()

@@ -7,11 +7,11 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from lambent_server.capability import sha256_text
 from lambent_server.clock import new_id, now
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add
+from lambent_server.secrets import sha256_text
 from lambent_server.shares import granted
 
 COOKIE = "lambent_session"

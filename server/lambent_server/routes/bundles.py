@@ -16,7 +16,7 @@ from lambent_server.bundle_messages import (
 )
 from lambent_server.clock import now, rfc3339
 from lambent_server.database.schema import bundles
-from lambent_server.pages_of_rows import PageFilter, select_newest
+from lambent_server.pagination import PageFilter, select_newest
 from lambent_server.problems import Problem
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
 

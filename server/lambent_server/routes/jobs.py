@@ -25,7 +25,7 @@ from lambent_server.messages import (
     NewEstimate,
     NewJob,
 )
-from lambent_server.pages_of_rows import PageFilter
+from lambent_server.pagination import PageFilter
 from lambent_server.problems import conflict
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
 from lambent_server.services import Services

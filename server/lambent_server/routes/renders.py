@@ -12,7 +12,7 @@ from lambent_server.database.schema import artifacts, render_orders
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.job_rows import CANCELLED, CANCELLING, QUEUED, RETRY_WAIT, RUNNING
 from lambent_server.messages import Job
-from lambent_server.pages_of_rows import PageFilter, select_newest
+from lambent_server.pagination import PageFilter, select_newest
 from lambent_server.problems import conflict
 from lambent_server.render_messages import (
     Batch,

@@ -13,7 +13,7 @@ from lambent_server.archives import unpack
 from lambent_server.database.schema import scene_files, scenes
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.messages import NewScene, Plan, PlannedFile, Scene, SceneList, SceneReportAnswer
-from lambent_server.pages_of_rows import PageFilter, select_newest
+from lambent_server.pagination import PageFilter, select_newest
 from lambent_server.problems import Problem, invalid
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, binary_body, problems
 from lambent_server.scene_figures import find_figures

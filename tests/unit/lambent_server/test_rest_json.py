@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lambent_proto.v1 import bundle_pb2, capture_pb2, evaluation_pb2, job_pb2, scene_pb2
 from lambent_server import messages
-from lambent_server.mirror import enum_number, enum_text, from_rest, to_rest
+from lambent_server.rest_json import enum_number, enum_text, from_rest, to_rest
 
 MIRRORED = [
     (job_pb2.Progress, messages.Progress),

@@ -206,7 +206,7 @@ def test_the_server_says_what_it_is_and_accepts(api: Api):
 
 
 def test_keys_and_secrets_are_readable_by_their_owner_only(tmp_path: Path):
-    from lambent_server.capability import read_or_create_secret
+    from lambent_server.secrets import read_or_create_secret
 
     first = read_or_create_secret(tmp_path / "api.key", "lk_")
     assert first.startswith("lk_")

@@ -376,7 +376,7 @@ def test_every_field_of_an_order_reaches_the_message():
     )
     spec = order_of_batch(body).spec
     assert set(RenderSpec.model_fields) == {field.name for field in render_pb2.RenderSpec.DESCRIPTOR.fields}
-    from lambent_server.mirror import from_rest
+    from lambent_server.rest_json import from_rest
 
     message = from_rest(render_pb2.RenderSpec, spec.model_dump(mode="json"))
     shown = MessageToDict(
