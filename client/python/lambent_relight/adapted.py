@@ -15,7 +15,7 @@ from lambent_relight.bundle import Bundle
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environments import Environment
 from lambent_relight.errors import BundleError
-from lambent_relight.onnx_wire import metadata
+from lambent_relight.onnx_check import metadata
 
 METADATA_KEY = "lambent.adapted"
 _LEAST_DEGREES = 0.01

@@ -14,7 +14,7 @@ from lambent_relight import fused_kernels as kernels
 from lambent_relight.bundle import Bundle
 from lambent_relight.errors import BundleError
 from lambent_relight.graphs import Rows
-from lambent_relight.onnx_wire import metadata
+from lambent_relight.onnx_check import metadata
 
 METADATA_KEY = "lambent.network"
 _DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}

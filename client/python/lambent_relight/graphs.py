@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from lambent_relight.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.errors import BundleError, UnsupportedQuality
-from lambent_relight.onnx_check import check_onnx
-from lambent_relight.onnx_wire import keep_outputs
+from lambent_relight.onnx_check import check_onnx, keep_outputs
 
 Rows = NDArray[np.float32]
 
