@@ -1,40 +1,24 @@
-import { create } from "@bufbuild/protobuf";
+import { create, fromBinary, type MessageInitShape, toBinary } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 import { BundleManifestSchema } from "../src/contract/lambent_proto/v1/bundle_pb.js";
+import { OnnxModelSchema } from "../src/contract/lambent_proto/v1/onnx_pb.js";
 import { packFastCache } from "../src/engine/fusedCache.js";
 import { gridFunction, literal } from "../src/engine/fusedGridShader.js";
 import { cacheShader } from "../src/engine/fusedShader.js";
 import { chained, FusedWeights, type Layer, NotFused, networkConstants } from "../src/engine/fusedWeights.js";
 import { halfValue, widenedHalves } from "../src/engine/half.js";
 import { keepOutputs, modelMetadata, withoutHalves } from "../src/engine/onnxModel.js";
-import {
-  encodedField,
-  encodedNumber,
-  joined,
-  wireBytes,
-  wireFields,
-  wireText,
-} from "../src/engine/onnxWire.js";
 
-const message = (number: number, ...parts: Uint8Array[]): Uint8Array => encodedField(number, joined(parts));
-const entry = (number: number, key: string, value: string): Uint8Array =>
-  message(number, encodedField(1, key), encodedField(2, value));
-
-/** Return the node `output` = f(`input`). */
-function node(input: string, output: string): Uint8Array {
-  return message(1, encodedField(1, input), encodedField(2, output), encodedField(4, "Relu"));
-}
+const model = (fields: MessageInitShape<typeof OnnxModelSchema>) =>
+  toBinary(OnnxModelSchema, create(OnnxModelSchema, fields));
+const graphOf = (data: Uint8Array) => fromBinary(OnnxModelSchema, data).graph!;
+const network = (value: unknown) => ({ key: "lambent.network", value: JSON.stringify(value) });
 
 /** Return a tensor in the weight file; kind 1 is float32, 10 float16. */
-function external(name: string, kind: number, offset: number, length: number): Uint8Array {
+function external(name: string, kind: number, offset: number, length: number) {
   const places = Object.entries({ location: "weights.bin", offset, length });
-  return message(
-    5,
-    encodedNumber(2, kind),
-    encodedField(8, name),
-    ...places.map(([key, value]) => entry(13, key, String(value))),
-    encodedNumber(14, 1),
-  );
+  const externalData = places.map(([key, value]) => ({ key, value: String(value) }));
+  return { name, dataType: kind, externalData, dataLocation: 1 };
 }
 
 const constants = {
@@ -46,23 +30,16 @@ const constants = {
   curve_power: -1.5,
   curve_premultiplier: 2,
 };
-const twoOutputs = joined([
-  message(
-    7,
-    node("x", "y"),
-    node("y", "z"),
-    message(12, encodedField(1, "y")),
-    message(12, encodedField(1, "z")),
-  ),
-  entry(14, "lambent.network", JSON.stringify(constants)),
-]);
-
-function graphFields(model: Uint8Array, number: number): Uint8Array[] {
-  const graph = wireFields(model).find((field) => field.number === 7)!;
-  return wireFields(wireBytes(graph))
-    .filter((field) => field.number === number)
-    .map(wireBytes);
-}
+const twoOutputs = model({
+  graph: {
+    node: [
+      { input: ["x"], output: ["y"] },
+      { input: ["y"], output: ["z"] },
+    ],
+    output: [{ name: "y" }, { name: "z" }],
+  },
+  metadataProps: [network(constants)],
+});
 
 describe("half-precision numbers", () => {
   it("have the values of the standard", () => {
@@ -94,33 +71,35 @@ describe("an ONNX model", () => {
   });
 
   it("keeps the outputs that are asked for and what serves them, and nothing else", () => {
-    const kept = keepOutputs(twoOutputs, ["y"]);
-    expect(graphFields(kept, 1)).toHaveLength(1);
-    expect(graphFields(kept, 12).map((output) => wireText(wireFields(output)[0]!))).toEqual(["y"]);
+    const kept = graphOf(keepOutputs(twoOutputs, ["y"]));
+    expect(kept.node).toHaveLength(1);
+    expect(kept.output.map((output) => output.name)).toEqual(["y"]);
     expect(keepOutputs(twoOutputs, ["y", "z"])).toEqual(twoOutputs);
-    expect(graphFields(keepOutputs(twoOutputs, ["z"]), 1)).toHaveLength(2);
+    expect(graphOf(keepOutputs(twoOutputs, ["z"])).node).toHaveLength(2);
+  });
+
+  it("keeps fields that we do not know, such as a node's operator", () => {
+    const relu = Uint8Array.of(0x22, 4, ...new TextEncoder().encode("Relu"), 0x12, 1, 0x79);
+    const one = Uint8Array.of(0x3a, relu.length + 2, 0x0a, relu.length, ...relu);
+    expect(String.fromCharCode(...keepOutputs(one, ["y"]))).toContain("Relu");
   });
 
   it("loses its halves and keeps every value, at multiples of 256 bytes", () => {
     const weights = new Uint8Array(300);
     new DataView(weights.buffer).setFloat32(0, 0.1, true);
     weights.set([0x00, 0x3c, 0x00, 0xc0], 256);
-    const model = message(
-      7,
-      external("bias", 1, 0, 4),
-      external("table", 10, 256, 4),
-    ) as Uint8Array<ArrayBuffer>;
-    const wide = withoutHalves(model, weights);
-    const tensors = graphFields(wide.model, 5).map((tensor) => {
-      const fields = wireFields(tensor);
-      const places = fields
-        .filter((field) => field.number === 13)
-        .map((field) => wireFields(wireBytes(field)));
-      const stated = Object.fromEntries(places.map((pair) => pair.map(wireText) as [string, string]));
-      const kind = fields.find((field) => field.number === 2)!.value;
+    const initializer = [external("bias", 1, 0, 4), external("table", 10, 256, 4)];
+    const wide = withoutHalves(model({ graph: { initializer } }), weights);
+    const tensors = graphOf(wide.model).initializer.map(({ dataType, externalData }) => {
+      const stated = Object.fromEntries(externalData.map(({ key, value }) => [key, value]));
       const view = new DataView(wide.weights.buffer, Number(stated.offset), Number(stated.length));
       const values = Array.from({ length: view.byteLength / 4 }, (_, i) => view.getFloat32(4 * i, true));
-      return { kind, location: stated.location, aligned: Number(stated.offset) % 256 === 0, values };
+      return {
+        kind: dataType,
+        location: stated.location,
+        aligned: Number(stated.offset) % 256 === 0,
+        values,
+      };
     });
     expect(tensors).toEqual([
       { kind: 1, location: "weights.bin", aligned: true, values: [Math.fround(0.1)] },
@@ -129,10 +108,10 @@ describe("an ONNX model", () => {
   });
 
   it("is refused where its tensors or its own bytes end too early", () => {
-    const model = message(7, external("table", 10, 256, 100));
-    expect(() => withoutHalves(model, new Uint8Array(300))).toThrow(/table does not lie inside/);
-    expect(() => wireFields(twoOutputs.subarray(0, 9))).toThrow(RangeError);
-    expect(() => wireFields(Uint8Array.of(0x08, 0x80))).toThrow(RangeError);
+    const outside = model({ graph: { initializer: [external("table", 10, 256, 100)] } });
+    expect(() => withoutHalves(outside, new Uint8Array(300))).toThrow(/table does not lie inside/);
+    expect(() => keepOutputs(twoOutputs.subarray(0, 9), ["y"])).toThrow();
+    expect(() => modelMetadata(Uint8Array.of(0x08, 0x80))).toThrow();
   });
 });
 
@@ -186,7 +165,7 @@ describe("the fused reader", () => {
 
   it("says which network it does not know", () => {
     const { manifest, weights } = smallCache();
-    const other = entry(14, "lambent.network", '{"kind": "fast_cache.v2"}');
+    const other = model({ metadataProps: [network({ kind: "fast_cache.v2" })] });
     expect(() => packFastCache(manifest, other, weights)).toThrow(/fast_cache.v2, not fast_cache.v1/);
     expect(() => packFastCache(manifest, new Uint8Array(0), weights)).toThrow(NotFused);
     const wider = smallCache((shapes) => shapes.set("fast.code.layers.0.weight", [4, 3]));

@@ -15,7 +15,7 @@ from lambent_proto.v1 import bundle_pb2
 from lambent_relight.bundle.adapted import METADATA_KEY, AdaptedLight
 from lambent_relight.bundle.archive import read_checked
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.bundle.onnx_wire import metadata
+from lambent_relight.bundle.onnx_check import metadata
 
 from lambent_worker.bundle import manifest as manifests
 from lambent_worker.bundle.parity import compare

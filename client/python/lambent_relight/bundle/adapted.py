@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.bundle.onnx_wire import metadata
+from lambent_relight.bundle.onnx_check import metadata
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import BundleError

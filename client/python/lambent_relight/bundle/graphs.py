@@ -14,8 +14,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.bundle.onnx_check import check_onnx
-from lambent_relight.bundle.onnx_wire import keep_outputs
+from lambent_relight.bundle.onnx_check import check_onnx, keep_outputs
 from lambent_relight.errors import BundleError, UnsupportedQuality
 
 Rows = NDArray[np.float32]

@@ -1,114 +1,87 @@
-"""A look into an ONNX file before a runtime opens it: which operators, and which outside data.
+"""A look into an ONNX file before a runtime opens it, and a model trimmed to what is asked of it.
 
-Reads the wire format directly, so that neither the onnx package nor a runtime's own parser has to be
-trusted with a stranger's file. Only the fields named in `_CHILDREN` are followed.
+Files are read as the messages of our onnx.proto, which name every place that can refer to operators, inner
+graphs or other files, so that no runtime's own parser has to be trusted with a stranger's file.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from typing import NamedTuple
 
-from lambent_relight.bundle.onnx_wire import Field, fields
+from google.protobuf.message import DecodeError, Message
+from lambent_proto.v1 import onnx_pb2
+
 from lambent_relight.errors import BundleError
 
-_MAX_DEPTH = 64
-# Message type -> {field number: message type of the child}.
-_CHILDREN: dict[str, dict[int, str]] = {
-    "model": {7: "graph", 8: "opset", 20: "training", 25: "function"},
-    "function": {7: "node", 9: "opset", 11: "attribute"},
-    "graph": {1: "node", 5: "tensor", 15: "sparse"},
-    "node": {5: "attribute"},
-    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
-    "sparse": {1: "tensor", 2: "tensor"},
-    "tensor": {13: "entry"},
-    "opset": {},
-    "training": {},
-    "entry": {},
-}
+_EXTERNAL = 1  # data_location of a tensor whose values lie in another file
 
 
-@dataclass
-class ExternalTensor:
+class ExternalTensor(NamedTuple):
     """A tensor whose values lie in another file."""
 
     name: str
-    location: str = ""
-    offset: int = 0
-    length: int = -1
+    location: str
+    offset: int
+    length: int
 
 
-@dataclass
-class OnnxSummary:
-    """What a graph refers to."""
-
-    domains: set[str] = field(default_factory=set)
-    """Operator domains of nodes and imports; "" and "ai.onnx" are the standard."""
-    external: list[ExternalTensor] = field(default_factory=list)
-    has_training: bool = False
-
-
-def _walk(data: memoryview, kind: str, summary: OnnxSummary, depth: int) -> None:
-    if depth > _MAX_DEPTH:
-        raise ValueError("nested too deeply")
-    children = _CHILDREN[kind]
-    tensor = ExternalTensor(name="") if kind == "tensor" else None
-    is_external = False
-    for part in fields(data):
-        number = part.number
-        if kind == "training":
-            summary.has_training = True
-        if (kind, number) in (("node", 7), ("opset", 1)):
-            summary.domains.add(part.text())
-        if tensor is not None:
-            if number == 8:
-                tensor.name = part.text()
-            elif number == 13:
-                is_external = True
-                _read_entry(part, tensor)
-            elif number == 14:
-                is_external = is_external or part.value == 1
-        child = children.get(number)
-        if child is not None and child != "entry":
-            _walk(part.message(), child, summary, depth + 1)
-    if tensor is not None and is_external:
-        summary.external.append(tensor)
-
-
-def _read_entry(entry: Field, tensor: ExternalTensor) -> None:
-    texts = {part.number: part.text() for part in fields(entry.message()) if part.number in (1, 2)}
-    key, value = texts.get(1, ""), texts.get(2, "")
-    if key == "location":
-        tensor.location = value
-    elif key == "offset":
-        tensor.offset = int(value)
-    elif key == "length":
-        tensor.length = int(value)
-
-
-def summarise_onnx(data: bytes, *, path: str) -> OnnxSummary:
-    """Return what the ONNX model in `data` refers to; raises BundleError when it is not one."""
-    summary = OnnxSummary()
+def _read(data: bytes) -> onnx_pb2.OnnxModel:
     try:
-        _walk(memoryview(data), "model", summary, 0)
-    except (ValueError, IndexError, UnicodeDecodeError) as error:
-        raise BundleError(
-            "bundle.graph_damaged", f'"{path}" is not a readable ONNX model', "fetch the bundle again"
-        ) from error
-    return summary
+        return onnx_pb2.OnnxModel.FromString(data)
+    except DecodeError as error:
+        raise ValueError("no ONNX model") from error
+
+
+def metadata(data: bytes) -> dict[str, str]:
+    """Return the metadata properties of an ONNX model; raises ValueError when it is not one."""
+    return {entry.key: entry.value for entry in _read(data).metadata_props}
+
+
+def keep_outputs(data: bytes, names: set[str]) -> bytes:
+    """Return the ONNX model with only the graph outputs `names` and the nodes that serve them.
+
+    onnxruntime computes every node, asked for or not. Graphs with inner graphs keep all their nodes.
+    """
+    model = _read(data)
+    graph = model.graph
+    outputs = [output for output in graph.output if output.name in names]
+    del graph.output[:]
+    graph.output.extend(outputs)
+    if not any(part.HasField("g") or part.graphs for node in graph.node for part in node.attribute):
+        needed, serving = set(names), []
+        # Nodes stand in an order in which none comes before what it needs.
+        for node in reversed(graph.node):
+            if not needed.isdisjoint(node.output):
+                needed.update(node.input)
+                serving.append(node)
+        del graph.node[:]
+        graph.node.extend(reversed(serving))
+    return model.SerializeToString()
 
 
 def check_onnx(data: bytes, *, path: str, weights_bytes: int) -> list[ExternalTensor]:
     """Return the tensors a graph takes from models/weights.bin, of `weights_bytes` bytes.
 
-    Raises BundleError for a graph with training information, operators outside the ONNX standard, or data
-    in any other file or beyond the end of that one.
+    Raises BundleError for bytes that are no model, a graph with training information, operators outside the
+    ONNX standard, or data in any other file or beyond the end of that one.
     """
-    summary = summarise_onnx(data, path=path)
-    if summary.has_training or summary.domains - {"", "ai.onnx"}:
+    try:
+        model = _read(data)
+        parts = list(_parts(model))
+        tensors = [_external(part) for part in parts if isinstance(part, onnx_pb2.OnnxTensor)]
+    except ValueError as error:
+        raise BundleError(
+            "bundle.graph_damaged", f'"{path}" is not a readable ONNX model', "fetch the bundle again"
+        ) from error
+    named = (onnx_pb2.OnnxNode, onnx_pb2.OnnxOperatorSet)
+    domains = {part.domain for part in parts if isinstance(part, named)}
+    if model.training_info or domains - {"", "ai.onnx"}:
         raise BundleError(
             "bundle.graph_operators",
-            f'"{path}" uses operators beyond the ONNX standard: {sorted(summary.domains)}',
+            f'"{path}" uses operators beyond the ONNX standard: {sorted(domains)}',
             "use a bundle written by lambent",
         )
-    for tensor in summary.external:
+    external = [tensor for tensor in tensors if tensor is not None]
+    for tensor in external:
         inside = min(tensor.offset, tensor.length) >= 0 and tensor.offset + tensor.length <= weights_bytes
         if tensor.location != "weights.bin" or not inside:
             raise BundleError(
@@ -117,4 +90,21 @@ def check_onnx(data: bytes, *, path: str, weights_bytes: int) -> list[ExternalTe
                 f"bytes {tensor.offset} to {tensor.offset + tensor.length}",
                 "only data inside models/weights.bin is allowed; do not use this bundle",
             )
-    return summary.external
+    return external
+
+
+def _parts(message: Message) -> Iterator[Message]:
+    """Yield a message and every message inside it; protobuf reads at most 100 levels."""
+    yield message
+    for field, value in message.ListFields():
+        if field.message_type is not None:
+            for inner in [value] if isinstance(value, Message) else value:
+                yield from _parts(inner)
+
+
+def _external(tensor: onnx_pb2.OnnxTensor) -> ExternalTensor | None:
+    if not tensor.external_data and tensor.data_location != _EXTERNAL:
+        return None
+    stated = {entry.key: entry.value for entry in tensor.external_data}
+    offset, length = int(stated.get("offset", 0)), int(stated.get("length", -1))
+    return ExternalTensor(tensor.name, stated.get("location", ""), offset, length)

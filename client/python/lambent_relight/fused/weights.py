@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import Rows
-from lambent_relight.bundle.onnx_wire import metadata
+from lambent_relight.bundle.onnx_check import metadata
 from lambent_relight.errors import BundleError
 from lambent_relight.fused import kernels
 

@@ -1,22 +1,9 @@
 /** Looking into ONNX models and trimming them, before a runtime opens them. */
 
+import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
+import { OnnxEntrySchema, OnnxModelSchema } from "../contract/lambent_proto/v1/onnx_pb.js";
 import { widenedHalves } from "./half.js";
-import {
-  encodedField,
-  encodedNumber,
-  joined,
-  type WireField,
-  wireBytes,
-  wireFields,
-  wireText,
-} from "./onnxWire.js";
 
-// Field numbers of onnx.proto, frozen by its compatibility rules.
-const model = { graph: 7, metadata: 14 };
-const graph = { node: 1, tensor: 5, output: 12 };
-const node = { input: 1, output: 2, attribute: 5 };
-const attributeGraphs = [6, 11];
-const tensor = { dataType: 2, name: 8, externalData: 13 };
 const float32 = 1;
 const float16 = 10;
 
@@ -28,13 +15,8 @@ export type WeightFile = {
 
 /** Return a model's metadata, by key. */
 export function modelMetadata(data: Uint8Array): Record<string, string> {
-  const found: Record<string, string> = {};
-  for (const field of wireFields(data)) {
-    if (field.number !== model.metadata) continue;
-    const [key, value] = entryOf(wireBytes(field));
-    found[key] = value;
-  }
-  return found;
+  const { metadataProps } = fromBinary(OnnxModelSchema, data);
+  return Object.fromEntries(metadataProps.map(({ key, value }) => [key, value]));
 }
 
 /**
@@ -42,23 +24,23 @@ export function modelMetadata(data: Uint8Array): Record<string, string> {
  * asked for or not. Graphs with inner graphs keep all their nodes.
  */
 export function keepOutputs(data: Uint8Array, names: readonly string[]): Uint8Array<ArrayBuffer> {
-  return mapGraph(data, (parts) => {
-    const kept = parts.filter((part) => part.number !== graph.output || names.includes(nameOf(part, 1)));
-    if (kept.some((part) => part.number === graph.node && hasInnerGraph(part)))
-      return kept.map((part) => part.raw);
-    const needed = new Set(names);
-    const serving: Uint8Array[] = [];
-    // Nodes stand in an order in which none comes before what it needs.
-    for (const part of kept.reverse()) {
-      if (part.number === graph.node) {
-        const inside = wireFields(wireBytes(part));
-        if (!inside.some((field) => field.number === node.output && needed.has(wireText(field)))) continue;
-        for (const field of inside) if (field.number === node.input) needed.add(wireText(field));
-      }
-      serving.push(part.raw);
+  const model = fromBinary(OnnxModelSchema, data);
+  const graph = model.graph;
+  if (graph !== undefined) {
+    graph.output = graph.output.filter((output) => names.includes(output.name));
+    const attributes = graph.node.flatMap((node) => node.attribute);
+    if (!attributes.some((part) => part.g !== undefined || part.graphs.length > 0)) {
+      const needed = new Set(names);
+      // Nodes stand in an order in which none comes before what it needs.
+      const serving = graph.node.reverse().filter((node) => {
+        const serves = node.output.some((name) => needed.has(name));
+        if (serves) for (const name of node.input) needed.add(name);
+        return serves;
+      });
+      graph.node = serving.reverse();
     }
-    return serving.reverse();
-  });
+  }
+  return toBinary(OnnxModelSchema, model);
 }
 
 /**
@@ -66,75 +48,38 @@ export function keepOutputs(data: Uint8Array, names: readonly string[]): Uint8Ar
  * runtimes whose hardware cannot compute with halves: the casts behind them then do nothing.
  */
 export function withoutHalves(data: Uint8Array, weights: Uint8Array): WeightFile {
+  const model = fromBinary(OnnxModelSchema, data);
   const parts: Uint8Array[] = [];
   let size = 0;
-  const place = (bytes: Uint8Array): number => {
-    const offset = size + ((256 - (size % 256)) % 256);
-    parts.push(new Uint8Array(offset - size), bytes);
-    size = offset + bytes.length;
-    return offset;
-  };
-  const changed = mapGraph(data, (fields) =>
-    fields.map((part) => {
-      if (part.number !== graph.tensor) return part.raw;
-      const inside = wireFields(wireBytes(part));
-      const entries = inside.filter((field) => field.number === tensor.externalData);
-      if (entries.length === 0) return part.raw;
-      const stated = Object.fromEntries(entries.map((field) => entryOf(wireBytes(field))));
-      const [offset, length] = [Number(stated.offset ?? 0), Number(stated.length)];
-      if (!(offset >= 0 && length >= 0 && offset + length <= weights.length)) {
-        throw new RangeError(`the tensor ${nameOf(part, tensor.name)} does not lie inside the weights`);
-      }
-      const stored = weights.subarray(offset, offset + length);
-      const half = inside.some((field) => field.number === tensor.dataType && field.value === float16);
-      const values = half ? widenedHalves(stored) : stored;
-      const rest = inside.filter((field) => ![tensor.externalData, tensor.dataType].includes(field.number));
-      const kind = inside.find((field) => field.number === tensor.dataType)!;
-      return encodedField(
-        graph.tensor,
-        joined([
-          ...rest.map((field) => field.raw),
-          half ? encodedNumber(tensor.dataType, float32) : kind.raw,
-          ...entry("location", stated.location ?? ""),
-          ...entry("offset", String(place(values))),
-          ...entry("length", String(values.length)),
-        ]),
-      );
-    }),
-  );
-  return { model: changed, weights: joined(parts) };
+  for (const tensor of model.graph?.initializer ?? []) {
+    if (tensor.externalData.length === 0) continue;
+    const stated = Object.fromEntries(tensor.externalData.map(({ key, value }) => [key, value]));
+    const [offset, length] = [Number(stated.offset ?? 0), Number(stated.length)];
+    if (!(offset >= 0 && length >= 0 && offset + length <= weights.length)) {
+      throw new RangeError(`the tensor ${tensor.name} does not lie inside the weights`);
+    }
+    const stored = weights.subarray(offset, offset + length);
+    const values = tensor.dataType === float16 ? widenedHalves(stored) : stored;
+    if (tensor.dataType === float16) tensor.dataType = float32;
+    const start = size + ((256 - (size % 256)) % 256);
+    parts.push(new Uint8Array(start - size), values);
+    size = start + values.length;
+    tensor.externalData = Object.entries({
+      location: stated.location,
+      offset: start,
+      length: values.length,
+    }).map(([key, value]) => create(OnnxEntrySchema, { key, value: String(value ?? "") }));
+  }
+  return { model: toBinary(OnnxModelSchema, model), weights: joined(parts) };
 }
 
-function entry(key: string, value: string): Uint8Array[] {
-  return [encodedField(tensor.externalData, joined([encodedField(1, key), encodedField(2, value)]))];
-}
-
-function mapGraph(data: Uint8Array, change: (parts: WireField[]) => Uint8Array[]): Uint8Array<ArrayBuffer> {
-  return joined(
-    wireFields(data).map((field) =>
-      field.number === model.graph
-        ? encodedField(model.graph, joined(change(wireFields(wireBytes(field)))))
-        : field.raw,
-    ),
-  );
-}
-
-function entryOf(data: Uint8Array): [string, string] {
-  const fields = wireFields(data);
-  const text = (number: number): string => {
-    const found = fields.find((field) => field.number === number);
-    return found === undefined ? "" : wireText(found);
-  };
-  return [text(1), text(2)];
-}
-
-function nameOf(message: WireField, number: number): string {
-  const found = wireFields(wireBytes(message)).find((field) => field.number === number);
-  return found === undefined ? "" : wireText(found);
-}
-
-function hasInnerGraph(message: WireField): boolean {
-  return wireFields(wireBytes(message))
-    .filter((field) => field.number === node.attribute)
-    .some((field) => wireFields(wireBytes(field)).some((part) => attributeGraphs.includes(part.number)));
+/** Return byte arrays after each other. */
+function joined(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
+  const all = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  let at = 0;
+  for (const part of parts) {
+    all.set(part, at);
+    at += part.length;
+  }
+  return all;
 }
