@@ -94,12 +94,16 @@ def sphere_model(
             elif not parameter.any():
                 parameter.normal_(std=0.3)
         for field in (model.nerf.density, *model.nerf.proposals):
-            _make_ball(field)
+            make_ball(field)
     return model.eval()
 
 
-def _make_ball(field: torch.nn.Module) -> None:
-    """Set the density to about exp(40 (0.5 - |x|)): the first hidden unit is a distance."""
+@torch.no_grad()
+def make_ball(field: torch.nn.Module, radius: float = RADIUS) -> None:
+    """Set the density to about exp(40 (radius - |x|)): the first hidden unit is a distance.
+
+    In contracted coordinates; the field has one level of `DENSITY_RESOLUTION`.
+    """
     n = DENSITY_RESOLUTION
     centres = (torch.arange(n) + 0.5) * 2.0 / n - 1.0
     z, y, x = torch.meshgrid(centres, centres, centres, indexing="ij")
@@ -109,4 +113,4 @@ def _make_ball(field: torch.nn.Module) -> None:
     field.network.layers[0].bias[0] = 0.0
     field.head.weight.zero_()
     field.head.weight[0, 0] = 40.0
-    field.head.bias.fill_(-40.0 * (2.0 - RADIUS) + 3.0)
+    field.head.bias.fill_(-40.0 * (2.0 - radius) + 3.0)

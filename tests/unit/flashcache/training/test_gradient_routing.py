@@ -10,7 +10,7 @@ from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.joint_losses import physical_loss
 from flashcache.training.stage_two import StageTwo
-from support.full_stage_two import stage
+from support.joint_stage import stage
 
 PARTS = (
     "nerf.proposals",

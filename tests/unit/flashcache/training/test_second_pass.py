@@ -9,7 +9,7 @@ from flashcache.training.joint_losses import physical_loss
 from flashcache.training.passes import shade
 from flashcache.training.second_pass import SecondPass, half_the_threads, twin_of
 from flashcache.volume.quadrature import composite
-from support.full_stage_two import stage
+from support.joint_stage import stage
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import torch
 from flashcache.randomness import generator_for
 from flashcache.training.passes import shade
 from flashcache.training.unobserved import BLOCKED, unobserved_points
-from support.full_stage_two import stage
+from support.joint_stage import stage
 
 
 def made_pass():

@@ -1,4 +1,4 @@
-"""Stage two with every loss switched on, of a lit sphere."""
+"""Stage two of the lit sphere with every loss switched on."""
 
 from dataclasses import replace
 

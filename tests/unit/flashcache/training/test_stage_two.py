@@ -1,0 +1,82 @@
+"""What stage two does with its two passes, and that it finds materials which are known."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from flashcache.config import DistilConfig
+from flashcache.data.ray_batches import TrainingPixels
+from flashcache.losses.consistency import UnobservedConfig
+from flashcache.losses.metalness import MetalnessPriorConfig
+from flashcache.physical.model import InverseModel
+from flashcache.presets import tiny
+from flashcache.randomness import generator_for
+from flashcache.training import stage_two
+from support.joint_stage import SCENE, stage
+from support.lit_sphere import BOTTOM, RADIUS, TOP, lit_domain
+from support.sphere_model import make_ball, small_config
+from support.statistics import assert_mean
+
+
+def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeypatch):
+    def of_two_steps(seed, stage, step, stream, device):
+        # The same rays in every step: what differs is the noise of the passes.
+        return generator_for(seed, stage, 0 if stream == "rays" else step, stream, device)
+
+    first = []
+    right = stage_two.shade
+    monkeypatch.setattr(stage_two, "generator_for", of_two_steps)
+    monkeypatch.setattr(stage_two, "shade", lambda *given: first.append(right(*given)) or first[-1])
+    made = stage(num_rays=256, symmetric=False, normal_weight=0.0, unobserved=UnobservedConfig())
+    pictures = []
+    for step in range(2):
+        made.steps_done = step
+        made.losses()
+        pictures.append((first[-1].picture.detach(), made.second.result().picture.detach()))
+    noise_a, noise_b = (one - other for one, other in zip(*pictures, strict=True))
+    rough = (noise_a.abs().sum(dim=-1) > 0.0) & (noise_b.abs().sum(dim=-1) > 0.0)
+    assert int(rough.sum()) > 100
+    # On the scale of the noise itself, so that a few bright rays do not decide.
+    scale = (noise_a.square() + noise_b.square()).sum(dim=-1)[rough]
+    assert_mean((noise_a * noise_b).sum(dim=-1)[rough] / scale, 0.0)
+
+
+class Radial(torch.nn.Module):
+    """Normals of a ball at the origin."""
+
+    def forward(self, positions: torch.Tensor, hidden: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.normalize(positions, dim=-1)
+
+
+@pytest.mark.slow
+def test_stage_two_finds_the_albedo_of_a_ball_under_a_known_light_to_eight_hundredths():
+    base = tiny()
+    ball = small_config(own_normal_grid=False, softplus_beta=10.0, distance_layers=2).nerf.density
+    nerf = replace(base.model.nerf, proposals=(ball, ball), density=ball)
+    torch.manual_seed(0)
+    domain = replace(lit_domain(SCENE), known_lights=SCENE.lights)
+    model = InverseModel(replace(base.model, nerf=nerf), domain)
+    for field in (model.nerf.density, *model.nerf.proposals):
+        make_ball(field, RADIUS / SCENE.contraction_radius)
+    model.nerf.normals = Radial()
+    rows = base.model.environment.known_height
+    model.environment.set_known(0, torch.ones(rows, 2 * rows, 3))
+    settings = replace(
+        base.stage_two,
+        num_steps=70,
+        warmup_steps=0,
+        cache_weight=0.0,
+        smoothness_weight=0.0,
+        metalness_prior=MetalnessPriorConfig(),
+        distil=DistilConfig(),
+    )
+    made = stage_two.StageTwo(
+        model, TrainingPixels(SCENE, base.pixels, torch.device("cpu")), settings, seed=0
+    )
+    while not made.finished:
+        made.step()
+    points = torch.nn.functional.normalize(torch.randn(400, 3), dim=-1)
+    points = RADIUS * points[points[:, 2].abs() > 0.2]
+    found = model.materials(points).albedo.detach()
+    for half, albedo in ((points[:, 2] > 0.0, TOP), (points[:, 2] < 0.0, BOTTOM)):
+        assert float((found[half] - torch.from_numpy(albedo)).abs().mean()) < 0.08
