@@ -25,7 +25,6 @@ from lambent_worker.stage_sharing import adopt_nerf_cache
 from lambent_worker.startup import prepare
 from reference_scores import figures_of
 
-PRIOR = "stage_two.environment_prior"
 SWITCHES: dict[str, dict[str, str]] = {
     "base": {},
     "no-grey": {"stage_two.grey_weight": "0.0"},
@@ -35,25 +34,7 @@ SWITCHES: dict[str, dict[str, str]] = {
     },
     "smoothness": {"stage_two.clusters.weight": "0.0", "stage_two.smoothness_weight": "0.003"},
     "no-distillation": {"stage_two.distil.num_steps": "0"},
-    "unobserved": {"stage_two.unobserved.weight": "0.1"},
     "no-clusters": {"stage_two.clusters.weight": "0.0"},
-    "white": {f"{PRIOR}.white_weight": "0.05", "stage_two.grey_weight": "0.0"},
-    "texture": {"model.environment.texture_height": "32", "stage_two.environment_rate": "0.04"},
-    "texture-smooth": {
-        "model.environment.texture_height": "32",
-        "stage_two.environment_rate": "0.04",
-        f"{PRIOR}.variation_weight": "0.003",
-        f"{PRIOR}.rows": "32",
-    },
-    "texture-smooth-flat": {
-        "model.environment.texture_height": "32",
-        "stage_two.environment_rate": "0.04",
-        f"{PRIOR}.variation_weight": "0.003",
-        f"{PRIOR}.rows": "32",
-        f"{PRIOR}.pole_aware": "false",
-    },
-    "errors": {"stage_two.budget.error_share": "0.4"},
-    "roulette": {"stage_two.estimator.roulette": "1.0"},
     "jitter": {"stage_two.secondary_jitter": "true"},
     "whole-pseudo-albedo": {"stage_two.pseudo_albedo": "radiance"},
     "cache-gradient": {"stage_two.estimator.through_cache": "1e-4"},

@@ -124,7 +124,7 @@ def test_lights_without_angles_cannot_be_turned(tmp_path):
 def test_a_run_takes_over_the_nerf_cache_of_another_with_another_environment(tmp_path):
     lights = LIGHTS[:1]
     trained(tmp_path / "base", lights, steps=STEPS[:2])
-    other = {"model.environment.texture_height": "8"}
+    other = {"model.environment.last_width": "8"}
     run, _ = trained(tmp_path / "other", lights, steps=STEPS[:1], **other)
     reporter = RecordingReporter()
     for _ in range(2):  # The second time there is nothing to do.
@@ -135,7 +135,7 @@ def test_a_run_takes_over_the_nerf_cache_of_another_with_another_environment(tmp
     taken = latest_checkpoint(step_folder(tmp_path / "other", "cache"))
     tables = [torch_tensors(folder)["nerf.density.grid.table"] for folder in (base, taken)]
     assert torch.equal(*tables)
-    assert "environment.texture" in torch_tensors(taken)
+    assert torch_tensors(taken)["environment.last.bias"].shape == (8,)
 
 
 def torch_tensors(folder):

@@ -3,7 +3,6 @@
 import pytest
 import torch
 from flashcache.geometry.directions import environment_directions, uv_from_direction
-from flashcache.losses.light_sampler import light_sampler_loss
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, estimate, relight
 from flashcache.physical.incident import Incident
 from flashcache.physical.sampling import CosineLobe, EnvironmentMapSampler, GgxLobe
@@ -165,26 +164,3 @@ def test_any_list_of_strategies_can_serve_either_half():
     expected = reflected(given, light=lambda directions, _: directions.square())
     assert_mean(found.diffuse, expected["diffuse"], expected_error=QUADRATURE)
     assert_mean(found.specular, expected["specular"], expected_error=QUADRATURE)
-
-
-@pytest.mark.parametrize("control_variate", ["on", "off"])
-def test_stopping_rays_that_hardly_matter_leaves_estimates_unbiased(control_variate):
-    given = case(2 * ROWS, alpha=0.6, metalness=0.0)
-    settings = {"control_variate": control_variate, "exact": _counts(1, 1, 2)}
-    assert_estimates_agree_with_quadrature(given, roulette=1.0, **settings)
-    rays = [len(estimates(given, roulette=roulette, **settings).exact.rays) for roulette in (0.0, 1.0)]
-    # The specular half of a dielectric carries a twentieth of the light and half of the rays.
-    assert rays[1] < 0.75 * rays[0]
-
-
-def test_stopping_rays_leaves_the_light_samplers_loss_unbiased():
-    losses = []
-    for roulette in (0.0, 1.0):
-        rows = []
-        for seed in range(120):
-            given = case(60, alpha=0.6, metalness=0.0)
-            found = estimates(given, roulette=roulette, seed=seed, exact=_counts(1, 1, 2))
-            mixture = peaked_mixture(given.rows, unit(0.5, -0.1, 0.8))
-            rows.append(light_sampler_loss(mixture, found.exact))
-        losses.append(torch.stack(rows))
-    assert_mean(losses[1] - losses[0], 0.0)

@@ -6,8 +6,6 @@ import torch
 from flashcache.config import Config, StageTwoConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.losses.clusters import ClusterConfig
-from flashcache.losses.consistency import UnobservedConfig
-from flashcache.losses.environment import EnvironmentPriorConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -23,12 +21,10 @@ EVERYTHING = {
     "normal_every": 1,
     "normal_rays": 1.0,
     "consistency_weight": 0.1,
-    "unobserved": UnobservedConfig(weight=0.1),
     "smoothness_weight": 0.1,
     "clusters": ClusterConfig(weight=0.1),
     "metalness_prior": MetalnessPriorConfig(weight=0.1),
     "grey_weight": 0.1,
-    "environment_prior": EnvironmentPriorConfig(white_weight=0.1, variation_weight=0.1),
     "grid_decay": 1.0,
     "warmup_steps": 0,
     "num_rays": 48,

@@ -10,12 +10,9 @@ from hashlib import sha256
 from typing import Any
 
 from flashcache.data.ray_batches import PixelChoice
-from flashcache.data.ray_budget import RayBudget
 from flashcache.data.space import SpaceConfig
 from flashcache.errors import ConfigError
 from flashcache.losses.clusters import ClusterConfig
-from flashcache.losses.consistency import UnobservedConfig
-from flashcache.losses.environment import EnvironmentPriorConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.losses.shape import ShapePriorConfig
 from flashcache.losses.smoothness import SmoothnessGuide
@@ -131,8 +128,6 @@ class StageTwoConfig:
     """K of paper Eq. 11."""
     secondary_jitter: bool = False
     """Move the intervals along exact secondary rays at random, as the paper does; less biased and noisier."""
-    weight_gradient: float = 0.0
-    """Factor on the gradient of the physical pictures into the render weights; 0 in the paper's code."""
     symmetric: bool = False
     """Let gradients flow into both passes instead of the first only; their mean is the same."""
     material_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
@@ -143,8 +138,6 @@ class StageTwoConfig:
     decay_from: float = 0.0
     """Share of the steps after which the rates begin to fall."""
     physical_weight: float = 0.1
-    cache_weight: float = 1.0
-    """Weight of the photometric loss of the NeRF cache; 0 freezes the cache."""
     mask_weight: float = 1.0
     distortion_weight: float = 0.0
     orientation_weight: float = 0.0
@@ -155,7 +148,6 @@ class StageTwoConfig:
     normal_weight_gradient: float = 0.1
     random_background: bool = False
     consistency_weight: float = 0.1
-    unobserved: UnobservedConfig = field(default_factory=UnobservedConfig)
     smoothness_weight: float = 0.05
     smoothness_step: float = 0.01
     """Standard deviation of the step between compared points, scene units."""
@@ -166,13 +158,11 @@ class StageTwoConfig:
     grey_weight: float = 0.0
     """Weight of the environment's mean deviation from grey (decision 0006)."""
     metalness_prior: MetalnessPriorConfig = field(default_factory=MetalnessPriorConfig)
-    environment_prior: EnvironmentPriorConfig = field(default_factory=EnvironmentPriorConfig)
     fast_by_half: bool = False
     """Let the diffuse and the specular half count alike in the fast cache's loss, as in the paper."""
     grid_decay: float = 0.0
     """Weight of half the mean squared value of each level of density, material and sampler grids."""
     proposal_exponent: float = 0.4
-    budget: RayBudget = field(default_factory=RayBudget)
     distil: DistilConfig = field(default_factory=DistilConfig)
 
     def __post_init__(self) -> None:
@@ -279,14 +269,42 @@ def config_hash(config: Any) -> str:
     return sha256(json.dumps(to_dict(config), sort_keys=True).encode()).hexdigest()
 
 
+REMOVED: Mapping[str, Any] = {
+    "model.environment.texture_height": 0,
+    "model.nerf.antialias": "none",
+    "stage_one.shape_prior.late_recession_weight": 0.0,
+    "stage_two.budget": {"error_share": 0.0},
+    "stage_two.cache_weight": 1.0,
+    "stage_two.environment_prior": {"white_weight": 0.0, "variation_weight": 0.0},
+    "stage_two.estimator.roulette": 0.0,
+    "stage_two.unobserved": {"weight": 0.0},
+    "stage_two.weight_gradient": 0.0,
+}
+"""Settings of earlier releases, with the value at which they did nothing: runs that have it can be read."""
+
+
 def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     """Return a configuration from `to_dict`'s values; raises `ConfigError` on unknown or ill-typed ones."""
     hints = typing.get_type_hints(cls)
     names = {item.name for item in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in values:
-        if name not in names:
+        if path + name in REMOVED:
+            _check_removed(path + name, values[name])
+        elif name not in names:
             raise ConfigError(f"unknown setting {path + name!r}; known here: {', '.join(sorted(names))}")
-    return cls(**{name: _convert(hints[name], value, path + name) for name, value in values.items()})
+    return cls(**{name: _convert(hints[name], values[name], path + name) for name in values if name in names})
+
+
+def _check_removed(path: str, value: Any) -> None:
+    """Raise `ConfigError` where a setting that is gone had an effect."""
+    neutral = REMOVED[path]
+    if isinstance(neutral, Mapping) and isinstance(value, Mapping):
+        value = {name: value.get(name) for name in neutral}
+    if value != neutral:
+        raise ConfigError(
+            f"setting {path!r} was removed and only {neutral!r} can still be read, got {value!r}; "
+            "use the release that the run was made with, or train it again without this setting"
+        )
 
 
 def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:

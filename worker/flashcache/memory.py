@@ -130,14 +130,8 @@ class _Probe:
         hook.remove()
         # With symmetric passes the second asks the twin's environment.
         passes = 1 if self.config.stage_two.symmetric else 2
-        return meter.peak, (traced[0] - self._looked_up_by_priors()) // passes
-
-    def _looked_up_by_priors(self) -> int:
-        """Return how many directions of the environment the priors on it ask for in a step."""
-        two, learned = self.config.stage_two, len(self.model.environment.learned)
-        pictures = two.environment_prior.white_weight or two.environment_prior.variation_weight
-        rows = two.environment_prior.rows
-        return (GREY_DIRECTIONS if two.grey_weight else 0) + (2 * rows * rows * learned if pictures else 0)
+        asked_by_prior = GREY_DIRECTIONS if self.config.stage_two.grey_weight else 0
+        return meter.peak, (traced[0] - asked_by_prior) // passes
 
     def trained_bytes(self, stage: str) -> int:
         """Return the size of the parameters that a stage trains."""

@@ -12,6 +12,28 @@ def test_a_configuration_survives_json(name: str):
     assert from_dict(Config, json.loads(json.dumps(to_dict(config)))) == config
 
 
+REMOVED_GROUP = {"error_share": 0.0, "block": 64, "memory": 0.9}
+
+
+def with_removed(**two: object) -> dict:
+    values = to_dict(preset("tiny"))
+    return values | {"stage_two": values["stage_two"] | two}
+
+
+def test_an_earlier_releases_settings_are_read_where_they_did_nothing():
+    values = with_removed(weight_gradient=0.0, budget=REMOVED_GROUP)
+    values["model"]["nerf"]["antialias"] = "none"
+    assert from_dict(Config, values) == preset("tiny")
+
+
+@pytest.mark.parametrize(
+    "two", [{"weight_gradient": 1.0}, {"budget": REMOVED_GROUP | {"error_share": 0.4}}, {"budget": 0.0}]
+)
+def test_a_removed_setting_that_had_an_effect_is_refused(two: dict):
+    with pytest.raises(ConfigError, match=rf"stage_two\.{next(iter(two))}' was removed"):
+        from_dict(Config, with_removed(**two))
+
+
 def test_an_override_changes_one_setting_and_the_hash():
     config = with_overrides(preset("tiny"), {"stage_one.num_rays": "64"})
     assert config.stage_one.num_rays == 64

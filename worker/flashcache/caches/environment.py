@@ -15,14 +15,13 @@ from torch import Tensor, nn
 from flashcache.encoding.directional import positional_encoding
 from flashcache.errors import ConfigError
 from flashcache.fields.mlp import Hidden, linear
+from flashcache.geometry.directions import look_up
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EnvironmentConfig:
     """How the environment is represented (supplement 2.1)."""
 
-    texture_height: int = 0
-    """Rows of a latitude-longitude texture (twice as many columns); 0 selects the network."""
     width: int = 256
     num_layers: int = 3
     last_width: int = 128
@@ -36,8 +35,6 @@ class EnvironmentConfig:
     """Rows to which a given environment is resampled."""
 
     def __post_init__(self) -> None:
-        if self.texture_height < 0 or self.texture_height % 2:
-            raise ConfigError(f"texture_height must be even and not negative, got {self.texture_height}")
         if self.known_height < 2:
             raise ConfigError(f"known_height must be at least 2, got {self.known_height}")
 
@@ -71,14 +68,10 @@ class Environment(nn.Module):
         if self.known:
             rows = config.known_height
             self.register_buffer("known_images", torch.zeros(len(self.known), rows, 2 * rows, 3))
-        if config.texture_height:
-            rows = config.texture_height
-            self.texture = nn.Parameter(torch.zeros(num_lights, 3, rows, 2 * rows))
-        else:
-            num_inputs = 3 + 6 * config.num_frequencies
-            self.network = Hidden(num_inputs, config.width, config.num_layers, skip_after=config.num_layers)
-            self.last = linear(self.network.num_outputs, config.last_width)
-            self.head = linear(config.last_width, 3 * num_lights)
+        num_inputs = 3 + 6 * config.num_frequencies
+        self.network = Hidden(num_inputs, config.width, config.num_layers, skip_after=config.num_layers)
+        self.last = linear(self.network.num_outputs, config.last_width)
+        self.head = linear(config.last_width, 3 * num_lights)
 
     @property
     def learned(self) -> tuple[int, ...]:
@@ -117,9 +110,6 @@ class Environment(nn.Module):
         return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], dim=-1)
 
     def _learned(self, directions: Tensor, light_index: Tensor) -> Tensor:
-        if self.config.texture_height:
-            radiance = torch.nn.functional.softplus(self.texture + self.config.bias)
-            return _lookup(radiance.permute(0, 2, 3, 1), directions, light_index)
         hidden = torch.relu(
             self.last(self.network(positional_encoding(directions, self.config.num_frequencies)))
         )
@@ -134,10 +124,11 @@ class Environment(nn.Module):
         place = torch.zeros(self.num_lights, dtype=torch.long, device=light_index.device)
         for position, light in enumerate(self.known):
             place[light] = position
-        return _lookup(self.known_images, directions, place[light_index])
+        return look_up(self.known_images, directions, place[light_index])
 
-    def picture(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
-        """Return a light's latitude-longitude picture, `width = 2 height`, with gradients."""
+    @torch.no_grad()
+    def image(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
+        """Return a light's latitude-longitude picture of linear radiance, `width = 2 height`."""
         device = next(self.parameters()).device
         polar = (torch.arange(height, device=device) + 0.5) * math.pi / height
         azimuth = math.pi - (torch.arange(2 * height, device=device) + 0.5) * math.pi / height
@@ -151,34 +142,3 @@ class Environment(nn.Module):
         ).reshape(-1, 3)
         index = torch.full((len(directions),), light, dtype=torch.long, device=device)
         return self(directions, index).reshape(height, 2 * height, 3)
-
-    @torch.no_grad()
-    def image(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
-        """Return a light's environment as a picture of linear radiance, without gradients."""
-        return self.picture(height, light)
-
-
-def _lookup(
-    images: Float[Tensor, "lights height width 3"],
-    directions: Float[Tensor, "rays 3"],
-    light_index: Int[Tensor, " rays"],
-) -> Float[Tensor, "rays 3"]:
-    """Return bilinearly interpolated pixels of each ray's picture, with wrap-around in azimuth."""
-    _, rows, columns, _ = images.shape
-    polar = torch.acos(directions[:, 2].clamp(-1.0, 1.0)) / math.pi
-    azimuth = (0.5 - torch.atan2(directions[:, 1], directions[:, 0]) / (2.0 * math.pi)) % 1.0
-    v, u = polar * rows - 0.5, azimuth * columns - 0.5
-    v0, u0 = v.floor(), u.floor()
-    fv, fu = (v - v0)[:, None], (u - u0)[:, None]
-    top = v0.long().clamp(0, rows - 1)
-    bottom = (v0.long() + 1).clamp(0, rows - 1)
-    left, right = u0.long() % columns, (u0.long() + 1) % columns
-    flat = images.reshape(-1, 3)
-    base = light_index * (rows * columns)
-
-    def texel(row: Tensor, column: Tensor) -> Tensor:
-        return flat.index_select(0, base + row * columns + column)
-
-    upper = texel(top, left) * (1 - fu) + texel(top, right) * fu
-    lower = texel(bottom, left) * (1 - fu) + texel(bottom, right) * fu
-    return upper * (1 - fv) + lower * fv

@@ -1,7 +1,7 @@
 """The NeRF radiance cache: density, normals and outgoing radiance along sampled rays."""
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -9,24 +9,19 @@ from torch import Tensor, nn
 
 from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
-from flashcache.encoding.multisample import encode_cones
 from flashcache.errors import ConfigError
 from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
-from flashcache.fields.cones import cone_density, cone_density_with_gradient
 from flashcache.fields.density import (
     DensityConfig,
     DensityField,
-    DensitySample,
     NormalConfig,
     NormalField,
     derived_normal,
 )
-from flashcache.geometry.cones import ConePoints, cone_points
 from flashcache.geometry.rays import Rays
 from flashcache.volume.proposal_sampling import (
     PRIMARY_CURVE,
     SECONDARY_CURVE,
-    DensityFunction,
     DistanceCurve,
     RaySamples,
     SampleCounts,
@@ -59,9 +54,6 @@ class NerfCacheConfig:
     """Gradient of log density below which derived normals shrink [1/scene unit]."""
     exponent: float = 1.0
     """Exponent of the proposal weights on secondary rays and after training; the end of the annealing."""
-    antialias: Literal["none", "zipnerf6"] = "none"
-    """"zipnerf6" lets six blobs of a pixel's cone stand for each interval of a camera ray. The paper's code
-    has one point, as "none"; secondary rays and predicted normals with a grid of their own always do."""
 
     def __post_init__(self) -> None:
         if self.secondary_colours < 0:
@@ -77,8 +69,6 @@ class Geometry(NamedTuple):
     normal: Float[Tensor, "points 3"]
     derived: Float[Tensor, "some 3"] | None
     """Derived normals of the first rays only; None when they were not asked for."""
-    cones: ConePoints | None = None
-    """What stands for the points where rays are cones."""
 
     @property
     def opacity(self) -> Float[Tensor, " rays"]:
@@ -150,26 +140,8 @@ class NerfCache(nn.Module):
         generator: torch.Generator | None,
     ) -> RaySamples:
         """Return the final intervals of `rays`; see `sample_rays`."""
-        first, second = (
-            lambda positions, _distances, field=field: field.density(positions) for field in self.proposals
-        )
+        first, second = (field.density for field in self.proposals)
         return sample_rays(rays, (first, second), counts, curve, exponent=exponent, generator=generator)
-
-    def sample_cones(self, rays: Rays, *, exponent: float, generator: torch.Generator | None) -> RaySamples:
-        """Return the final intervals of camera rays whose proposals look at cones."""
-
-        def density_of(field: DensityField) -> DensityFunction:
-            def density(positions: Tensor, distances: Tensor) -> Tensor:
-                found = cone_density(field, cone_points(rays, distances, generator))
-                return found.density.reshape(positions.shape[:-1])
-
-            return density
-
-        first, second = (density_of(field) for field in self.proposals)
-        counts = self.config.primary_counts
-        return sample_rays(
-            rays, (first, second), counts, PRIMARY_CURVE, exponent=exponent, generator=generator
-        )
 
     def trace(
         self,
@@ -185,39 +157,20 @@ class NerfCache(nn.Module):
         """
         counts = self.config.primary_counts
         exponent = self.config.exponent if exponent is None else exponent
-        cones = None
-        if self.config.antialias == "none":
-            samples = self.sample(rays, counts, PRIMARY_CURVE, exponent=exponent, generator=generator)
-        else:
-            samples = self.sample_cones(rays, exponent=exponent, generator=generator)
-            cones = cone_points(rays, samples.distances, generator)
+        samples = self.sample(rays, counts, PRIMARY_CURVE, exponent=exponent, generator=generator)
         points = samples.positions.reshape(-1, 3)
         split = num_derived * counts.final
-        parts: list[DensitySample] = []
-        derived = None
+        parts, derived = [], None
         if split:
-            part, gradient = self._with_gradient(points, cones, slice(0, split))
+            part, gradient = self.density.with_gradient(points[:split])
             parts.append(part)
             derived = derived_normal(gradient, self.config.normal_floor)
         if split < len(points):
-            rest = slice(split, None)
-            parts.append(
-                self.density(points[rest])
-                if cones is None
-                else cone_density(self.density, _part(cones, rest))
-            )
+            parts.append(self.density(points[split:]))
         density = torch.cat([part.density for part in parts]).reshape(len(rays), counts.final)
         hidden = torch.cat([part.hidden for part in parts])
         weights = render_weights(density, samples.distances)
-        return Geometry(samples, weights, hidden, self.normals(points, hidden), derived, cones)
-
-    def _with_gradient(
-        self, points: Tensor, cones: ConePoints | None, part: slice
-    ) -> tuple[DensitySample, Tensor]:
-        """Return the sample and the gradient of raw log density at a part of the points."""
-        if cones is None:
-            return self.density.with_gradient(points[part])
-        return cone_density_with_gradient(self.density, _part(cones, part))
+        return Geometry(samples, weights, hidden, self.normals(points, hidden), derived)
 
     def outgoing(
         self,
@@ -229,10 +182,6 @@ class NerfCache(nn.Module):
     ) -> Appearance:
         """Return the radiance that all points of `geometry` send back along their rays."""
         num_samples = geometry.weights.shape[-1]
-        encoded = None
-        if geometry.cones is not None:
-            field = self.appearance
-            encoded = encode_cones(field.grid, geometry.cones, field.contraction_radius)
         return self.appearance(
             geometry.samples.positions.reshape(-1, 3),
             geometry.hidden,
@@ -240,7 +189,6 @@ class NerfCache(nn.Module):
             -directions.repeat_interleave(num_samples, dim=0),
             light_index.repeat_interleave(num_samples),
             with_specular=with_specular,
-            encoded=encoded,
         )
 
     def incident(
@@ -301,7 +249,3 @@ class NerfCache(nn.Module):
         draw = draw_points(weights, u)
         flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
         return Meeting(opacity, distance, points[flat], found.hidden[flat], draw.weight)
-
-
-def _part(cones: ConePoints, part: slice) -> ConePoints:
-    return ConePoints(cones.positions[part], cones.width[part])

@@ -1,6 +1,6 @@
 """Training pixels as batches of rays."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -10,7 +10,6 @@ from torch import Tensor
 
 from flashcache.data.scene import Scene
 from flashcache.errors import ConfigError, TrainingError
-from flashcache.geometry.cones import pixel_radius
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
 
@@ -38,10 +37,6 @@ class RayBatch:
     coverage: Float[Tensor, " rays"]
     """Share of the pixel that the object covers."""
     light_index: Int[Tensor, " rays"]
-    pixel: Int[Tensor, " rays"]
-    """Position of the pixel in the concatenated photographs."""
-    weight: Float[Tensor, " rays"]
-    """Factor of the ray's losses on the picture; one on average."""
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -53,8 +48,6 @@ class RayBatch:
             self.colour[which],
             self.coverage[which],
             self.light_index[which],
-            self.pixel[which],
-            self.weight[which],
         )
 
     def over(self, background: Float[Tensor, "*rays 3"]) -> Float[Tensor, "rays 3"]:
@@ -103,10 +96,6 @@ class TrainingPixels:
 
     def draw(self, num_rays: int, generator: torch.Generator) -> RayBatch:
         """Return a batch of pixels drawn with replacement; rays go through pixel centres."""
-        return self.at(self.choose(num_rays, generator))
-
-    def choose(self, num_rays: int, generator: torch.Generator) -> Int[Tensor, " rays"]:
-        """Return the pixels of a batch by their position in the concatenated photographs."""
         num_inside = round(num_rays * self.choice.inside_share)
 
         def randint(high: int, count: int) -> Tensor:
@@ -119,9 +108,9 @@ class TrainingPixels:
             ]
         )
         # Shuffled, so that a leading part of the batch is an unbiased part of it.
-        return index[torch.randperm(num_rays, generator=generator, device=self.device)]
+        return self.at(index[torch.randperm(num_rays, generator=generator, device=self.device)])
 
-    def at(self, index: Int[Tensor, " rays"], weight: Float[Tensor, " rays"] | None = None) -> RayBatch:
+    def at(self, index: Int[Tensor, " rays"]) -> RayBatch:
         """Return the rays of pixels given by their position in the concatenated photographs."""
         image = torch.searchsorted(self.starts, index, right=True) - 1
         local = index - self.starts[image]
@@ -131,9 +120,7 @@ class TrainingPixels:
         directions = pixel_directions(columns, rows, self.focal[image], self.centre[image], pose)
         values = self.pixels[index]
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
-        rays = replace(rays, radius=pixel_radius(self.focal[image].mean(dim=-1)))
-        weight = torch.ones(len(index), device=self.device) if weight is None else weight
-        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], index, weight)
+        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image])
 
 
 def clip_to_scene(

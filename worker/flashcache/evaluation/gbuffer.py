@@ -3,7 +3,7 @@
 Pictures are numpy float32; radiance is linear Rec. 709.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,7 +13,6 @@ from torch import Tensor
 
 from flashcache.color import perceptual_roughness_from_alpha
 from flashcache.data.scene import Camera
-from flashcache.geometry.cones import pixel_radius
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.physical.model import InverseModel
 from flashcache.volume.proposal_sampling import midpoints
@@ -55,8 +54,7 @@ def camera_rays(model: InverseModel, camera: Camera, device: torch.device) -> Ra
     origins = pose[:3, 3].expand_as(directions)
     domain = model.domain
     low, high = origins.new_tensor(domain.bounds_min), origins.new_tensor(domain.bounds_max)
-    rays = clip_to_box(origins, directions, low, high, *domain.primary)
-    return replace(rays, radius=pixel_radius(focal.mean()).expand(len(rays)))
+    return clip_to_box(origins, directions, low, high, *domain.primary)
 
 
 @torch.no_grad()

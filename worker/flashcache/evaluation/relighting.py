@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 from torch import Tensor
 
-from flashcache.geometry.directions import facing, uv_from_direction
+from flashcache.geometry.directions import facing, look_up
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
 from flashcache.physical.incident import Incident, RadianceSource, SecondaryRays, visibility_only
@@ -36,16 +36,7 @@ class MapLight:
         self, directions: Float[Tensor, "rays 3"], light_index: Int[Tensor, " rays"]
     ) -> Float[Tensor, "rays 3"]:
         """Return the bilinearly interpolated radiance from `directions`; the light index is ignored."""
-        rows, columns, _ = self.image.shape
-        uv = uv_from_direction(directions)
-        x, y = uv[:, 0] * columns - 0.5, uv[:, 1] * rows - 0.5
-        x0, y0 = x.floor(), y.floor()
-        fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-        left, right = x0.long() % columns, (x0.long() + 1) % columns
-        top, bottom = y0.long().clamp(0, rows - 1), (y0.long() + 1).clamp(0, rows - 1)
-        upper = torch.lerp(self.image[top, left], self.image[top, right], fx)
-        lower = torch.lerp(self.image[bottom, left], self.image[bottom, right], fx)
-        return torch.lerp(upper, lower, fy)
+        return look_up(self.image[None], directions, torch.zeros_like(light_index))
 
 
 def scaled(materials: Materials, ratio: Float[Tensor, "3"]) -> Materials:

@@ -105,16 +105,12 @@ class AppearanceField(nn.Module):
         light_index: Int[Tensor, " points"],
         *,
         with_specular: bool = True,
-        encoded: Float[Tensor, "points features"] | None = None,
     ) -> Appearance:
         """Return the outgoing radiance towards `omega_o`.
 
-        `encoded` replaces the grid's features at `positions` (anti-aliasing).
-
         Without `with_specular` the specular part is zero and costs nothing (the first phase of training).
         """
-        if encoded is None:
-            encoded = self.grid(contract(positions, self.contraction_radius))
+        encoded = self.grid(contract(positions, self.contraction_radius))
         features = torch.cat([hidden, encoded], dim=-1)
         raw = self.heads(features)
         colours = torch.nn.functional.softplus(

@@ -54,11 +54,7 @@ class DensityField(nn.Module):
 
     def forward(self, positions: Float[Tensor, "points 3"]) -> DensitySample:
         """Return density and hidden feature at world positions."""
-        return self.of_features(self.grid(contract(positions, self.contraction_radius)))
-
-    def of_features(self, features: Float[Tensor, "points features"]) -> DensitySample:
-        """Return density and hidden feature of points with these grid features."""
-        hidden = self.network(features)
+        hidden = self.network(self.grid(contract(positions, self.contraction_radius)))
         return DensitySample(self._density(self.head(hidden)[:, 0]), hidden)
 
     def density(self, positions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
@@ -75,14 +71,6 @@ class DensityField(nn.Module):
         """
         contracted = contract(positions, self.contraction_radius)
         features, jacobian = self.grid.encode_with_jacobian(contracted)
-        sample, by_feature = self.by_feature(features)
-        by_contracted = (by_feature[:, :, None] * jacobian).sum(dim=1)
-        return sample, contract_vjp(positions, self.contraction_radius, by_contracted)
-
-    def by_feature(
-        self, features: Float[Tensor, "points features"]
-    ) -> tuple[DensitySample, Float[Tensor, "points features"]]:
-        """Return the sample of grid features, and the derivative of raw log density by them."""
         if not features.requires_grad:
             features = features.detach().requires_grad_()
         with torch.enable_grad():
@@ -91,7 +79,9 @@ class DensityField(nn.Module):
             (by_feature,) = torch.autograd.grad(
                 raw.sum(), features, create_graph=torch.is_grad_enabled(), retain_graph=True
             )
-        return DensitySample(self._density(raw), hidden), by_feature
+        by_contracted = (by_feature[:, :, None] * jacobian).sum(dim=1)
+        gradient = contract_vjp(positions, self.contraction_radius, by_contracted)
+        return DensitySample(self._density(raw), hidden), gradient
 
 
 def derived_normal(gradient: Float[Tensor, "points 3"], floor: float) -> Float[Tensor, "points 3"]:

@@ -8,7 +8,7 @@ and v downwards.
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 SQUARED_FLOOR = 1e-20
@@ -105,3 +105,21 @@ def environment_solid_angles(
     """Return the solid angle of one pixel in each row, in sr; the whole picture has 4 pi."""
     edges = torch.arange(height + 1, dtype=dtype) * (math.pi / height)
     return (torch.cos(edges[:-1]) - torch.cos(edges[1:])) * (2.0 * math.pi / width)
+
+
+def look_up(
+    images: Float[Tensor, "pictures height width 3"],
+    directions: Float[Tensor, "rays 3"],
+    index: Int[Tensor, " rays"],
+) -> Float[Tensor, "rays 3"]:
+    """Return the bilinearly interpolated radiance of each ray's picture; azimuth wraps, the poles do not."""
+    _, rows, columns, _ = images.shape
+    uv = uv_from_direction(directions)
+    x, y = uv[:, 0] * columns - 0.5, uv[:, 1] * rows - 0.5
+    x0, y0 = x.floor(), y.floor()
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    left, right = x0.long() % columns, (x0.long() + 1) % columns
+    top, bottom = y0.long().clamp(0, rows - 1), (y0.long() + 1).clamp(0, rows - 1)
+    upper = torch.lerp(images[index, top, left], images[index, top, right], fx)
+    lower = torch.lerp(images[index, bottom, left], images[index, bottom, right], fx)
+    return torch.lerp(upper, lower, fy)

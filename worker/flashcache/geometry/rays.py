@@ -18,8 +18,6 @@ class Rays:
     directions: Float[Tensor, "rays 3"]
     near: Float[Tensor, " rays"]
     far: Float[Tensor, " rays"]
-    radius: Float[Tensor, " rays"] | None = None
-    """Radius of the pixel's cone at distance one; None for lines."""
 
     def __len__(self) -> int:
         return self.origins.shape[0]
@@ -30,8 +28,7 @@ class Rays:
 
     def select(self, index: Tensor | slice) -> "Rays":
         """Return the rays that `index` (a mask, indices or a slice) picks."""
-        radius = None if self.radius is None else self.radius[index]
-        return Rays(self.origins[index], self.directions[index], self.near[index], self.far[index], radius)
+        return Rays(self.origins[index], self.directions[index], self.near[index], self.far[index])
 
 
 def pixel_directions(

@@ -1,25 +1,7 @@
 """Consistency of the cache's heads with the physically based estimates (supplement 2.9)."""
 
-from dataclasses import dataclass
-
 from jaxtyping import Float
 from torch import Tensor
-
-from flashcache.errors import ConfigError
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class UnobservedConfig:
-    """Consistency at points and directions that no photograph shows, beyond the paper."""
-
-    weight: float = 0.0
-    """Of the loss; 0 leaves it out."""
-    num_points: int = 64
-    """Points per step: half seen from new directions, half seen by secondary rays only."""
-
-    def __post_init__(self) -> None:
-        if self.num_points < 2:
-            raise ConfigError(f"stage_two.unobserved.num_points must be at least 2, got {self.num_points}")
 
 
 def consistency(

@@ -20,14 +20,13 @@ def charbonnier(difference: Tensor) -> Tensor:
 def cache_photometric(
     predicted: Float[Tensor, "rays 3"],
     photograph: Float[Tensor, "rays 3"],
-    ray_weight: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
     """Return the Charbonnier distance of two linear colours in sRGB, the loss of the NeRF cache.
 
-    `ray_weight` is one on average. Source: supplement 2.4.
+    Source: supplement 2.4.
     """
     difference = loss_curve(predicted) - loss_curve(photograph)
-    return (charbonnier(difference).mean(dim=-1) * ray_weight).mean()
+    return charbonnier(difference).mean(dim=-1).mean()
 
 
 def carving(
@@ -35,7 +34,6 @@ def carving(
     opacity: Float[Tensor, " rays"],
     photograph: Float[Tensor, "rays 3"],
     coverage: Float[Tensor, " rays"],
-    ray_weight: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
     """Return the loss of the first phase, which lets light pass where photographs agree only behind.
 
@@ -48,16 +46,15 @@ def carving(
     inside = difference + 0.3 * torch.relu(0.6 - opacity)
     loss = torch.where(coverage > 0.99, inside, torch.zeros_like(inside))
     loss = torch.where(coverage < 0.5, 0.3 * opacity, loss)
-    return (loss * ray_weight).mean()
+    return loss.mean()
 
 
 def mask_loss(
     opacity: Float[Tensor, " rays"],
     coverage: Float[Tensor, " rays"],
-    ray_weight: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
     """Return the Charbonnier distance of rendered opacity and the photograph's coverage."""
-    return (charbonnier(opacity - coverage) * ray_weight).mean()
+    return charbonnier(opacity - coverage).mean()
 
 
 def physical_photometric(

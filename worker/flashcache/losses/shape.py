@@ -18,8 +18,6 @@ class ShapePriorConfig:
 
     recession_weight: float = 0.0
     """Reward for distance during the carving phase."""
-    late_recession_weight: float = 0.0
-    """Reward for distance after it."""
     flatness_weight: float = 0.0
     """Weight of the difference of neighbouring normals; rises with the normal loss."""
     flatness_step: float = 0.017

@@ -89,15 +89,10 @@ class EstimatorConfig:
     """Factor on the gradient into the caches; the paper's code has 1e-4; 0 saves the graph."""
     environment_gradient: float = 1.0
     """Factor on the gradient into the environment."""
-    roulette: float = 0.0
-    """Exact directions whose throughput is below this multiple of the point's mean are traced at random and
-    count more, which saves rays without bias; 0 traces all, as the paper does."""
 
     def __post_init__(self) -> None:
         if self.control_variate not in ("on", "off", "fast_only"):
             raise ConfigError(f"control_variate must be on, off or fast_only, got {self.control_variate!r}")
-        if self.roulette < 0.0:
-            raise ConfigError(f"roulette must not be negative, got {self.roulette}")
         if self.sampler not in ("vmf", "none"):
             raise ConfigError(f"sampler must be vmf or none, got {self.sampler!r}")
         for name in ("fast", "exact"):
@@ -148,17 +143,7 @@ def control_variate(
     else:
         diffuse = [(cosine, [c.cosine for c in counts]), (mixture, [c.sampler for c in counts])]
     specular = [(lobe, [count.specular for count in counts])]
-    directions = DrawnDirections.draw(
-        points,
-        diffuse,
-        specular,
-        config.stratified,
-        limits,
-        generator,
-        materials=materials,
-        roulette=config.roulette,
-    )
-
+    directions = DrawnDirections.draw(points, diffuse, specular, config.stratified, limits, generator)
     rays = directions.rays
     sky = scale_gradient(environment(rays.directions, rays.light_index), config.environment_gradient)
     exact_nerf, exact_fast, fast_only = _ask(rays, directions.num_exact_rays, nerf, fast, config)

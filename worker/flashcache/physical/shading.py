@@ -16,7 +16,6 @@ from flashcache.geometry.directions import dot
 from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials, diffuse_albedo, lambert_cos, specular_brdf_cos
 from flashcache.physical.incident import Incident, NearField, RayLimits, SecondaryRays
-from flashcache.physical.roulette import survival_probability
 from flashcache.physical.sampling import DirectionSamples, Strategy, draw_directions
 
 CONTRIBUTION_MAXIMUM = 1e4
@@ -97,7 +96,7 @@ class DrawnDirections:
     halves: tuple[DirectionSamples, DirectionSamples]
     omega_i: Tensor
     above: Tensor
-    """Whether a direction is above the surface, and traced."""
+    """Whether a direction is above the surface: only these are traced."""
     is_exact: Tensor
     index: Tensor
     """Flat positions (point * lights + light) of the directions that are traced, exact ones first."""
@@ -112,14 +111,10 @@ class DrawnDirections:
         stratified: bool,
         limits: RayLimits,
         generator: torch.Generator,
-        *,
-        materials: Materials | None = None,
-        roulette: float = 0.0,
     ) -> "DrawnDirections":
         """Return fresh directions; each strategy comes with its numbers of exact and fast directions.
 
-        A single number per strategy makes all directions exact. With a positive `roulette`, exact directions
-        that can hardly matter at points of these materials are traced at random (`survival_probability`).
+        A single number per strategy makes all directions exact.
         """
         with torch.no_grad():
             like = points.positions
@@ -134,13 +129,6 @@ class DrawnDirections:
                 everything = sum(sum(counts) for _, counts in half)
                 flags += [True] * exact + [False] * (everything - exact)
             is_exact = torch.tensor(flags, dtype=torch.bool, device=like.device)
-            if roulette and materials is not None:
-                chance = survival_probability(
-                    points.normal, points.omega_o, materials, halves, is_exact, roulette
-                )
-                u = torch.rand(chance.shape, generator=generator, device=like.device, dtype=like.dtype)
-                above = above & (u < chance)
-                halves = _weighted(halves, 1.0 / chance)
             first = (above & is_exact).reshape(-1).nonzero().squeeze(-1)
             second = (above & ~is_exact).reshape(-1).nonzero().squeeze(-1)
             index = torch.cat([first, second])
@@ -210,17 +198,6 @@ class DrawnDirections:
             nerf=answer,
             fast=known,
         )
-
-
-def _weighted(
-    halves: tuple[DirectionSamples, DirectionSamples], factor: Tensor
-) -> tuple[DirectionSamples, DirectionSamples]:
-    """Return the directions with their weights times `factor` [points, lights]."""
-    parts = factor.split([half.omega_i.shape[1] for half in halves], dim=1)
-    return tuple(
-        half._replace(weight=half.weight * part, mis_weight=half.mis_weight * part)
-        for half, part in zip(halves, parts, strict=True)
-    )
 
 
 def _guard(terms: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -11,8 +11,8 @@ from flashcache.physical.brdf import Materials
 from flashcache.physical.incident import RayLimits, SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
+from flashcache.training.distillation_rays import solid_points
 from flashcache.training.light_bake import Hits
-from flashcache.training.taught_rays import solid_points
 
 RAYS_PER_POINT = 2
 """Rays drawn for each point wanted: about half of those into an object's box miss it."""

@@ -8,7 +8,6 @@ not there: it is written aside and renamed.
 import json
 import os
 import shutil
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -42,11 +41,8 @@ def save_checkpoint(
     model: nn.Module,
     optimiser: torch.optim.Optimizer | None,
     state: CheckpointState,
-    extra: Mapping[str, torch.Tensor] | None = None,
 ) -> Path:
     """Write a checkpoint to `folder`, replacing what was there, and return the folder.
-
-    `extra` is what else the stage needs to go on; see `load_extra`.
 
     It is built next to its place, flushed to disk and renamed, so that a kill leaves the old or the new one.
     """
@@ -57,9 +53,6 @@ def save_checkpoint(
     save_file(tensors, temporary / "model.safetensors")
     if optimiser is not None:
         save_file(_moments(optimiser), temporary / "optimiser.safetensors")
-    if extra:
-        kept = {name: value.detach().cpu().contiguous() for name, value in extra.items()}
-        save_file(kept, temporary / "extra.safetensors")
     (temporary / "state.json").write_text(json.dumps(asdict(state), indent=1))
     for path in temporary.iterdir():
         _flush(path)
@@ -94,19 +87,6 @@ def load_checkpoint(
     if optimiser is not None:
         _restore_moments(optimiser, load_file(folder / "optimiser.safetensors"))
     return state
-
-
-def load_extra(folder: Path) -> dict[str, torch.Tensor]:
-    """Return what else a checkpoint's stage kept; empty where it kept nothing."""
-    path = folder / "extra.safetensors"
-    if not path.is_file():
-        return {}
-    try:
-        return load_file(path)
-    except (OSError, ValueError) as error:
-        raise TrainingError(
-            f"checkpoint {folder} cannot be read ({error}); delete it to start the stage again"
-        ) from error
 
 
 def latest_checkpoint(folder: Path) -> Path | None:

@@ -14,9 +14,9 @@ from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.physical.incident import Incident, SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
+from flashcache.training.distillation_rays import relit_rays, solid_points
 from flashcache.training.halves import Halves
 from flashcache.training.joint_losses import in_reach
-from flashcache.training.taught_rays import relit_rays, solid_points
 
 STAGE = "distil"
 

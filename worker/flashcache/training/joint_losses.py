@@ -10,7 +10,7 @@ from flashcache.data.ray_batches import RayBatch
 from flashcache.fields.appearance import Appearance
 from flashcache.losses.clusters import material_entropy
 from flashcache.losses.consistency import consistency
-from flashcache.losses.environment import grey_prior, variation_prior, white_prior
+from flashcache.losses.environment import grey_prior
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.light_sampler import light_sampler_loss
@@ -51,10 +51,9 @@ def cache_terms(
         background = torch.rand(background.shape, generator=generator, device=background.device)
     opacity = geometry.opacity
     seen = cache + (1.0 - opacity)[:, None] * background
-    colour = cache_photometric(seen, batch.over(background), batch.weight)
-    terms = {"colour": config.cache_weight * colour}
+    terms = {"colour": cache_photometric(seen, batch.over(background))}
     if config.mask_weight:
-        terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage, batch.weight)
+        terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage)
     terms |= shape_terms(
         batch,
         geometry,
@@ -71,9 +70,7 @@ def decay_terms(model: InverseModel, config: StageTwoConfig) -> Terms:
     """Return the decay of the grids that train; proposals are frozen, decay alone would erase them."""
     if not config.grid_decay:
         return {}
-    grids = [model.materials.grid, model.light_sampler.grid]
-    if config.cache_weight:
-        grids.append(model.nerf.density.grid)
+    grids = [model.materials.grid, model.light_sampler.grid, model.nerf.density.grid]
     return {"grid_decay": config.grid_decay * grid_decay(grids)}
 
 
@@ -85,7 +82,7 @@ def physical_loss(
     other: Float[Tensor, "rays 3"],
 ) -> Float[Tensor, ""]:
     """Return the weighted photometric loss of a physical picture over black; `other` is a constant."""
-    counted = (batch.coverage > 0.0).to(cache.dtype) * batch.weight
+    counted = (batch.coverage > 0.0).to(cache.dtype)
     wanted = batch.colour * batch.coverage[:, None]
     share = 0.5 if config.symmetric else 1.0
     loss = physical_photometric(wanted, picture, other.detach(), cache, counted)
@@ -99,8 +96,6 @@ def consistency_terms(
     estimate: Estimate,
     point_weight: Float[Tensor, " points"],
     weight: float,
-    *,
-    name: str = "consistency",
 ) -> Terms:
     """Return the losses that move the cache's heads towards physical estimates at the same points."""
     heads = model.nerf.appearance(
@@ -112,7 +107,7 @@ def consistency_terms(
         "irradiance": (heads.irradiance, estimate.irradiance),
     }
     return {
-        f"{name}_{part}": weight * consistency(head, physical, point_weight)
+        f"consistency_{part}": weight * consistency(head, physical, point_weight)
         for part, (head, physical) in pairs.items()
     }
 
@@ -186,28 +181,15 @@ def metalness_terms(
 
 
 def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:
-    """Return the priors on the environments that are learned."""
-    prior, environment, terms = config.environment_prior, model.environment, {}
+    """Return the prior on the environments that are learned (decision 0006)."""
     device = next(model.parameters()).device
-    learned = torch.tensor(environment.learned, device=device)
-    if not len(learned):
+    learned = torch.tensor(model.environment.learned, device=device)
+    if not len(learned) or not config.grey_weight:
         return {}
-    if config.grey_weight:
-        directions = torch.randn(GREY_DIRECTIONS, 3, generator=generator, device=device)
-        directions = torch.nn.functional.normalize(directions, dim=-1)
-        index = learned[torch.randint(len(learned), (GREY_DIRECTIONS,), generator=generator, device=device)]
-        terms["grey"] = config.grey_weight * grey_prior(environment(directions, index))
-    if prior.white_weight or prior.variation_weight:
-        images = [environment.picture(prior.rows, light) for light in environment.learned]
-        priors = {
-            "white": (prior.white_weight, white_prior),
-            "variation": (prior.variation_weight, variation_prior),
-        }
-        for name, (weight, loss) in priors.items():
-            if weight:
-                total = torch.stack([loss(image, pole_aware=prior.pole_aware) for image in images])
-                terms[name] = weight * total.mean()
-    return terms
+    directions = torch.randn(GREY_DIRECTIONS, 3, generator=generator, device=device)
+    directions = torch.nn.functional.normalize(directions, dim=-1)
+    index = learned[torch.randint(len(learned), (GREY_DIRECTIONS,), generator=generator, device=device)]
+    return {"grey": config.grey_weight * grey_prior(model.environment(directions, index))}
 
 
 def in_reach(model: InverseModel, rays: SecondaryRays) -> Float[Tensor, " rays"]:

@@ -26,6 +26,7 @@ from flashcache.physical.incident import Incident, RayLimits, SecondaryRays
 from flashcache.physical.sampling import Strategy
 from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
+from flashcache.training.distillation_rays import relit_rays
 from flashcache.training.optimiser import (
     StepRecord,
     apply_gradients,
@@ -34,7 +35,6 @@ from flashcache.training.optimiser import (
     set_rates,
 )
 from flashcache.training.schedule import rate_factor
-from flashcache.training.taught_rays import relit_rays
 
 STAGE = "bake"
 _ESTIMATOR = EstimatorConfig(stratified=True)

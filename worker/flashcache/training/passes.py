@@ -9,7 +9,6 @@ from torch import Tensor
 from flashcache.caches.nerf_cache import Geometry
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch
-from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import control_variate
 from flashcache.physical.light_sampler import VmfMixture
@@ -46,7 +45,7 @@ def shade(
     `supervise` asks for the exact rays even where the estimate itself leaves them out, for the losses of the
     fast cache and the light sampler.
     """
-    weights = scale_gradient(geometry.weights, config.weight_gradient)
+    weights = geometry.weights.detach()
     num_rays, num_samples = weights.shape
     if config.points == "depth":
         draw: PointDraw = median_point(weights)

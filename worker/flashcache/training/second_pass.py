@@ -70,18 +70,16 @@ class SecondPass:
             self._pairs = list(zip(self._reached(model), self._reached(self._twin), strict=True))
             for _, other in self._pairs:
                 other.grad = torch.zeros_like(other)
-        self._leaves: list[tuple[str, Tensor]] = []
+        self._normal: Tensor | None = None
         self._job: Future | None = None
 
     def start(self, batch: RayBatch, geometry: Geometry, generator: torch.Generator) -> None:
-        """Begin the pass; what gradient reaches the normals and weights of `geometry` is collected."""
-        own = geometry._replace(hidden=geometry.hidden.detach())
-        self._leaves = []
-        for name in ("normal", "weights"):
-            value = getattr(geometry, name)
-            leaf = value.detach().requires_grad_(value.requires_grad and self.config.symmetric)
-            self._leaves.append((name, leaf))
-            own = own._replace(**{name: leaf})
+        """Begin the pass; what gradient reaches the normals of `geometry` is collected."""
+        normal = geometry.normal.detach()
+        self._normal = normal.requires_grad_(geometry.normal.requires_grad and self.config.symmetric)
+        own = geometry._replace(
+            hidden=geometry.hidden.detach(), weights=geometry.weights.detach(), normal=self._normal
+        )
 
         def run() -> Pass:
             with torch.set_grad_enabled(self.config.symmetric):
@@ -107,10 +105,8 @@ class SecondPass:
                 if own.grad is not None and other.grad is not None:
                     own.grad += other.grad
                     other.grad.zero_()
-        reached = [(getattr(geometry, name), leaf.grad) for name, leaf in self._leaves]
-        reached = [(value, gradient) for value, gradient in reached if gradient is not None]
-        if reached:
-            torch.autograd.backward(*zip(*reached, strict=True))
+        if self._normal is not None and self._normal.grad is not None:
+            geometry.normal.backward(self._normal.grad)
 
     def _submit(self, work: Callable) -> Future:
         if self._pool is not None:

@@ -126,19 +126,15 @@ class StageOne:
         )
         picture = composite(geometry.weights, appearance.radiance)
         opacity = geometry.opacity
-        weight = torch.ones_like(opacity)
         if fraction < config.carving_share:
-            return {"carving": carving(picture, opacity, batch.colour, batch.coverage, weight)}, picture
+            return {"carving": carving(picture, opacity, batch.colour, batch.coverage)}, picture
         background = torch.ones_like(batch.colour)
         if config.random_background:
             background = torch.rand(batch.colour.shape, generator=generator, device=batch.colour.device)
-        terms = {
-            "colour": cache_photometric(
-                picture + (1.0 - opacity)[:, None] * background, batch.over(background), weight
-            )
-        }
+        seen = picture + (1.0 - opacity)[:, None] * background
+        terms = {"colour": cache_photometric(seen, batch.over(background))}
         if config.mask_weight:
-            terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage, weight)
+            terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage)
         return terms, picture
 
     def _shape_prior_terms(
@@ -151,11 +147,9 @@ class StageOne:
     ) -> dict[str, Tensor]:
         """Return the priors on shape that have a weight now (decision 0014)."""
         config, terms = self.config.shape_prior, {}
-        carving_now = fraction < self.config.carving_share
-        weight = config.recession_weight if carving_now else config.late_recession_weight
-        if weight:
+        if config.recession_weight and fraction < self.config.carving_share:
             inside = midpoints(geometry.samples.distances) - batch.rays.near[:, None]
-            terms["recession"] = weight * recession(
+            terms["recession"] = config.recession_weight * recession(
                 geometry.weights, inside / self.half_diagonal, batch.coverage
             )
         rise = ramp(fraction, *self.config.normal_ramp)

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
-from flashcache.data.ray_budget import ErrorMap, draw_by_error
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.distil import Distillation
@@ -41,7 +40,6 @@ from flashcache.training.passes import shade
 from flashcache.training.schedule import rate_factor
 from flashcache.training.second_pass import SecondPass, half_the_threads
 from flashcache.training.stage_one import masked_psnr
-from flashcache.training.unobserved import unobserved_terms
 from flashcache.volume.quadrature import composite
 
 STAGE = "joint"
@@ -60,19 +58,14 @@ class StageTwo:
             (model.environment, light),
             (model.fast, config.fast_rates),
             (model.light_sampler, config.fast_rates),
+            (model.nerf.density, config.cache_rates),
+            (model.nerf.normals, config.cache_rates),
+            (model.nerf.appearance, config.cache_rates),
         ]
-        if config.cache_weight:
-            parts += [
-                (part, config.cache_rates)
-                for part in (model.nerf.density, model.nerf.normals, model.nerf.appearance)
-            ]
-        model.nerf.requires_grad_(bool(config.cache_weight))
+        model.nerf.requires_grad_(True)
         model.nerf.proposals.requires_grad_(False)
         self.optimiser = build_optimiser(parameter_groups(parts))
         self.second = SecondPass(model, config)
-        self.errors = None
-        if config.budget.error_share:
-            self.errors = ErrorMap(config.budget, pixels.inside, len(pixels.pixels))
         self.distillation: Distillation | None = None
         self.steps_done = 0
         self.num_skipped = 0
@@ -138,8 +131,8 @@ class StageTwo:
         config, model, step = self.config, self.model, self.steps_done
         device = self.pixels.device
         generator = generator_for(self.seed, STAGE, step, "rays", device)
-        batch = self._draw(generator)
-        with_normals = bool(config.cache_weight and config.normal_weight) and step % config.normal_every == 0
+        batch = self.pixels.draw(config.num_rays, generator)
+        with_normals = config.normal_weight > 0.0 and step % config.normal_every == 0
         geometry = model.nerf.trace(
             batch.rays,
             exponent=config.proposal_exponent,
@@ -148,9 +141,7 @@ class StageTwo:
         )
         appearance = model.nerf.outgoing(geometry, batch.rays.directions, batch.light_index)
         cache = composite(geometry.weights, appearance.radiance)
-        terms: Terms = {}
-        if config.cache_weight:
-            terms |= cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
+        terms = cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
         terms |= decay_terms(model, config)
         with_second = step >= config.warmup_steps
         if with_second:
@@ -167,7 +158,7 @@ class StageTwo:
                 self.second.differentiate(second, *torch.autograd.grad(other, leaf))
                 terms["physical"] = terms["physical"] + other.detach()
                 collect = functools.partial(self.second.collect, geometry)
-            if config.cache_weight and config.consistency_weight:
+            if config.consistency_weight:
                 points = first.points
                 terms |= consistency_terms(
                     model,
@@ -177,39 +168,13 @@ class StageTwo:
                     covered(batch, points),
                     config.consistency_weight,
                 )
-            if config.cache_weight and config.unobserved.weight:
-                elsewhere = generator_for(self.seed, STAGE, step, "unobserved", device)
-                terms |= unobserved_terms(model, config, first, elsewhere)
             terms |= material_terms(model, config, batch, appearance, first, generator)
             terms |= environment_terms(model, config, generator)
-            self._record_errors(batch, picture.detach())
         terms |= metalness_terms(
             model, config, batch, geometry, first, generator, warming_up=step < config.warmup_steps
         )
         terms |= secondary_terms(model, config, first)
         return terms, picture, batch, collect
-
-    def extra_state(self) -> dict[str, Tensor]:
-        """Return what a resumed run needs besides model and optimiser."""
-        return {} if self.errors is None else {"errors": self.errors.error}
-
-    def restore_extra_state(self, tensors: dict[str, Tensor]) -> None:
-        """Take what `extra_state` returned."""
-        if self.errors is not None:
-            self.errors.error.copy_(tensors["errors"])
-
-    def _draw(self, generator: torch.Generator) -> RayBatch:
-        if self.errors is None:
-            return self.pixels.draw(self.config.num_rays, generator)
-        return draw_by_error(self.pixels, self.errors, self.config.num_rays, generator)
-
-    def _record_errors(self, batch: RayBatch, picture: Tensor) -> None:
-        """Note how far the physical picture is from the photograph, on the scale of its loss."""
-        if self.errors is None:
-            return
-        wanted = batch.colour * batch.coverage[:, None]
-        error = (picture - wanted).abs() / (wanted + 0.01).sqrt()
-        self.errors.record(batch.pixel, error.mean(dim=-1))
 
     def scale(self) -> dict[str, float]:
         """Return the mean radiance of each light and the mean albedo on the surface.

@@ -16,10 +16,7 @@ from flashcache.geometry.rays import Rays
 from flashcache.volume.quadrature import render_weights
 from flashcache.volume.step_function import edges_from_centres, sample_centres
 
-DensityFunction = Callable[
-    [Float[Tensor, "rays samples 3"], Float[Tensor, "rays edges"]], Float[Tensor, "rays samples"]
-]
-"""Density of the intervals between edges (second argument, scene units), whose midpoints come first."""
+DensityFunction = Callable[[Float[Tensor, "rays samples 3"]], Float[Tensor, "rays samples"]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,6 +126,6 @@ def sample_rays(
         positions = rays.at(midpoints(distances))
         if level == 2:
             break
-        weights = render_weights(proposals[level](positions, distances), distances)
+        weights = render_weights(proposals[level](positions), distances)
         rounds.append(Round(edges, weights))
     return RaySamples(edges, distances, positions, tuple(rounds))

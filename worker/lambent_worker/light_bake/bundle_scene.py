@@ -15,8 +15,8 @@ from flashcache.physical.brdf import Materials
 from flashcache.physical.incident import RayLimits, SecondaryRays
 from flashcache.physical.shading import ShadingPoints
 from flashcache.training.bake_scene import RAYS_PER_POINT, rays_into_box
+from flashcache.training.distillation_rays import SOLID
 from flashcache.training.light_bake import Hits
-from flashcache.training.taught_rays import SOLID
 from jaxtyping import Float
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.fused.reader import FusedCaches

@@ -144,31 +144,3 @@ def test_the_exponent_of_the_configuration_is_the_one_used_after_training():
         made.config = other
         assert torch.equal(made.trace(rays(20), generator=None).samples.edges, flat)
         assert not torch.allclose(usual, flat)
-
-
-def test_cones_of_no_width_in_short_intervals_see_what_points_see():
-    points, cones = cache(), cache()
-    counts = SampleCounts(first=8, second=8, final=64)
-    cones.config = replace(CONFIG, antialias="zipnerf6", primary_counts=counts)
-    points.config = replace(CONFIG, primary_counts=counts)
-    with torch.no_grad():
-        given = rays(20)
-        expected, found = (made.trace(given, generator=None) for made in (points, cones))
-        assert found.cones.positions.shape == (20 * 64, 6, 3)
-        torch.testing.assert_close(found.opacity, expected.opacity, rtol=0.05, atol=0.02)
-        assert not torch.equal(found.weights, expected.weights)
-
-
-def test_wide_cones_change_density_normals_and_colours_and_train_the_same_parameters():
-    made = cache()
-    made.config = replace(CONFIG, antialias="zipnerf6")
-    given = rays(20)
-    wide = Rays(given.origins, given.directions, given.near, given.far, torch.full((20,), 0.2))
-    line, cone = (made.trace(some, generator=None, num_derived=20) for some in (given, wide))
-    assert not torch.allclose(line.weights, cone.weights)
-    assert not torch.allclose(line.derived, cone.derived)
-    radiance = made.outgoing(cone, given.directions, light(20)).radiance
-    assert not torch.allclose(radiance, made.outgoing(line, given.directions, light(20)).radiance)
-    (radiance.sum() + cone.weights.sum() + cone.derived.sum()).backward()
-    for grid in (made.density.grid, made.appearance.grid):
-        assert grid.table.grad.any()

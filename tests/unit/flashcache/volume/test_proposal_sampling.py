@@ -15,7 +15,7 @@ def rays(count: int = 4) -> Rays:
     return Rays(origins, directions, torch.full((count,), NEAR), torch.full((count,), FAR))
 
 
-def wall(positions: torch.Tensor, _distances: torch.Tensor) -> torch.Tensor:
+def wall(positions: torch.Tensor) -> torch.Tensor:
     return 200.0 * (positions.norm(dim=-1) > WALL).to(positions.dtype)
 
 
@@ -66,9 +66,8 @@ def test_without_a_generator_samples_are_repeatable_and_with_one_they_move():
 def test_no_gradient_crosses_a_round():
     scale = torch.tensor(1.0, requires_grad=True)
 
-    def density(positions: torch.Tensor, distances: torch.Tensor) -> torch.Tensor:
-        assert distances.shape[1] == positions.shape[1] + 1
-        return scale * wall(positions, distances)
+    def density(positions: torch.Tensor) -> torch.Tensor:
+        return scale * wall(positions)
 
     samples = sample_rays(rays(), (density, density), COUNTS, DistanceCurve(), exponent=1.0, generator=None)
     assert not samples.distances.requires_grad

@@ -16,7 +16,6 @@ from flashcache.training.checkpoint import (
     checkpoint_folder,
     latest_checkpoint,
     load_checkpoint,
-    load_extra,
     prune_checkpoints,
     save_checkpoint,
 )
@@ -130,7 +129,6 @@ def _resume(context: StepContext, stage: Stage, fingerprint: str) -> float:
     while (folder := latest_checkpoint(context.folder)) is not None:
         try:
             state = load_checkpoint(folder, stage.model, stage.optimiser)
-            extra = load_extra(folder)
         except TrainingError as error:
             context.reporter.log("checkpoint.unreadable", folder=folder.name, reason=str(error))
             _discard(folder)
@@ -141,8 +139,6 @@ def _resume(context: StepContext, stage: Stage, fingerprint: str) -> float:
                 f"use another output folder, or the settings it was made with"
             )
         stage.steps_done, stage.num_skipped = state.step, state.num_skipped
-        if isinstance(stage, StageTwo):
-            stage.restore_extra_state(extra)
         context.reporter.log("checkpoint.resumed", stage=context.stage, step=state.step)
         return state.seconds
     return 0.0
@@ -158,8 +154,7 @@ def _save(context: StepContext, stage: Stage, fingerprint: str, seconds: float) 
         seconds=seconds,
     )
     folder = checkpoint_folder(context.folder, stage.steps_done)
-    extra = stage.extra_state() if isinstance(stage, StageTwo) else None
-    save_checkpoint(folder, stage.model, stage.optimiser, state, extra)
+    save_checkpoint(folder, stage.model, stage.optimiser, state)
     prune_checkpoints(context.folder, keep=2)
     context.reporter.checkpoint(context.stage, stage.steps_done, folder)
     if isinstance(stage, StageTwo):

@@ -2,16 +2,14 @@
 
 from dataclasses import replace
 
-import pytest
 import torch
-from flashcache.config import Config, DistilConfig
+from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.ray_budget import RayBudget
 from flashcache.data.space import SpaceConfig
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
 from lambent_worker.run.context import StepContext
-from lambent_worker.run.steps.training import domain_for, drive, new_model
+from lambent_worker.run.steps.training import domain_for, new_model
 from support.lit_sphere import lit_sphere
 from support.recording_reporter import RecordingReporter
 
@@ -35,39 +33,6 @@ def context_of(tmp_path, config: Config, stop_after: int | None = None) -> StepC
 def joint(context: StepContext) -> StageTwo:
     pixels = TrainingPixels(SCENE, context.config.pixels, torch.device("cpu"))
     return StageTwo(new_model(context, SCENE), pixels, context.config.stage_two, seed=0)
-
-
-def test_a_job_that_draws_by_error_goes_on_with_its_map(tmp_path):
-    base = tiny()
-    two = replace(
-        base.stage_two,
-        num_steps=5,
-        num_rays=32,
-        warmup_steps=0,
-        budget=RayBudget(error_share=0.5, block=8),
-        distil=DistilConfig(),
-    )
-    config = replace(base, stage_two=two, checkpoint_steps=3)
-    whole = joint(context_of(tmp_path / "whole", config))
-    drive(context_of(tmp_path / "whole", config), whole)
-
-    partly = joint(context_of(tmp_path, config))
-    take_step = partly.step
-
-    def killed_after_three():
-        if partly.steps_done == 3:
-            raise KeyboardInterrupt
-        return take_step()
-
-    partly.step = killed_after_three
-    with pytest.raises(KeyboardInterrupt):
-        drive(context_of(tmp_path, config), partly)
-    rest = joint(context_of(tmp_path, config))
-    drive(context_of(tmp_path, config), rest)
-    assert rest.steps_done == 5
-    assert torch.equal(rest.errors.error, whole.errors.error)
-    found, expected = rest.model.state_dict(), whole.model.state_dict()
-    assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
 def test_the_space_of_a_preset_is_that_of_its_models(tmp_path):
