@@ -27,7 +27,7 @@ def test_the_cache_loss_is_least_at_the_photograph():
 def test_the_cache_loss_is_the_distance_of_the_two_colours_in_srgb():
     predicted, photograph = (linear_from_srgb(torch.full((4, 3), level)) for level in (0.7, 0.4))
     expected = charbonnier(torch.tensor(0.3))
-    torch.testing.assert_close(cache_photometric(predicted, photograph, ONES), expected)
+    torch.testing.assert_close(cache_photometric(predicted, photograph), expected)
 
 
 def test_dark_pixels_count_more_than_bright_ones_for_the_same_linear_error():
