@@ -31,7 +31,7 @@ def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if head.startswith(_EXR_MAGIC):
-        result = _read_exr(head)
+        result = _read_exr(head, max_pixels)
     elif head.startswith((b"#?RADIANCE", b"#?RGBE")):
         result = _read_hdr(head)
     else:
@@ -41,28 +41,38 @@ def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
     return result
 
 
-def _read_exr(head: bytes) -> EnvironmentHead:
-    """Return the size of the first part that has colour."""
+def _read_exr(head: bytes, max_pixels: int) -> EnvironmentHead:
+    """Return the size of the first part that has colour.
+
+    All parts count, as a reader decodes them all: none may be deep, and together they hold at most four
+    channels of `max_pixels`.
+    """
     version = int.from_bytes(head[4:8], "little")
     # Bits of the version field: 0x200 tiled, 0x400 long names, 0x800 deep, 0x1000 several parts.
-    if version & 0xFF != 2 or version & 0x1800 == 0x800:
-        raise _broken("only flat OpenEXR 2 pictures are read")
-    at, several = 8, bool(version & 0x1000)
+    if version & 0xFF != 2 or version & 0x800:
+        raise _broken("only flat OpenEXR 2 pictures are read, no deep pictures")
+    at, several, values, coloured = 8, bool(version & 0x1000), 0, []
     while True:
         attributes, at = _attributes(head, at)
         window = attributes.get(b"dataWindow:box2i", b"")
-        channels = attributes.get(b"channels:chlist", b"")
-        if len(window) != 16 or not channels:
+        names = _channel_names(attributes.get(b"channels:chlist", b""))
+        if len(window) != 16 or not names:
             raise _broken("the OpenEXR picture has no data window or no channels")
-        if {b"R", b"G", b"B"} <= _channel_names(channels):
-            break
+        left, top, right, bottom = struct.unpack("<4i", window)
+        width, height = right - left + 1, bottom - top + 1
+        values += max(width, 0) * max(height, 0) * len(names)
+        if {b"R", b"G", b"B"} <= set(names):
+            coloured.append(EnvironmentHead("exr", width, height, "image/x-exr"))
         # The last of several headers is followed by an empty one.
         if not several or head[at : at + 1] in (b"\0", b""):
-            raise _broken("the OpenEXR picture needs the channels R, G and B in one part")
-    if attributes.get(b"type:string", b"").startswith(b"deep"):
-        raise _broken("deep pictures are not read")
-    left, top, right, bottom = struct.unpack("<4i", window)
-    return EnvironmentHead("exr", right - left + 1, bottom - top + 1, "image/x-exr")
+            break
+    if not coloured:
+        raise _broken("the OpenEXR picture needs the channels R, G and B in one part")
+    if values > 4 * max_pixels:
+        raise _broken(
+            f"all channels hold {values} values, more than {4 * max_pixels}; save the map as RGB alone"
+        )
+    return coloured[0]
 
 
 def _attributes(head: bytes, at: int) -> tuple[dict[bytes, bytes], int]:
@@ -86,14 +96,14 @@ def _strings(head: bytes, at: int) -> tuple[bytes, bytes, int]:
     return head[at:middle], head[middle + 1 : end], end + 1
 
 
-def _channel_names(channels: bytes) -> set[bytes]:
+def _channel_names(channels: bytes) -> list[bytes]:
     """Return the names in a channel list: each is ended by a zero and followed by 16 bytes."""
-    names, at = set(), 0
+    names, at = [], 0
     while at < len(channels) and channels[at] != 0:
         end = channels.find(b"\0", at)
         if end < 0:
             break
-        names.add(channels[at:end])
+        names.append(channels[at:end])
         at = end + 17
     return names
 

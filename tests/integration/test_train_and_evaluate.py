@@ -108,7 +108,7 @@ def test_every_monte_carlo_picture_has_its_standard_error_beside_it(run_dir, map
         error = np.load(path.with_name(f"{path.stem}_stderr.npy"))
         assert error.shape == (16, 16, 3)
         assert error.max() > 0.0
-        picture = read_exr_rgb(path.with_suffix(".exr"), max_pixels=256)
+        picture = read_exr_rgb(path.with_suffix(".exr"), max_pixels=512)
         linear = picture.rows(slice(0, picture.height))
         assert np.isfinite(linear).all()
     names = {row.name: row.value for row in report.metrics}

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray
 
-from lambent_worker.scenes.picture_error import PictureError, reason_of
+from lambent_worker.scenes.picture_error import PictureError
 
 FLOAT_SUFFIXES = (".exr", ".hdr")
 MAX_FLOAT_PIXELS = 16 * 2**20
@@ -33,8 +33,28 @@ def float_pixels(path: Path) -> Float32[ndarray, "height width channels"]:
 
     Stored values of an HDR picture are divided by its EXPOSURE, as the format demands.
     """
+    from lambent_relight.environment.exr import read_exr_parts
+    from lambent_relight.environment.rgbe import read_rgbe
+    from lambent_relight.errors import EnvironmentFileError
+
     width, height = float_picture_size(path)
-    return _exr_pixels(path, height, width) if path.suffix.lower() == ".exr" else _hdr_pixels(path)
+    try:
+        if path.suffix.lower() == ".exr":
+            channels = read_exr_parts(path, max_pixels=MAX_FLOAT_PIXELS)[0].channels
+        else:
+            picture = read_rgbe(path, max_pixels=MAX_FLOAT_PIXELS)
+            return np.ascontiguousarray(picture.rows(slice(0, picture.height)), dtype=np.float32)
+    except EnvironmentFileError as error:
+        said = error.message.removeprefix(f'"{path.name}" ')
+        raise PictureError("scene.image_broken", f"cannot be decoded ({said}); export it again") from error
+    for names in ("RGBA", "RGB", "Y"):
+        planes = [channels[name].pixels for name in names if name in channels]
+        if len(planes) == len(names) and all(np.shape(plane) == (height, width) for plane in planes):
+            return np.stack(planes, axis=-1).astype(np.float32)
+    raise PictureError(
+        "scene.image_broken",
+        f"has channels {sorted(channels)}, expected R, G, B (and A) or Y; export it again",
+    )
 
 
 def _exr_size(head: bytes) -> tuple[int, int]:
@@ -57,40 +77,3 @@ def _hdr_size(head: bytes) -> tuple[int, int]:
             "scene.image_broken", "has no line -Y <height> +X <width> in its header; export it again"
         )
     return int(match[2]), int(match[1])
-
-
-def _hdr_pixels(path: Path) -> Float32[ndarray, "height width 3"]:
-    from lambent_relight.environment.rgbe import read_rgbe
-    from lambent_relight.errors import EnvironmentFileError
-
-    try:
-        picture = read_rgbe(path, max_pixels=MAX_FLOAT_PIXELS)
-        return np.ascontiguousarray(picture.rows(slice(0, picture.height)), dtype=np.float32)
-    except EnvironmentFileError as error:
-        said = error.message.removeprefix(f'"{path.name}" ')
-        raise PictureError("scene.image_broken", f"cannot be decoded ({said}); export it again") from error
-
-
-def _exr_pixels(path: Path, height: int, width: int) -> Float32[ndarray, "height width channels"]:
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(str(path)) as file:
-            channels = (
-                {name: channel.pixels for name, channel in file.channels().items()} if file.parts else {}
-            )
-    except Exception as error:
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export it again"
-        ) from error
-    for names in (("RGBA",), ("RGB",), ("R", "G", "B", "A"), ("R", "G", "B"), ("Y",)):
-        if set(names) <= set(channels):
-            planes = [np.asarray(channels[name], dtype=np.float32) for name in names]
-            pixels = np.concatenate([p[..., None] if p.ndim == 2 else p for p in planes], axis=-1)
-            if pixels.shape[:2] != (height, width):
-                break
-            return pixels
-    raise PictureError(
-        "scene.image_broken",
-        f"has channels {sorted(channels)}, expected R, G, B (and A) or Y; export it again",
-    )

@@ -1,10 +1,11 @@
 """OpenEXR pictures: reading environment maps from strangers, writing results.
 
-The header is read and judged before pixels are, because a file of a few hundred bytes can ask for
-gigabytes. Source: docs/reference/conventions.md (colour).
+The headers of all parts are judged before pixels are read, because a file of a few hundred bytes can ask
+for gigabytes, and the library decodes all parts or none. Source: docs/reference/conventions.md (colour).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,28 +23,67 @@ def _unusable(code: str, path: Path, what: str, advice: str) -> EnvironmentFileE
     return EnvironmentFileError(code, f'"{path.name}" {what}', advice)
 
 
-def read_exr_rgb(path: Path, *, max_pixels: int) -> PictureRows:
-    """Return the R, G, B channels as rows of linear float32, row 0 at the top.
-
-    Half and float channels are read, from the first part that has all three; alpha is ignored (EXR
-    colours are already multiplied by it). Raises EnvironmentFileError for a damaged file, one without
-    colour, one in other primaries than Rec. 709, a cropped or deep picture, or one above `max_pixels`.
-    """
+@contextmanager
+def _refusing_damage(path: Path) -> Iterator[None]:
     # Damaged files make the library raise anything, in headers it has read as well as while it reads.
     try:
-        headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
-        part_index = _choose_part(path, headers)
-        height, width = _checked_size(path, headers[part_index], max_pixels)
-        _check_colour(path, headers[part_index])
-        parts = OpenEXR.File(str(path), separate_channels=True, num_threads=1).parts
-        # The library returns fewer parts, and no exception, when it runs out of memory.
-        channels = parts[part_index].channels if part_index < len(parts) else {}
-        planes = [channels[name].pixels for name in "RGB" if name in channels]
+        yield
     except EnvironmentFileError:
         raise
     except Exception as error:
         raise _damaged(path) from error
-    if len(planes) < 3 or any(p is None or p.shape != (height, width) for p in planes):
+
+
+def read_exr_parts(path: Path, *, max_pixels: int) -> list[OpenEXR.Part]:
+    """Return the parts of a file with their headers and channels, each channel by its own name.
+
+    Raises EnvironmentFileError for a damaged file, one with a deep part, and one whose parts together hold
+    more than four channels of `max_pixels`, before anything is decoded.
+    """
+    with _refusing_damage(path):
+        headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
+        for header in headers:
+            width, height = _size(header["dataWindow"])
+            if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
+                raise _unusable("environment.exr_deep", path, "holds a deep picture", "flatten it")
+            if width <= 0 or height <= 0:
+                raise _damaged(path)
+            if width * height > max_pixels:
+                raise _unusable(
+                    "environment.too_large",
+                    path,
+                    f"has {width} x {height} pixels, the limit is {max_pixels}",
+                    "reduce the map (8192 x 4096 is plenty for lighting)",
+                )
+        values = sum(np.prod(_size(header["dataWindow"])) * len(header["channels"]) for header in headers)
+        if values > 4 * max_pixels:
+            raise _unusable(
+                "environment.too_large",
+                path,
+                f"holds {values} values in all its channels, the limit is {4 * max_pixels}",
+                "save the map as RGB alone",
+            )
+        parts = OpenEXR.File(str(path), separate_channels=True, num_threads=1).parts
+    # The library returns fewer parts, and no exception, when it runs out of memory.
+    if not headers or len(parts) < len(headers):
+        raise _damaged(path)
+    return parts
+
+
+def read_exr_rgb(path: Path, *, max_pixels: int) -> PictureRows:
+    """Return the R, G, B channels as rows of linear float32, row 0 at the top.
+
+    Half and float channels are read, from the first part that has all three; alpha is ignored (EXR
+    colours are already multiplied by it). Raises EnvironmentFileError for what `read_exr_parts` refuses, a
+    file without colour, one in other primaries than Rec. 709 and a cropped picture.
+    """
+    parts = read_exr_parts(path, max_pixels=max_pixels)
+    with _refusing_damage(path):
+        part = _colour_part(path, parts)
+        width, height = _checked_size(path, part.header)
+        _check_colour(path, part.header)
+        planes = [part.channels[name].pixels for name in "RGB"]
+    if any(p is None or p.shape != (height, width) for p in planes):
         raise _damaged(path)
     if any(plane.dtype not in (np.float16, np.float32) for plane in planes):
         raise _unusable(
@@ -65,46 +105,34 @@ def _damaged(path: Path) -> EnvironmentFileError:
     )
 
 
-def _choose_part(path: Path, headers: list[dict]) -> int:
-    found = []
-    for index, header in enumerate(headers):
-        names = [channel.name for channel in header.get("channels", [])]
-        if {"R", "G", "B"} <= set(names):
-            return index
-        found += names
-    if not headers:
-        raise _damaged(path)
+def _colour_part(path: Path, parts: list[OpenEXR.Part]) -> OpenEXR.Part:
+    for part in parts:
+        if {"R", "G", "B"} <= set(part.channels):
+            return part
+    found = sorted(name for part in parts for name in part.channels)
     raise _unusable(
         "environment.exr_channels",
         path,
-        f"has the channels {sorted(found)[:16]}, expected R, G and B in one part",
+        f"has the channels {found[:16]}, expected R, G and B in one part",
         "save the map as RGB or RGBA",
     )
 
 
-def _checked_size(path: Path, header: dict, max_pixels: int) -> tuple[int, int]:
-    (x0, y0), (x1, y1) = ([int(v) for v in corner] for corner in header["dataWindow"])
-    width, height = x1 - x0 + 1, y1 - y0 + 1
-    if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-        raise _unusable("environment.exr_deep", path, "is a deep picture", "flatten it")
-    if width <= 0 or height <= 0:
-        raise _damaged(path)
-    if width * height > max_pixels:
-        raise _unusable(
-            "environment.too_large",
-            path,
-            f"has {width} x {height} pixels, the limit is {max_pixels}",
-            "reduce the map (8192 x 4096 is plenty for lighting)",
-        )
-    (a0, b0), (a1, b1) = ([int(v) for v in corner] for corner in header["displayWindow"])
-    if (a1 - a0 + 1, b1 - b0 + 1) != (width, height):
+def _size(window: tuple) -> tuple[int, int]:
+    (x0, y0), (x1, y1) = ([int(v) for v in corner] for corner in window)
+    return x1 - x0 + 1, y1 - y0 + 1
+
+
+def _checked_size(path: Path, header: dict) -> tuple[int, int]:
+    stored, whole = _size(header["dataWindow"]), _size(header["displayWindow"])
+    if stored != whole:
         raise _unusable(
             "environment.exr_cropped",
             path,
-            f"stores {width} x {height} of {a1 - a0 + 1} x {b1 - b0 + 1} pixels",
+            f"stores {stored[0]} x {stored[1]} of {whole[0]} x {whole[1]} pixels",
             "save the whole picture (data window equal to display window)",
         )
-    return height, width
+    return stored
 
 
 def _check_colour(path: Path, header: dict) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -245,6 +246,18 @@ def test_the_part_with_colour_is_read_from_a_file_of_several_parts(tmp_path):
     colour = OpenEXR.Part({}, names | {"A": np.ones((4, 8), np.float32)}, "colour")
     OpenEXR.File([depth, colour]).write(str(tmp_path / "parts.exr"))
     np.testing.assert_array_equal(load_environment(tmp_path / "parts.exr").radiance, image)
+
+
+def test_the_parts_of_a_file_are_judged_together_before_any_is_decoded(tmp_path):
+    zeros = np.zeros((512, 1024), np.float32)
+    parts = [OpenEXR.Part({}, {"Z": zeros}, str(number)) for number in range(16)]
+    colour = OpenEXR.Part({}, dict.fromkeys("RGB", zeros), "colour")
+    OpenEXR.File([*parts, colour]).write(str(tmp_path / "parts.exr"))
+    tracemalloc.start()
+    with pytest.raises(EnvironmentFileError, match=r"environment\.too_large.*in all its channels"):
+        load_environment(tmp_path / "parts.exr", max_file_pixels=2**19)
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
 
 
 def _exr_of_unknown_channels(path):

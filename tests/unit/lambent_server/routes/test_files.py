@@ -181,6 +181,7 @@ def test_parts_without_colour_and_deep_parts_are_refused(api: Api, tmp_path: Pat
         exr(2**30, 2**30),
         exr(-5, 10),
         exr(64, 32, channels=("Y",)),
+        exr(16384, 4096, channels=("B", "G", "R", *map(str, range(9)))),
         exr(64, 32, flags=0x800),
         exr(64, 32, flags=0x1000)[:-101] + b"\xff" * 9,
         exr(64, 32, channels=("Z",), flags=0x1000),

@@ -92,6 +92,13 @@ HOSTILE = {
     "a huge table": lambda mark: raw(b"K\x01r\xff\xff\xff\x7fK\x02j\xfe\xff\xff\x7f"),
     "a huge text": lambda mark: b"\x80\x04\x8d" + struct.pack("<Q", 2**40) + b"a.",
     "an endless list": lambda mark: raw(b"]" + b"K\x01a" * 150_000),
+    "an announced array of bytes": lambda mark: b"\x80\x05\x96" + struct.pack("<Q", 2**40) + b"a.",
+    "one text copied often": lambda mark: raw(
+        b"]c_codecs\nencode\nq\1X\0\0\x08\0" + b"a" * 2**19 + b"X\6\0\0\0latin1\x86q\2R" + b"h\1h\2R" * 50_000
+    ),
+    "lists of one list, often": lambda mark: raw(
+        b"]q\0" + b"".join(b"](" + b"h%c" % i * 100 + b"eq%c" % (i + 1) for i in range(6))
+    ),
     "too many bytes": lambda mark: pickle.dumps(b"a" * (MAX_BYTES + 1)),
     "nothing": lambda mark: b"",
     "no pickle": lambda mark: b"# camera\n1 0 0\n",
