@@ -59,7 +59,7 @@ class Mutant:
         return text.replace(self.old, self.new)
 
     def targets(self) -> list[str]:
-        """Return its nearest tests as pytest takes them, from the root; raises ValueError for unknown ones."""
+        """Return its nearest tests as pytest takes them; raises ValueError where one is not there."""
         found = []
         for test in self.tests:
             name, colons, function = test.partition("::")
@@ -185,7 +185,11 @@ def judge_all(mutants: list[Mutant], *, jobs: int, timeout_s: float) -> list[Ver
             print(f"{verdict.outcome:10} {verdict.seconds:5.0f} s  {mutant.name}  {verdict.by}", flush=True)
             return verdict
 
-        verdicts = list(pool.map(judge, mutants))
+        try:
+            verdicts = list(pool.map(judge, mutants))
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
         catching = sorted({verdict.by for verdict in verdicts if verdict.outcome == CAUGHT})
         if not catching:
             return verdicts

@@ -198,8 +198,6 @@ def test_a_density_below_the_floor_is_raised_and_counted():
 @pytest.mark.parametrize("stratified", [False, True])
 def test_two_estimates_drawn_together_share_no_direction(stratified):
     cosine, like = _strategies(50)["cosine"], torch.zeros(50, 3, dtype=torch.float64)
-    drawn = draw_directions(
-        [(cosine, (3, 8))], torch.Generator().manual_seed(9), like, stratified=stratified
-    )
+    drawn = draw_directions([(cosine, (3, 8))], torch.Generator().manual_seed(9), like, stratified=stratified)
     exact, fast = drawn.omega_i.split((3, 8), dim=1)
     assert float(torch.cdist(exact, fast).min()) > 1e-6
