@@ -8,12 +8,13 @@ SAMPLE := client/python/lambent/sample
 # Where pip finds torch when the registry's CUDA build is not wanted; see README.md.
 TORCH_INDEX ?=
 PYTEST_ARGS ?=
+MUTANTS_ARGS ?=
 # A waiting thread sleeps: spinning ones slow every other process.
 export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 
-.PHONY: help setup pages wheel demo test check fix bench schema clean
+.PHONY: help setup pages wheel demo test mutants check fix bench schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -53,6 +54,9 @@ demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and 
 test: export OMP_NUM_THREADS ?= 1
 test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on 2 cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+
+mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
+	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)
 
 CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
 .PHONY: $(CHECKS)

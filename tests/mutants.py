@@ -43,9 +43,11 @@ class Mutant:
     """Passage of the file; occurs exactly once."""
     new: str
     tests: tuple[str, ...]
-    """Nearest tests: names of files anywhere under tests/, `::test_name` behind them where one will do."""
+    """Nearest tests: the ends of their files' paths, with `::test_name` where one test will do."""
     breaks: str
     """What is wrong then, in one sentence."""
+    needs: str = ""
+    """What is still missing to notice it."""
 
     def text(self) -> str:
         """Return the file with the mistake; raises ValueError where the passage is not there exactly once."""
@@ -59,15 +61,15 @@ class Mutant:
         return text.replace(self.old, self.new)
 
     def targets(self) -> list[str]:
-        """Return its nearest tests as pytest takes them, from the root; raises ValueError if unknown."""
+        """Return its nearest tests as pytest takes them; raises ValueError where one is not there."""
         found = []
         for test in self.tests:
             name, colons, function = test.partition("::")
-            paths = files_by_name().get(name, [])
+            paths = [path for path in test_files() if path.as_posix().endswith(f"/{name}")]
             if len(paths) != 1 or (colons and f"def {function}(" not in paths[0].read_text(encoding="utf-8")):
                 raise ValueError(
-                    f"mutant {self.name}: there are {len(paths)} files {name} under tests/ and one test "
-                    f"{function or 'file'} is expected; name another in tests/mutants.toml"
+                    f"mutant {self.name}: {len(paths)} files under tests/ end in {name}, expected one, with "
+                    f"{function or 'any test'}; name another in tests/mutants.toml"
                 )
             found.append(paths[0].relative_to(ROOT).as_posix() + colons + function)
         return found
@@ -92,12 +94,9 @@ def read_mutants(path: Path = TESTS / "mutants.toml") -> list[Mutant]:
 
 
 @cache
-def files_by_name() -> dict[str, list[Path]]:
-    """Return the test files by name."""
-    found: dict[str, list[Path]] = {}
-    for path in TESTS.rglob("test_*.py"):
-        found.setdefault(path.name, []).append(path)
-    return found
+def test_files() -> list[Path]:
+    """Return all files of tests."""
+    return list(TESTS.rglob("test_*.py"))
 
 
 class Copy:
@@ -133,7 +132,7 @@ class Copy:
         if code == 1 and failed:
             outcome, by = CAUGHT, failed[0]
         elif code == 0:
-            outcome, by = SURVIVED, ""
+            outcome, by = SURVIVED, mutant.needs
         else:
             outcome, by = UNDECIDED, " ".join(said.strip().splitlines()[-1:]) or f"pytest ended with {code}"
         return Verdict(name=mutant.name, outcome=outcome, by=by, seconds=time.monotonic() - start)
@@ -185,7 +184,11 @@ def judge_all(mutants: list[Mutant], *, jobs: int, timeout_s: float) -> list[Ver
             print(f"{verdict.outcome:10} {verdict.seconds:5.0f} s  {mutant.name}  {verdict.by}", flush=True)
             return verdict
 
-        verdicts = list(pool.map(judge, mutants))
+        try:
+            verdicts = list(pool.map(judge, mutants))
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
         catching = sorted({verdict.by for verdict in verdicts if verdict.outcome == CAUGHT})
         if not catching:
             return verdicts
@@ -211,7 +214,8 @@ def updated(page: str, mutants: list[Mutant], verdicts: list[Verdict]) -> str:
         _, _, test = verdict.by.partition("::")
         file = verdict.by.partition("::")[0].rpartition("/")[2]
         caught = f"`{file}`: {test.partition('[')[0].removeprefix('test_').replace('_', ' ')}"
-        said[verdict.name] = caught if verdict.outcome == CAUGHT else verdict.outcome
+        left = f"{verdict.outcome} {verdict.by}".rstrip()
+        said[verdict.name] = caught if verdict.outcome == CAUGHT else left
     lines = ["| group | mutant | what it breaks | noticed by |", "| --- | --- | --- | --- |"]
     for mutant in mutants:
         breaks, by = mutant.breaks.replace("|", "\\|"), said.get(mutant.name, "not run yet")

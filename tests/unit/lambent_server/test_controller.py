@@ -53,7 +53,9 @@ def test_gpus_are_handed_out_once_and_small_jobs_pass_by(tmp_path: Path):
     with staged(tmp_path, local_slots=3, local_gpus=1) as stage:
         scene = stage.api.scene()
         jobs = [stage.api.job(scene, gpus=gpus)["id"] for gpus in (1, 1, 0)]
-        stage.controller.turn()
+        # What one turn hands out is still in use in the next.
+        for _ in range(2):
+            stage.controller.turn()
         assert [(launch.job_id, launch.gpus) for launch in stage.executor.launches] == [
             (jobs[0], (0,)),
             (jobs[2], ()),
@@ -96,6 +98,19 @@ def test_a_crash_is_a_failure_and_three_are_the_end(stage: Stage):
     stage.end(1)
     found = stage.job(job)
     assert (found["state"], found["run"], found["error"]["code"]) == ("failed", 3, "run_crashed")
+
+
+def test_the_wait_before_the_next_try_doubles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with staged(tmp_path, retry_delay_s=100.0) as stage:
+        job = stage.start()
+        passed = 0.0
+        for wait in (100.0, 200.0):
+            stage.end(1)
+            for later, state in ((0.9 * wait, "retry_wait"), (1.1 * wait, "running")):
+                travel(monkeypatch, stage, passed + later)
+                stage.controller.turn()
+                assert stage.job(job)["state"] == state
+            passed += 1.1 * wait
 
 
 @pytest.mark.parametrize("cause", ["BAD_SCENE", "BAD_CONFIG"])

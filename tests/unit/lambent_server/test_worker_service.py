@@ -56,6 +56,16 @@ def test_only_the_current_run_is_heard(stage: Stage):
     stage.call("Heartbeat", job, 2)
 
 
+def test_a_run_that_failed_is_not_heard_while_its_job_waits_for_the_next_try(tmp_path: Path):
+    with staged(tmp_path, retry_delay_s=1000.0) as stage:
+        job = stage.start()
+        stage.call("Fail", job, cause="FAIL_CAUSE_INTERNAL", code="x", message="y")
+        assert stage.job(job)["state"] == "retry_wait"
+        for method in ("Heartbeat", "Report", "Publish"):
+            with refused(STALE):
+                stage.call(method, job)
+
+
 def test_a_token_is_good_for_one_run_of_one_job(stage: Stage):
     job = stage.start()
     for wrong in (token(job, 2), token("job_x", 1), "x"):
@@ -147,6 +157,14 @@ def test_a_bundle_whose_manifest_differs_from_its_files_is_refused_whole(stage: 
             stage.call("Publish", job, bundle_files=files, artifacts=artifacts)
     assert stage.job(job)["state"] == "running"
     assert stage.api.get(f"/v1/jobs/{job}/artifacts").json()["items"] == []
+
+
+@pytest.mark.parametrize("size_bytes", [6, 8])
+def test_a_published_file_must_have_the_size_it_states(stage: Stage, size_bytes: int):
+    job = stage.start()
+    artifact = {"path": "report.json", "sha256": stage.put(job, b"weights"), "size_bytes": size_bytes}
+    with refused(grpc.StatusCode.INVALID_ARGUMENT):
+        stage.call("Publish", job, artifacts=[artifact])
 
 
 def test_a_cancelled_run_cannot_publish(stage: Stage):

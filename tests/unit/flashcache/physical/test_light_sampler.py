@@ -45,6 +45,15 @@ def test_the_same_place_has_the_same_mixture_in_every_row_of_the_batch():
     torch.testing.assert_close(mixture.means, mixture.means[:1].expand_as(mixture.means))
 
 
+def test_every_point_looks_at_the_places_of_the_same_lobes():
+    sampler, positions = _sampler(), 3.0 * _positions()
+    torch.nn.init.zeros_(sampler.head.weight)
+    torch.nn.init.zeros_(sampler.head.bias)
+    means = sampler(positions, torch.zeros(5, dtype=torch.long)).means
+    towards = sampler.config.position_spread * sampler.offsets - positions[:, None]
+    torch.testing.assert_close(means, torch.nn.functional.normalize(towards, dim=-1))
+
+
 def test_lights_have_mixtures_of_their_own():
     sampler = _sampler(num_lights=3)
     torch.nn.init.uniform_(sampler.grid.table, -1.0, 1.0)

@@ -10,14 +10,29 @@ from flashcache.training.stage_one import StageOne
 from support.joint_stage import DOMAIN, SCENE
 
 
-def test_the_rates_of_stage_one_rise_along_a_sine_over_the_warm_up():
+def stage_one(**settings) -> StageOne:
     config = tiny()
-    settings = replace(config.stage_one, num_rays=16, num_steps=1000, warmup_steps=3, final_rate=1.0)
     torch.manual_seed(0)
     pixels = TrainingPixels(SCENE, config.pixels, torch.device("cpu"))
-    made = StageOne(InverseModel(config.model, DOMAIN), pixels, settings, seed=0)
+    one = replace(config.stage_one, num_rays=16, **settings)
+    return StageOne(InverseModel(config.model, DOMAIN), pixels, one, seed=0)
+
+
+def test_the_rates_of_stage_one_rise_along_a_sine_over_the_warm_up():
+    made = stage_one(num_steps=1000, warmup_steps=3, final_rate=1.0)
     shares = []
     for _ in range(4):
         made.step()
         shares += {group["lr"] / group["peak"] for group in made.optimiser.param_groups}
     assert shares == pytest.approx([math.sin(math.pi / 6.0), math.sin(math.pi / 3.0), 1.0, 1.0])
+
+
+def test_radiance_depends_on_direction_only_after_the_share_of_the_steps_that_was_set():
+    made = stage_one(num_steps=100, specular_from=0.5, warmup_steps=0)
+    reflection = made.model.nerf.appearance.reflection_head.bias
+    moved = []
+    for step in (49, 50):
+        made.steps_done = step
+        made.step()
+        moved.append(bool(reflection.grad.any()))
+    assert moved == [False, True]

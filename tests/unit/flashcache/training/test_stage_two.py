@@ -40,6 +40,19 @@ def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeyp
     assert_mean((noise_a * noise_b).sum(dim=-1)[rough] / scale, 0.0)
 
 
+def test_the_physical_loss_compares_each_pass_with_the_other(monkeypatch):
+    compared = []
+    right = stage_two.physical_loss
+    monkeypatch.setattr(
+        stage_two, "physical_loss", lambda *given: compared.append(given[-2:]) or right(*given)
+    )
+    stage(num_rays=64, symmetric=True, normal_weight=0.0, unobserved=UnobservedConfig()).losses()
+    (first, its_other), (second, other) = compared
+    assert torch.equal(first, other)
+    assert torch.equal(second, its_other)
+    assert not torch.equal(first, second)
+
+
 class Radial(torch.nn.Module):
     """Normals of a ball at the origin."""
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import lambent_pages
 import pytest
 from lambent_server.app import describe
-from lambent_server.http.identity import COOKIE, LoginCodes
+from lambent_server.database.schema import api_keys
+from lambent_server.database.tenancy import change
+from lambent_server.http.identity import COOKIE, LoginCodes, register_key
 from sqlalchemy.exc import OperationalError
-from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
 
 CSRF = {"x-lambent-csrf": "1"}
 
@@ -46,6 +48,17 @@ def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
 def test_a_wrong_key_does_not_get_in(api: Api):
     for key in ("", "x", KEY[:-1], KEY + "x"):
         expect_problem(api.other(key).get("/v1/jobs"), 401, "not_authenticated")
+
+
+@pytest.mark.parametrize("end", ["revoked_at", "expires_at"])
+def test_a_key_that_was_taken_back_or_has_ended_does_not_get_in(api: Api, end: str):
+    key = f"lk_{end}"
+    register_key(api.services.database, TENANT, key, "old")
+    expect(api.other(key).get("/v1/jobs"), 200)
+    with api.services.database.write() as connection:
+        mine = api_keys.c.key_sha256 == sha256(key.encode())
+        connection.execute(change(TENANT, api_keys).where(mine).values(**{end: 1.0}))
+    expect_problem(api.other(key).get("/v1/jobs"), 401, "not_authenticated")
 
 
 def test_only_a_hash_of_the_key_is_stored(api: Api):
