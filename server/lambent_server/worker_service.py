@@ -23,7 +23,7 @@ from lambent_server.job_rows import CANCELLING, HAS_RUN, SUCCEEDED, Job, owner, 
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
 from lambent_server.services import Services
-from lambent_server.store import CHUNK_BYTES, find_blob, hash_file
+from lambent_server.store import CHUNK_BYTES, Blob, find_blob, hash_file
 
 log = structlog.get_logger()
 
@@ -186,17 +186,18 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
         """Send a file that the tenant of the job may read."""
 
-        def act(connection: Connection, job: Job) -> bool:
-            return find_blob(connection, owner(job), request.sha256) is not None
+        def act(connection: Connection, job: Job) -> Blob | None:
+            return find_blob(connection, owner(job), request.sha256)
 
-        if not self._answer(context, request.fence, act, signal=False):
+        blob = self._answer(context, request.fence, act, signal=False)
+        if blob is None:
             context.abort(grpc.StatusCode.NOT_FOUND, f"there is no blob {request.sha256}")
         try:
-            for chunk in self._services.store.read(request.sha256):
+            for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
                 # The store decides the size of its pieces, the channel limits that of a message.
                 for start in range(0, len(chunk), CHUNK_BYTES):
                     yield worker_pb2.GetBlobResponse(data=chunk[start : start + CHUNK_BYTES])
-        except OSError as error:
+        except (Problem, OSError) as error:
             _abort(context, error)
 
     def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
