@@ -15,7 +15,7 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import run_reports
-from lambent_server.capability import run_token
+from lambent_server.capability import is_run_token, run_token
 from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
@@ -48,6 +48,23 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
     log.error("worker_request_failed", exc_info=error)
     context.abort(grpc.StatusCode.UNAVAILABLE, type(error).__name__)
     raise AssertionError
+
+
+class _Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
+    """Turns strangers away before a thread waits for what they send."""
+
+    def __init__(self, secret: str) -> None:
+        self._secret = secret
+
+    def intercept_service(self, continuation: Any, details: Any) -> Any:
+        """Return what answers the call."""
+        given = str(dict(details.invocation_metadata).get("authorization", ""))
+        if is_run_token(self._secret, given.removeprefix("Bearer ")):
+            return continuation(details)
+        # A handler of a stream: others read a message first.
+        return grpc.stream_unary_rpc_method_handler(
+            lambda _, context: context.abort(grpc.StatusCode.UNAUTHENTICATED, "this is no token of a run")
+        )
 
 
 class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
@@ -169,6 +186,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             try:
                 for message in request_iterator:
                     file.write(message.data)
+                    if file.tell() > header.size_bytes:
+                        raise Refused(
+                            grpc.StatusCode.INVALID_ARGUMENT,
+                            f"{header.size_bytes:.0f} bytes were announced and more are coming",
+                        )
                 file.flush()
                 if hash_file(Path(file.name)) != header.sha256:
                     raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not have the promised hash")
@@ -254,9 +276,10 @@ def _must_stop(job: Job) -> bool:
 
 
 def serve_workers(services: Services, secret: str, address: str) -> grpc.Server:
-    """Start answering run processes at `address` ("unix:/path" or "127.0.0.1:port")."""
+    """Start answering run processes at `address` ("unix:/path")."""
     server = grpc.server(
         ThreadPoolExecutor(max_workers=16, thread_name_prefix="worker-service"),
+        interceptors=[_Gatekeeper(secret)],
         options=[("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)],
     )
     worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret), server)
