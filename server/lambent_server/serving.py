@@ -186,7 +186,7 @@ async def _serve(services: Services, port: int, on_ready: Any) -> None:
     app, gate = make_app(services)
     address = worker_address(settings)
     workers = serve_workers(services, secret, address)
-    controller = Controller(services, LocalExecutor(settings.run_command), secret=secret, address=address)
+    controller = Controller(services, LocalExecutor(settings), secret=secret, address=address)
     controller.start()
     app.state.controller = controller
     server = Granian(

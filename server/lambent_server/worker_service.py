@@ -19,6 +19,7 @@ from lambent_server.capability import is_run_token, run_token
 from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
+from lambent_server.executors import run_name
 from lambent_server.job_rows import CANCELLING, HAS_RUN, SUCCEEDED, Job, owner, set_fields
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
@@ -130,8 +131,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
         def act(connection: Connection, job: Job) -> Message:
             values: dict[str, Any] = {"heartbeat_at": now()}
-            if job["handle"] is None:
-                values["handle"] = {"pid": request.pid, "identity": request.process_identity, "gpus": []}
+            handle = job["handle"] or {}
+            if "pid" not in handle:
+                run = run_name(job["id"], job["run"])
+                found = {"pid": request.pid, "identity": request.process_identity, "run": run}
+                values["handle"] = {"gpus": [], **handle, **found}
             set_fields(connection, job, **values)
             return worker_pb2.RegisterResponse(heartbeat_s=self._services.settings.heartbeat_s)
 
