@@ -1,20 +1,29 @@
 """What every test relies on: thread settings, import paths, checked annotations, devices, honest skips."""
 
+import contextlib
 import importlib.util
 import os
 import re
 import sys
+import time
+import uuid
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before torch is imported: a waiting OpenMP thread must sleep, or a busy neighbour slows a step many times.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import jaxtyping
+import psutil
 import pytest
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
 sys.path[:0] = [str(TESTS), *(str(ROOT / name) for name in ("scripts", "examples", "benchmarks"))]
+
+# Inherited by every process that the tests start, and by the runs of their servers.
+SESSION = uuid.uuid4().hex
+os.environ |= {"LAMBENT_TEST_SESSION": SESSION, "LAMBENT_RUN_ENVIRONMENT": "LAMBENT_TEST_SESSION"}
 
 MUST_RUN_IN_CI = ("browser", "services")
 _COMPILED = re.compile(r"^\s*(import|from) (numba|triton)\b", re.MULTILINE)
@@ -52,6 +61,32 @@ def device(request: pytest.FixtureRequest):
     import torch
 
     return torch.device(request.param)
+
+
+def processes_of_session() -> dict[psutil.Process, str]:
+    """Return the processes that the tests have started and that still run, with their commands."""
+    found = {}
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            ours = process.environ().get("LAMBENT_TEST_SESSION") == SESSION and process.pid != os.getpid()
+            # The standard library's helper ends with this process.
+            command = " ".join(process.cmdline())
+            if ours and "multiprocessing.resource_tracker" not in command:
+                found[process] = command
+    return found
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_is_left_behind() -> Iterator[None]:
+    """Fail when processes outlive the tests that started them by ten seconds."""
+    yield
+    deadline = time.monotonic() + 10.0
+    while (left := processes_of_session()) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    for process in left:
+        with contextlib.suppress(psutil.Error):
+            process.kill()
+    assert not left, f"processes are left behind: {left}"
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -12,6 +12,25 @@ def now() -> float:
     return time.time()
 
 
+class LivedTime:
+    """Seconds that this process was awake for: of one pause at most `longest_pause_s` are counted.
+
+    The monotonic clock stands still while the machine sleeps (Linux, macOS), but runs on while a virtual
+    machine or this process is stopped.
+    """
+
+    def __init__(self, longest_pause_s: float) -> None:
+        self._longest_pause_s = longest_pause_s
+        self._looked_at = time.monotonic()
+        self.seconds = 0.0
+
+    def pass_on(self) -> None:
+        """Count the time since the last call."""
+        at = time.monotonic()
+        self.seconds += min(at - self._looked_at, self._longest_pause_s)
+        self._looked_at = at
+
+
 def rfc3339(at: float) -> str:
     """Return `at` (Unix seconds) as text with milliseconds."""
     return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

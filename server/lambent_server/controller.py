@@ -1,6 +1,7 @@
 """The loop that makes processes agree with the job rows.
 
-It looks, compares and acts; nothing it remembers between two rounds matters, so a server may end anywhere.
+It looks, compares and acts. Between two rounds it remembers only how long it has seen no change, so a server
+may end anywhere: the next one waits as long again before it judges.
 """
 
 import shutil
@@ -12,7 +13,7 @@ import structlog
 from sqlalchemy import Connection, not_, or_
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server.clock import now
+from lambent_server.clock import LivedTime, now
 from lambent_server.database.leadership import Leadership
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
@@ -37,6 +38,9 @@ from lambent_server.services import Services
 
 log = structlog.get_logger()
 
+# A longer pause between two rounds is the machine's sleep or a server that was stopped.
+_LONGEST_PAUSE_TICKS = 10
+
 
 class Controller:
     """Starts queued jobs, watches running ones, settles what has ended."""
@@ -47,7 +51,8 @@ class Controller:
         self._executor = executor
         self._secret = secret
         self._address = address
-        self._born_at = now()
+        self.lived = LivedTime(_LONGEST_PAUSE_TICKS * self._settings.tick_s)
+        self._seen: dict[tuple[str, str], tuple[Any, float]] = {}
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._paused = False
@@ -88,7 +93,12 @@ class Controller:
     def turn(self) -> None:
         """Look at every job once."""
         changed = False
-        for job in self._read(or_(jobs.c.state.in_(HAS_RUN), jobs.c.handle.is_not(None))):
+        observed = self._read(or_(jobs.c.state.in_(HAS_RUN), jobs.c.handle.is_not(None)))
+        # Only now: while the database is away, no run can say that it goes on.
+        self.lived.pass_on()
+        known = {job["id"] for job in observed}
+        self._seen = {key: value for key, value in self._seen.items() if key[0] in known}
+        for job in observed:
             changed |= self._observe(job)
         due = jobs.c.retry_at <= now()
         for job in self._read(jobs.c.state == RETRY_WAIT, due):
@@ -107,35 +117,46 @@ class Controller:
             statement = across_tenants(jobs).where(*conditions).order_by(jobs.c.id)
             return [dict(row) for row in connection.execute(statement).mappings()]
 
+    def _unchanged_s(self, job: Job, what: str, value: Any) -> float:
+        """Return for how many of the seconds this server has lived through `value` has been what it is."""
+        key = (job["id"], what)
+        before, since = self._seen.get(key, (None, 0.0))
+        if key not in self._seen or before != value:
+            since = self.lived.seconds
+            self._seen[key] = (value, since)
+        return self.lived.seconds - since
+
     def _observe(self, job: Job) -> bool:
-        handle = job["handle"]
-        gone = self._executor.poll(handle) if handle is not None else None
+        handle = job["handle"] or {}
+        placed = "pid" in handle
+        gone = self._executor.poll(handle) if placed else None
         if gone is not None:
             return self._settle(job, gone)
-        silent = now() - max(job["heartbeat_at"] or 0.0, job["run_started_at"] or 0.0, self._born_at)
-        if handle is None:
+        if not placed:
             # Started by a server that ended before it could note where; it registers if it lives.
-            return silent > self._settings.lost_after_s and self._settle(job, Gone(None))
+            silent_s = self._unchanged_s(job, "heartbeat", (job["run"], job["heartbeat_at"]))
+            return silent_s > self._settings.lost_after_s and self._settle(job, Gone(None))
         if job["state"] in FINAL or job["state"] in (QUEUED, RETRY_WAIT):
-            return self._end(job, since=job["updated_at"])
+            return self._end(job, asked=True)
         if job["state"] == CANCELLING or job["stop_reason"] is not None:
-            return self._end(job, since=job["stop_at"])
-        still = now() - max(job["progress_at"] or 0.0, job["run_started_at"] or 0.0, self._born_at)
+            return self._end(job, asked=job["stop_at"] is not None)
+        still_s = self._unchanged_s(job, "progress", (job["run"], job["progress_at"]))
         stage = (job["progress"] or {}).get("stage", "")
-        if still > self._settings.stall_limit(stage):
-            log.warning("run_stalled", job=job["id"], run=job["run"], stage=stage, still_s=still)
+        if still_s > self._settings.stall_limit(stage):
+            log.warning("run_stalled", job=job["id"], run=job["run"], stage=stage, still_s=still_s)
             with self._services.database.write() as connection:
                 set_fields(connection, job, stop_reason="stall", stop_at=now())
             self._executor.stop(handle, force=False)
         return False
 
-    def _end(self, job: Job, *, since: float | None) -> bool:
+    def _end(self, job: Job, *, asked: bool) -> bool:
         """Ask a process that should not be there to end, and end it when its time is up."""
-        if since is None:
+        waited_s = self._unchanged_s(job, "ending", job["run"])
+        if not asked:
             with self._services.database.write() as connection:
                 set_fields(connection, job, stop_at=now())
             self._executor.stop(job["handle"], force=False)
-        elif now() - since > self._settings.stop_grace_s:
+        elif waited_s > self._settings.stop_grace_s:
             log.warning("run_killed", job=job["id"], run=job["run"])
             self._executor.stop(job["handle"], force=True)
         return False
@@ -219,6 +240,7 @@ class Controller:
                 report_seq=0,
                 stop_reason=None,
                 stop_at=None,
+                handle={"gpus": list(gpus)},
             )
         if not moved:
             return False
@@ -238,9 +260,10 @@ class Controller:
             with self._services.database.write() as connection:
                 failure = Failure("internal", "run_not_started", f"the run process did not start: {error}")
                 fail(connection, job, failure, self._settings)
+                set_fields(connection, job, handle=None)
             return True
         RUNS_STARTED.inc()
-        log.info("run_started", job=job["id"], run=run, **handle)
+        log.info("run_started", job=job["id"], run=run, pid=handle["pid"], gpus=handle["gpus"])
         with self._services.database.write() as connection:
             set_fields(connection, job, handle=handle)
         return True
@@ -248,7 +271,7 @@ class Controller:
     def _stop_runs(self) -> None:
         """End every run process within the grace time; they write a checkpoint first where they can."""
         deadline = now() + self._settings.shutdown_grace_s
-        alive = self._read(jobs.c.handle.is_not(None))
+        alive = [job for job in self._read(jobs.c.handle.is_not(None)) if "pid" in job["handle"]]
         for job in alive:
             self._executor.stop(job["handle"], force=False)
         while alive and now() < deadline:

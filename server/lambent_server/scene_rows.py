@@ -113,10 +113,20 @@ def unsupported_report(paths: Sequence[str]) -> dict[str, Any] | None:
     return {"usable": False, "layout": "", "findings": findings, "num_train_frames": 0, "num_test_frames": 0}
 
 
-def plan(
-    connection: Connection, tenant: Tenant, scene: Row, files: Sequence[SceneFile]
-) -> tuple[list[str], list[str]]:
-    """Make `files` the list of the scene; return hashes the server lacks and paths that are left out."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FilePlan:
+    """What a list of files means for the one who sends them."""
+
+    missing: list[str]
+    """Hashes the server does not know."""
+    known: dict[str, int]
+    """Hashes it knows, with their sizes."""
+    unsupported: list[str]
+    """Paths that are left out."""
+
+
+def plan(connection: Connection, tenant: Tenant, scene: Row, files: Sequence[SceneFile]) -> FilePlan:
+    """Make `files` the list of the scene."""
     require_open(scene)
     _forget_files(connection, tenant, scene["id"])
     kept = {file.path: file for file in files if is_scene_file(file.path)}
@@ -135,8 +145,12 @@ def plan(
         connection.execute(insert(scene_files), values)
     update = change(tenant, scenes).where(scenes.c.id == scene["id"])
     connection.execute(update.values(report=unsupported_report(unsupported)))
-    missing = sorted({file.sha256 for file in kept.values() if not touch(connection, tenant, file.sha256)})
-    return missing, unsupported
+    sizes = {sha256: touch(connection, tenant, sha256) for sha256 in {file.sha256 for file in kept.values()}}
+    return FilePlan(
+        missing=[sha256 for sha256, size in sizes.items() if size is None],
+        known={sha256: size for sha256, size in sizes.items() if size is not None},
+        unsupported=unsupported,
+    )
 
 
 def _forget_files(connection: Connection, tenant: Tenant, scene_id: str) -> None:

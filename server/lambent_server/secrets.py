@@ -30,6 +30,15 @@ def read_or_create_secret(path: Path, prefix: str = "") -> str:
 def run_token(secret: str, job_id: str, run: int) -> str:
     """Return what one run of one job proves itself with.
 
-    It is derived, not stored, so that a stale run is recognised as such and not merely as a stranger.
+    It is derived, not stored, so that a stale run is recognised as such and not merely as a stranger. It
+    names the run, so that it can be judged before anything else of a request is read.
     """
-    return hmac.new(secret.encode(), f"{job_id}\n{run}".encode(), hashlib.sha256).hexdigest()
+    proof = hmac.new(secret.encode(), f"{job_id}\n{run}".encode(), hashlib.sha256).hexdigest()
+    return f"{job_id}.{run}.{proof}"
+
+
+def is_run_token(secret: str, token: str) -> bool:
+    """Return whether a token is that of some run."""
+    job_id, _, rest = token.partition(".")
+    run = rest.partition(".")[0]
+    return run.isdecimal() and hmac.compare_digest(token, run_token(secret, job_id, int(run)))

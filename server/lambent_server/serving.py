@@ -8,6 +8,8 @@ import os
 import re
 import signal
 import socket
+import stat
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +28,7 @@ from lambent_server.controller import Controller
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.local import LocalExecutor
 from lambent_server.http.identity import register_key
-from lambent_server.secrets import read_or_create_secret
+from lambent_server.secrets import read_or_create_secret, sha256_text
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
 from lambent_server.worker_service import serve_workers
@@ -104,13 +106,25 @@ def require_free(host: str, port: int) -> None:
 def worker_address(settings: Settings) -> str:
     """Return where run processes find the server, the same after every restart."""
     path = (settings.data / "worker.sock").resolve()
-    if len(str(path)) <= MAX_SOCKET_PATH:
-        path.unlink(missing_ok=True)
-        return f"unix:{path}"
-    noted = settings.data / "worker.port"
-    if not noted.exists():
-        noted.write_text(str(free_port("127.0.0.1")), encoding="ascii")
-    return f"127.0.0.1:{noted.read_text(encoding='ascii').strip()}"
+    if len(os.fsencode(path)) > MAX_SOCKET_PATH:
+        # A port would be open to every user of the machine; this folder is not.
+        name = sha256_text(str(path))[:16]
+        path = _private_folder(f"lambent-{os.getuid()}") / f"{name}.sock"
+    path.unlink(missing_ok=True)
+    return f"unix:{path}"
+
+
+def _private_folder(name: str) -> Path:
+    """Return a folder among the temporary ones that nobody else can enter."""
+    folder = Path(tempfile.gettempdir()).resolve() / name
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise ServeError(
+            f"serve.folder_not_private: {folder} has to be a folder of this user that nobody else can enter, "
+            "for the socket of run processes; remove it, or choose a shorter folder with --data"
+        )
+    return folder
 
 
 def _write_whole(path: Path, data: Any) -> None:
@@ -172,7 +186,7 @@ async def _serve(services: Services, port: int, on_ready: Any) -> None:
     app, gate = make_app(services)
     address = worker_address(settings)
     workers = serve_workers(services, secret, address)
-    controller = Controller(services, LocalExecutor(settings.run_command), secret=secret, address=address)
+    controller = Controller(services, LocalExecutor(settings), secret=secret, address=address)
     controller.start()
     app.state.controller = controller
     server = Granian(

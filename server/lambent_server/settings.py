@@ -45,6 +45,13 @@ class Settings(BaseSettings):
     executor: Literal["local"] = "local"
     run_command: tuple[str, ...] = (sys.executable, "-m", "lambent_worker", "run")
     """How the local executor starts a run process."""
+    run_environment: Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split)] = ()
+    """Variables of the server that run processes get besides the usual ones; `HF_*` is all that begin so."""
+    run_memory_bytes: Size | None = None
+    """What one run process may allocate (Linux), 0 for any amount; where not given, nine tenths of the memory
+    shared by `local_slots`."""
+    run_give_up_after_s: Seconds = 24 * 3600.0
+    """Time without a server after which a run process ends itself."""
 
     local_slots: int = Field(default=1, ge=1)
     """Jobs that run on this machine at the same time."""

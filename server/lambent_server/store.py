@@ -2,8 +2,10 @@
 
 import contextlib
 import hashlib
+import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from sqlalchemy import Connection
 from lambent_server.clock import now
 from lambent_server.database import schema
 from lambent_server.database.tenancy import Tenant, add_if_absent, change, rows
+from lambent_server.problems import Problem
 
 CHUNK_BYTES = 1024 * 1024
 
@@ -40,8 +43,11 @@ class BlobStore:
 
     def __init__(self, folder: Path, url: str | None = None) -> None:
         if url is None:
-            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "blobs").mkdir(parents=True, exist_ok=True)
+            _sync(folder)
         self._store: Any = LocalStore(folder) if url is None else from_url(url)
+        # Where the files of a local store are; other stores see to the safety of their bytes themselves.
+        self._folder = Path(self._store.prefix or "/") if isinstance(self._store, LocalStore) else None
         # Held while a blob appears or is swept away, so that neither sees half of the other.
         self.lock = threading.Lock()
 
@@ -54,15 +60,16 @@ class BlobStore:
     ) -> bool:
         """Store the file and make it visible to `tenant`; return whether it is new to the tenant.
 
-        `write` opens a database transaction. The bytes are complete in the store before the row names them.
+        `write` opens a database transaction. The bytes are complete and on the disk before the row names
+        them; bytes that are there and are not those of the file are written anew.
         """
         with self.lock:
             with write() as connection:
-                if touch(connection, tenant, sha256):
-                    return False
-            if not self._exists(sha256):
-                with _as_os_error():
-                    obstore.put(self._store, self._key(sha256), path)
+                known = touch(connection, tenant, sha256) is not None
+            if not self._has(sha256, path.stat().st_size):
+                self._put(sha256, path)
+            if known:
+                return False
             with write() as connection:
                 add_if_absent(
                     connection,
@@ -75,19 +82,45 @@ class BlobStore:
                 )
             return True
 
-    def _exists(self, sha256: str) -> bool:
+    def _has(self, sha256: str, size_bytes: int) -> bool:
+        if self.size(sha256) != size_bytes:
+            return False
+        digest = hashlib.sha256()
+        for piece in self.read(sha256, size_bytes):
+            digest.update(piece)
+        return digest.hexdigest() == sha256
+
+    def _put(self, sha256: str, path: Path) -> None:
+        with _as_os_error():
+            obstore.put(self._store, self._key(sha256), path)
+        if self._folder is not None:
+            file = self._folder / self._key(sha256)
+            # The bytes, their name, and the name of a folder that may be new.
+            for each in (file, file.parent, file.parent.parent):
+                _sync(each)
+
+    def size(self, sha256: str) -> int | None:
+        """Return how many bytes the store has under this hash, None where there are none."""
         try:
             with _as_os_error():
-                obstore.head(self._store, self._key(sha256))
+                return int(obstore.head(self._store, self._key(sha256))["size"])
         except FileNotFoundError:
-            return False
-        return True
+            return None
 
-    def read(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
+    def damaged(self, expected: Mapping[str, int]) -> list[str]:
+        """Return which blobs, of hashes with their sizes, the store does not have in that size."""
+        with ThreadPoolExecutor(16) as pool:
+            sizes = pool.map(self.size, expected)
+            return [sha256 for sha256, size in zip(expected, sizes, strict=True) if size != expected[sha256]]
+
+    def read(self, sha256: str, size_bytes: int, start: int = 0, end: int | None = None) -> Iterator[bytes]:
         """Return the bytes from `start` up to (not including) `end`, in pieces.
 
-        Raises OSError at once where the store does not have them, before anything is promised to a client.
+        Raises `blob_damaged` at once where the store has not all `size_bytes` of them, OSError where it is
+        away, before anything is promised to a client.
         """
+        if self.size(sha256) != size_bytes:
+            raise damaged(sha256)
         if end is not None and end <= start:
             return iter(())
         whole = start == 0 and end is None
@@ -99,13 +132,36 @@ class BlobStore:
         return _pieces(result)
 
     def read_all(self, sha256: str) -> bytes:
-        """Return the whole blob."""
-        return b"".join(self.read(sha256))
+        """Return the whole blob; raises `blob_damaged` where its bytes are not those of its hash."""
+        data = b"".join(self.read(sha256, self.size(sha256) or 0))
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise damaged(sha256)
+        return data
 
     def delete(self, sha256: str) -> None:
         """Remove the bytes; the caller holds `lock` and has removed every row."""
         with contextlib.suppress(FileNotFoundError), _as_os_error():
             obstore.delete(self._store, self._key(sha256))
+
+
+def damaged(sha256: str) -> Problem:
+    """Return the answer to a request for bytes that were lost."""
+    return Problem(
+        410,
+        "blob_damaged",
+        f"the bytes of blob {sha256} are gone from the server's store, or not whole; send the file again, or "
+        "run the job again that made it",
+        headers={"cache-control": "no-store"},
+    )
+
+
+def _sync(path: Path) -> None:
+    """Wait until what was written to a file or folder is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -125,10 +181,11 @@ def _pieces(result: Any) -> Iterator[bytes]:
             yield bytes(chunk)
 
 
-def touch(connection: Connection, tenant: Tenant, sha256: str) -> bool:
-    """Return whether the tenant has the blob, and keep it from being swept away for a while."""
+def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:
+    """Return the size of the tenant's blob, None where it has none; it is not swept away for a while."""
     statement = change(tenant, schema.blobs).where(schema.blobs.c.sha256 == sha256).values(touched_at=now())
-    return connection.execute(statement).rowcount > 0
+    size = connection.execute(statement.returning(schema.blobs.c.size_bytes)).scalar_one_or_none()
+    return None if size is None else int(size)
 
 
 def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | None:

@@ -18,12 +18,13 @@ from lambent_server import run_reports
 from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
+from lambent_server.executors import run_name
 from lambent_server.job_rows import CANCELLING, HAS_RUN, SUCCEEDED, Job, owner, set_fields
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
-from lambent_server.secrets import run_token
+from lambent_server.secrets import is_run_token, run_token
 from lambent_server.services import Services
-from lambent_server.store import CHUNK_BYTES, find_blob, hash_file
+from lambent_server.store import CHUNK_BYTES, Blob, find_blob, hash_file
 
 log = structlog.get_logger()
 
@@ -48,6 +49,23 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
     log.error("worker_request_failed", exc_info=error)
     context.abort(grpc.StatusCode.UNAVAILABLE, type(error).__name__)
     raise AssertionError
+
+
+class _Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
+    """Turns strangers away before a thread waits for what they send."""
+
+    def __init__(self, secret: str) -> None:
+        self._secret = secret
+
+    def intercept_service(self, continuation: Any, details: Any) -> Any:
+        """Return what answers the call."""
+        given = str(dict(details.invocation_metadata).get("authorization", ""))
+        if is_run_token(self._secret, given.removeprefix("Bearer ")):
+            return continuation(details)
+        # A handler of a stream: others read a message first.
+        return grpc.stream_unary_rpc_method_handler(
+            lambda _, context: context.abort(grpc.StatusCode.UNAUTHENTICATED, "this is no token of a run")
+        )
 
 
 class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
@@ -113,8 +131,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
         def act(connection: Connection, job: Job) -> Message:
             values: dict[str, Any] = {"heartbeat_at": now()}
-            if job["handle"] is None:
-                values["handle"] = {"pid": request.pid, "identity": request.process_identity, "gpus": []}
+            handle = job["handle"] or {}
+            if "pid" not in handle:
+                run = run_name(job["id"], job["run"])
+                found = {"pid": request.pid, "identity": request.process_identity, "run": run}
+                values["handle"] = {"gpus": [], **handle, **found}
             set_fields(connection, job, **values)
             return worker_pb2.RegisterResponse(heartbeat_s=self._services.settings.heartbeat_s)
 
@@ -169,6 +190,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             try:
                 for message in request_iterator:
                     file.write(message.data)
+                    if file.tell() > header.size_bytes:
+                        raise Refused(
+                            grpc.StatusCode.INVALID_ARGUMENT,
+                            f"{header.size_bytes:.0f} bytes were announced and more are coming",
+                        )
                 file.flush()
                 if hash_file(Path(file.name)) != header.sha256:
                     raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not have the promised hash")
@@ -186,17 +212,18 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
         """Send a file that the tenant of the job may read."""
 
-        def act(connection: Connection, job: Job) -> bool:
-            return find_blob(connection, owner(job), request.sha256) is not None
+        def act(connection: Connection, job: Job) -> Blob | None:
+            return find_blob(connection, owner(job), request.sha256)
 
-        if not self._answer(context, request.fence, act, signal=False):
+        blob = self._answer(context, request.fence, act, signal=False)
+        if blob is None:
             context.abort(grpc.StatusCode.NOT_FOUND, f"there is no blob {request.sha256}")
         try:
-            for chunk in self._services.store.read(request.sha256):
+            for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
                 # The store decides the size of its pieces, the channel limits that of a message.
                 for start in range(0, len(chunk), CHUNK_BYTES):
                     yield worker_pb2.GetBlobResponse(data=chunk[start : start + CHUNK_BYTES])
-        except OSError as error:
+        except (Problem, OSError) as error:
             _abort(context, error)
 
     def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
@@ -253,9 +280,10 @@ def _must_stop(job: Job) -> bool:
 
 
 def serve_workers(services: Services, secret: str, address: str) -> grpc.Server:
-    """Start answering run processes at `address` ("unix:/path" or "127.0.0.1:port")."""
+    """Start answering run processes at `address` ("unix:/path")."""
     server = grpc.server(
         ThreadPoolExecutor(max_workers=16, thread_name_prefix="worker-service"),
+        interceptors=[_Gatekeeper(secret)],
         options=[("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)],
     )
     worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret), server)

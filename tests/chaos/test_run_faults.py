@@ -30,6 +30,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveServer]:
         stage_stall_after_s={"hang": 1.0},
         max_losses_without_checkpoint=LOSSES_IN_A_ROW,
         max_losses=1000,
+        run_memory_bytes=2**30,
     ) as server:
         yield server
 
@@ -163,6 +164,9 @@ def test_a_pipeline_that_fails_once_succeeds_in_the_end(server: LiveServer, scen
     for how, job in jobs.items():
         found = server.wait(job)
         assert (found["state"], found["run"]) == ("succeeded", 2), how
+    messages = [event["message"] for event in server.events(jobs["memory"])]
+    # The machine has more: it is the limit of run processes that ends the allocation.
+    assert any(message.startswith("run.out_of_memory") for message in messages)
 
 
 def test_a_stale_run_that_wakes_up_again_is_refused_and_ends(
@@ -177,10 +181,8 @@ def test_a_stale_run_that_wakes_up_again_is_refused_and_ends(
         process.suspend()
     # The machine is out of reach: the executor finds nothing where the process was.
     with sqlite3.connect(server.data / "lambent.sqlite", timeout=10) as database:
-        database.execute(
-            """UPDATE jobs SET handle = '{"pid": 999999999, "identity": "gone", "gpus": []}' WHERE id = ?""",
-            (job,),
-        )
+        handle = '{"pid": 999999999, "identity": "gone", "gpus": []}'
+        database.execute("UPDATE jobs SET handle = ? WHERE id = ?", (handle, job))
     database.close()
     wait_until(lambda: server.job(job)["run"] == 2)
     for process in family:

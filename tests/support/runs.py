@@ -11,7 +11,7 @@ import grpc
 import pytest
 from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from lambent_server.controller import Controller
-from lambent_server.executors import Gone, Handle, Launch
+from lambent_server.executors import Gone, Handle, Launch, run_name
 from lambent_server.secrets import run_token
 from lambent_server.worker_service import serve_workers
 from support.api import Api, opened
@@ -32,7 +32,8 @@ class FakeExecutor:
         if self.broken:
             raise OSError("no such program")
         self.launches.append(launch)
-        return {"pid": len(self.launches), "identity": "x", "gpus": list(launch.gpus)}
+        run = run_name(launch.job_id, launch.run)
+        return {"pid": len(self.launches), "identity": "x", "run": run, "gpus": list(launch.gpus)}
 
     def poll(self, handle: Handle) -> Gone | None:
         return Gone(self.gone[handle["pid"]]) if handle["pid"] in self.gone else None

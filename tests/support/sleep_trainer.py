@@ -32,7 +32,7 @@ def fail(how: str) -> None:
     if how == "exit":
         os._exit(7)
     if how == "memory":
-        raise MemoryError
+        bytearray(3 * 2**30)
     if how == "worker_error":
         raise WorkerError("test.failed", "the test asked for it")
     raise RuntimeError("the test asked for it")

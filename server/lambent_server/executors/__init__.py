@@ -4,8 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-# What an executor finds a process by; kept in the job's row, so it is JSON and survives the server.
+# What an executor finds a process by; kept in the job's row, so it is JSON and survives the server. Before
+# the process is known it has `gpus` only: they are taken from the moment the row says that the job runs.
 Handle = dict[str, Any]
+
+
+def run_name(job_id: str, run: int) -> str:
+    """Return what a run is called in handles; an executor finds by it what belongs to a run."""
+    return f"{job_id}/{run}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

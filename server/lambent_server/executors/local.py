@@ -1,16 +1,29 @@
 """Run processes on this machine, each in a session of its own so that a signal reaches all its children."""
 
 import contextlib
+import fnmatch
 import json
 import os
 import signal
 import subprocess
-from collections.abc import Sequence
+import uuid
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import psutil
 
-from lambent_server.executors import Gone, Handle, Launch
+from lambent_server.executors import Gone, Handle, Launch, run_name
+from lambent_server.settings import Settings
+
+_SHARE_OF_MEMORY = 0.9
+
+# What a run process is given of the server's environment: what programs and numerics need, and no secrets.
+PASSED_ON = (
+    *("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "LANGUAGE", "LC_*", "TZ", "TMPDIR", "TEMP", "TMP"),
+    *("PYTHON*", "VIRTUAL_ENV", "LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_*", "MALLOC_*", "XDG_*"),
+    *("OMP_*", "GOMP_*", "KMP_*", "MKL_*", "OPENBLAS_*", "NUMBA_*", "TORCH*", "PYTORCH_*", "TRITON_*"),
+    *("CUDA_*", "CUBLAS_*", "CUDNN_*", "NCCL_*", "NVIDIA_*", "LAMBENT_KERNELS"),
+)
 
 
 def count_gpus() -> int:
@@ -18,10 +31,29 @@ def count_gpus() -> int:
     return len(list(Path("/dev").glob("nvidia[0-9]*")))
 
 
-def process_identity(pid: int) -> str | None:
-    """Return what tells a process from a later one with the same pid, or None where there is none.
+def machine_memory_bytes() -> int:
+    """Return the memory of this machine, or of this container where it may use less."""
+    total = int(psutil.virtual_memory().total)
+    with contextlib.suppress(OSError, ValueError):  # "max" where there is no limit.
+        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return total
 
-    Linux: boot id and start time in clock ticks, which no change of the clock moves. A zombie is none.
+
+def host_identity() -> str:
+    """Return what tells the place where pids are counted from every other one, and from its next boot.
+
+    Linux: boot id and pid namespace, so that two containers of one machine differ.
+    """
+    with contextlib.suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return f"{boot}:{Path('/proc/self/ns/pid').stat().st_ino}"
+    return f"{uuid.getnode():012x}"
+
+
+def process_identity(pid: int) -> str | None:
+    """Return what tells a process from every other one, or None where there is none; a zombie is none.
+
+    It ends with the start time: on Linux in clock ticks since the boot, which no change of the clock moves.
     """
     try:
         process = psutil.Process(pid)
@@ -29,25 +61,41 @@ def process_identity(pid: int) -> str | None:
             return None
         stat = Path(f"/proc/{pid}/stat")
         if not stat.exists():
-            return f"created:{process.create_time():.2f}"
+            return f"{host_identity()}:{process.create_time():.2f}"
         ticks = stat.read_text().rpartition(")")[2].split()[19]
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except (psutil.NoSuchProcess, psutil.ZombieProcess, FileNotFoundError, ProcessLookupError):
         return None
-    return f"{boot}:{ticks}"
+    return f"{host_identity()}:{ticks}"
+
+
+def run_environment(environment: Mapping[str, str], more: Sequence[str]) -> dict[str, str]:
+    """Return the variables that a run process is given: `PASSED_ON` and those that match one of `more`."""
+    patterns = (*PASSED_ON, *more)
+    return {
+        name: value
+        for name, value in environment.items()
+        if any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+    }
 
 
 class LocalExecutor:
-    """Subprocesses of the server that outlive it."""
+    """Subprocesses of the server that outlive it.
 
-    def __init__(self, command: Sequence[str]) -> None:
-        self._command = tuple(command)
-        self._children: dict[int, subprocess.Popen[bytes]] = {}
+    Nothing is ended that is not proven to be ours: a process by its identity, what is left of a session by
+    being that of a child which was not reaped yet, or by the run that its environment names.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._memory_bytes = settings.run_memory_bytes
+        if self._memory_bytes is None:
+            self._memory_bytes = int(_SHARE_OF_MEMORY * machine_memory_bytes() / settings.local_slots)
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, launch: Launch) -> Handle:
         """Start a run process; its output goes to `run-<n>.log` in the job's folder."""
         launch.work_dir.mkdir(parents=True, exist_ok=True)
-        environment = dict(os.environ)
+        environment = run_environment(os.environ, self._settings.run_environment)
         environment["LAMBENT_RUN"] = json.dumps(
             {
                 "job_id": launch.job_id,
@@ -55,43 +103,46 @@ class LocalExecutor:
                 "address": launch.address,
                 "token": launch.token,
                 "work_dir": str(launch.work_dir),
+                "memory_bytes": self._memory_bytes,
+                "give_up_after_s": self._settings.run_give_up_after_s,
             }
         )
-        # The run process needs the server's address and nothing else of its configuration.
-        for name in ("LAMBENT_DATABASE", "LAMBENT_STORE", "LAMBENT_API_KEY"):
-            environment.pop(name, None)
         environment["CUDA_VISIBLE_DEVICES"] = ",".join(map(str, launch.gpus))
         with (launch.work_dir.parent / f"run-{launch.run}.log").open("ab") as log:
             child = subprocess.Popen(
-                self._command,
+                self._settings.run_command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=environment,
                 start_new_session=True,
             )
-        self._children[child.pid] = child
-        return {"pid": child.pid, "identity": process_identity(child.pid), "gpus": list(launch.gpus)}
+        run = run_name(launch.job_id, launch.run)
+        self._children[run] = child
+        return {
+            "pid": child.pid,
+            "identity": process_identity(child.pid),
+            "run": run,
+            "gpus": list(launch.gpus),
+        }
 
     def poll(self, handle: Handle) -> Gone | None:
         """Return None while the process is there, otherwise how it ended where this server started it."""
-        pid = int(handle["pid"])
-        child = self._children.get(pid)
-        if child is not None:
-            code = child.poll()
-            if code is None:
-                return None
-            del self._children[pid]
-            self._end_group(pid)
-            return Gone(code)
         if self.adopt(handle):
             return None
-        self._end_group(pid)
+        run = handle.get("run", "")
+        child = self._children.pop(run, None)
+        if child is not None:
+            # Not reaped yet, so nobody else can have its pid.
+            _end_session(child.pid, lambda _: True)
+            return Gone(child.wait())
+        if run and str(handle["identity"]).rpartition(":")[0] == host_identity():
+            _end_session(int(handle["pid"]), lambda process: _run_of(process) == run)
         return Gone(None)
 
     def stop(self, handle: Handle, *, force: bool) -> None:
         """Signal the process group: SIGTERM, or SIGKILL with `force`."""
-        if self.poll(handle) is None:
+        if self.adopt(handle):
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(int(handle["pid"]), signal.SIGKILL if force else signal.SIGTERM)
 
@@ -100,10 +151,19 @@ class LocalExecutor:
         identity = process_identity(int(handle["pid"]))
         return identity is not None and identity == handle["identity"]
 
-    @staticmethod
-    def _end_group(leader: int) -> None:
-        """End what is left of the session of a leader that is gone."""
-        for process in psutil.process_iter():
-            with contextlib.suppress(ProcessLookupError, PermissionError, psutil.Error):
-                if os.getsid(process.pid) == leader and process.pid != leader:
-                    process.kill()
+
+def _end_session(leader: int, is_ours: Callable[[psutil.Process], bool]) -> None:
+    """End what is left of the session of a leader that is gone."""
+    for process in psutil.process_iter():
+        with contextlib.suppress(ProcessLookupError, PermissionError, psutil.Error):
+            if os.getsid(process.pid) == leader and process.pid != leader and is_ours(process):
+                process.kill()
+
+
+def _run_of(process: psutil.Process) -> str | None:
+    """Return the run that a process belongs to, by the environment it was started with."""
+    try:
+        given = json.loads(process.environ()["LAMBENT_RUN"])
+        return run_name(given["job_id"], given["run"])
+    except (psutil.Error, OSError, KeyError, ValueError, TypeError):
+        return None

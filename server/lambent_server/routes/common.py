@@ -52,6 +52,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
         404: "There is no such thing, or it belongs to somebody else.",
         408: "The body came too slowly.",
         409: "The present state does not allow it.",
+        410: "Its bytes were lost.",
         413: "The body is too large.",
         416: "The range lies outside of the file.",
         421: "The server does not answer for this host name.",

@@ -22,7 +22,7 @@ IfRangeHeader = Annotated[str | None, Header(alias="If-Range", max_length=200)]
 
 _BINARY: dict[str, Any] = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
 _RESPONSES: dict[int | str, dict[str, Any]] = {
-    **problems(404, 416, 422),
+    **problems(404, 410, 416, 422),
     200: {"description": "The whole file.", "content": _BINARY},
     206: {"description": "The part asked for.", "content": _BINARY},
     304: {"description": "What the client has is current."},
@@ -78,7 +78,7 @@ def send_blob(
     headers["content-length"] = str(end - start)
     if part is not None:
         headers["content-range"] = f"bytes {start}-{end - 1}/{blob.size_bytes}"
-    content = services.store.read(blob.sha256, start, end) if part else services.store.read(blob.sha256)
+    content = services.store.read(blob.sha256, blob.size_bytes, *(part or ()))
     return StreamingResponse(
         content, status_code=206 if part else 200, headers=headers, media_type=blob.media_type
     )

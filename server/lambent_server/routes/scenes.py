@@ -48,7 +48,7 @@ def plan_files(
     scene_id: Id,
     body: Annotated[list[PlannedFile], Body(max_length=1_000_000)],
 ) -> Plan:
-    """Say which files the scene has; the answer is what the server does not have yet.
+    """Say which files the scene has; the answer is what the server does not have yet, or not whole any more.
 
     A second plan replaces the first.
     """
@@ -57,8 +57,9 @@ def plan_files(
         scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         scene_rows.require_open(scene)
         scene_rows.check_files(files, services.settings)
-        missing, unsupported = scene_rows.plan(connection, tenant, scene, files)
-    return Plan(missing=missing, unsupported=unsupported)
+        plan = scene_rows.plan(connection, tenant, scene, files)
+    missing = sorted({*plan.missing, *services.store.damaged(plan.known)})
+    return Plan(missing=missing, unsupported=plan.unsupported)
 
 
 @router.put(
@@ -176,7 +177,7 @@ _PAGE: dict[int | str, dict[str, Any]] = {
 @router.get(
     "/v1/scenes/{scene_id:id}/report",
     response_model=SceneReportAnswer,
-    responses={**problems(404, 422), **_PAGE},
+    responses={**problems(404, 410, 422), **_PAGE},
 )
 def get_scene_report(
     services: ServicesOf,

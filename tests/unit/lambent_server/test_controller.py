@@ -1,10 +1,13 @@
 """The controller's decisions, with an executor that does what the test says."""
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from lambent_proto.v1 import worker_pb2
+from lambent_server.executors import Launch
 from support.runs import Stage, staged
 
 
@@ -14,12 +17,9 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
         yield stage
 
 
-def travel(monkeypatch: pytest.MonkeyPatch, stage: Stage, seconds: float) -> None:
+def travel(stage: Stage, seconds: float) -> None:
     """Let time pass for the controller."""
-    import time
-
-    for module in ("controller", "outcomes", "job_rows"):
-        monkeypatch.setattr(f"lambent_server.{module}.now", lambda: time.time() + seconds)
+    stage.controller.lived.seconds += seconds
 
 
 def test_larger_priority_goes_first_and_then_who_came_first(stage: Stage):
@@ -60,6 +60,31 @@ def test_gpus_are_handed_out_once_and_small_jobs_pass_by(tmp_path: Path):
             (jobs[0], (0,)),
             (jobs[2], ()),
         ]
+
+
+def test_gpus_stay_taken_when_the_server_ends_before_it_could_note_the_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with staged(tmp_path, local_slots=3, local_gpus=1) as stage:
+        first, second = (stage.api.job(gpus=1)["id"] for _ in range(2))
+        start = stage.executor.start
+
+        def die(launch: Launch) -> NoReturn:
+            start(launch)
+            raise SystemExit
+
+        monkeypatch.setattr(stage.executor, "start", die)
+        with pytest.raises(SystemExit):
+            stage.controller.turn()
+        monkeypatch.undo()
+        stage.controller.turn()
+        stage.call("Register", first, pid=1, process_identity="x")
+        stage.controller.turn()
+        assert stage.job(second)["state"] == "queued"
+        # It is the registered process that is looked at.
+        stage.end(1)
+        assert stage.job(first)["error"]["code"] == "run_crashed"
+        assert stage.job(second)["state"] == "running"
 
 
 def test_a_lost_run_starts_again_at_once_and_is_no_failure(stage: Stage):
@@ -103,11 +128,12 @@ def test_a_crash_is_a_failure_and_three_are_the_end(stage: Stage):
 def test_the_wait_before_the_next_try_doubles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with staged(tmp_path, retry_delay_s=100.0) as stage:
         job = stage.start()
-        passed = 0.0
+        began, passed = time.time(), 0.0
         for wait in (100.0, 200.0):
             stage.end(1)
             for later, state in ((0.9 * wait, "retry_wait"), (1.1 * wait, "running")):
-                travel(monkeypatch, stage, passed + later)
+                for module in ("controller", "outcomes", "job_rows"):
+                    monkeypatch.setattr(f"lambent_server.{module}.now", lambda at=began + passed + later: at)
                 stage.controller.turn()
                 assert stage.job(job)["state"] == state
             passed += 1.1 * wait
@@ -150,14 +176,14 @@ def test_a_program_that_does_not_start_is_a_failure(stage: Stage):
     assert (found["state"], found["error"]["code"]) == ("failed", "run_not_started")
 
 
-def test_a_cancel_asks_once_and_then_kills(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+def test_a_cancel_asks_once_and_then_kills(stage: Stage):
     job = stage.start()
     stage.api.post(f"/v1/jobs/{job}:cancel")
     stage.controller.turn()
     stage.controller.turn()
     assert stage.executor.stops == [(1, False)]
     assert stage.job(job)["state"] == "cancelling"
-    travel(monkeypatch, stage, stage.api.services.settings.stop_grace_s + 1)
+    travel(stage, stage.api.services.settings.stop_grace_s + 1)
     stage.controller.turn()
     assert stage.executor.stops == [(1, False), (1, True)]
     # Only when the process is gone.
@@ -166,10 +192,11 @@ def test_a_cancel_asks_once_and_then_kills(stage: Stage, monkeypatch: pytest.Mon
     assert stage.job(job)["state"] == "cancelled"
 
 
-def test_a_run_without_a_step_for_too_long_is_stopped(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+def test_a_run_without_a_step_for_too_long_is_stopped(stage: Stage):
     job = stage.start()
     stage.call("Start", job)
-    travel(monkeypatch, stage, stage.api.services.settings.stall_after_s + 1)
+    stage.controller.turn()
+    travel(stage, stage.api.services.settings.stall_after_s + 1)
     stage.controller.turn()
     assert stage.executor.stops == [(1, False)]
     assert stage.call("Heartbeat", job).stop
@@ -177,19 +204,30 @@ def test_a_run_without_a_step_for_too_long_is_stopped(stage: Stage, monkeypatch:
     assert stage.job(job)["error"]["code"] == "run_stalled"
 
 
-def test_a_process_that_outlives_its_job_is_ended(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+def test_a_machine_that_slept_has_not_stalled(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+    import time
+
+    stage.call("Start", stage.start())
+    stage.controller.turn()
+    slept_s = stage.api.services.settings.stall_after_s * 4
+    wall, monotonic = time.time, time.monotonic
+    monkeypatch.setattr(time, "time", lambda: wall() + slept_s)
+    monkeypatch.setattr(time, "monotonic", lambda: monotonic() + slept_s)
+    stage.controller.turn()
+    assert stage.executor.stops == []
+
+
+def test_a_process_that_outlives_its_job_is_ended(stage: Stage):
     job = stage.start()
     stage.call("Finish", job, outcome=worker_pb2.OUTCOME_SUCCEEDED)
     stage.controller.turn()
     assert stage.executor.stops == []
-    travel(monkeypatch, stage, stage.api.services.settings.stop_grace_s + 1)
+    travel(stage, stage.api.services.settings.stop_grace_s + 1)
     stage.controller.turn()
     assert stage.executor.stops == [(1, True)]
 
 
-def test_a_silent_run_nobody_can_find_is_lost_only_after_the_interval(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_silent_run_nobody_can_find_is_lost_only_after_the_interval(stage: Stage):
     job = stage.start()
     with stage.api.services.database.write() as connection:
         from lambent_server.database.schema import jobs
@@ -198,7 +236,7 @@ def test_a_silent_run_nobody_can_find_is_lost_only_after_the_interval(
         connection.execute(update(jobs).values(handle=None))
     stage.controller.turn()
     assert stage.job(job)["run"] == 1
-    travel(monkeypatch, stage, stage.api.services.settings.lost_after_s + 1)
+    travel(stage, stage.api.services.settings.lost_after_s + 1)
     stage.controller.turn()
     assert stage.job(job)["run"] == 2
 

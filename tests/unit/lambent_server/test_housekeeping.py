@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from lambent_server.housekeeping import sweep
+from lambent_server.problems import Problem
 from lambent_server.store import touch
 from support.api import STRANGER_KEY, TENANT, Api, expect, opened, sha256
 
@@ -31,7 +32,7 @@ def forgotten(api: Api) -> None:
 def is_stored(api: Api) -> bool:
     try:
         return api.services.store.read_all(DIGEST) == MAP
-    except FileNotFoundError:
+    except Problem:
         return False
 
 

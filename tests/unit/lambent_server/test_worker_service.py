@@ -1,6 +1,7 @@
 """What run processes may do: only the current run, only once, only whole files."""
 
 import hashlib
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import grpc
 import pytest
 from google.protobuf.json_format import MessageToJson
 from lambent_proto.v1 import bundle_pb2, worker_pb2
-from support.runs import Stage, refused, staged, token
+from support.runs import Stage, metadata, refused, staged, token
 
 STALE = grpc.StatusCode.FAILED_PRECONDITION
 
@@ -107,6 +108,40 @@ def test_a_blob_with_another_hash_is_not_kept(stage: Stage):
     with refused(grpc.StatusCode.DATA_LOSS):
         stage.put(job, b"broken", sha256="0" * 64)
     assert stage.api.get(f"/v1/blobs/{'0' * 64}").status_code == 404
+
+
+def test_more_bytes_than_were_announced_are_refused_at_once(stage: Stage):
+    job = stage.start()
+    header = worker_pb2.BlobHeader(fence={"job_id": job, "run": 1}, sha256="0" * 64, size_bytes=3)
+    given = [{"header": header}, {"data": b"ab"}, {"data": b"cd"}]
+    messages = [worker_pb2.PutBlobRequest(**each) for each in given]
+    with refused(grpc.StatusCode.INVALID_ARGUMENT):
+        stage.stub.PutBlob(iter(messages), metadata=metadata(job, 1, None), timeout=5)
+
+
+def test_strangers_who_send_nothing_keep_no_thread_from_runs(stage: Stage):
+    job = stage.start()
+    silent = threading.Event()
+
+    def nothing() -> Iterator[worker_pb2.PutBlobRequest]:
+        silent.wait(20)
+        yield from ()
+
+    calls = [stage.stub.PutBlob.future(nothing(), metadata=metadata(job, 1, "x")) for _ in range(32)]
+    try:
+        stage.call("Heartbeat", job)
+    finally:
+        silent.set()
+    assert {call.code() for call in calls} == {grpc.StatusCode.UNAUTHENTICATED}
+
+
+def test_a_run_is_told_of_bytes_that_were_lost(stage: Stage):
+    job = stage.start()
+    digest = stage.put(job, b"state")
+    next((stage.api.services.settings.data / "store").rglob(digest)).write_bytes(b"st")
+    request = worker_pb2.GetBlobRequest(fence={"job_id": job, "run": 1}, sha256=digest)
+    with refused(grpc.StatusCode.INVALID_ARGUMENT):
+        list(stage.stub.GetBlob(request, metadata=metadata(job, 1, None)))
 
 
 def test_the_last_two_checkpoints_and_one_per_stage_are_kept(stage: Stage):

@@ -44,7 +44,7 @@ class RefusedError(Exception):
 
 
 class UnreachableError(Exception):
-    """The run was asked to end and the server did not answer any more."""
+    """The run was asked to end, or has waited long enough, and the server did not answer any more."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,6 +56,10 @@ class Identity:
     address: str
     token: str
     work_dir: Path
+    memory_bytes: int = 0
+    """What the pipeline may allocate; 0 for any amount."""
+    give_up_after_s: float = 0.0
+    """Time without a server after which the run ends itself; 0 for never."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "Identity":
@@ -67,6 +71,8 @@ class Identity:
             address=given["address"],
             token=given["token"],
             work_dir=Path(given["work_dir"]),
+            memory_bytes=given["memory_bytes"],
+            give_up_after_s=given["give_up_after_s"],
         )
 
     @property

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import re
+import resource
 import signal
 import sys
 import traceback
@@ -21,6 +22,8 @@ from lambent_worker.job.task import Check, Pipeline, Task
 from lambent_worker.reporter import Reporter
 
 _SIGKILL_ON_PARENT_DEATH = 1
+# How libraries without Python's MemoryError say it: torch, onnxruntime, C++.
+_OUT_OF_MEMORY = ("Cannot allocate memory", "Failed to allocate memory", "std::bad_alloc")
 
 
 def train(task: Task) -> Path | None:
@@ -83,6 +86,7 @@ def work(pipeline: Pipeline = perform, check: Check = check) -> int:
     """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
     _die_with_parent()
     identity = Identity.from_environment()
+    _limit_memory(identity.memory_bytes)
     connection = Connection(identity)
     try:
         start = connection.call(
@@ -272,11 +276,12 @@ def describe_failure(error: Exception) -> worker_pb2.FailRequest:
             code="run.gpu_out_of_memory",
             message="the GPU has too little memory for this preset; it is tried once with half the rays",
         )
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
         return worker_pb2.FailRequest(
             cause=worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY,
             code="run.out_of_memory",
-            message="the machine has too little memory for this preset",
+            message="the run needs more memory than the machine has or LAMBENT_RUN_MEMORY_BYTES allows; "
+            "take a smaller preset",
         )
     return worker_pb2.FailRequest(
         cause=worker_pb2.FAIL_CAUSE_INTERNAL,
@@ -293,3 +298,15 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_SIGKILL_ON_PARENT_DEATH, signal.SIGKILL)
     if os.getppid() != parent:
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _limit_memory(limit_bytes: int) -> None:
+    """Let allocations of this process fail above the limit, and those of its children each; 0 sets none.
+
+    RLIMIT_DATA, not RLIMIT_AS: CUDA reserves far more addresses than there is memory. Only Linux counts what
+    is mapped.
+    """
+    if limit_bytes and sys.platform.startswith("linux"):
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        limit = limit_bytes if hard == resource.RLIM_INFINITY else min(limit_bytes, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

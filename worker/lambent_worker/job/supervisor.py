@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
@@ -42,7 +43,8 @@ def supervise(child_command: Sequence[str]) -> int:
     except FencedError as error:
         print(f"fenced: {error}", file=sys.stderr, flush=True)
         return EXIT_FENCED
-    except UnreachableError:
+    except UnreachableError as error:
+        print(f"unreachable: {error}", file=sys.stderr, flush=True)
         return EXIT_UNREACHABLE
     except RefusedError as error:
         print(f"refused: {error}", file=sys.stderr, flush=True)
@@ -57,6 +59,7 @@ def supervise(child_command: Sequence[str]) -> int:
 def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
     identity = connection.identity
     interval_s, registered, stopped = FIRST_HEARTBEAT_S, False, False
+    heard_at = time.monotonic()
     while child.poll() is None:
         began = time.monotonic()
         if not registered:
@@ -79,8 +82,20 @@ def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
                 stopped = True
                 connection.ending.set()
                 child.terminate()
+        if reply is None:
+            _require_hope(identity, time.monotonic() - heard_at)
+        else:
+            heard_at = time.monotonic()
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(max(interval_s - (time.monotonic() - began), 0.05))
+
+
+def _require_hope(identity: Identity, silent_s: float) -> None:
+    """Raise where no server can be expected any more that would want this run."""
+    if not identity.work_dir.is_dir():
+        raise UnreachableError(f"no server answers and {identity.work_dir} is gone")
+    if 0 < identity.give_up_after_s < silent_s:
+        raise UnreachableError(f"no server has answered for {silent_s:.0f} s")
 
 
 def _tell(connection: Connection, code: int, oom_kills_before: int) -> int:
@@ -117,12 +132,12 @@ def count_oom_kills() -> int:
 
 
 def process_identity(pid: int) -> str:
-    """Return what tells a process from a later one with the same pid, as the server's local executor does."""
+    """Return what tells a process from every other one, just as the server's local executor does."""
     try:
         ticks = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return f"{boot}:{Path('/proc/self/ns/pid').stat().st_ino}:{ticks}"
     except FileNotFoundError:
         import psutil
 
-        return f"created:{psutil.Process(pid).create_time():.2f}"
-    return f"{boot}:{ticks}"
+        return f"{uuid.getnode():012x}:{psutil.Process(pid).create_time():.2f}"

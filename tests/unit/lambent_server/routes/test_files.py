@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -98,14 +99,49 @@ def test_missing_bundles_and_files_are_404(api: Api, bundle: str):
     expect_problem(stranger.get(f"/v1/blobs/{sha256(WEIGHTS)}"), 404, "blob_not_found")
 
 
-def test_bytes_that_vanished_from_the_store_are_an_error_and_not_half_an_answer(api: Api, bundle: str):
+@pytest.mark.parametrize("left", [None, b"", b"will va", b"will vanish, or grow"])
+def test_bytes_that_are_not_whole_any_more_are_an_error_until_they_are_sent_again(
+    api: Api, tmp_path: Path, left: bytes | None
+):
     data = b"will vanish"
-    path = api.services.settings.scratch / "x"
+    path = tmp_path / "x"
     path.write_bytes(data)
-    api.services.store.put_file(api.services.database.write, TENANT, path, sha256(data), "text/plain")
+    put = partial(api.services.store.put_file, api.services.database.write, TENANT)
+    put(path, sha256(data), "text/plain")
+    stored = damage(api, data, left)
+    for headers in ({}, {"range": "bytes=8-9"}, {"range": "bytes=0-1"}):
+        answer = api.get(f"/v1/blobs/{sha256(data)}", headers=headers)
+        assert "send the file again" in expect_problem(answer, 410, "blob_damaged")["detail"]
+        assert answer.headers["cache-control"] == "no-store"
+    assert not put(path, sha256(data), "text/plain")
+    assert stored.read_bytes() == data
+    assert api.get(f"/v1/blobs/{sha256(data)}").content == data
+
+
+def test_an_upload_plan_asks_for_what_is_damaged_and_the_upload_repairs_it(api: Api):
+    files = {name: name.encode() * 3 for name in ("a.json", "b.json", "c.json")}
+    api.scene(files)
+    damage(api, files["a.json"], None)
+    damage(api, files["b.json"], b"a.j")
+    scene = expect(api.post("/v1/scenes", json={"name": "again"}), 201)["id"]
+    plan = [{"path": path, "size": len(data), "sha256": sha256(data)} for path, data in files.items()]
+    missing = expect(api.post(f"/v1/scenes/{scene}/files:plan", json=plan), 200)["missing"]
+    assert missing == sorted(sha256(files[name]) for name in ("a.json", "b.json"))
+    # What has the right size is looked into when it is sent again.
+    stored = damage(api, files["c.json"], b"x" * len(files["c.json"]))
+    for data in files.values():
+        expect(api.put(f"/v1/scenes/{scene}/files/{sha256(data)}", content=data), 204)
+    assert expect(api.post(f"/v1/scenes/{scene}/files:plan", json=plan), 200)["missing"] == []
+    assert stored.read_bytes() == files["c.json"]
+
+
+def damage(api: Api, data: bytes, left: bytes | None) -> Path:
+    """Leave something else of a blob in the store, or nothing, and return where it is."""
+    path = next((api.services.settings.data / "store").rglob(sha256(data)))
     path.unlink()
-    api.services.store.delete(sha256(data))
-    expect_problem(api.get(f"/v1/blobs/{sha256(data)}"), 500, "internal")
+    if left is not None:
+        path.write_bytes(left)
+    return path
 
 
 def test_an_empty_file_has_no_part():

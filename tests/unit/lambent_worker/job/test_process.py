@@ -212,6 +212,7 @@ def test_a_file_is_sent_whole_and_once(stage: Stage, connection: Connection, tmp
         (SceneRefusedError(scene_pb2.SceneReport()), "BAD_SCENE", "scene.refused"),
         (TrainingError("x"), "DIVERGED", "training.failed"),
         (MemoryError(), "OUT_OF_MEMORY", "run.out_of_memory"),
+        (RuntimeError("Error code 12 (Cannot allocate memory)"), "OUT_OF_MEMORY", "run.out_of_memory"),
         (type("OutOfMemoryError", (RuntimeError,), {})(), "GPU_OUT_OF_MEMORY", "run.gpu_out_of_memory"),
         (KeyError("x"), "INTERNAL", "run.crashed"),
     ],
