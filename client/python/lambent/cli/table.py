@@ -48,6 +48,12 @@ ENTRIES = (
         extra="server",
     ),
     Entry(
+        name="keys",
+        panel=_SERVER,
+        summary="Make, list, revoke and replace the keys of the server on this machine.",
+        extra="server",
+    ),
+    Entry(
         name="push",
         panel=_SERVER,
         summary="Upload a scene folder or archive; sends only what is missing.",
