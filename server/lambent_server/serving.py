@@ -29,6 +29,7 @@ from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.local import LocalExecutor
 from lambent_server.http.middleware import App
 from lambent_server.keys import FILE, accept_file
+from lambent_server.reconciler import Reconciler
 from lambent_server.secrets import SecretError, read_or_create_secret
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
@@ -198,6 +199,8 @@ async def _serve(services: Services, app: FastAPI, gate: App, secret: str, port:
     controller = Controller(services, LocalExecutor(settings.run_command), secret=secret, address=address)
     controller.start()
     app.state.controller = controller
+    app.state.reconciler = reconciler = Reconciler(services)
+    reconciler.start()
     server = Granian(
         gate,
         address=settings.host,
@@ -226,6 +229,7 @@ async def _serve(services: Services, app: FastAPI, gate: App, secret: str, port:
     services.wakeups.close()
     # Run processes that are asked to end still commit their checkpoint, so their service ends after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
+    await asyncio.to_thread(reconciler.close)
     server.stop()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)

@@ -88,6 +88,10 @@ class Settings(BaseSettings):
     idempotency_s: Seconds = 7 * 24 * 3600.0
     garbage_after_s: Seconds = 60.0
     """How long a blob that nothing refers to any more is kept."""
+    orphan_after_s: Seconds = 24 * 3600.0
+    """Age at which bytes that no row names, and folders of uploads that broke off, are removed."""
+    reconcile_s: Seconds = 3600.0
+    """How often rows and files are compared."""
     open_scene_s: Seconds = 7 * 24 * 3600.0
     """How long an upload that was never committed is kept."""
 

@@ -35,7 +35,7 @@ def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
     for path, operations in describe()["paths"].items():
         for method in operations:
             url = path.replace("{scene_id}", "x").replace("{job_id}", "x").replace("{bundle_id}", "x")
-            url = url.replace("{share_id}", "x").replace("{key_id}", "x")
+            url = url.replace("{share_id}", "x").replace("{key_id}", "x").replace("{environment_id}", "x")
             url = url.replace("{path}", "x").replace("{sha256}", "0" * 64)
             answer = nobody.request(method, url, json={} if path == "/v1/login" else None)
             if path in ("/healthz", "/readyz", "/v1/version"):
@@ -197,6 +197,7 @@ def test_another_tenants_things_do_not_exist(api: Api):
         ("get", f"/v1/jobs/{job['id']}/artifacts", None),
         ("post", f"/v1/jobs/{job['id']}:cancel", None),
         ("post", f"/v1/jobs/{job['id']}:retry", None),
+        ("delete", f"/v1/jobs/{job['id']}", None),
         ("get", f"/v1/events?job={job['id']}", None),
         ("get", f"/v1/blobs/{digest}", None),
     ):

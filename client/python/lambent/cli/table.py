@@ -76,6 +76,12 @@ ENTRIES = (
         summary="Queue failed or cancelled jobs again, as new jobs.",
         target="lambent.cli.jobs:retry",
     ),
+    Entry(
+        name="delete",
+        panel=_SERVER,
+        summary="Delete scenes, jobs, bundles and environments on the server.",
+        target="lambent.cli.jobs:delete",
+    ),
     Entry(name="logs", panel=_SERVER, summary="Print the log of a job.", target="lambent.cli.jobs:logs"),
     Entry(
         name="fetch",
