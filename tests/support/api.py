@@ -12,7 +12,7 @@ import structlog
 from lambent_server.app import make_app
 from lambent_server.clock import now
 from lambent_server.database.schema import api_keys
-from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, add
+from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, add_if_absent
 from lambent_server.secrets import sha256_text
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
@@ -95,7 +95,7 @@ def opened(data: Path, **settings: Any) -> Iterator[Api]:
     with services.database.write() as connection:
         for tenant, key, name in ((TENANT, KEY, "test"), (STRANGER, STRANGER_KEY, "stranger")):
             values = {"id": f"key_{name}", "name": name, "key_sha256": sha256_text(key), "created_at": now()}
-            connection.execute(add(tenant, api_keys, **values))
+            add_if_absent(connection, tenant, api_keys, **values)
     app, gate = make_app(services)
     headers = {"Authorization": f"Bearer {KEY}"}
     try:
