@@ -5,6 +5,7 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic.json_schema import models_json_schema
 
+from lambent_server.health import Health
 from lambent_server.http import errors
 from lambent_server.http.identity import LoginCodes
 from lambent_server.http.middleware import App, Gate
@@ -16,6 +17,7 @@ from lambent_server.routes import (
     events,
     files,
     jobs,
+    keys,
     login,
     pages,
     renders,
@@ -41,7 +43,7 @@ def _bare(services: Services | None) -> FastAPI:
     )
     app.state.services = services
     errors.install(app)
-    for module in (scenes, jobs, renders, events, bundles, files, environments, about, login):
+    for module in (scenes, jobs, renders, events, bundles, files, environments, about, login, keys):
         app.include_router(module.router)
     app.add_api_route("/openapi.json", describe, include_in_schema=False)
     app.include_router(pages.router)
@@ -52,6 +54,8 @@ def make_app(services: Services) -> tuple[FastAPI, App]:
     """Return the application and the same behind its gate; serve the second."""
     app = _bare(services)
     app.state.login_codes = LoginCodes(services.settings.login_code_s)
+    app.state.health = Health(services)
+    app.state.feed = events.Feed(services)
     app.state.share_secret = read_or_create_secret(services.settings.data / "share.secret")
     return app, Gate(app, services, allowed_hosts(services.settings), app.state.share_secret)
 

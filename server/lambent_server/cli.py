@@ -1,47 +1,29 @@
-"""`lambent serve`."""
+"""`lambent serve` and `lambent keys`."""
 
 import logging
 import sys
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+if TYPE_CHECKING:
+    from lambent_server.settings import Settings
 
-def serve(
-    data: Annotated[Path | None, typer.Option(help="Folder of database, files and key.")] = None,
-    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes any free one.")] = None,
-    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="Allow an address that other machines can reach, without TLS.")
-    ] = False,
-    executor: Annotated[str | None, typer.Option(help="Where jobs run: local.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; SQLite in --data by default.")] = None,
-    store: Annotated[
-        str | None, typer.Option(help="URL of the blob store; a folder in --data by default.")
-    ] = None,
-) -> None:
-    """Run the server: REST interface, web page, queue and local runs. Ctrl-C ends it and its runs."""
-    import asyncio
+DataOption = Annotated[Path | None, typer.Option(help="Folder of database, files and key.")]
+DatabaseOption = Annotated[str | None, typer.Option(help="SQLAlchemy URL; SQLite in --data by default.")]
 
+
+def _settings(**given: Any) -> "Settings":
+    """Return the settings; exit code 2 with one line for each that cannot be used."""
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
 
-    from lambent_server.logs import configure_logs
-    from lambent_server.serving import Ready, ServeError, run
     from lambent_server.settings import Settings
 
-    given: dict[str, Any] = {
-        "data": data,
-        "port": port,
-        "host": host,
-        "insecure": insecure or None,
-        "executor": executor,
-        "database": database,
-        "store": store,
-    }
     try:
-        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+        return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         for each in error.errors():
             name = ".".join(map(str, each["loc"]))
@@ -50,6 +32,36 @@ def serve(
     except SettingsError as error:
         typer.echo(f"serve.setting_invalid: {error}; it must be JSON", err=True)
         raise typer.Exit(2) from error
+
+
+def serve(
+    data: DataOption = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes any free one.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="Allow an address that other machines can reach, without TLS.")
+    ] = False,
+    executor: Annotated[str | None, typer.Option(help="Where jobs run: local.")] = None,
+    database: DatabaseOption = None,
+    store: Annotated[
+        str | None, typer.Option(help="URL of the blob store; a folder in --data by default.")
+    ] = None,
+) -> None:
+    """Run the server: REST interface, web page, queue and local runs. Ctrl-C ends it and its runs."""
+    import asyncio
+
+    from lambent_server.logs import configure_logs
+    from lambent_server.serving import Ready, ServeError, run
+
+    settings = _settings(
+        data=data,
+        port=port,
+        host=host,
+        insecure=insecure or None,
+        executor=executor,
+        database=database,
+        store=store,
+    )
     configure_logs(settings.log_json)
 
     def tell(ready: Ready) -> None:
@@ -65,3 +77,61 @@ def serve(
         raise typer.Exit(2) from error
     finally:
         logging.shutdown()
+
+
+class KeyAction(StrEnum):
+    """What `lambent keys` does."""
+
+    CREATE = "create"
+    LIST = "list"
+    REVOKE = "revoke"
+    ROTATE = "rotate"
+
+
+def keys(
+    action: Annotated[KeyAction, typer.Argument(help="What to do.")],
+    key: Annotated[
+        str, typer.Argument(metavar="NAME|ID", help="Name of a key to create, or id of one to change.")
+    ] = "",
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Make, list, revoke and replace keys in the server's data folder, whether it runs or not."""
+    from pydantic import ValidationError
+    from sqlalchemy.exc import SQLAlchemyError
+
+    from lambent_server import keys as key_rows
+    from lambent_server.database.engine import Database
+    from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
+    from lambent_server.problems import Problem
+    from lambent_server.secrets import SecretError
+
+    settings, tenant = _settings(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
+    if bool(key) == (action is KeyAction.LIST):
+        raise typer.BadParameter("create takes a name, revoke and rotate take an id, list takes neither")
+    if not (settings.data / key_rows.FILE).exists():
+        typer.echo(f"keys.no_server: {settings.data} is no data folder of a server; say --data", err=True)
+        raise typer.Exit(2)
+    opened = Database(settings.database_url)
+    try:
+        with opened.write() as connection:
+            if action is KeyAction.LIST:
+                for each in key_rows.known(connection, tenant):
+                    row = key_rows.show(each)
+                    ends = f"revoked {row.revoked_at}" if row.revoked_at else row.expires_at or "no end"
+                    typer.echo(
+                        "\t".join((row.id, row.name, row.created_at, row.last_used_at or "unused", ends))
+                    )
+            elif action is KeyAction.CREATE:
+                typer.echo(key_rows.create(connection, tenant, key_rows.NewKey(name=key)).key)
+            elif action is KeyAction.ROTATE:
+                typer.echo(key_rows.rotate(connection, tenant, key, settings.data).key)
+            else:
+                key_rows.revoke(connection, tenant, key)
+    except (Problem, ValidationError, SecretError, OSError, SQLAlchemyError) as error:
+        code = error.code if isinstance(error, Problem) else "failed"
+        text = error.detail if isinstance(error, Problem) else str(error).splitlines()[0]
+        typer.echo(f"keys.{code}: {text}", err=True)
+        raise typer.Exit(4 if isinstance(error, Problem) else 2) from error
+    finally:
+        opened.close()

@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from sqlalchemy import Connection, func
+from sqlalchemy import Connection, func, select
 
 from lambent_server import bake_rows
 from lambent_server.clock import new_id, now, rfc3339
@@ -155,6 +155,9 @@ def submit(
 
 def check_quota(connection: Connection, tenant: Tenant, services: Services, num_jobs: int) -> None:
     """Refuse more jobs than the tenant may have waiting and running."""
+    if connection.dialect.name == "postgresql":
+        # Until the end of this transaction nobody else counts: SQLite has one writer anyway.
+        connection.execute(select(func.pg_advisory_xact_lock(func.hashtext(f"quota {tenant.id}"))))
     active = rows(tenant, jobs, func.count()).where(jobs.c.state.not_in(FINAL))
     in_use = connection.execute(active).scalar_one()
     limit = services.settings.max_queued_jobs

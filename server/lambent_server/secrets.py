@@ -1,4 +1,4 @@
-"""Keys: the installation's secret, the run process's token made from it, and hashes of the rest."""
+"""Keys: the installation's secrets, the run process's token made from one, and hashes of the rest."""
 
 import contextlib
 import hashlib
@@ -8,23 +8,57 @@ import secrets
 from pathlib import Path
 
 
+class SecretError(Exception):
+    """A secret's file that cannot be used; the text says what to do."""
+
+
 def sha256_text(text: str) -> str:
     """Return the hash that is stored in place of a key, a code or a session."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def new_secret(prefix: str = "") -> str:
+    """Return 256 random bits as text."""
+    return prefix + secrets.token_urlsafe(32)
+
+
 def read_or_create_secret(path: Path, prefix: str = "") -> str:
-    """Return the secret in `path`, making one that only its owner can read where there is none."""
+    """Return the secret in `path`, making one that only its owner can read where there is none.
+
+    Raises SecretError for a file without a secret: an empty one would open the server to everybody.
+    """
     if not path.exists():
-        secret = prefix + secrets.token_urlsafe(32)
-        # Under its name it is never seen empty, and never readable by others.
-        partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-            file.write(secret + "\n")
+        write_secret(path, new_secret(prefix))
+    with contextlib.suppress(UnicodeDecodeError):
+        if secret := path.read_text(encoding="ascii").strip():
+            return secret
+    raise SecretError(
+        f"serve.secret_invalid: {path} holds no secret; remove it and start again, which makes a new one"
+    )
+
+
+def write_secret(path: Path, secret: str, *, replace: bool = False) -> None:
+    """Write a file that only its owner can read; one that is there is kept unless it is to be replaced.
+
+    Under its name it is never seen empty, nor after a power cut.
+    """
+    partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    partial.unlink(missing_ok=True)
+    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(secret + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    if replace:
+        partial.replace(path)
+    else:
         with contextlib.suppress(FileExistsError):
             os.link(partial, path)
         partial.unlink()
-    return path.read_text(encoding="ascii").strip()
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def run_token(secret: str, job_id: str, run: int) -> str:

@@ -1,7 +1,7 @@
 """What the routes, the worker service and the controller share."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lambent_server.database.engine import Database
 from lambent_server.problems import Problem
@@ -19,6 +19,8 @@ class Services:
     store: BlobStore
     wakeups: Wakeups
     local_gpus: int
+    key_uses: dict[str, float] = field(default_factory=dict)
+    """When keys were used, until that is written down."""
 
     def require_disk(self) -> None:
         """Refuse what would fill the disk; runs that are going on are not asked."""
@@ -41,7 +43,7 @@ def open_services(settings: Settings) -> Services:
         folder.mkdir(parents=True, exist_ok=True)
     # Uploads that were in flight when an earlier server ended.
     for path in settings.scratch.iterdir():
-        path.unlink()
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
     database = Database(settings.database_url)
     database.migrate()
     store = BlobStore(settings.data / "store", settings.store)

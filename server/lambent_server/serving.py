@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import re
+import resource
 import signal
 import socket
 import stat
@@ -17,6 +18,7 @@ from typing import Any
 
 import structlog
 from alembic.util import CommandError
+from fastapi import FastAPI
 from granian.constants import HTTPModes, Interfaces
 from granian.http import HTTP1Settings
 from granian.server.embed import Server as Granian
@@ -27,8 +29,10 @@ from lambent_server.app import LOOPBACK, make_app
 from lambent_server.controller import Controller
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.local import LocalExecutor
-from lambent_server.http.identity import register_key
-from lambent_server.secrets import read_or_create_secret, sha256_text
+from lambent_server.http.middleware import App
+from lambent_server.keys import FILE, accept_file
+from lambent_server.reconciler import Reconciler
+from lambent_server.secrets import SecretError, read_or_create_secret, sha256_text
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
 from lambent_server.worker_service import serve_workers
@@ -37,6 +41,8 @@ log = structlog.get_logger()
 
 # Longest path of a Unix socket that every system takes.
 MAX_SOCKET_PATH = 100
+# Open files of a server that are no connections of clients: database, uploads, run processes.
+OTHER_FILES = 512
 
 
 class ServeError(Exception):
@@ -66,11 +72,10 @@ def sole_user(folder: Path) -> Iterator[None]:
     """Hold the data folder for this process."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        lock = (folder / "server.lock").open("a")
     except OSError as error:
-        raise ServeError(
-            f"serve.data_unusable: {folder}: {error.strerror}; choose another with --data"
-        ) from error
-    with (folder / "server.lock").open("a") as file:
+        raise _data_unusable(folder, error) from error
+    with lock as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -79,6 +84,22 @@ def sole_user(folder: Path) -> Iterator[None]:
                 "choose another folder with --data"
             ) from error
         yield
+
+
+def _data_unusable(folder: Path, error: OSError) -> ServeError:
+    return ServeError(
+        f"serve.data_unusable: {error.filename or folder}: {error.strerror}; let this user write there, or "
+        "choose another folder with --data"
+    )
+
+
+def allow_connections(wanted: int) -> int:
+    """Let this process have `wanted` connections beside its files; return how many it may have."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    limit = wanted + OTHER_FILES if hard == resource.RLIM_INFINITY else min(wanted + OTHER_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < limit:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+    return max(min(wanted, limit - OTHER_FILES), 16)
 
 
 def free_port(host: str) -> int:
@@ -143,16 +164,23 @@ async def run(settings: Settings, on_ready: Any) -> None:
     with sole_user(settings.data):
         port = settings.port or free_port(settings.host)
         require_free(settings.host, port)
-        services = _open(settings)
+        services, app, gate, secret = _open(settings)
         try:
-            await _serve(services, port, on_ready)
+            await _serve(services, app, gate, secret, port, on_ready)
         finally:
             services.database.close()
 
 
-def _open(settings: Settings) -> Services:
+def _open(settings: Settings) -> tuple[Services, FastAPI, App, str]:
+    """Return the parts, the application, the same behind its gate, and the secret of run processes."""
     try:
-        return open_services(settings)
+        services = open_services(settings)
+        accept_file(services.database, Tenant(DEFAULT_TENANT_ID), settings.data)
+        return services, *make_app(services), read_or_create_secret(settings.data / "worker.secret")
+    except SecretError as error:
+        raise ServeError(str(error)) from error
+    except OSError as error:
+        raise _data_unusable(settings.data, error) from error
     except (SQLAlchemyError, CommandError) as error:
         # The password has no place in a message.
         url = re.sub(r"//[^/@]*@", "//...@", settings.database_url)
@@ -167,7 +195,7 @@ def _open(settings: Settings) -> Services:
         ) from error
 
 
-async def _serve(services: Services, port: int, on_ready: Any) -> None:
+async def _serve(services: Services, app: FastAPI, gate: App, secret: str, port: int, on_ready: Any) -> None:
     settings = services.settings
     loop = asyncio.get_running_loop()
     ended: asyncio.Future[int] = loop.create_future()
@@ -180,15 +208,13 @@ async def _serve(services: Services, port: int, on_ready: Any) -> None:
         loop.add_signal_handler(number, end, number)
 
     tenant = Tenant(DEFAULT_TENANT_ID)
-    key_file = settings.data / "api.key"
-    register_key(services.database, tenant, read_or_create_secret(key_file, "lk_"), "api.key")
-    secret = read_or_create_secret(settings.data / "worker.secret")
-    app, gate = make_app(services)
     address = worker_address(settings)
     workers = serve_workers(services, secret, address)
     controller = Controller(services, LocalExecutor(settings), secret=secret, address=address)
     controller.start()
     app.state.controller = controller
+    app.state.reconciler = reconciler = Reconciler(services)
+    reconciler.start()
     server = Granian(
         gate,
         address=settings.host,
@@ -197,6 +223,8 @@ async def _serve(services: Services, port: int, on_ready: Any) -> None:
         http=HTTPModes.http1,
         websockets=False,
         log_enabled=False,
+        backlog=1024,
+        backpressure=allow_connections(settings.max_connections),
         http1_settings=HTTP1Settings(header_read_timeout=int(settings.header_timeout_s * 1000)),
     )
     serving = loop.create_task(server.serve())
@@ -205,7 +233,7 @@ async def _serve(services: Services, port: int, on_ready: Any) -> None:
     await _until_listening(settings.host, port, serving)
     _write_whole(settings.data / "server.json", {"url": url, "pid": os.getpid()})
     code, _ = app.state.login_codes.issue(tenant)
-    on_ready(Ready(url, f"{url}/#code={code}", key_file))
+    on_ready(Ready(url, f"{url}/#code={code}", settings.data / FILE))
     log.info("serving", url=url, data=str(settings.data))
 
     await asyncio.wait({ended, serving}, return_when=asyncio.FIRST_COMPLETED)
@@ -215,6 +243,7 @@ async def _serve(services: Services, port: int, on_ready: Any) -> None:
     services.wakeups.close()
     # Run processes that are asked to end still commit their checkpoint, so their service ends after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
+    await asyncio.to_thread(reconciler.close)
     server.stop()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)

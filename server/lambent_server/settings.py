@@ -86,11 +86,19 @@ class Settings(BaseSettings):
     body_window_s: Seconds = 30.0
     """A body must bring `body_bytes_per_s` over every such window."""
     body_bytes_per_s: float = Field(default=1.0 * KIB, ge=0)
+    max_connections: int = Field(default=4096, ge=16)
+    """Connections at the same time; fewer where the system allows fewer open files."""
+    max_streams: int = Field(default=2000, ge=1)
+    """Event streams of one tenant at the same time."""
     login_code_s: Seconds = 3600.0
     session_s: Seconds = 30 * 24 * 3600.0
     idempotency_s: Seconds = 7 * 24 * 3600.0
     garbage_after_s: Seconds = 60.0
     """How long a blob that nothing refers to any more is kept."""
+    orphan_after_s: Seconds = 24 * 3600.0
+    """Age at which bytes that no row names, and folders of uploads that broke off, are removed."""
+    reconcile_s: Seconds = 3600.0
+    """How often rows and files are compared."""
     open_scene_s: Seconds = 7 * 24 * 3600.0
     """How long an upload that was never committed is kept."""
 

@@ -55,6 +55,16 @@ class BlobStore:
     def _key(sha256: str) -> str:
         return f"blobs/{sha256[:2]}/{sha256}"
 
+    def listed(self, digits: str) -> dict[str, tuple[int, float]]:
+        """Return size and time of change (Unix seconds) of the blobs whose hashes begin with two digits."""
+        found: dict[str, tuple[int, float]] = {}
+        with _as_os_error():
+            for batch in obstore.list(self._store, f"blobs/{digits}"):
+                for each in batch:
+                    name = each["path"].rpartition("/")[2]
+                    found[name] = (each["size"], each["last_modified"].timestamp())
+        return found
+
     def put_file(
         self, write: Callable[[], Any], tenant: Tenant, path: Path, sha256: str, media_type: str
     ) -> bool:

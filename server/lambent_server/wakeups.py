@@ -33,17 +33,17 @@ class Wakeups:
         self.closing = True
         self.signal()
 
-    async def wait(self, timeout_s: float) -> None:
-        """Return at the next signal or after `timeout_s`."""
+    async def wait(self, timeout_s: float) -> bool:
+        """Return at the next signal or after `timeout_s`, and whether there was a signal."""
         if self.closing:
-            return
+            return True
         entry = (asyncio.get_running_loop(), asyncio.Event())
         with self._lock:
             self._waiting.add(entry)
         try:
-            await asyncio.wait_for(entry[1].wait(), timeout_s)
+            return await asyncio.wait_for(entry[1].wait(), timeout_s)
         except TimeoutError:
-            pass
+            return False
         finally:
             with self._lock:
                 self._waiting.discard(entry)

@@ -53,6 +53,8 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
             "scene_id": scene,
             "job_id": api.job()["id"],
             "bundle_id": "bundle_x",
+            "environment_id": sky,
+            "key_id": expect(api.post("/v1/keys", json={"name": "another"}), 201)["id"],
             "sha256": sha256(b"{}"),
             "path": "manifest.json",
         }

@@ -96,6 +96,27 @@ def test_a_body_without_length_is_cut_off_at_the_limit(server: LiveServer):
     assert answer.startswith(b"HTTP/1.1 413")
 
 
+def test_a_thousand_slow_logins_and_a_thousand_idle_streams_harm_nobody(server: LiveServer):
+    """Each kind more than the 128 connections at which Granian stops by itself."""
+    host = f"Host: {urlsplit(server.url).netloc}\r\n"
+    slow = f"POST /v1/login HTTP/1.1\r\n{host}Content-Length: 200\r\n\r\n{{".encode()
+    idle = f"GET /v1/events HTTP/1.1\r\n{host}Authorization: Bearer {server.key}\r\n\r\n".encode()
+    for request in (slow, idle):
+        with contextlib.ExitStack() as stack:
+            for _ in range(1000):
+                stack.enter_context(connected(server)).sendall(request)
+            seconds = [answer_time(f"{server.url}/healthz") for _ in range(10)]
+            seconds += [answer_time(f"{server.url}/v1/jobs", server.key) for _ in range(10)]
+            assert max(seconds) < 2.0
+
+
+def answer_time(url: str, key: str = "") -> float:
+    began = time.monotonic()
+    headers = {"Authorization": f"Bearer {key}"} if key else {}
+    assert httpx2.get(url, headers=headers, timeout=10.0, verify=False).status_code == 200
+    return time.monotonic() - began
+
+
 def test_noise_is_no_request_and_harms_nobody(server: LiveServer):
     for noise in (b"\x16\x03\x01\x02\x00\x01", b"GET\r\n\r\n", b"\0" * 1000, b"A" * 500_000 + b"\r\n\r\n"):
         with connected(server) as connection:

@@ -12,6 +12,11 @@ from pathlib import Path
 import pytest
 from lambent_server.database.engine import Database
 from lambent_server.database.leadership import Leadership
+from lambent_server.database.tenancy import Tenant
+from lambent_server.job_queries import check_quota, insert_job
+from lambent_server.problems import Problem
+from lambent_server.services import open_services
+from lambent_server.settings import Settings
 from sqlalchemy import create_engine, inspect, text
 from sqlalchemy.exc import OperationalError
 from support.live_server import LiveServer
@@ -52,6 +57,23 @@ def test_a_job_runs_is_killed_and_succeeds(server: LiveServer):
     assert seqs == list(range(1, len(seqs) + 1))
     bundle = server.client.get(f"/v1/bundles/{found['bundle_id']}/manifest")
     assert bundle.json()["name"] == "sleep"
+
+
+def test_concurrent_submits_never_pass_the_quota(url: str, tmp_path: Path):
+    given = {"data": tmp_path / "data", "database": url, "disk_floor_bytes": 0, "max_queued_jobs": 10}
+    services, tenant = open_services(Settings(**given)), Tenant("many_at_once")
+
+    def submit(_: int) -> bool:
+        # More GPUs than there are: nobody starts it.
+        values = {"kind": "train", "scene_id": "x", "preset": "tiny", "params": {}, "seed": 0, "gpus": 99}
+        with contextlib.suppress(Problem), services.database.write() as connection:
+            check_quota(connection, tenant, services, 1)
+            insert_job(connection, tenant, labels={}, **values)
+            return True
+        return False
+
+    with contextlib.closing(services.database), ThreadPoolExecutor(30) as pool:
+        assert sum(pool.map(submit, range(30))) == 10
 
 
 def test_duplicate_submits_make_one_job(server: LiveServer):

@@ -10,8 +10,10 @@ from typing import Any
 
 import structlog
 from lambent_server.app import make_app
-from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
-from lambent_server.http.identity import register_key
+from lambent_server.clock import now
+from lambent_server.database.schema import api_keys
+from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, add_if_absent
+from lambent_server.secrets import sha256_text
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
 from starlette.testclient import TestClient
@@ -90,8 +92,10 @@ def opened(data: Path, **settings: Any) -> Iterator[Api]:
     structlog.configure(processors=[drop_event])
     values = {"data": data, "disk_floor_bytes": 0, "local_gpus": 0, **settings}
     services = open_services(Settings(**values))
-    register_key(services.database, TENANT, KEY, "test")
-    register_key(services.database, STRANGER, STRANGER_KEY, "stranger")
+    with services.database.write() as connection:
+        for tenant, key, name in ((TENANT, KEY, "test"), (STRANGER, STRANGER_KEY, "stranger")):
+            values = {"id": f"key_{name}", "name": name, "key_sha256": sha256_text(key), "created_at": now()}
+            add_if_absent(connection, tenant, api_keys, **values)
     app, gate = make_app(services)
     headers = {"Authorization": f"Bearer {KEY}"}
     try:

@@ -12,10 +12,13 @@ import httpx2
 from lambent import fetch as fetching
 from lambent import pictures, scenes
 from lambent.connection import Connection
-from lambent.errors import JobNotSucceededError
+from lambent.errors import JobNotSucceededError, UsageProblemError
 from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport
 from lambent.settings import find_server
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
+
+DELETABLE = {"scene": "scenes", "job": "jobs", "bundle": "bundles", "env": "environments"}
+"""What can be deleted: how its ids begin, and where it is."""
 
 
 class Client:
@@ -86,6 +89,20 @@ class Client:
     def delete_scene(self, scene_id: str) -> None:
         """Delete a scene."""
         self._connection.send("DELETE", f"/v1/scenes/{scene_id}")
+
+    def delete(self, identifier: str) -> None:
+        """Delete a scene, a job that has ended, a bundle or an environment map; the id says which.
+
+        A job's bundle outlives it, and so does what was made from a scene, a bundle or an environment.
+        """
+        kind = identifier.partition("_")[0]
+        if kind not in DELETABLE:
+            raise UsageProblemError(
+                "client.unknown_id",
+                f"{identifier!r} is no id of a {', '.join(DELETABLE)}",
+                "take the id as the server gives it",
+            )
+        self._connection.send("DELETE", f"/v1/{DELETABLE[kind]}/{identifier}")
 
     def submit(
         self,

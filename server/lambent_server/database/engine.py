@@ -1,11 +1,13 @@
 """Connections: SQLite (write-ahead log, one writer) or PostgreSQL."""
 
+import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import make_url
 
 BUSY_MS = 30_000
@@ -33,6 +35,27 @@ class Database:
         """Open a transaction that is committed at the end, or undone by an exception."""
         with self.engine.connect().execution_options(lambent_write=True) as connection, connection.begin():
             yield connection
+
+    def probe(self, timeout_s: float) -> str:
+        """Return "ok" where the database takes a write, "locked" where it does not within `timeout_s`.
+
+        Raises what its driver raises where it is away.
+        """
+        if not self.is_sqlite:
+            with self.read() as connection:
+                connection.execute(text("SELECT 1"))
+            return "ok"
+        # Not from the pool, whose connections may all be waiting for the lock.
+        uri = f"file:{quote(str(self.url.database))}?mode=rw"
+        with closing(sqlite3.connect(uri, uri=True, timeout=timeout_s, isolation_level=None)) as raw:
+            try:
+                raw.execute("BEGIN IMMEDIATE")
+                raw.execute("ROLLBACK")
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
+                    return "locked"
+                raise
+        return "ok"
 
     def migrate(self) -> None:
         """Bring the tables to the version of this code."""

@@ -56,6 +56,7 @@ api_keys = Table(
     _time("created_at"),
     _optional_time("expires_at"),
     _optional_time("revoked_at"),
+    _optional_time("last_used_at"),
     UniqueConstraint("key_sha256"),
 )
 
@@ -156,6 +157,8 @@ jobs = Table(
     Index(None, "tenant_id", "id"),
     Index(None, "state"),
     Index(None, "order_id"),
+    # What event streams ask for all the time.
+    Index(None, "updated_at"),
 )
 
 render_orders = Table(

@@ -15,7 +15,8 @@ log = structlog.get_logger()
 _CODES = {
     404: "route_not_found",
     405: "method_not_allowed",
-    400: "bad_request",
+    # What the framework itself says only of bodies that it cannot read.
+    400: "invalid_json",
     415: "unsupported_media_type",
 }
 MAX_ERRORS = 100

@@ -7,11 +7,12 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from lambent_server.clock import new_id, now
+from lambent_server.clock import now
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys, sessions
-from lambent_server.database.tenancy import Tenant, across_tenants, add
+from lambent_server.database.tenancy import Tenant, across_tenants, add, remove
 from lambent_server.secrets import sha256_text
+from lambent_server.services import Services
 from lambent_server.shares import granted
 
 COOKIE = "lambent_session"
@@ -33,11 +34,11 @@ class LoginCodes:
             self._valid_until[sha256_text(code)] = (tenant, until)
         return code, until
 
-    def redeem(self, code: str) -> Tenant | None:
-        """Return whose code it is and forget it; None where it is unknown, used or too old."""
+    def redeem(self, code: str) -> tuple[Tenant | None, float]:
+        """Return whose code it is and when it was made, and forget it; None if unknown, used or too old."""
         with self._lock:
             tenant, until = self._valid_until.pop(sha256_text(code), (None, 0.0))
-        return tenant if until > now() else None
+        return (tenant if until > now() else None), until - self._lifetime_s
 
 
 def open_session(connection: Connection, tenant: Tenant, lifetime_s: float) -> str:
@@ -55,13 +56,11 @@ def open_session(connection: Connection, tenant: Tenant, lifetime_s: float) -> s
     return token
 
 
-def register_key(database: Database, tenant: Tenant, key: str, name: str) -> None:
-    """Accept `key` from now on; only its hash is stored."""
+def end_session(database: Database, tenant: Tenant, token: str) -> None:
+    """Forget a browser session; one that has ended already stays so."""
     with database.write() as connection:
-        known = across_tenants(api_keys, api_keys.c.id).where(api_keys.c.key_sha256 == sha256_text(key))
-        if connection.execute(known).first() is None:
-            values = {"id": new_id("key"), "name": name, "key_sha256": sha256_text(key), "created_at": now()}
-            connection.execute(add(tenant, api_keys, **values))
+        mine = sessions.c.token_sha256 == sha256_text(token)
+        connection.execute(remove(tenant, sessions).where(mine))
 
 
 def cookie_token(header: str, name: str = COOKIE) -> str | None:
@@ -74,13 +73,16 @@ def cookie_token(header: str, name: str = COOKIE) -> str | None:
     return jar[name].value if name in jar else None
 
 
-def tenant_of_key(database: Database, key: str) -> Tenant | None:
+def tenant_of_key(services: Services, key: str) -> Tenant | None:
     """Return whose key it is, or None where it is not valid (any more)."""
+    if not key:
+        return None
     statement = across_tenants(api_keys).where(api_keys.c.key_sha256 == sha256_text(key))
-    with database.read() as connection:
+    with services.database.read() as connection:
         row: Any = connection.execute(statement).mappings().one_or_none()
     if row is None or row["revoked_at"] is not None or (row["expires_at"] or now() + 1) < now():
         return None
+    services.key_uses[row["id"]] = now()
     return Tenant(row["tenant_id"])
 
 

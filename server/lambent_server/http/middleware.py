@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 import structlog
 from anyio import to_thread
@@ -36,6 +36,8 @@ _PUBLIC = re.compile(
     r"/|/assets/.*|/[a-z0-9._-]+\.(html|js|css|svg|json|wasm)|/healthz|/readyz"
     r"|/v1/(version|login|shares:open)"
 )
+# What a request to one of these may bring: a code, before anybody is known.
+_PUBLIC_BYTES = 16 * 1024
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _METHODS = _SAFE | {"POST", "PUT", "PATCH", "DELETE"}
 _POLICY = (
@@ -82,7 +84,7 @@ class Gate:
 
     def _check_host(self, headers: Headers) -> None:
         host = headers.get("host", "")
-        name = urlsplit(f"//{host}").hostname or ""
+        name = _address(f"//{host}", "Host").hostname or ""
         if name not in self._hosts:
             raise Problem(
                 421,
@@ -107,16 +109,18 @@ class Gate:
     async def _tenant_of(self, scope: Scope, headers: Headers) -> Tenant | None:
         """Return whose request it is: by key, else by the cookie of a link to one bundle, else by session."""
         database, method = self._services.database, scope["method"]
+        state = scope.setdefault("state", {})
         scheme, _, key = headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer":
-            return await to_thread.run_sync(tenant_of_key, database, key.strip())
+        state["by_key"] = scheme.lower() == "bearer"
+        if state["by_key"]:
+            return await to_thread.run_sync(tenant_of_key, self._services, key.strip())
         cookies = headers.get("cookie", "")
         bundle_id, shared = bundle_read(method, scope["path"]), cookie_token(cookies, SHARE_COOKIE)
         if bundle_id and shared:
             secret = self._share_secret
             tenant = await to_thread.run_sync(tenant_of_share, database, secret, shared, bundle_id)
             if tenant is not None:
-                scope.setdefault("state", {})["by_share"] = True
+                state["by_share"] = True
                 return tenant
         token = cookie_token(cookies)
         tenant = None if token is None else await to_thread.run_sync(tenant_of_session, database, token)
@@ -128,11 +132,19 @@ class Gate:
     def _check_same_site(headers: Headers) -> None:
         """Refuse a write that another site may have made the browser send."""
         origin = headers.get("origin")
-        foreign = origin is not None and urlsplit(origin).netloc != headers.get("host")
+        foreign = origin is not None and _address(origin, "Origin").netloc != headers.get("host")
         if headers.get(CSRF_HEADER) != "1" or foreign:
             raise Problem(
                 403, "csrf", f"a browser's write needs the header {CSRF_HEADER}: 1 from this very site"
             )
+
+
+def _address(text: str, header: str) -> SplitResult:
+    """Return the parts of an address in a header."""
+    try:
+        return urlsplit(text)
+    except ValueError as error:
+        raise Problem(400, "header_invalid", f"the header {header} holds no address") from error
 
 
 def unexpected(error: Exception) -> Problem:
@@ -152,6 +164,8 @@ class _Request:
         self._receive = receive
         self._send = send
         self._limit = body_limit(services, scope["method"], scope["path"])
+        public = _PUBLIC.fullmatch(scope["path"]) is not None
+        self._window_s = self._settings.header_timeout_s if public else self._settings.body_window_s
         self._received = 0
         self._complete = False
         self._window = [0.0, 0]
@@ -205,13 +219,12 @@ class _Request:
 
     async def _next_piece(self) -> Message:
         """Wait for a piece; TimeoutError when a whole window of waiting has brought too little."""
-        settings = self._settings
         waited, brought = self._window
         began = time.monotonic()
-        message = await asyncio.wait_for(self._receive(), max(settings.body_window_s - waited, 0.001))
+        message = await asyncio.wait_for(self._receive(), max(self._window_s - waited, 0.001))
         waited += time.monotonic() - began
-        if waited >= settings.body_window_s:
-            if brought < settings.body_bytes_per_s * waited:
+        if waited >= self._window_s:
+            if brought < self._settings.body_bytes_per_s * waited:
                 raise TimeoutError
             waited, brought = 0.0, 0
         self._window = [waited, brought]
@@ -267,6 +280,8 @@ class _Request:
 def body_limit(services: Services, method: str, path: str) -> int:
     """Return how many bytes a request may bring."""
     settings = services.settings
+    if _PUBLIC.fullmatch(path):
+        return min(settings.max_json_bytes, _PUBLIC_BYTES)
     if method in ("PUT", "POST"):
         if re.fullmatch(r"/v1/scenes/[^/]+/(files/[^/]+|archive)", path):
             return settings.max_scene_bytes

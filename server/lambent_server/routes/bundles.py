@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lambent_server import bundle_rows, shares
+from lambent_server import bundle_rows, removals, shares
 from lambent_server.bundle_messages import (
     BundleDetail,
     BundleList,
@@ -38,6 +38,16 @@ def get_bundle(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> BundleD
     with services.database.read() as connection:
         row = bundle_rows.require_bundle(connection, tenant, bundle_id)
         return bundle_rows.show_files(connection, tenant, row)
+
+
+@router.delete(
+    "/v1/bundles/{bundle_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
+)
+def delete_bundle(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> Response:
+    """Remove a bundle with its files and the links to it; the job that made it stays."""
+    with services.database.write() as connection:
+        removals.delete_bundle(connection, tenant, bundle_id)
+    return Response(status_code=204)
 
 
 def _secret(request: Request) -> str:

@@ -3,14 +3,15 @@
 from typing import Annotated, Any
 
 from anyio import to_thread
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query, Request, Response
 
+from lambent_server import removals
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import environments
 from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.environment_files import read_head
 from lambent_server.messages import Environment, EnvironmentList
-from lambent_server.routes.common import ServicesOf, TenantOf, binary_body, problems
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, binary_body, problems
 from lambent_server.services import Services
 from lambent_server.uploads import Upload, received
 
@@ -71,3 +72,16 @@ def list_environments(services: ServicesOf, tenant: TenantOf) -> EnvironmentList
     with services.database.read() as connection:
         statement = rows(tenant, environments).order_by(environments.c.id.desc()).limit(1000)
         return EnvironmentList(items=[_show(row) for row in connection.execute(statement).mappings()])
+
+
+@router.delete(
+    "/v1/environments/{environment_id:id}",
+    status_code=204,
+    response_class=Response,
+    responses=problems(403, 404, 409),
+)
+def delete_environment(services: ServicesOf, tenant: TenantOf, environment_id: Id) -> Response:
+    """Remove an environment; pictures that were made with it stay."""
+    with services.database.write() as connection:
+        removals.delete_environment(connection, tenant, environment_id)
+    return Response(status_code=204)

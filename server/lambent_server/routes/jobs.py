@@ -1,6 +1,7 @@
 """Jobs: submit, look, wait, cancel, retry."""
 
 import hashlib
+import shutil
 from typing import Annotated, Any
 
 from anyio import to_thread
@@ -8,7 +9,7 @@ from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from lambent_server import job_queries, render_rows
+from lambent_server import job_queries, removals, render_rows
 from lambent_server.clock import now
 from lambent_server.database.schema import artifacts
 from lambent_server.database.tenancy import Tenant, rows
@@ -102,6 +103,17 @@ async def get_job(
         if job["state"] in FINAL or left <= 0 or services.wakeups.closing:
             return job_queries.show(job)
         await services.wakeups.wait(min(left, services.settings.stream_poll_s))
+
+
+@router.delete(
+    "/v1/jobs/{job_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
+)
+def delete_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Response:
+    """Remove a job that has ended, with its history, artifacts and log; its bundle stays."""
+    with services.database.write() as connection:
+        removals.delete_job(connection, tenant, job_id)
+    shutil.rmtree(services.settings.runs / job_id, ignore_errors=True)
+    return Response(status_code=204)
 
 
 @router.post("/v1/jobs/{job_id:id}:cancel", status_code=202, responses=problems(404, 409))

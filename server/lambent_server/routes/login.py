@@ -3,7 +3,8 @@
 from fastapi import APIRouter, Request, Response
 
 from lambent_server.clock import rfc3339
-from lambent_server.http.identity import COOKIE, LoginCodes, open_session
+from lambent_server.http.identity import COOKIE, LoginCodes, cookie_token, end_session, open_session
+from lambent_server.keys import last_revoked_at
 from lambent_server.messages import LoginCode, LoginLink
 from lambent_server.problems import Problem
 from lambent_server.routes.common import ServicesOf, TenantOf, problems
@@ -19,20 +20,31 @@ def _codes(request: Request) -> LoginCodes:
 @router.post("/v1/login", status_code=204, response_class=Response, responses=problems(400, 413, 422))
 def log_in(services: ServicesOf, request: Request, body: LoginCode) -> Response:
     """Swap the code of a one-time link for a session cookie."""
-    tenant = _codes(request).redeem(body.code)
-    if tenant is None:
-        raise Problem(
-            401,
-            "login_code_invalid",
-            "this link was used before or is too old; `POST /v1/login-links` makes another one",
-            headers={"www-authenticate": 'Bearer realm="lambent"'},
-        )
+    tenant, made_at = _codes(request).redeem(body.code)
     with services.database.write() as connection:
+        # Whoever had a key that was revoked may have made a link with it.
+        if tenant is None or made_at <= last_revoked_at(connection, tenant):
+            raise Problem(
+                401,
+                "login_code_invalid",
+                "this link was used before or is too old; `POST /v1/login-links` makes another one",
+                headers={"www-authenticate": 'Bearer realm="lambent"'},
+            )
         token = open_session(connection, tenant, services.settings.session_s)
     response = Response(status_code=204)
     secure = request.url.scheme == "https"
     lifetime = int(services.settings.session_s)
     response.set_cookie(COOKIE, token, max_age=lifetime, httponly=True, samesite="strict", secure=secure)
+    return response
+
+
+@router.post("/v1/logout", status_code=204, response_class=Response, responses=problems(403))
+def log_out(services: ServicesOf, request: Request, tenant: TenantOf) -> Response:
+    """End the session of this browser; where there is none, nothing happens."""
+    if token := cookie_token(request.headers.get("cookie", "")):
+        end_session(services.database, tenant, token)
+    response = Response(status_code=204)
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
     return response
 
 

@@ -119,7 +119,7 @@ def _require_open(services: Services, tenant: Tenant, scene_id: str) -> None:
 
 
 def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upload) -> Scene:
-    with tempfile.TemporaryDirectory(dir=services.settings.data) as name:
+    with tempfile.TemporaryDirectory(dir=services.settings.scratch) as name:
         try:
             members, left_out = unpack(upload.path, Path(name), services.settings)
         except Problem as problem:

@@ -32,6 +32,27 @@ def test_a_setting_that_cannot_be_used_is_named(tmp_path: Path, arguments: list[
     assert "Traceback" not in result.output
 
 
+def test_a_folder_in_which_nobody_may_write_is_named():
+    result = CliRunner().invoke(app, ["--data", "/sys", "--port", "0"])
+    assert result.exit_code == 2
+    assert result.output.startswith("serve.data_unusable: /sys/server.lock: ")
+    assert "choose another folder with --data" in result.output
+
+
+def test_a_data_folder_of_which_a_part_cannot_be_used_is_named(tmp_path: Path):
+    (tmp_path / "scratch").write_text("no folder")
+    result = CliRunner().invoke(app, ["--data", str(tmp_path), "--port", "0"])
+    assert result.exit_code == 2
+    assert result.output.startswith(f"serve.data_unusable: {tmp_path / 'scratch'}: ")
+
+
+def test_an_empty_key_file_ends_the_start_with_what_to_do(tmp_path: Path):
+    (tmp_path / "api.key").touch()
+    result = CliRunner().invoke(app, ["--data", str(tmp_path), "--port", "0"])
+    assert result.exit_code == 2
+    assert result.output.startswith(f"serve.secret_invalid: {tmp_path / 'api.key'} ")
+
+
 def test_a_port_in_use_is_named(tmp_path: Path):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))

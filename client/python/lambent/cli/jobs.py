@@ -1,8 +1,8 @@
-"""submit, watch, jobs, cancel, retry, logs."""
+"""submit, watch, jobs, cancel, retry, delete, logs."""
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -12,6 +12,7 @@ from lambent.client import Client
 from lambent.errors import LambentError, UsageProblemError
 from lambent.models import Event, Job
 
+Answer = TypeVar("Answer")
 JobArguments = Annotated[list[str], typer.Argument(metavar="JOB...", help="Job ids.")]
 
 
@@ -83,7 +84,22 @@ def jobs(
 def cancel(jobs: JobArguments, url: UrlOption = "", as_json: JsonOption = False) -> None:
     """Ask for jobs to be stopped; exit code 4 when the server declined one of them."""
     with Client(url) as client:
-        _each(jobs, client.cancel, Output(as_json))
+        _each(jobs, client.cancel, Output(as_json), _id_and_state)
+
+
+def delete(
+    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Scenes, jobs, bundles, environments.")],
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Delete things on the server for good; exit code 4 when it declined one of them."""
+    with Client(url) as client:
+
+        def call(identifier: str) -> dict[str, str]:
+            client.delete(identifier)
+            return {"deleted": identifier}
+
+        _each(ids, call, Output(as_json), lambda answer: f"{answer['deleted']} deleted")
 
 
 def retry(
@@ -94,7 +110,7 @@ def retry(
 ) -> None:
     """Queue failed or cancelled jobs again, as new jobs with the same order; print their ids."""
     with Client(url) as client:
-        fresh = _each(jobs, client.retry, Output(as_json))
+        fresh = _each(jobs, client.retry, Output(as_json), _id_and_state)
         if follow:
             raise typer.Exit(follow_jobs(client, [job.id for job in fresh], as_json=as_json))
 
@@ -143,21 +159,27 @@ def _share(job: Job) -> float:
     return 1.0 if job.state == "succeeded" else job.progress.fraction
 
 
-def _each(job_ids: Sequence[str], call: Callable[[str], Job], output: Output) -> list[Job]:
-    """Do one call for every job even when some are declined; raise the first refusal at the end."""
+def _id_and_state(job: Job) -> str:
+    return f"{job.id} {job.state}"
+
+
+def _each(
+    ids: Sequence[str], call: Callable[[str], Answer], output: Output, text: Callable[[Answer], str]
+) -> list[Answer]:
+    """Do one call for every id even when some are declined; raise the first refusal at the end."""
     refusal: LambentError | None = None
     answers = []
-    for job_id in job_ids:
+    for identifier in ids:
         try:
-            job = call(job_id)
+            answer = call(identifier)
         except LambentError as error:
-            if len(job_ids) == 1 or error.exit_code == 3:
+            if len(ids) == 1 or error.exit_code == 3:
                 raise
             refusal = refusal or error
-            output.note(f"{job_id}: {error}")
+            output.note(f"{identifier}: {error}")
             continue
-        answers.append(job)
-        output.result(f"{job.id} {job.state}", job)
+        answers.append(answer)
+        output.result(text(answer), answer)
     if refusal is not None:
         raise refusal
     return answers

@@ -48,6 +48,12 @@ ENTRIES = (
         extra="server",
     ),
     Entry(
+        name="keys",
+        panel=_SERVER,
+        summary="Make, list, revoke and replace the keys of the server on this machine.",
+        extra="server",
+    ),
+    Entry(
         name="push",
         panel=_SERVER,
         summary="Upload a scene folder or archive; sends only what is missing.",
@@ -69,6 +75,12 @@ ENTRIES = (
         panel=_SERVER,
         summary="Queue failed or cancelled jobs again, as new jobs.",
         target="lambent.cli.jobs:retry",
+    ),
+    Entry(
+        name="delete",
+        panel=_SERVER,
+        summary="Delete scenes, jobs, bundles and environments on the server.",
+        target="lambent.cli.jobs:delete",
     ),
     Entry(name="logs", panel=_SERVER, summary="Print the log of a job.", target="lambent.cli.jobs:logs"),
     Entry(

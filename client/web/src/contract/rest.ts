@@ -193,6 +193,26 @@ export interface components {
             views: components["schemas"]["ViewFigures"][];
         };
         /**
+         * CreatedKey
+         * @description A new key with its secret, which is shown this once.
+         */
+        CreatedKey: {
+            /** Created At */
+            created_at: string;
+            /** Expires At */
+            expires_at: string | null;
+            /** Id */
+            id: string;
+            /** Key */
+            key: string;
+            /** Last Used At */
+            last_used_at: string | null;
+            /** Name */
+            name: string;
+            /** Revoked At */
+            revoked_at: string | null;
+        };
+        /**
          * Environment
          * @description Light from all directions, as an equirectangular picture.
          */
@@ -395,6 +415,32 @@ export interface components {
             next_cursor: string | null;
         };
         /**
+         * Key
+         * @description A key, without the secret itself.
+         */
+        Key: {
+            /** Created At */
+            created_at: string;
+            /** Expires At */
+            expires_at: string | null;
+            /** Id */
+            id: string;
+            /** Last Used At */
+            last_used_at: string | null;
+            /** Name */
+            name: string;
+            /** Revoked At */
+            revoked_at: string | null;
+        };
+        /**
+         * KeyList
+         * @description The keys of this tenant, the newest first.
+         */
+        KeyList: {
+            /** Items */
+            items: components["schemas"]["Key"][];
+        };
+        /**
          * Limits
          * @description What the server accepts.
          */
@@ -526,6 +572,16 @@ export interface components {
              * @default 0
              */
             seed: number;
+        };
+        /**
+         * NewKey
+         * @description A key to make.
+         */
+        NewKey: {
+            /** Expires In S */
+            expires_in_s?: number | null;
+            /** Name */
+            name: string;
         };
         /**
          * NewRender

@@ -1,6 +1,6 @@
 /** The page of scenes, jobs and bundles: one stream of events, and one view at a time. */
 
-import { explain } from "../page/actions.js";
+import { button, explain } from "../page/actions.js";
 import { placeOf } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
 import { createApi } from "../page/rest.js";
@@ -70,8 +70,17 @@ async function logIn(): Promise<void> {
 }
 
 let wasAway = false;
+const logOut = button(
+  "Log out",
+  async () => {
+    await api.logOut();
+    location.reload();
+  },
+  context,
+);
 
 function showConnection(connected: boolean): void {
+  if (connected) connection.after(logOut);
   setText(connection, connected ? "live" : "the server does not answer; trying again …");
   if (connected && wasAway) shown?.update?.(null);
   wasAway = !connected;

@@ -86,6 +86,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
 
   return {
     logIn: (code: string) => json<null>("POST", "/v1/login", { code }),
+    logOut: () => json<null>("POST", "/v1/logout"),
     scenes: (cursor: string | null = null) =>
       json<Schemas["SceneList"]>("GET", list("/v1/scenes", 50, cursor)),
     scene: (id: string) => json<Scene>("GET", `/v1/scenes/${id}`),

@@ -62,6 +62,20 @@ describe("logging in", () => {
     await stranger.close();
   });
 
+  it("is ended by a button, in this browser only", async () => {
+    const headers = { "x-lambent-csrf": "1", origin: server.url };
+    const made = await page.request.post(`${server.url}/v1/login-links`, { headers });
+    const guest = await browser.newContext();
+    const other = await guest.newPage();
+    await other.goto((await made.json()).url);
+    await live(other);
+    await other.click("text=Log out");
+    await other.waitForSelector("#message:has-text('not logged in')");
+    expect(await guest.cookies()).toEqual([]);
+    expect((await page.request.get(`${server.url}/v1/jobs`)).status()).toBe(200);
+    await guest.close();
+  });
+
   it("comes before everything: the start is empty, usable by all, and fits a phone", async () => {
     await page.waitForSelector("text=None yet.");
     expect(await serious(page)).toEqual([]);

@@ -137,6 +137,17 @@ def test_one_refusal_does_not_keep_the_other_jobs_from_being_cancelled(server, c
     assert server.jobs["a"]["state"] == "cancelling"
 
 
+def test_deleting_asks_for_each_thing_where_it_is(server, capsys):
+    answers = iter((204, 404, 204, 204))
+    server.faults.append(lambda request: httpx2.Response(next(answers)))
+    assert app.run(["delete", "scene_a", "job_b", "bundle_c", "env_d"]) == 4
+    places = ("scenes/scene_a", "jobs/job_b", "bundles/bundle_c", "environments/env_d")
+    assert server.requests == [f"DELETE /v1/{place}" for place in places]
+    assert capsys.readouterr().out == "scene_a deleted\nbundle_c deleted\nenv_d deleted\n"
+    assert app.run(["delete", "nonsense"]) == 2
+    assert len(server.requests) == 4
+
+
 def test_submit_prints_the_id_alone_and_sends_what_was_asked(server, capsys):
     words = ["submit", "scene_1", "--preset", "tiny", "--set", "stage_one.num_rays=64", "--label", "a=b"]
     assert app.run([*words, "--seed", "7", "--priority", "-2"]) == 0

@@ -8,8 +8,8 @@ import lambent_pages
 import pytest
 from lambent_server.app import describe
 from lambent_server.database.schema import api_keys
-from lambent_server.database.tenancy import change
-from lambent_server.http.identity import COOKIE, LoginCodes, register_key
+from lambent_server.database.tenancy import add
+from lambent_server.http.identity import COOKIE, LoginCodes
 from sqlalchemy.exc import OperationalError
 from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
 
@@ -35,7 +35,7 @@ def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
     for path, operations in describe()["paths"].items():
         for method in operations:
             url = path.replace("{scene_id}", "x").replace("{job_id}", "x").replace("{bundle_id}", "x")
-            url = url.replace("{share_id}", "x")
+            url = url.replace("{share_id}", "x").replace("{key_id}", "x").replace("{environment_id}", "x")
             url = url.replace("{path}", "x").replace("{sha256}", "0" * 64)
             answer = nobody.request(method, url, json={} if path == "/v1/login" else None)
             if path in ("/healthz", "/readyz", "/v1/version"):
@@ -46,19 +46,39 @@ def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
 
 
 def test_a_wrong_key_does_not_get_in(api: Api):
-    for key in ("", "x", KEY[:-1], KEY + "x"):
+    for key in ("", " ", "x", KEY[:-1], KEY + "x"):
         expect_problem(api.other(key).get("/v1/jobs"), 401, "not_authenticated")
 
 
-@pytest.mark.parametrize("end", ["revoked_at", "expires_at"])
-def test_a_key_that_was_taken_back_or_has_ended_does_not_get_in(api: Api, end: str):
-    key = f"lk_{end}"
-    register_key(api.services.database, TENANT, key, "old")
-    expect(api.other(key).get("/v1/jobs"), 200)
+def test_an_empty_key_is_never_valid_even_where_its_hash_is_stored(api: Api):
     with api.services.database.write() as connection:
-        mine = api_keys.c.key_sha256 == sha256(key.encode())
-        connection.execute(change(TENANT, api_keys).where(mine).values(**{end: 1.0}))
-    expect_problem(api.other(key).get("/v1/jobs"), 401, "not_authenticated")
+        values = {"id": "key_empty", "name": "empty", "key_sha256": sha256(b""), "created_at": 0.0}
+        connection.execute(add(TENANT, api_keys, **values))
+    expect_problem(api.other("").get("/v1/jobs"), 401, "not_authenticated")
+
+
+def test_an_address_that_cannot_be_read_is_a_400(api: Api):
+    expect_problem(api.other(None).get("/v1/jobs", headers={"host": "["}), 400, "header_invalid")
+    origin = {**CSRF, "origin": "http://["}
+    expect_problem(log_in(api).post("/v1/scenes", json={}, headers=origin), 400, "header_invalid")
+
+
+def test_a_body_that_is_no_json_has_the_code_that_is_documented(api: Api):
+    for content in (b"{", b"\xff", b'{"name": "\xff"}'):
+        answer = api.post("/v1/scenes", content=content, headers={"content-type": "application/json"})
+        expect_problem(answer, 400, "invalid_json")
+
+
+def test_logging_out_ends_the_session_and_no_other(api: Api):
+    browser, other = log_in(api), log_in(api)
+    expect_problem(browser.post("/v1/logout"), 403, "csrf")
+    answer = browser.post("/v1/logout", headers=CSRF)
+    assert answer.status_code == 204
+    token = answer.request.headers["cookie"].partition("=")[2]
+    expect_problem(browser.get("/v1/jobs"), 401, "not_authenticated")
+    stolen = api.other(None).get("/v1/jobs", headers={"cookie": f"{COOKIE}={token}"})
+    expect_problem(stolen, 401, "not_authenticated")
+    expect(other.get("/v1/jobs"), 200)
 
 
 def test_only_a_hash_of_the_key_is_stored(api: Api):
@@ -90,7 +110,7 @@ def test_a_login_code_ends(monkeypatch: pytest.MonkeyPatch):
     codes = LoginCodes(60.0)
     code, until = codes.issue(TENANT)
     monkeypatch.setattr("lambent_server.http.identity.now", lambda: until + 1)
-    assert codes.redeem(code) is None
+    assert codes.redeem(code)[0] is None
 
 
 def test_a_browser_writes_only_with_the_header_and_from_this_site(api: Api):
@@ -177,6 +197,7 @@ def test_another_tenants_things_do_not_exist(api: Api):
         ("get", f"/v1/jobs/{job['id']}/artifacts", None),
         ("post", f"/v1/jobs/{job['id']}:cancel", None),
         ("post", f"/v1/jobs/{job['id']}:retry", None),
+        ("delete", f"/v1/jobs/{job['id']}", None),
         ("get", f"/v1/events?job={job['id']}", None),
         ("get", f"/v1/blobs/{digest}", None),
     ):

@@ -1,0 +1,17 @@
+"""When a key was used last, and which jobs have changed lately."""
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0005"
+down_revision = "0004"
+
+
+def upgrade() -> None:
+    op.add_column("api_keys", sa.Column("last_used_at", sa.Double(), nullable=True))
+    op.create_index(op.f("ix_jobs_updated_at"), "jobs", ["updated_at"], unique=False)
+
+
+def downgrade() -> None:
+    op.drop_index(op.f("ix_jobs_updated_at"), table_name="jobs")
+    op.drop_column("api_keys", "last_used_at")

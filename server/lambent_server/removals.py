@@ -1,0 +1,91 @@
+"""Deleting jobs, bundles and environments; what an order that has not ended needs stays."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from sqlalchemy import Connection, Table
+
+from lambent_server.checkpoint_rows import drop_checkpoints
+from lambent_server.database.schema import (
+    artifacts,
+    bundle_files,
+    bundles,
+    environments,
+    events,
+    idempotency_keys,
+    job_labels,
+    jobs,
+    render_orders,
+    shares,
+)
+from lambent_server.database.tenancy import Tenant, change, find, remove, rows
+from lambent_server.garbage import discard
+from lambent_server.job_rows import FINAL
+from lambent_server.problems import conflict, not_found
+
+
+def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
+    """Remove a job that has ended, with its history, artifacts and log; its bundle stays."""
+    job = _require(connection, tenant, jobs, "job", job_id)
+    if job["state"] not in FINAL or job["handle"] is not None:
+        raise conflict("job_in_use", f"job {job_id} is {job['state']}; cancel it and wait for its end first")
+    drop_checkpoints(connection, tenant, job_id)
+    for table in (events, artifacts):
+        _forget(connection, tenant, table, job_id=job_id)
+    for table in (job_labels, idempotency_keys):
+        connection.execute(remove(tenant, table).filter_by(job_id=job_id))
+    connection.execute(remove(tenant, jobs).filter_by(id=job_id))
+    order_id = job["order_id"]
+    if order_id and connection.execute(rows(tenant, jobs).filter_by(order_id=order_id)).first() is None:
+        connection.execute(remove(tenant, idempotency_keys).filter_by(job_id=order_id))
+        connection.execute(remove(tenant, render_orders).filter_by(id=order_id))
+
+
+def delete_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> None:
+    """Remove a bundle with its files and the links to it; the job that made it stays."""
+    _require(connection, tenant, bundles, "bundle", bundle_id)
+    _require_unused(connection, tenant, "bundle", bundle_id)
+    _forget(connection, tenant, bundle_files, bundle_id=bundle_id)
+    connection.execute(remove(tenant, shares).filter_by(bundle_id=bundle_id))
+    connection.execute(change(tenant, jobs).filter_by(bundle_id=bundle_id).values(bundle_id=None))
+    connection.execute(remove(tenant, bundles).filter_by(id=bundle_id))
+
+
+def delete_environment(connection: Connection, tenant: Tenant, environment_id: str) -> None:
+    """Remove an environment; pictures that were made with it stay."""
+    _require(connection, tenant, environments, "environment", environment_id)
+    _require_unused(connection, tenant, "environment", environment_id)
+    _forget(connection, tenant, environments, id=environment_id)
+
+
+def _require(connection: Connection, tenant: Tenant, table: Table, kind: str, identifier: str) -> Any:
+    row = find(connection, tenant, table, identifier, lock=True)
+    if row is None:
+        raise not_found(kind, identifier)
+    return row
+
+
+def _forget(connection: Connection, tenant: Tenant, table: Table, **having: str) -> None:
+    """Remove rows, and let go of the blobs that they name."""
+    named = rows(tenant, table, table.c.sha256).filter_by(**having)
+    for sha256 in set(connection.execute(named).scalars()) - {""}:
+        discard(connection, tenant, sha256)
+    connection.execute(remove(tenant, table).filter_by(**having))
+
+
+def _require_unused(connection: Connection, tenant: Tenant, kind: str, identifier: str) -> None:
+    """Refuse while a job that has not ended is to read the thing."""
+    for job_id, needed in _needs(connection, tenant):
+        if identifier in needed:
+            raise conflict(f"{kind}_in_use", f"job {job_id} needs this {kind}; cancel it first")
+
+
+def _needs(connection: Connection, tenant: Tenant) -> Iterator[tuple[str, set[str]]]:
+    """Yield each job that has not ended, with what its order names."""
+    going_on = rows(tenant, jobs, jobs.c.id, jobs.c.params, render_orders.c.spec)
+    joined = going_on.outerjoin_from(jobs, render_orders, render_orders.c.id == jobs.c.order_id)
+    for job_id, params, spec in connection.execute(joined.where(jobs.c.state.not_in(FINAL))):
+        order = spec or {"assets": (), "environments": ()}
+        needed = {asset["bundle_id"] for asset in order["assets"]}
+        needed |= {light["environment_id"] for light in order["environments"]}
+        yield job_id, needed | {params.get("bundle", ""), params.get("environment", "")}

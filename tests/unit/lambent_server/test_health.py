@@ -1,0 +1,83 @@
+"""Health tells the truth in time, whatever the database and the disk do."""
+
+import contextlib
+import errno
+import os
+import sqlite3
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from lambent_server import health
+from support.api import Api, expect, opened
+
+
+@pytest.fixture
+def api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Api]:
+    monkeypatch.setattr(health, "PROBE_S", 0.2)
+    with opened(tmp_path / "data") as api:
+        yield api
+
+
+@contextlib.contextmanager
+def locked(api: Api) -> Iterator[None]:
+    path = api.services.settings.data / "lambent.sqlite"
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("BEGIN IMMEDIATE")
+        yield
+
+
+def failing(number: int) -> None:
+    raise OSError(number, os.strerror(number))
+
+
+def checks(api: Api, status: int) -> dict[str, str]:
+    began = time.monotonic()
+    answer = expect(api.other(None).get("/readyz"), status)
+    assert time.monotonic() - began < 2.0
+    return answer["checks"]
+
+
+def test_a_server_that_works_says_so(api: Api):
+    parts = ("controller", "database", "disk", "files")
+    assert checks(api, 200) == dict.fromkeys(parts, "ok")
+
+
+def test_a_locked_database_is_told_while_every_thread_of_the_requests_waits_for_it(api: Api):
+    with ThreadPoolExecutor(41) as pool:
+        with locked(api):
+            waiting = [pool.submit(api.post, "/v1/scenes", json={"name": "x"}) for _ in range(41)]
+            time.sleep(0.3)
+            began = time.monotonic()
+            expect(api.other(None).get("/healthz"), 200)
+            assert time.monotonic() - began < 0.5
+            assert checks(api, 503)["database"] == "locked"
+            assert not any(each.done() for each in waiting)
+        for each in waiting:
+            expect(each.result(), 201)
+    assert checks(api, 200)["database"] == "ok"
+
+
+def test_a_database_that_does_not_answer_is_a_timeout(api: Api, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(type(api.services.database), "probe", lambda *_: time.sleep(1.0) or "ok")
+    assert checks(api, 503)["database"] == "timeout"
+
+
+def test_a_database_that_is_gone_is_told_by_the_kind_of_its_error(api: Api):
+    (api.services.settings.data / "lambent.sqlite").rename(api.services.settings.data / "elsewhere")
+    assert checks(api, 503)["database"] == "OperationalError"
+
+
+@pytest.mark.parametrize(("number", "word"), [(errno.ENOSPC, "full"), (errno.EROFS, "unwritable")])
+def test_a_disk_that_takes_no_bytes_is_told(
+    api: Api, monkeypatch: pytest.MonkeyPatch, number: int, word: str
+):
+    monkeypatch.setattr(os, "fsync", lambda _: failing(number))
+    assert checks(api, 503)["disk"] == word
+
+
+def test_a_disk_below_the_floor_is_told(tmp_path: Path):
+    with opened(tmp_path / "data", disk_floor_bytes=2**62) as api:
+        assert checks(api, 503)["disk"] == "low"

@@ -1,0 +1,123 @@
+"""What kills and failing disks leave behind is found: bytes without rows, rows without bytes."""
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from lambent_server.reconciler import Reconciler, note_key_uses, reconcile
+from support.api import Api, expect, opened, sha256
+
+OLD = time.time() - 2 * 86400
+CONTENT = b"{}"
+
+
+@pytest.fixture
+def api(tmp_path: Path) -> Iterator[Api]:
+    with opened(tmp_path / "data") as api:
+        yield api
+
+
+def blob(api: Api, content: bytes) -> Path:
+    digest = sha256(content)
+    return api.services.settings.data / "store" / "blobs" / digest[:2] / digest
+
+
+def put(api: Api, content: bytes, at: float) -> Path:
+    """Write bytes that no row names, as a server that was killed leaves them."""
+    path = blob(api, content)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    os.utime(path, (at, at))
+    return path
+
+
+def test_old_bytes_without_a_row_go_and_young_ones_and_named_ones_stay(api: Api):
+    api.scene()
+    os.utime(blob(api, CONTENT), (OLD, OLD))
+    old, young = put(api, b"old", OLD), put(api, b"young", time.time())
+    half = old.with_name(f"{old.name}#1")
+    half.touch()
+    os.utime(half, (OLD, OLD))
+    assert reconcile(api.services) == 0
+    assert not old.exists()
+    assert not half.exists()
+    assert young.exists()
+    assert blob(api, CONTENT).exists()
+
+
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"{")])
+def test_a_row_whose_bytes_are_gone_or_cut_is_counted_and_sent_again(api: Api, damage):
+    api.scene()
+    damage(blob(api, CONTENT))
+    assert reconcile(api.services) == 1
+    # Still, although the blob is forgotten by now.
+    assert reconcile(api.services) == 1
+    api.scene()
+    assert blob(api, CONTENT).read_bytes() == CONTENT
+    assert reconcile(api.services) == 0
+
+
+def test_files_that_were_planned_and_never_sent_are_not_missing(api: Api):
+    scene_id = expect(api.post("/v1/scenes", json={"name": "x"}), 201)["id"]
+    plan = [{"path": "a.png", "size": 2, "sha256": "0" * 64}]
+    expect(api.post(f"/v1/scenes/{scene_id}/files:plan", json=plan), 200)
+    assert reconcile(api.services) == 0
+
+
+def test_folders_of_broken_uploads_and_of_deleted_jobs_go_when_they_are_old(api: Api):
+    settings, job_id = api.services.settings, api.job()["id"]
+    folders = {
+        "archive": settings.scratch / "tmp1",
+        "young": settings.scratch / "tmp2",
+        "deleted": settings.runs / "job_gone",
+        "known": settings.runs / job_id,
+    }
+    for name, folder in folders.items():
+        folder.mkdir()
+        (folder / "000001").write_bytes(b"x")
+        if name != "young":
+            os.utime(folder, (OLD, OLD))
+    reconcile(api.services)
+    assert {name for name, folder in folders.items() if folder.exists()} == {"young", "known"}
+
+
+def test_a_start_clears_what_uploads_have_left(tmp_path: Path):
+    left = tmp_path / "data" / "scratch" / "tmp1"
+    left.mkdir(parents=True)
+    (left / "000001").write_bytes(b"x")
+    with opened(tmp_path / "data"):
+        assert not left.exists()
+
+
+def test_an_archive_is_unpacked_where_the_next_start_clears_up(api: Api, monkeypatch: pytest.MonkeyPatch):
+    folders: list[Path] = []
+
+    def unpack(_archive: Path, folder: Path, _settings: object) -> None:
+        folders.append(folder.parent)
+        raise OSError("killed here")
+
+    monkeypatch.setattr("lambent_server.routes.scenes.unpack", unpack)
+    scene_id = expect(api.post("/v1/scenes", json={"name": "x"}), 201)["id"]
+    assert api.put(f"/v1/scenes/{scene_id}/archive", content=b"PK").status_code == 507
+    assert folders == [api.services.settings.scratch]
+
+
+def test_the_reconciler_looks_at_the_start_and_health_tells_what_it_found(api: Api):
+    api.scene()
+    blob(api, CONTENT).unlink()
+    api.app.state.reconciler = reconciler = Reconciler(api.services)
+    reconciler.start()
+    deadline = time.monotonic() + 10
+    while reconciler.num_missing == 0 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    reconciler.close()
+    answer = expect(api.get("/readyz"), 200)
+    assert answer["checks"]["files"] == "1 missing"
+
+
+def test_when_a_key_was_used_is_written_down(api: Api):
+    assert expect(api.get("/v1/keys"), 200)["items"][0]["last_used_at"] is None
+    note_key_uses(api.services)
+    assert expect(api.get("/v1/keys"), 200)["items"][0]["last_used_at"] is not None
