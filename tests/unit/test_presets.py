@@ -101,8 +101,8 @@ def test_the_exponent_after_training_is_the_one_training_ends_with(name: str):
         ("paper_tensoir:ficus", 1.0, 0.0, 1.0),
         ("paper_tensoir:hotdog", 0.4, 0.01, 1.0),
         ("paper_tensoir:lego", 0.4, 0.01, 1.0),
-        ("paper_glossy:bell", 0.4, 0.01, 1.0),
-        ("paper_glossy:teapot", 0.4, 0.01, 0.25),
+        ("paper_glossy:bell", 0.4, 0.01, 0.5),
+        ("paper_glossy:teapot", 0.4, 0.01, 0.125),
     ],
 )
 def test_published_scenes_have_settings_of_their_own(name, exponent, compact, normals):
