@@ -1,7 +1,7 @@
 """The paper's settings by dataset, and by published scene where the authors' code tells scenes apart.
 
-Where each number comes from: tests/golden/paper_presets.txt. Meant for one
-GPU with 80 GB; what its steps take there: docs/benchmarks/paper-step.md.
+Where each number comes from: tests/golden/paper_presets.txt. Meant for one GPU with 80 GB; what its steps
+take there: docs/benchmarks/paper-step.md.
 """
 
 from collections.abc import Callable, Mapping
