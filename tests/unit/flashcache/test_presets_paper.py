@@ -1,6 +1,6 @@
 """Every number of the paper's presets is the one in tests/golden/paper_presets.txt, which names its source.
 
-After a change on purpose, `python tests/unit/flashcache/test_presets_paper.py` writes the values anew; it keeps
+After a change on purpose, `python tests/unit/flashcache/test_presets_paper.py` writes the values anew, keeps
 sources by path, and "?" stands where one has to be written by hand.
 """
 
