@@ -19,7 +19,12 @@ NUM_ROWS = 1024
 RULE = GbufferRule(box_min=(-0.9, -0.8, -0.7), box_max=(0.9, 0.8, 0.75), num_samples=32)
 FORMS = {
     "own normal grid, softplus, skip": {"own_normal_grid": True, "softplus_beta": 10.0, "distance_layers": 4},
-    "linear normals, relu, no skip": {"own_normal_grid": False, "softplus_beta": None, "distance_layers": 2},
+    "linear normals, relu, no skip, scaled tables": {
+        "own_normal_grid": False,
+        "softplus_beta": None,
+        "distance_layers": 2,
+        "output_scale": 10.0,
+    },
 }
 # What onnxruntime's browser interface to graphics hardware runs without going back to the processor.
 OPERATORS = {

@@ -4,7 +4,7 @@ import torch
 from flashcache.caches.environment import EnvironmentConfig
 from flashcache.caches.fast_cache import FastCacheConfig
 from flashcache.caches.nerf_cache import NerfCacheConfig
-from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig, NormalConfig
 from flashcache.fields.materials import MaterialConfig
@@ -72,8 +72,12 @@ def sphere_model(
     softplus_beta: float | None = 10.0,
     distance_layers: int = 4,
     lights: tuple[str, ...] = ("day", "night"),
+    output_scale: float = 1.0,
 ) -> InverseModel:
-    """Return a model of a ball of radius 0.5 at the origin; all other parameters are random, none is tiny."""
+    """Return a model of a ball of radius 0.5 at the origin; all other parameters are random, none is tiny.
+
+    With an `output_scale` the same features lie in tables as many times smaller.
+    """
     torch.manual_seed(7)
     config = small_config(
         own_normal_grid=own_normal_grid, softplus_beta=softplus_beta, distance_layers=distance_layers
@@ -95,6 +99,9 @@ def sphere_model(
                 parameter.normal_(std=0.3)
         for field in (model.nerf.density, *model.nerf.proposals):
             make_ball(field)
+        for grid in (module for module in model.modules() if isinstance(module, HashGrid)):
+            grid.output_scale = output_scale
+            grid.table.div_(output_scale)
     return model.eval()
 
 

@@ -40,7 +40,9 @@ class StageOneConfig:
     num_rays: int = 16_384
     rates: Rates = field(default_factory=lambda: Rates(grid=0.01, network=0.01))
     final_rate: float = 0.1
-    """Rate at the end as a share of the peak, reached log-linearly."""
+    """Rate at the end as a share of the peak."""
+    decay: typing.Literal["log_linear", "linear"] = "log_linear"
+    """How rates fall: log-linearly from the first step on, or as in the paper linearly once they are warm."""
     warmup_steps: int = 10_000
     carving_share: float = 0.0
     """Share of the steps in which shape comes first; 0 as in the paper (decision 0002)."""
@@ -58,7 +60,7 @@ class StageOneConfig:
     orientation_derived: float = 2.0
     """Weight of derived normals in the orientation loss, where predicted ones have 1; the paper has 0."""
     normal_weight: float = 1.0
-    """Final weight of the normal loss."""
+    """Final weight of the normal loss, C in supplement Eq. 6."""
     normal_start: float = 1e-4
     """Weight of the normal loss before its ramp."""
     normal_ramp: tuple[float, float] = (0.2, 0.4)
@@ -71,7 +73,7 @@ class StageOneConfig:
     """Share of the gradient that the render weights get from the normal loss."""
     shape_prior: ShapePriorConfig = field(default_factory=ShapePriorConfig)
     grid_decay: float = 0.0
-    """Weight of half the mean squared value of each level of the density and proposal grids."""
+    """Weight of half the mean squared value of each level of density and proposal grids (decision 0019)."""
     proposal_exponent: float = 0.4
     """Largest exponent of the proposal weights (annealing ends there)."""
 
@@ -138,6 +140,7 @@ class StageTwoConfig:
     decay_from: float = 0.0
     """Share of the steps after which the rates begin to fall."""
     physical_weight: float = 0.1
+    """Of the loss on the physical pictures. Differs from the paper, which states none (decision 0019)."""
     mask_weight: float = 1.0
     distortion_weight: float = 0.0
     orientation_weight: float = 0.0
@@ -148,6 +151,7 @@ class StageTwoConfig:
     normal_weight_gradient: float = 0.1
     random_background: bool = False
     consistency_weight: float = 0.1
+    """Differs from the paper, which states none (decision 0019)."""
     smoothness_weight: float = 0.05
     smoothness_step: float = 0.01
     """Standard deviation of the step between compared points, scene units."""
@@ -158,10 +162,12 @@ class StageTwoConfig:
     grey_weight: float = 0.0
     """Weight of the environment's mean deviation from grey (decision 0006)."""
     metalness_prior: MetalnessPriorConfig = field(default_factory=MetalnessPriorConfig)
+    distance_weight: float = 0.1
+    """Weight of the fast cache's distance beside its radiance (decision 0004); 0 in the paper's code."""
     fast_by_half: bool = False
     """Let the diffuse and the specular half count alike in the fast cache's loss, as in the paper."""
     grid_decay: float = 0.0
-    """Weight of half the mean squared value of each level of density, material and sampler grids."""
+    """The same for the levels of density, material and sampler grids."""
     proposal_exponent: float = 0.4
     distil: DistilConfig = field(default_factory=DistilConfig)
 

@@ -27,7 +27,13 @@ from flashcache.losses.shape import ShapePriorConfig
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig
 from flashcache.physical.light_sampler import LightSamplerConfig
 from flashcache.physical.model import ModelConfig
-from flashcache.presets_paper import of_scene, paper_glossy, paper_openillumination, paper_tensoir
+from flashcache.presets_paper import (
+    of_scene,
+    paper_glossy,
+    paper_model,
+    paper_openillumination,
+    paper_tensoir,
+)
 from flashcache.volume.proposal_sampling import SampleCounts
 
 BRIGHT_VARIATION = (0.03, 0.12)
@@ -100,7 +106,7 @@ def fast() -> Config:
             distortion_weight=0.3,
             distortion_from=0.3,
             orientation_weight=0.01,
-            normal_weight=0.5,
+            normal_weight=0.25,
             normal_start=0.0,
             normal_ramp=(0.18, 0.25),
             normal_every=1,
@@ -126,7 +132,7 @@ def fast() -> Config:
             decay_from=0.3,
             physical_weight=1.0,
             mask_weight=0.0,
-            normal_weight=0.3,
+            normal_weight=0.15,
             normal_every=2,
             normal_rays=0.25,
             random_background=True,
@@ -240,11 +246,12 @@ def long() -> Config:
 def standard() -> Config:
     """The paper's sizes with fewer rays and steps, meant for one GPU with 24 GB; not run on one yet."""
     paper = paper_tensoir()
+    sizes = paper_model(output_scale=1.0)
     base = fast()
-    appearance = replace(paper.model.nerf.appearance, architecture="ide", bottleneck=64, reflection_width=64)
+    appearance = replace(sizes.nerf.appearance, architecture="ide", bottleneck=64, reflection_width=64)
     nerf = replace(
-        paper.model.nerf,
-        density=replace(paper.model.nerf.density, softplus_beta=10.0),
+        sizes.nerf,
+        density=replace(sizes.nerf.density, softplus_beta=10.0),
         normals=NormalConfig(own_grid=_grid(128, 4, 2, 17)),
         appearance=appearance,
         secondary_colours=1,
@@ -255,7 +262,7 @@ def standard() -> Config:
         paper,
         preset="standard",
         space=base.space,
-        model=replace(paper.model, nerf=nerf),
+        model=replace(sizes, nerf=nerf),
         pixels=PixelChoice(),
         stage_one=replace(
             base.stage_one, num_steps=12_000, num_rays=4096, warmup_steps=500, distortion_weight=1e-3

@@ -1,7 +1,7 @@
 """The paper's settings by dataset, and by published scene where the authors' code tells scenes apart.
 
-Numbers come from the supplement; where it is silent, from the authors' public configuration. Meant for one
-GPU with 80 GB; what its steps take there: docs/benchmarks/paper-step.md.
+Where each number comes from: tests/golden/paper_presets.txt. Meant for one GPU with 80 GB; what its steps
+take there: docs/benchmarks/paper-step.md.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,25 +22,26 @@ from flashcache.physical.light_sampler import LightSamplerConfig
 from flashcache.physical.model import ModelConfig
 
 
-def _grid(finest: int = 2048, features: int = 4, half_extent: float = 1.0) -> HashGridConfig:
-    return HashGridConfig(
-        finest_resolution=finest, num_features=features, log2_table_size=19, half_extent=half_extent
-    )
+def paper_model(half_extent: float = 1.0, output_scale: float = 10.0) -> ModelConfig:
+    """Return the paper's sizes; `half_extent` is that of all grids but the fast cache's feature grid."""
 
-
-def _model(half_extent: float = 1.0) -> ModelConfig:
-    """Return the supplement's sizes; `half_extent` is that of all grids but the fast cache's feature grid."""
+    def grid(finest: int = 2048, features: int = 4, half_extent: float = half_extent) -> HashGridConfig:
+        return HashGridConfig(
+            finest_resolution=finest,
+            num_features=features,
+            log2_table_size=19,
+            half_extent=half_extent,
+            output_scale=output_scale,
+        )
 
     def density(finest: int, features: int) -> DensityConfig:
-        return DensityConfig(grid=_grid(finest, features, half_extent), softplus_beta=None)
+        return DensityConfig(grid=grid(finest, features), softplus_beta=None)
 
-    along_rays = FastCacheConfig(
-        distance_grid=_grid(256, half_extent=half_extent), feature_grid=_grid(256, half_extent=2.0)
-    )
+    along_rays = FastCacheConfig(distance_grid=grid(256), feature_grid=grid(256, half_extent=2.0))
     nerf = NerfCacheConfig(
         proposals=(density(512, 1), density(1024, 1)),
         density=density(2048, 4),
-        appearance=AppearanceConfig(architecture="fast_like", grid=_grid(half_extent=half_extent)),
+        appearance=AppearanceConfig(architecture="fast_like", grid=grid()),
         reflected=along_rays,
         normal_floor=3.5e-4,
         exponent=0.4,
@@ -48,8 +49,8 @@ def _model(half_extent: float = 1.0) -> ModelConfig:
     return ModelConfig(
         nerf=nerf,
         fast=along_rays,
-        materials=MaterialConfig(grid=_grid(half_extent=half_extent)),
-        light_sampler=LightSamplerConfig(grid=_grid(half_extent=half_extent)),
+        materials=MaterialConfig(grid=grid()),
+        light_sampler=LightSamplerConfig(grid=grid()),
     )
 
 
@@ -58,14 +59,15 @@ def paper_tensoir() -> Config:
     return Config(
         preset="paper_tensoir",
         space=SpaceConfig(contraction_radius=2.0, primary=(2.0, 6.0), secondary=(0.05, 2.0), fast_radius=2.0),
-        model=_model(),
+        model=paper_model(),
         pixels=PixelChoice(inside_share=0.0),
-        stage_one=StageOneConfig(mask_weight=1.0, orientation_derived=0.0, grid_decay=1.0),
+        stage_one=StageOneConfig(decay="linear", mask_weight=1.0, orientation_derived=0.0, grid_decay=1.0),
         stage_two=StageTwoConfig(
             estimator=EstimatorConfig(through_cache=1e-4),
             secondary_jitter=True,
             orientation_derived=0.0,
             pseudo_albedo="radiance",
+            distance_weight=0.0,
             fast_by_half=True,
             grid_decay=1.0,
         ),
@@ -114,6 +116,7 @@ def paper_glossy() -> Config:
         "mask_weight": 10.0,
         "distortion_weight": 0.01,
         "orientation_weight": 0.01,
+        "normal_weight": 0.5,
         "normal_weight_gradient": 0.0,
         "grid_decay": 0.1,
     }
@@ -121,7 +124,7 @@ def paper_glossy() -> Config:
         base,
         preset="paper_glossy",
         space=SpaceConfig(contraction_radius=2.0, primary=(1.0, 4.0), secondary=(0.05, 1.0), fast_radius=1.0),
-        model=_model(half_extent=2.0),
+        model=paper_model(half_extent=2.0),
         stage_one=replace(base.stage_one, **shape),
         stage_two=replace(
             base.stage_two, num_steps=20_000, smoothness_weight=0.001, smoothness_step=0.005, **shape
@@ -158,7 +161,7 @@ def _as_it_is(config: Config) -> Config:
 
 
 def _softer_normals(config: Config) -> Config:
-    return _with_shape(config, normal_weight=0.25)
+    return _with_shape(config, normal_weight=0.125)
 
 
 SCENES: Mapping[str, Mapping[str, Callable[[Config], Config]]] = {

@@ -128,6 +128,7 @@ class FastCache(nn.Module):
         colour = torch.nn.functional.softplus(colour + self.colour_bias)
         mean = (weights * distances).sum(dim=-1) / opacity.clamp_min(1e-3)
         distance = torch.where(opacity < 1e-3, torch.full_like(mean, self.far), mean)
+        # Differs from the paper: colour times opacity (docs/decisions/0019-small-departures.md).
         return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)
 
     def _sample_distances(self, offset: Tensor, gate: Tensor) -> Tensor:

@@ -127,6 +127,7 @@ def clip_to_scene(
     origins: Float[Tensor, "rays 3"], directions: Float[Tensor, "rays 3"], scene: Scene
 ) -> Rays:
     """Return rays limited to the scene's box and to its near and far distance."""
+    # Differs from the paper: rays also end at the box (docs/decisions/0019-small-departures.md).
     low = origins.new_tensor(scene.bounds_min)
     high = origins.new_tensor(scene.bounds_max)
     return clip_to_box(origins, directions, low, high, *scene.primary)

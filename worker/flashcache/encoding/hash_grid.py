@@ -17,7 +17,7 @@ class HashGridConfig:
     """Size of a feature grid."""
 
     base_resolution: int = 16
-    """Voxels per side of the coarsest level (supplement: 16)."""
+    """Voxels per side of the coarsest level (authors' code: 16)."""
     finest_resolution: int = 256
     """Voxels per side of the finest level, at most 2048."""
     num_levels: int = 0
@@ -25,15 +25,20 @@ class HashGridConfig:
     num_features: int = 2
     """Features per voxel, 1 to 8."""
     log2_table_size: int = 17
-    """Rows per level at most, as a power of two (supplement: 19)."""
+    """Rows per level at most, as a power of two (authors' code: 19)."""
     half_extent: float = 1.0
     """The grid covers [-half_extent, half_extent]^3; points outside read its border."""
+    output_scale: float = 1.0
+    """Factor between the table and the features: how far a feature moves in a step of Adam's. The authors'
+    code has 10."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_features <= 8:
             raise ConfigError(f"num_features must be 1 to 8, got {self.num_features}")
         if not self.half_extent > 0.0:
             raise ConfigError(f"half_extent must be positive, got {self.half_extent}")
+        if not self.output_scale > 0.0:
+            raise ConfigError(f"output_scale must be positive, got {self.output_scale}")
         if self.num_levels < 0:
             raise ConfigError(f"num_levels must not be negative, got {self.num_levels}")
 
@@ -41,7 +46,8 @@ class HashGridConfig:
 class HashGrid(nn.Module):
     """Features of points in a cube, interpolated from voxel grids of several resolutions.
 
-    The parameter `table` [rows, features] starts uniform in +-1e-4; `layout` says which row is which voxel.
+    Features are `output_scale` times what the parameter `table` [rows, features] holds, and start uniform in
+    +-1e-4; `layout` says which row is which voxel.
     A training loop that only calls `Tensor.backward` may set `in_place_gradient`: gradients are then added to
     an existing `table.grad` (keep it with `zero_grad(set_to_none=False)`), which saves a copy per call.
     The buffer `levels` puts the rows and the hash's multipliers into checkpoints; a table that was trained
@@ -58,10 +64,11 @@ class HashGrid(nn.Module):
             half_extent=config.half_extent,
         )
         self.out_features = self.layout.num_outputs
+        self.output_scale = config.output_scale
         self.in_place_gradient = False
         self.register_buffer("levels", _level_numbers(self.layout))
         self.table = nn.Parameter(torch.empty(self.layout.num_rows, config.num_features))
-        nn.init.uniform_(self.table, -1e-4, 1e-4)
+        nn.init.uniform_(self.table, -1e-4 / config.output_scale, 1e-4 / config.output_scale)
 
     def forward(self, z: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch outputs"]:
         """Return the features of `z`, levels coarse to fine; differentiable by `table` and `z`.
@@ -71,7 +78,7 @@ class HashGrid(nn.Module):
         features = dispatch.encode(
             z.reshape(-1, 3), self.table, self.layout, in_place_gradient=self.in_place_gradient
         )
-        return features.reshape(*z.shape[:-1], self.out_features)
+        return self._scaled(features).reshape(*z.shape[:-1], self.out_features)
 
     def encode_with_jacobian(
         self, z: Float[Tensor, "*batch 3"]
@@ -85,7 +92,19 @@ class HashGrid(nn.Module):
             z.reshape(-1, 3), self.table, self.layout, in_place_gradient=self.in_place_gradient
         )
         batch = z.shape[:-1]
-        return features.reshape(*batch, self.out_features), jacobian.reshape(*batch, self.out_features, 3)
+        return (
+            self._scaled(features).reshape(*batch, self.out_features),
+            self._scaled(jacobian).reshape(*batch, self.out_features, 3),
+        )
+
+    def fold_scale(self) -> None:
+        """Multiply the table by the scale, which becomes one: the same features, for readers without one."""
+        with torch.no_grad():
+            self.table.mul_(self.output_scale)
+        self.output_scale = 1.0
+
+    def _scaled(self, values: Tensor) -> Tensor:
+        return values if self.output_scale == 1.0 else self.output_scale * values
 
     def _load_from_state_dict(
         self, state_dict: dict[str, Any], prefix: str, metadata: Any, strict: bool, *lists: list[str]

@@ -150,7 +150,7 @@ def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid, z: Value) -> Value
         term = whole if multiplier is None else whole * multiplier
         base = term if base is None else base + term
     assert base is not None
-    table = array_of(grid.table)
+    table = array_of(grid.table) * np.float32(grid.output_scale)
     corners = []
     for corner in range(8):
         x, y, w = corner & 1, corner >> 1 & 1, corner >> 2

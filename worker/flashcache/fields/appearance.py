@@ -144,6 +144,7 @@ class AppearanceField(nn.Module):
         """Return the radiance that arrives around the reflected direction `omega_r`."""
         code = self.directional(omega_r, width)
         if self.config.architecture == "fast_like":
+            # Differs from the paper: a far field of its own (docs/decisions/0019-small-departures.md).
             far = self._from_directions([code], light_index)
             near = self.reflected(positions, omega_r, light_index)
             return near.near_radiance + (1.0 - near.opacity)[:, None] * far

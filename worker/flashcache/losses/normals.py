@@ -15,14 +15,16 @@ def normal_consistency(
     """Return the weighted squared distance of predicted and derived normals, as two one-sided terms.
 
     One term moves the density towards the frozen prediction (its weights pass `weight_gradient` of
-    their gradient), the other the prediction towards the frozen derivative.
-    Source: supplement Eq. 6; the split is the authors' practice.
+    their gradient), the other the prediction towards the frozen derivative. Both normals get the gradient
+    of supplement Eq. 6, whose value is half of this one. The split is the authors' practice; their code has
+    `1 - cosine` in each term, half of the squared distance.
     """
+    # Differs from the paper: weights get a share only (docs/decisions/0019-small-departures.md).
     flat = weights.reshape(-1)
     to_density = (derived - predicted.detach()).square().sum(dim=-1)
     to_prediction = (derived.detach() - predicted).square().sum(dim=-1)
     loss = scale_gradient(flat, weight_gradient) * to_density + flat.detach() * to_prediction
-    return 0.5 * loss.sum() / weights.shape[0]
+    return loss.sum() / weights.shape[0]
 
 
 def orientation(

@@ -18,7 +18,7 @@ def interlevel(
     """Return how much of the blurred final weight a proposal misses, a truncated chi-square.
 
     `half_width` is the blur in normalised distance. Trains the proposal only.
-    Source: supplement 2.4 (Zip-NeRF's interlevel loss).
+    Source: Zip-NeRF's interlevel loss, in the authors' code.
     """
     wanted = blurred_masses(final_edges, final_weights, half_width, proposal.edges)
     missing = (wanted - proposal.weights).clamp_min(0.0)
@@ -29,7 +29,7 @@ def distortion(samples: RaySamples, weights: Float[Tensor, "rays samples"]) -> F
     """Return the mean spread of the weights along the rays, in a compressed distance.
 
     `sum_ij w_i w_j |m_i - m_j| + sum_i w_i^2 length_i / 3` with m the interval midpoints.
-    Source: supplement 2.4 (Mip-NeRF 360 Eq. 15).
+    Source: Mip-NeRF 360 Eq. 15, in the authors' code.
     """
     edges = DISTORTION_CURVE.ladder(samples.distances)
     middle = 0.5 * (edges[:, 1:] + edges[:, :-1])

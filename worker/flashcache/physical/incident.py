@@ -20,7 +20,7 @@ class RayLimits:
     far: float
     """Distance beyond which there is only the environment."""
     origin_offset: float = 0.01
-    """Distance of origins from the surface, along the normal (supplement 2.3)."""
+    """Distance of origins from the surface, along the normal (authors' code: 0.01)."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.near < self.far:

@@ -66,7 +66,7 @@ class InverseModel(nn.Module):
         self.materials = MaterialField(config.materials, radius)
         self.fast = FastCache(config.fast, radius, num_lights, near, far)
         self.light_sampler = LightSampler(config.light_sampler, radius, num_lights)
-        # Published scenes have a near distance of 0.05 and an offset of 0.01 (supplement 2.3).
+        # Published scenes have a near distance of 0.05 and an offset of 0.01 (authors' code).
         self.limits = RayLimits(near=near, far=far, origin_offset=domain.origin_offset or near / 5.0)
 
     def ask_nerf(

@@ -193,7 +193,7 @@ def environment_terms(model: InverseModel, config: StageTwoConfig, generator: to
 
 
 def in_reach(model: InverseModel, rays: SecondaryRays) -> Float[Tensor, " rays"]:
-    """Return one for rays that start where the fast cache is taught, else zero (supplement 2.3)."""
+    """Return one for rays that start where the fast cache is taught, else zero (authors' code)."""
     radius = model.domain.fast_radius or model.domain.contraction_radius
     return (rays.origins.norm(dim=-1) < radius).to(rays.origins.dtype)
 
@@ -210,6 +210,7 @@ def secondary_terms(model: InverseModel, config: StageTwoConfig, first: Pass) ->
             in_reach(model, exact.rays),
             model.limits,
             from_diffuse=exact.from_diffuse if config.fast_by_half else None,
+            distance_weight=config.distance_weight,
         )
     if first.mixture is not None:
         terms["sampler"] = light_sampler_loss(first.mixture, exact)

@@ -43,7 +43,7 @@ def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str,
 
 
 def build_optimiser(groups: list[dict[str, Any]]) -> torch.optim.Adam:
-    """Return Adam with the paper's constants (supplement 2.4), with gradients of zero in place.
+    """Return Adam with the constants of the authors' code, with gradients of zero in place.
 
     They are there from the first step on, so that sums round the same in a fresh and in a resumed run.
     """

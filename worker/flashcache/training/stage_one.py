@@ -55,10 +55,9 @@ class StageOne:
         config, step = self.config, self.steps_done
         generator = generator_for(self.seed, STAGE, step, "rays", self.pixels.device)
         batch = self.pixels.draw(config.num_rays, generator)
-        set_rates(
-            self.optimiser,
-            rate_factor(step, config.num_steps, config.warmup_steps, config.final_rate, 0.0),
-        )
+        linear = config.decay == "linear"
+        factor = rate_factor(step, config.num_steps, config.warmup_steps, config.final_rate, linear=linear)
+        set_rates(self.optimiser, factor)
         self.optimiser.zero_grad(set_to_none=False)
         found = self.halves.differentiate(lambda model, half: self._losses(model, batch, half))
         applied = take_step(self.optimiser)

@@ -57,7 +57,7 @@ def blurred_masses(
 
     The density `weights / length` is convolved with a box of the given half width (units of
     `edges`), which makes it piecewise linear, and integrated exactly between the queries. Not differentiable.
-    Source: Zip-NeRF's anti-aliased interlevel loss, used by the paper (supplement 2.4).
+    Source: Zip-NeRF's anti-aliased interlevel loss, in the authors' code.
     """
     height = weights / (edges[:, 1:] - edges[:, :-1]).clamp_min(1e-7)
     jump = torch.diff(torch.nn.functional.pad(height, (1, 1)), dim=-1)

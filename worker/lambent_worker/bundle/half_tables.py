@@ -30,6 +30,7 @@ def with_half_tables(model: InverseModel) -> InverseModel:
     rounded = copy.deepcopy(model)
     with torch.no_grad():
         for grid in exported_grids(rounded).values():
+            grid.fold_scale()
             grid.table.copy_(grid.table.half().float())
     return rounded
 
@@ -37,7 +38,8 @@ def with_half_tables(model: InverseModel) -> InverseModel:
 def fits_half(model: InverseModel) -> bool:
     """Return whether every feature of the exported tables is inside float16's range."""
     limit = torch.finfo(torch.float16).max
-    return all(bool((grid.table.abs() <= limit).all()) for grid in exported_grids(model).values())
+    grids = exported_grids(model).values()
+    return all(bool((grid.output_scale * grid.table.abs() <= limit).all()) for grid in grids)
 
 
 def rounding_of(

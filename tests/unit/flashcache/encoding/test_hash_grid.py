@@ -1,5 +1,7 @@
 """The feature grid as a module."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
@@ -27,6 +29,18 @@ def test_the_table_starts_small():
     assert 0.9e-4 < table.abs().max() <= 1e-4
 
 
+def test_features_are_the_scale_times_the_table_and_start_alike():
+    once, tenfold = grid(), grid(replace(CONFIG, output_scale=10.0))
+    z = torch.rand(50, 3, generator=torch.Generator().manual_seed(1))
+    for one, ten in zip(once.encode_with_jacobian(z), tenfold.encode_with_jacobian(z), strict=True):
+        torch.testing.assert_close(ten, 10.0 * one)
+    before = tenfold(z)
+    tenfold.fold_scale()
+    torch.testing.assert_close(tenfold(z), before)
+    torch.testing.assert_close(tenfold.table, 10.0 * once.table)
+    assert 0.9e-5 < HashGrid(replace(CONFIG, output_scale=10.0)).table.abs().max() <= 1e-5
+
+
 def test_level_tables_are_views_of_the_whole_table():
     made = grid()
     parts = made.level_tables()
@@ -37,7 +51,7 @@ def test_level_tables_are_views_of_the_whole_table():
 
 
 @pytest.mark.parametrize(
-    "setting", [{"num_features": 0}, {"num_features": 9}, {"half_extent": 0.0}, {"num_levels": -1}]
+    "setting", [{"num_features": 0}, {"half_extent": 0.0}, {"num_levels": -1}, {"output_scale": 0.0}]
 )
 def test_settings_out_of_range_are_refused(setting):
     with pytest.raises(ConfigError, match=next(iter(setting))):

@@ -6,10 +6,19 @@ DIRECTION = torch.tensor([[0.0, 0.0, -1.0]])
 UP, DOWN = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
 
 
-def test_equal_normals_cost_nothing_and_opposite_ones_four_times_the_weight():
-    up, down = torch.tensor([UP, UP]), torch.tensor([DOWN, DOWN])
+def test_equal_normals_cost_nothing():
+    up = torch.tensor([UP, UP])
     assert normal_consistency(WEIGHTS, up, up, 0.1) == 0.0
-    torch.testing.assert_close(normal_consistency(WEIGHTS, up, down, 0.1), 4.0 * WEIGHTS.sum())
+
+
+def test_both_normals_get_the_gradient_of_the_supplements_loss():
+    predicted = torch.tensor([UP, [0.6, 0.0, 0.8]]).requires_grad_()
+    derived = torch.tensor([DOWN, [0.0, 1.0, 0.0]]).requires_grad_()
+    normals = [predicted, derived]
+    printed = (WEIGHTS[0] * (predicted - derived).square().sum(dim=-1)).sum()
+    expected = torch.autograd.grad(printed, normals)
+    found = torch.autograd.grad(normal_consistency(WEIGHTS, predicted, derived, 0.1), normals)
+    torch.testing.assert_close(found, expected)
 
 
 def test_both_normals_move_towards_each_other():

@@ -121,6 +121,17 @@ def test_counting_halves_alike_changes_the_loss_of_the_fast_cache_only():
     assert changed(fast_by_half=True) == {"fast"}
 
 
+def test_distances_enter_the_fast_caches_loss_by_their_weight():
+    losses = []
+    for weight in (0.0, 0.1, 0.2):
+        made = stage(distance_weight=weight)
+        with torch.no_grad():
+            made.model.nerf.density.head.bias.add_(5.0)  # Opaque, so that distances count.
+        losses.append(float(made.losses()[0]["fast"].detach()))
+    assert losses[1] > losses[0]
+    assert losses[2] - losses[0] == pytest.approx(2.0 * (losses[1] - losses[0]), rel=1e-3)
+
+
 def test_the_weight_of_derived_normals_changes_the_orientation_loss_only():
     assert changed(orientation_derived=0.0) == {"orientation"}
 

@@ -18,6 +18,11 @@ def test_the_rate_rises_to_its_peak_and_falls_to_its_end():
     assert rates[-1] == pytest.approx(0.1, rel=0.01)
 
 
+def test_the_papers_rate_falls_linearly_from_where_it_is_warm_to_its_end():
+    rates = [rate_factor(step, 100_000, 10_000, 0.1, linear=True) for step in (0, 10_000, 55_000, 100_000)]
+    assert rates == pytest.approx([0.0, 1.0, 0.55, 0.1], abs=2e-4)
+
+
 def test_the_rate_halves_per_equal_number_of_steps():
     rates = [rate_factor(step, 100, 0, 0.25, 0.0) for step in (0, 50, 100)]
     assert rates == pytest.approx([1.0, 0.5, 0.25])

@@ -94,6 +94,18 @@ def test_priors_on_shape_and_metal_act_in_the_steps_they_are_meant_for():
     assert all(step["metalness"] > 0.0 for step in terms["joint"])
 
 
+def test_rates_fall_as_their_setting_says():
+    config, rates = small(4), []
+    for decay in ("log_linear", "linear"):
+        settings = {"decay": decay, "warmup_steps": 2, "final_rate": 0.01}
+        stage = stage_of("cache", replace(config, stage_one=replace(config.stage_one, **settings)))
+        while not stage.finished:
+            stage.step()
+        rates.append(stage.optimiser.param_groups[0]["lr"] / stage.optimiser.param_groups[0]["peak"])
+    # The last of four steps: three quarters of the whole way, and half of that after the warm-up.
+    assert rates == pytest.approx([0.01**0.75, 1.0 - 0.5 * 0.99])
+
+
 def test_stage_one_changes_the_nerf_cache_only():
     stage = stage_of("cache", small())
     before = weights_of(stage)

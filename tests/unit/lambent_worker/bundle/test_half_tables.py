@@ -1,14 +1,16 @@
 """What float16 tables change, and how it is counted."""
 
 import numpy as np
+import pytest
 import torch
 from flashcache.export.graphs import exported_grids
 from lambent_worker.bundle.half_tables import fits_half, rounding_of, with_half_tables
 from support.sphere_model import sphere_model
 
 
-def test_only_exported_tables_are_rounded_and_the_model_itself_is_not():
-    model = sphere_model()
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_only_exported_tables_are_rounded_as_readers_see_them_and_the_model_itself_is_not(scale):
+    model = sphere_model(output_scale=scale)
     before = {name: value.clone() for name, value in model.named_parameters()}
     rounded = dict(with_half_tables(model).named_parameters())
     tables = {f"{name}.table" for name in exported_grids(model)}
@@ -17,14 +19,15 @@ def test_only_exported_tables_are_rounded_and_the_model_itself_is_not():
         changed = not torch.equal(value, rounded[name])
         assert changed == (name in tables), name
         if changed:
-            assert torch.equal(rounded[name], value.half().float())
+            assert torch.equal(rounded[name], (scale * value).half().float())
 
 
-def test_numbers_beyond_float16_are_noticed():
-    model = sphere_model()
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_features_beyond_float16_are_noticed(scale):
+    model = sphere_model(output_scale=scale)
     assert fits_half(model)
     with torch.no_grad():
-        model.fast.feature_grid.table[-1, -1] = -65_520.0
+        model.fast.feature_grid.table[-1, -1] = -65_520.0 / scale
     assert not fits_half(model)
 
 
