@@ -212,12 +212,13 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
         """Send a file that the tenant of the job may read."""
 
-        def act(connection: Connection, job: Job) -> Blob | None:
-            return find_blob(connection, owner(job), request.sha256)
+        def act(connection: Connection, job: Job) -> Blob:
+            blob = find_blob(connection, owner(job), request.sha256)
+            if blob is None:
+                raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {request.sha256}")
+            return blob
 
         blob = self._answer(context, request.fence, act, signal=False)
-        if blob is None:
-            context.abort(grpc.StatusCode.NOT_FOUND, f"there is no blob {request.sha256}")
         try:
             for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
                 # The store decides the size of its pieces, the channel limits that of a message.

@@ -128,14 +128,16 @@ class LocalExecutor:
 
     def poll(self, handle: Handle) -> Gone | None:
         """Return None while the process is there, otherwise how it ended where this server started it."""
-        if self.adopt(handle):
-            return None
         run = handle.get("run", "")
-        child = self._children.pop(run, None)
+        child = self._children.get(run)
+        if child is not None and process_identity(child.pid) is not None:
+            return None
         if child is not None:
             # Not reaped yet, so nobody else can have its pid.
             _end_session(child.pid, lambda _: True)
-            return Gone(child.wait())
+            return Gone(self._children.pop(run).wait())
+        if self.adopt(handle):
+            return None
         if run and str(handle["identity"]).rpartition(":")[0] == host_identity():
             _end_session(int(handle["pid"]), lambda process: _run_of(process) == run)
         return Gone(None)

@@ -137,7 +137,7 @@ def process_identity(pid: int) -> str:
         ticks = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         return f"{boot}:{Path('/proc/self/ns/pid').stat().st_ino}:{ticks}"
-    except FileNotFoundError:
+    except OSError:
         import psutil
 
         return f"{uuid.getnode():012x}:{psutil.Process(pid).create_time():.2f}"

@@ -87,10 +87,12 @@ def test_what_a_run_leaves_is_ended_by_the_run_its_environment_names(tmp_path: P
 
 
 def test_what_a_child_leaves_is_ended_whatever_its_environment(tmp_path: Path):
-    ours = executor(tmp_path, "/bin/sh", "-c", "env -i sleep 60 & echo $!; exit 3")
+    pid = tmp_path / "pid"
+    nameless = f"env -i /bin/sh -c 'echo $$ >{pid}; exec sleep 60' &"
+    ours = executor(tmp_path, "/bin/sh", "-c", f"{nameless} until [ -s {pid} ]; do sleep 0.01; done; exit 3")
     handle = ours.start(launch(tmp_path))
     assert wait_until(lambda: ours.poll(handle)) == Gone(3)
-    left = int((tmp_path / "job_x" / "run-1.log").read_text())
+    left = int(pid.read_text())
     wait_until(lambda: process_identity(left) is None, timeout_s=5)
 
 
@@ -103,6 +105,16 @@ def test_a_process_is_found_by_another_server_and_ended(tmp_path: Path):
     assert other.poll(handle) is None
     other.stop(handle, force=False)
     assert wait_until(lambda: ours.poll(handle)) == Gone(-signal.SIGTERM)
+
+
+def test_runs_share_nine_tenths_of_the_memory_where_nothing_else_is_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("lambent_server.executors.local.machine_memory_bytes", lambda: 1000)
+    ours = executor(tmp_path, "/bin/sh", "-c", 'echo "$LAMBENT_RUN"', local_slots=3)
+    handle = ours.start(launch(tmp_path))
+    assert wait_until(lambda: ours.poll(handle)) == Gone(0)
+    assert json.loads((tmp_path / "job_x" / "run-1.log").read_text())["memory_bytes"] == 300
 
 
 def test_a_run_process_gets_no_secrets_of_the_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
