@@ -109,7 +109,7 @@ def keys(
     settings, tenant = _settings(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
     if bool(key) == (action is KeyAction.LIST):
         raise typer.BadParameter("create takes a name, revoke and rotate take an id, list takes neither")
-    if not (settings.data / key_rows.FILE).exists():
+    if not (settings.data / "worker.secret").exists():
         typer.echo(f"keys.no_server: {settings.data} is no data folder of a server; say --data", err=True)
         raise typer.Exit(2)
     opened = Database(settings.database_url)

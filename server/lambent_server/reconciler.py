@@ -47,7 +47,7 @@ class Reconciler:
     def close(self) -> None:
         """End, and write down when keys were used."""
         self._stopping.set()
-        self._thread.join(timeout=5)
+        self._thread.join(timeout=1)
 
     def _loop(self) -> None:
         looked_at = 0.0

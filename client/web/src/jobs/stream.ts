@@ -12,7 +12,7 @@ export const sleepMs = 15_000;
 const tickMs = 5_000;
 const firstPauseMs = 500;
 const longestPauseMs = 10_000;
-/** The server reads that much of Last-Event-ID; a longer one is dropped, and snapshots begin anew. */
+/** Proxies let that much of Last-Event-ID through; a longer one is dropped, and snapshots begin anew. */
 const longestId = 7_900;
 
 /** Return the messages in `text`, and what is left of one that is not complete. */
