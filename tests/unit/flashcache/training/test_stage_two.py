@@ -6,7 +6,6 @@ import pytest
 import torch
 from flashcache.config import DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.losses.consistency import UnobservedConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -27,7 +26,7 @@ def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeyp
     right = stage_two.shade
     monkeypatch.setattr(stage_two, "generator_for", of_two_steps)
     monkeypatch.setattr(stage_two, "shade", lambda *given: first.append(right(*given)) or first[-1])
-    made = stage(num_rays=256, symmetric=False, normal_weight=0.0, unobserved=UnobservedConfig())
+    made = stage(num_rays=256, symmetric=False, normal_weight=0.0)
     pictures = []
     for step in range(2):
         made.steps_done = step
@@ -47,7 +46,7 @@ def test_the_physical_loss_compares_each_pass_with_the_other(monkeypatch):
     monkeypatch.setattr(
         stage_two, "physical_loss", lambda *given: compared.append(given[-2:]) or right(*given)
     )
-    stage(num_rays=64, symmetric=True, normal_weight=0.0, unobserved=UnobservedConfig()).losses()
+    stage(num_rays=64, symmetric=True, normal_weight=0.0).losses()
     (first, its_other), (second, other) = compared
     assert torch.equal(first, other)
     assert torch.equal(second, its_other)
