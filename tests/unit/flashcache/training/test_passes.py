@@ -57,9 +57,7 @@ def seen(rows: int) -> tuple[RayBatch, Geometry]:
     ends = torch.ones(rows, dtype=torch.float64)
     edges = torch.linspace(0.0, 1.0, 4, dtype=torch.float64).expand(rows, 4)
     positions = POSITIONS.expand(rows, 3, 3)
-    batch = RayBatch(
-        Rays(-directions, directions, 0.0 * ends, ends), positions[:, 0], ends, kind, kind, ends
-    )
+    batch = RayBatch(Rays(-directions, directions, 0.0 * ends, ends), positions[:, 0], ends, kind, kind, ends)
     weights = torch.tensor(WEIGHTS, dtype=torch.float64).expand(rows, 3)
     normal = NORMALS.expand(rows, 3, 3).reshape(-1, 3)
     samples = RaySamples(edges, edges, positions, ())
