@@ -61,7 +61,7 @@ class Mutant:
         return text.replace(self.old, self.new)
 
     def targets(self) -> list[str]:
-        """Return its nearest tests as pytest takes them; raises ValueError where one is not there."""
+        """Return its nearest tests as pytest takes them, from the root; raises ValueError if unknown."""
         found = []
         for test in self.tests:
             name, colons, function = test.partition("::")

@@ -46,7 +46,7 @@ def test_the_physical_loss_compares_each_pass_with_the_other(monkeypatch):
     monkeypatch.setattr(
         stage_two, "physical_loss", lambda *given: compared.append(given[-2:]) or right(*given)
     )
-    stage(num_rays=64, symmetric=True, normal_weight=0.0, unobserved=UnobservedConfig()).losses()
+    stage(num_rays=64, symmetric=True, normal_weight=0.0).losses()
     (first, its_other), (second, other) = compared
     assert torch.equal(first, other)
     assert torch.equal(second, its_other)

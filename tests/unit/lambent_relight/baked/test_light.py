@@ -88,6 +88,16 @@ def test_a_sun_split_off_an_open_surface_gives_the_irradiance_of_its_cosine():
     assert smooth.mean() == pytest.approx(expected.mean(), rel=0.05)
 
 
+def test_bounced_light_has_the_sun_in_it_and_leaves_the_prepared_light_as_it_was():
+    radiance = np.full((64, 128, 3), 0.2)
+    radiance[20:22, 40:42] = 500.0
+    environment, lit = environment_from_array(radiance), lit_texels(open_scene())
+    split, whole = prepare_light(environment, 7, 4), prepare_light(environment, 7, 0)
+    for _ in range(2):
+        bounced = coarse_bounce(lit, split)
+        np.testing.assert_allclose(bounced, coarse_bounce(lit, whole), rtol=0.02, atol=0.05)
+
+
 def test_some_texels_are_lit_as_they_are_among_all():
     scene = open_scene()
     chosen = np.array([3, 7, 20, 39])

@@ -62,6 +62,7 @@ def test_every_pixel_shows_what_its_ray_hits_first(position):
     expected = np.where(np.isfinite(distance.min(axis=1)), nearest, -1).reshape(32, 48)
     same = found.face == expected
     assert same.mean() > 0.999
+    assert np.array_equal(np.isinf(found.depth), ~found.covered)
     hit = same & found.covered
     assert np.allclose(found.depth[hit], distance.min(axis=1).reshape(32, 48)[hit], rtol=1e-4)
     weights = np.stack([u[rows, nearest], v[rows, nearest]], -1).reshape(32, 48, 2)

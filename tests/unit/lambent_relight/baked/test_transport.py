@@ -23,11 +23,11 @@ def test_a_byte_per_value_is_off_by_half_a_step_at_most():
 
 def test_coarse_texels_are_blocks_in_the_order_of_their_place():
     size = 5
-    index = np.array([0, 1, 2, 6, 14, 24], np.int32)
+    index = np.array([0, 1, 2, 4, 6, 10, 14, 24], np.int32)
     first, parent = coarse_blocks(size, index)
-    # Blocks: (0,0) holds 0, 1 and 6; (0,1) holds 2; (1,2) holds 14; (2,2) holds 24.
-    assert parent.tolist() == [0, 0, 1, 0, 2, 3]
-    assert index[first].tolist() == [0, 2, 14, 24]
+    # (0,0) holds 0, 1 and 6; (0,1) holds 2; (0,2) holds 4; (1,0) holds 10; (1,2) holds 14; (2,2) holds 24.
+    assert parent.tolist() == [0, 0, 1, 2, 0, 3, 4, 5]
+    assert index[first].tolist() == [0, 2, 4, 10, 14, 24]
 
 
 def test_shadow_directions_are_unit_and_even():

@@ -140,6 +140,14 @@ def test_importance_sampling_integrates_any_function_of_direction(height, width,
     assert_mean(function(directions) / density, expected, expected_error=2e-3 * expected.max())
 
 
+def test_directions_inside_a_pixel_are_even_in_solid_angle():
+    sampler = LightSampler(environment_from_array(np.ones((2, 4, 3))))
+    axes = np.broadcast_to(AXES[0], (8000, 3))
+    z = sampler.sample(*np.random.default_rng(3).random((2, 8000)), axes, 0)[:, 2]
+    assert_mean(z[z > 0.0], 0.5)
+    assert_mean(z[z < 0.0], -0.5)
+
+
 @pytest.mark.parametrize("shape", [(8, 16), (30, 70), (64, 128)])
 def test_density_of_the_light_sampler_integrates_to_one_and_is_positive_wherever_light_is(shape):
     image = np.zeros((*shape, 3), np.float32)

@@ -54,6 +54,21 @@ def test_a_wall_takes_the_light_that_its_form_factor_says(tmp_path):
     assert (found - (np.pi - blocked)).mean() == pytest.approx(0.0, abs=0.012)
 
 
+def test_the_bits_of_a_direction_say_where_its_light_is_hidden_lowest_bit_first(tmp_path):
+    surface, transport, _ = baked([FLOOR, WALL], 12, tmp_path)
+    floor = surface.normals[:, 2] > 0.5
+    x, y = surface.positions[floor, :2].T[..., None]
+    # Without jitter all sets are the directions that readers know.
+    dx, dy, dz = direction_sets(RayConfig(jitter=0.0))[0].T
+    way = (1.0 - y) / np.where(dy > 0.0, dy, np.nan)
+    hidden = (dz > 0.0) & (np.abs(x + way * dx) < 1.0) & (way * dz < 2.0)
+    j = np.arange(len(dx))
+    free = (transport.shadow_bits[floor][:, j // 8] >> (j % 8)) & 1 == 1
+    # What rays ask is moved inside a direction's own share of the sphere: rims may differ.
+    assert free[hidden].mean() < 0.15
+    assert free[~hidden].mean() > 0.95
+
+
 def test_white_surfaces_in_uniform_light_send_as_much_as_they_get(tmp_path):
     white = {"albedo": (1.0, 1.0, 1.0)}
     quads = [
