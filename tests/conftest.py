@@ -14,7 +14,7 @@ import pytest
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
-sys.path[:0] = [str(TESTS), *(str(ROOT / name) for name in ("scripts", "examples", "benchmarks"))]
+sys.path[:0] = [str(TESTS), str(ROOT), *(str(ROOT / name) for name in ("scripts", "examples"))]
 
 MUST_RUN_IN_CI = ("browser", "services")
 _COMPILED = re.compile(r"^\s*(import|from) (numba|triton)\b", re.MULTILINE)

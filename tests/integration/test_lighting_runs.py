@@ -12,12 +12,13 @@ from lambent_relight.environments import write_environment
 from lambent_worker.errors import UsageError, WorkerError
 from lambent_worker.pipeline import run_pipeline
 from lambent_worker.run_folder import step_folder
-from lambent_worker.stage_sharing import adopt_nerf_cache
 from lambent_worker.steps import ingest
 from lambent_worker.steps.training import load_trained, read_scene
 from lambent_worker.training_run import prepare_run, step_context
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
+
+from benchmarks.stage_sharing import adopt_nerf_cache
 
 pytestmark = pytest.mark.slow
 

@@ -12,10 +12,11 @@ from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.steps.ingest import read_manifest
 from lambent_worker.training_run import prepare_run, step_context
-from painted_scene import overlap
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
 from support.recording_reporter import RecordingReporter
+
+from benchmarks.painted_scene import overlap
 
 pytestmark = pytest.mark.slow
 
