@@ -4,7 +4,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 WEB := client/web
 PAGES := client/python/lambent_pages/dist
-SAMPLE := client/python/lambent/sample
 # Where pip finds torch when the registry's CUDA build is not wanted; see README.md.
 TORCH_INDEX ?=
 PYTEST_ARGS ?=
@@ -88,17 +87,7 @@ fix: $(VENV)/.installed ## Format, and mend what can be mended by itself
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.installed ## Run the quick variant of every benchmark
-	$(BIN)/python benchmarks/kernels.py --rays 256 --repeats 4
-	$(BIN)/python benchmarks/stage_one_step.py --quick
-	$(BIN)/python benchmarks/estimator_variance.py --quick
-	$(BIN)/python benchmarks/light.py --quick
-	$(BIN)/python benchmarks/quality.py $(SAMPLE) --environments $(SAMPLE)/envmaps --preset tiny --views 2 -o build/bench
-	$(BIN)/python benchmarks/oracle.py $(SAMPLE) --environments $(SAMPLE)/envmaps --quick -o build/bench/oracle
-	$(BIN)/python benchmarks/unbiasedness.py --quick
-	$(BIN)/python benchmarks/mitsuba_inverse.py build/bench/sample_0/run $(SAMPLE) --environments $(SAMPLE)/envmaps \
-		--quick -o build/bench/mitsuba
-	$(BIN)/python benchmarks/paper_step.py --quick
-	$(BIN)/python benchmarks/long_curve.py $(SAMPLE) --environments $(SAMPLE)/envmaps --quick -o build/bench/curve
+	$(BIN)/python -m benchmarks --quick-all
 
 schema: setup ## Generate the code of proto/ again
 	$(BIN)/python scripts/schema.py

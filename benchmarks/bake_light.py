@@ -1,6 +1,6 @@
 """What a fast cache adapted to a light is worth: refined pictures with and without it, against the truth.
 
-    OMP_NUM_THREADS=1 python benchmarks/bake_light.py RUN SCENE --environments DIR -o DIR [--steps N]
+    OMP_NUM_THREADS=1 python -m benchmarks bake_light RUN SCENE --environments DIR -o DIR [--steps N]
 
 RUN is a run folder of `lambent train` on SCENE, whose test views exist under other lights; their maps are
 <light>.hdr. Each light is baked once with the run (its NeRF cache in the second term) and once with the
@@ -22,7 +22,10 @@ from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.light_bake.bake import BakeRequest, bake_light
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
-from relighting import albedo_ratio, camera_of, encoded_over_white
+
+from benchmarks.relighting import albedo_ratio, camera_of, encoded_over_white
+
+QUICK = "{run} {sample} --environments {maps} --views 1 --samples 8 --steps 20 --lights studio --kinds bundle"
 
 
 def psnr(
@@ -46,21 +49,20 @@ def psnr(
     return float(np.mean(-10.0 * np.log10(errors))), float(np.mean(shares))
 
 
-def main() -> None:
-    """Bake, render and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("run", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
-    parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--views", type=int, default=3)
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--steps", type=int, default=0)
     parser.add_argument("--lights", default="", help="names with commas; all test lights by default")
     parser.add_argument("--kinds", default="run,bundle", help="what is baked from, with commas")
-    chosen = parser.parse_args()
+
+
+def main(chosen: argparse.Namespace) -> None:
+    """Bake, render and print."""
     scene = load_scene(chosen.scene, describe_scene(chosen.scene), max_side=128)
     views = list(scene.test)[:: max(1, len(scene.test) // chosen.views)][: chosen.views]
     bundle = chosen.run / "bundle"
@@ -101,7 +103,3 @@ def main() -> None:
         shares = " / ".join(f"{share:.3f}" for _, share in row[2:])
         spent = " / ".join(f"{value:.0f}" for value in seconds) or "-"
         print("| " + " | ".join([light, *figures, shares, spent]) + " |", flush=True)
-
-
-if __name__ == "__main__":
-    main()

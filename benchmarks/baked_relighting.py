@@ -1,6 +1,6 @@
 """How long baked relighting takes for a changed or turned light, and how far it is from refined.
 
-    OMP_NUM_THREADS=1 python benchmarks/baked_relighting.py BUNDLE [--environments DIR] [--views 2]
+    OMP_NUM_THREADS=1 python -m benchmarks baked_relighting BUNDLE [--environments DIR] [--views 2]
 
 Prints Markdown tables for docs/benchmarks/relighting.md. A camera is seen once before the clock runs: the
 times are those of another light on a known view, in processor time of one thread.
@@ -22,6 +22,8 @@ from lambent_relight import (
 )
 from lambent_relight.baked.light import coarse_bounce, lit_texels, prepare_light, texel_irradiance
 from lambent_relight.images import srgb_from_linear
+
+QUICK = "{bundle} --size 96 --environments {maps} --views 1 --samples 8"
 
 REPEATS = 7
 
@@ -126,20 +128,18 @@ def likeness(renderer: Renderer, folder: Path, num_views: int, num_samples: int)
         print(f"| {path.stem} | " + " | ".join(row) + " |", flush=True)
 
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--environments", type=Path)
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--views", type=int, default=2)
     parser.add_argument("--samples", type=int, default=256)
-    chosen = parser.parse_args()
+
+
+def main(chosen: argparse.Namespace) -> None:
+    """Run the benchmark."""
     renderer = Renderer(load_bundle(chosen.bundle))
     speed(renderer, chosen.size)
     if chosen.environments is not None:
         likeness(renderer, chosen.environments, chosen.views, chosen.samples)
-
-
-if __name__ == "__main__":
-    main()

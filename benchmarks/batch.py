@@ -1,6 +1,6 @@
 """Whether a batch of many frames keeps its memory, and how many frames per second more processes make.
 
-    OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python benchmarks/batch.py BUNDLE --environments DIR
+    OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks batch BUNDLE --environments DIR
 
 Runs `lambent batch` on its own and looks at it from outside: the resident memory of all of its processes
 after every picture, and the time from the first picture to the last. Prints Markdown for
@@ -18,6 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
+
+QUICK = (
+    "{bundle} --environments {maps} --frames 6 --speed-frames 4 --speed-size 32"
+    " --speed-spp 4 --lights 1 --size 32"
+)
 
 SECONDS_BETWEEN_LOOKS = 0.2
 
@@ -80,11 +85,8 @@ def at(memory: list[tuple[int, float]], frame: int) -> float:
     return next(mib for done, mib in memory if done >= frame)
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--frames", type=int, default=500)
@@ -95,7 +97,10 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--quality", default="refined")
     parser.add_argument("--spp", type=int, default=4)
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure and print."""
     maps = sorted(path for path in arguments.environments.iterdir() if path.suffix in (".hdr", ".exr"))
 
     def document(num_frames: int, lights: list[Path], spp: int, size: int) -> dict:
@@ -127,7 +132,3 @@ def main() -> None:
             mib = max(mib for course in courses for _, mib in course.memory)
             print(f"| {jobs} | {rate:.2f} +- {spread / 2:.2f} | {mib:.0f} |")
     print(f"\n{os.cpu_count()} cores, {arguments.quality}")
-
-
-if __name__ == "__main__":
-    main()

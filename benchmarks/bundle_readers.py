@@ -1,6 +1,6 @@
 """Measure a bundle: what its files weigh, and what a secondary ray costs each reader of its fast cache.
 
-    OMP_NUM_THREADS=1 python benchmarks/bundle_readers.py BUNDLE [BUNDLE ...] [--browser] [--rays 4096]
+    OMP_NUM_THREADS=1 python -m benchmarks bundle_readers BUNDLE [BUNDLE ...] [--browser] [--rays 4096]
 
 Sizes are those of every BUNDLE, times those of the first. Readers take turns, and the shortest of their turns
 counts, so that ratios hold on a busy machine. Processor readers use one thread. With --browser (Chromium and
@@ -9,7 +9,6 @@ software; `--browser-rays` of them, because that is slow.
 """
 
 import argparse
-import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -21,7 +20,7 @@ from lambent_relight import Bundle, load_bundle
 from lambent_relight.bundle.graphs import OnnxGraph, Rows
 from lambent_relight.fused.reader import FusedCaches
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+QUICK = "{bundle} --rays 2048 --turns 1"
 
 ALL = {"radiance": 3, "opacity": 1, "distance": 1}
 OCCLUSION = {"opacity": 1, "distance": 1}
@@ -157,24 +156,20 @@ def difference(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> f
     )
 
 
-def main() -> None:
-    """Measure and print the tables of docs/benchmarks/bundle.md."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("bundles", type=Path, nargs="+")
     parser.add_argument("--rays", type=int, default=65_536)
     parser.add_argument("--turns", type=int, default=7)
     parser.add_argument("--browser", action="store_true")
     parser.add_argument("--browser-rays", type=int, default=4096)
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure and print the tables of docs/benchmarks/bundle.md."""
     bundles = [load_bundle(path) for path in arguments.bundles]
     print_sizes(bundles)
     print_rounding(bundles[0])
     print_processor_times(bundles[0], arguments.rays, arguments.turns)
     if arguments.browser:
         print_browser_times(bundles[0], arguments.browser_rays, min(arguments.turns, 3))
-
-
-if __name__ == "__main__":
-    main()

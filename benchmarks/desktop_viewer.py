@@ -1,6 +1,6 @@
 """Time what a person at the desktop viewer waits for: another light, another camera, another display.
 
-    OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python benchmarks/desktop_viewer.py BUNDLE --env MAP [--size N]
+    OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks desktop_viewer BUNDLE --env MAP [--size N]
 
 Figures are processor time of this process, the median over the repeats and their range, so that a busy
 neighbour matters little; ratios are to a light that is turned.
@@ -19,6 +19,8 @@ from lambent.desktop.viewer import DesktopOptions, open_model
 from lambent_relight import Renderer, load_bundle
 from lambent_relight.environment.maps import load_environment
 
+QUICK = "{bundle} --env {maps}/morning.hdr --size 96 --repeats 1"
+
 
 def timed_ms(work: Callable[[int], object], repeats: int) -> list[float]:
     """Return the processor time of `work`, called with a number that grows, after one call without count."""
@@ -31,14 +33,16 @@ def timed_ms(work: Callable[[int], object], repeats: int) -> list[float]:
     return times
 
 
-def main() -> None:
-    """Print one line per thing that is waited for."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--env", type=Path, required=True)
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=7)
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print one line per thing that is waited for."""
     renderer = Renderer(load_bundle(arguments.bundle), num_threads=1)
     size = (arguments.size, arguments.size)
     model = open_model(renderer.bundle, DesktopOptions(environments=(arguments.env,), size=size))
@@ -79,7 +83,3 @@ def main() -> None:
             f"{name:26} {median:8.0f} ms  ({min(times):.0f} to {max(times):.0f})  x {median / base:.2f}",
             flush=True,
         )
-
-
-if __name__ == "__main__":
-    main()

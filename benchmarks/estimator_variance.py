@@ -1,6 +1,6 @@
 """Compare estimators of reflected light on a trained run: noise, time, and noise at equal time.
 
-    OMP_NUM_THREADS=1 python benchmarks/estimator_variance.py RUN_DIR [--points 512] [--repeats 64] [-o FILE]
+    OMP_NUM_THREADS=1 python -m benchmarks estimator_variance RUN_DIR [--points 512] [--repeats 64]
 
 Every estimator shades the same surface points of the run's scene many times. Columns: `spread`, the standard
 deviation of one estimate relative to the mean radiance; `time`, processor time per point in microseconds;
@@ -9,27 +9,23 @@ the first row's relative to the mean radiance, with its standard error. Only `fa
 """
 
 import argparse
-import json
-import os
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
 import torch
 from flashcache.evaluation.views import camera_rays
-from flashcache.geometry.directions import normalize
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
-from flashcache.physical.model import Domain, InverseModel
+from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
-from flashcache.presets import tiny
 from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.run.prepare import open_run, step_context
 from lambent_worker.run.steps.training import load_trained, read_scene
 from torch import Tensor
+
+QUICK = "{run} --points 64 --repeats 8"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,25 +133,6 @@ def trained(run_dir: Path, num_points: int) -> tuple[InverseModel, ShadingPoints
     return model, points, run.config.stage_two.estimator
 
 
-def untrained(num_points: int) -> tuple[InverseModel, ShadingPoints, EstimatorConfig]:
-    """Return a fresh model of preset `tiny` and random points: good for times only."""
-    config = tiny()
-    torch.manual_seed(0)
-    domain = Domain(
-        bounds_min=(-1.0, -1.0, -1.0),
-        bounds_max=(1.0, 1.0, 1.0),
-        primary=(1.0, 6.0),
-        secondary=(0.05, 2.0),
-        contraction_radius=1.0,
-        lights=("light",),
-    )
-    normal, omega_o = normalize(torch.randn(2, num_points, 3))
-    omega_o = torch.where((normal * omega_o).sum(dim=-1, keepdim=True) > 0.0, omega_o, -omega_o)
-    index = torch.zeros(num_points, dtype=torch.long)
-    points = ShadingPoints(torch.rand(num_points, 3) - 0.5, normal, omega_o, index)
-    return InverseModel(config.model, domain), points, config.stage_two.estimator
-
-
 @torch.no_grad()
 def compare(model: InverseModel, points: ShadingPoints, own: EstimatorConfig, repeats: int) -> list[Row]:
     """Return one row per estimator."""
@@ -184,31 +161,19 @@ def compare(model: InverseModel, points: ShadingPoints, own: EstimatorConfig, re
     return rows
 
 
-def main() -> None:
-    """Print the table, and write it as JSON where asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("run_dir", type=Path, nargs="?")
-    parser.add_argument("--quick", action="store_true", help="few points; an untrained model without RUN_DIR")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
+    parser.add_argument("run_dir", type=Path)
     parser.add_argument("--points", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=64)
-    parser.add_argument("-o", "--output", type=Path)
-    arguments = parser.parse_args()
-    if arguments.quick:
-        arguments.points, arguments.repeats = 64, 8
-    if arguments.run_dir is None:
-        if not arguments.quick:
-            parser.error("RUN_DIR is missing; --quick does without, and then only the times mean something")
-        model, points, own = untrained(arguments.points)
-    else:
-        model, points, own = trained(arguments.run_dir, arguments.points)
+
+
+def main(arguments: argparse.Namespace) -> list[dict]:
+    """Return the rows of the table, printed."""
+    model, points, own = trained(arguments.run_dir, arguments.points)
     rows = compare(model, points, own, arguments.repeats)
     print(f"{'estimator':32}{'fast + exact':>14}{'spread':>9}{'time':>9}{'gain':>8}{'bias':>20}")
     for row in rows:
         bias = f"{100 * row.bias:+.2f} % +- {100 * row.bias_error:.2f}"
         print(f"{row.name:32}{row.rays:>14}{row.spread:9.3f}{row.time_us:9.1f}{row.gain:8.2f}{bias:>20}")
-    if arguments.output:
-        arguments.output.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    return [asdict(row) for row in rows]

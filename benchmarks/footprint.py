@@ -1,6 +1,6 @@
 """Measure what the programs take before they do any work: start-up times, memory, sizes.
 
-    python benchmarks/footprint.py [--bundle DIR]
+    python -m benchmarks footprint [--bundle DIR]
 
 The command line's help and the server's start are repeated five times; times are wall-clock seconds, the
 median with its range. Memory is the resident set of the server and its children one second after it is ready.
@@ -19,7 +19,7 @@ from pathlib import Path
 import httpx2
 import psutil
 
-REPEATS = 5
+QUICK = "--bundle {bundle} --repeats 1"
 
 
 def seconds_of_help() -> float:
@@ -67,21 +67,20 @@ def show(name: str, values: list[float], unit: str) -> None:
     print(f"| {name} | {middle:.2f} {unit} | {low:.2f} to {high:.2f} |")
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
+    parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--bundle", type=Path, help="a bundle whose files are to be weighed")
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the table."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    starts = [server_start() for _ in range(REPEATS)]
+    starts = [server_start() for _ in range(arguments.repeats)]
     print("| figure | median | range |\n| --- | --- | --- |")
-    show("`lambent --help`", [seconds_of_help() for _ in range(REPEATS)], "s")
+    show("`lambent --help`", [seconds_of_help() for _ in range(arguments.repeats)], "s")
     show("server, start until ready", [seconds for seconds, _ in starts], "s")
     show("server, idle memory", [memory for _, memory in starts], "MiB")
     if arguments.bundle:
         size = sum(path.stat().st_size for path in arguments.bundle.rglob("*") if path.is_file())
         show("bundle on disk", [size / 1e6], "MB")
-
-
-if __name__ == "__main__":
-    main()

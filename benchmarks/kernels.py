@@ -1,6 +1,6 @@
 """Time the compiled encoder against the torch reference, side by side in one run.
 
-    OMP_NUM_THREADS=1 python benchmarks/kernels.py
+    OMP_NUM_THREADS=1 python -m benchmarks kernels
 
 Each row is one step on points along rays. `features` is forward and backward; `normals` is a density with its
 gradient by position and a loss on both: from features and Jacobian on the compiled side, by eager double
@@ -17,6 +17,8 @@ import torch
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.kernels import reference
 from torch import Tensor
+
+QUICK = "--rays 256 --repeats 4"
 
 GRIDS = {
     "6 levels x 1, 2^15": (
@@ -73,14 +75,14 @@ def milliseconds(step: Callable[[], None], repeats: int) -> float:
     return statistics.mean(sorted(times)[: (repeats + 1) // 2])
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("--rays", type=int, default=1024)
     parser.add_argument("--repeats", type=int, default=10)
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the table."""
     torch.set_num_threads(1)
     print(f"{'grid':22}{'points':>8}{'step':>10}{'compiled':>10}{'reference':>11}{'ratio':>7}")
     for name, (config, num_samples) in GRIDS.items():
@@ -106,7 +108,3 @@ def main() -> None:
             fast = milliseconds(compiled, arguments.repeats)
             slow = milliseconds(eager, max(2, arguments.repeats // 3))
             print(f"{name:22}{len(z):8}{kind:>10}{fast:10.2f}{slow:11.2f}{slow / fast:7.1f}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

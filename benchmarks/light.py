@@ -1,6 +1,6 @@
 """Time what a changed environment costs: reading, harmonics, prefiltered levels, look-ups, dominant lights.
 
-    OMP_NUM_THREADS=1 python benchmarks/light.py [--quick]
+    OMP_NUM_THREADS=1 python -m benchmarks light
 
 Figures are milliseconds of processor time in this thread, the least of the repeats, so that a busy neighbour
 matters little. Maps hold random values; look-ups go in random directions with random roughness.
@@ -21,6 +21,8 @@ from lambent_relight.environment.maps import environment_from_array, load_enviro
 from lambent_relight.environment.prefilter import prefilter
 from lambent_relight.environment.sun_clamp import clamp_sun
 
+QUICK = "--heights 128 --repeats 2"
+
 COVERED_PIXELS = 104_858
 """40 % of 512 x 512."""
 
@@ -36,7 +38,7 @@ def least_ms(work: Callable[[], object], repeats: int) -> float:
     return 1000.0 * min(times)
 
 
-def rows(heights: tuple[int, ...], folder: Path) -> list[tuple[str, str, Callable[[], object]]]:
+def rows(heights: list[int], folder: Path) -> list[tuple[str, str, Callable[[], object]]]:
     """Return (step, size, work) of everything that is timed."""
     rng = np.random.default_rng(0)
     found: list[tuple[str, str, Callable[[], object]]] = []
@@ -69,16 +71,15 @@ def rows(heights: tuple[int, ...], folder: Path) -> list[tuple[str, str, Callabl
     ]
 
 
-def main() -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
+    parser.add_argument("--heights", type=int, nargs="+", default=[128, 512, 2048], help="rows of the maps")
+    parser.add_argument("--repeats", type=int, default=7)
+
+
+def main(arguments: argparse.Namespace) -> None:
     """Print a Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small maps, two repeats")
-    quick = parser.parse_args().quick
     print("| step | size | ms |\n| --- | --- | --- |")
     with tempfile.TemporaryDirectory() as folder:
-        for step, size, work in rows((128,) if quick else (128, 512, 2048), Path(folder)):
-            print(f"| {step} | {size} | {least_ms(work, 2 if quick else 7):.2f} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+        for step, size, work in rows(arguments.heights, Path(folder)):
+            print(f"| {step} | {size} | {least_ms(work, arguments.repeats):.2f} |", flush=True)

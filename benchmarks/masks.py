@@ -1,12 +1,11 @@
 """How close the built-in masks come to true ones: captures before known backgrounds, IoU for each picture.
 
-    python benchmarks/masks.py SCENE_DIR... [--environment sky.hdr] [--every N] [-o DIR]
+    python -m benchmarks masks SCENE_DIR... [--environment sky.hdr] [--every N] [-o DIR]
 
-Writes `masks.json`, and for each capture and background a sheet of thumbnails.
+Writes into OUT for each capture and background a sheet of thumbnails.
 """
 
 import argparse
-import json
 import statistics
 import time
 from pathlib import Path
@@ -16,7 +15,10 @@ from lambent_worker.errors import SceneRefusedError
 from lambent_worker.masks.estimate import EstimateSettings, estimate_masks
 from lambent_worker.masks.folder import contact_sheet
 from lambent_worker.scenes.detect import describe_scene
-from painted_scene import Background, Painted, overlap, paint, plain, surroundings, table
+
+from benchmarks.painted_scene import Background, Painted, overlap, paint, plain, surroundings, table
+
+QUICK = "{sample} --every 4 --only grey"
 
 SAMPLE = Path(__file__).parents[1] / "client" / "python" / "lambent" / "sample"
 
@@ -65,16 +67,16 @@ def row(scene: str, background: str, found: dict) -> str:
     )
 
 
-def main() -> None:
-    """Measure, print the table, and write what was found."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--environment", type=Path, default=SAMPLE / "envmaps" / "morning.hdr")
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--only", default="", help="backgrounds, with commas")
-    parser.add_argument("-o", "--out", type=Path, default=Path("build/masks"))
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(options: argparse.Namespace) -> dict[str, dict]:
+    """Measure, print the table, and write what was found."""
     print("| capture | background | mean IoU | spread | worst | agreement / separation | processor s |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     record = {}
@@ -88,8 +90,4 @@ def main() -> None:
             coverages = found.pop("coverages", painted.coverages)
             contact_sheet(painted.views, coverages).save(options.out / f"{scene.name}_{name}.jpg", quality=85)
             record[f"{scene.name}/{name}"] = found
-            (options.out / "masks.json").write_text(json.dumps(record, indent=1))
-
-
-if __name__ == "__main__":
-    main()
+    return record

@@ -1,6 +1,6 @@
 """Compare with somebody else's code: Mitsuba 3 recovers materials and light on our mesh in equal time.
 
-    python benchmarks/mitsuba_inverse.py RUN_DIR SCENE --environments DIR --report REPORT -o OUT
+    python -m benchmarks mitsuba_inverse RUN_DIR SCENE --environments DIR --report REPORT -o OUT
 
 RUN_DIR is a finished run of `lambent train`, REPORT what `lambent evaluate RUN_DIR SCENE --environments DIR
 -o REPORT` wrote. Mitsuba gets the mesh of the run's bundle, the same training photographs and `--seconds` of
@@ -10,8 +10,6 @@ material together with the environment, by path replay with one bounce and Adam.
 """
 
 import argparse
-import json
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,12 +24,13 @@ from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
-from numpy import ndarray
-from oracle_geometry import pixel_rays
-from reference_scores import reference_report, reference_scores
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 from make_sample_scene import emitter, load_renderer, straight
+from numpy import ndarray
+
+from benchmarks.oracle_geometry import pixel_rays
+from benchmarks.reference_scores import reference_report, reference_scores
+
+QUICK = "{run} {sample} --environments {maps} --seconds 2 --views 2 --samples 4"
 
 ATTRIBUTES = {"base_color": (3, 0.27), "roughness": (1, 0.52), "metallic": (1, 0.12)}
 """Material attributes of a vertex: channels, and the values with which ours start as well."""
@@ -274,9 +273,8 @@ def predict(asset: Asset, scene: Scene, environments: Path, folder: Path, out: P
     parameters.update()
 
 
-def main() -> None:
-    """Print both columns, and write all figures to OUT/mitsuba_inverse.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("run_dir", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
@@ -292,11 +290,10 @@ def main() -> None:
         "--samples", type=int, default=64, help="paths per pixel of the pictures that are scored"
     )
     parser.add_argument("--views", type=int, default=0, help="test views, evenly spaced; 0 for all")
-    parser.add_argument("--quick", action="store_true", help="two seconds, two views")
-    parser.add_argument("-o", "--out", type=Path, required=True)
-    arguments = parser.parse_args()
-    if arguments.quick:
-        arguments.seconds, arguments.views, arguments.samples = [2.0], 2, 4
+
+
+def main(arguments: argparse.Namespace) -> dict[str, dict[str, float]]:
+    """Return all figures by column; prints the table."""
     load_renderer()
     manifest = describe_scene(arguments.scene)
     whole = load_scene(arguments.scene, manifest, max_side=1 << 30, lights=(manifest.lights[0],))
@@ -320,8 +317,4 @@ def main() -> None:
     for title, key in ROWS.items():
         cells = [f"{scores[key]:.3f}" if key in scores else "" for scores in columns.values()]
         print(f"| {title} | " + " | ".join(cells) + " |")
-    (arguments.out / "mitsuba_inverse.json").write_text(json.dumps(columns, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    return columns

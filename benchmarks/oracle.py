@@ -1,6 +1,6 @@
 """Say what a perfect reconstruction would score: true surfaces under our reflection model.
 
-    python benchmarks/oracle.py SUITE/cowcrate SUITE/goldbowl --environments SUITE/envmaps/high_res -o OUT
+    python -m benchmarks oracle SUITE/cowcrate SUITE/goldbowl --environments SUITE/envmaps/high_res -o OUT
 
 Every test view is shaded from its true distance, normals, albedo, perceptual roughness and metalness under
 the true environment: without shadows, with shadows, with one bounce and with three. Light that comes from the
@@ -12,7 +12,6 @@ transport makes of all training photographs together, all else being true. Figur
 """
 
 import argparse
-import json
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,11 +25,14 @@ from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
-from oracle_albedo import AlbedoFit, albedo_map
-from oracle_geometry import fuse
-from oracle_light import ProxySurface
-from oracle_views import TrueSurface
-from reference_scores import reference_scores
+
+from benchmarks.oracle_albedo import AlbedoFit, albedo_map
+from benchmarks.oracle_geometry import fuse
+from benchmarks.oracle_light import ProxySurface
+from benchmarks.oracle_views import TrueSurface
+from benchmarks.reference_scores import reference_scores
+
+QUICK = "{sample} --environments {maps} --directions 32 --albedo-directions 8 --resolution 64 --views 1"
 
 GRID = 4
 
@@ -147,21 +149,18 @@ def measure(folder: Path, arguments: argparse.Namespace) -> dict[str, dict[str, 
     return table
 
 
-def main() -> None:
-    """Print one table per scene, and write all figures to OUT/oracle.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--directions", type=int, default=128, help="directions per pixel")
     parser.add_argument("--albedo-directions", type=int, default=64, help="directions per training pixel")
     parser.add_argument("--resolution", type=int, default=256, help="cells along the longest side of the box")
     parser.add_argument("--views", type=int, default=0, help="test views, evenly spaced; 0 for all")
-    parser.add_argument("--quick", action="store_true", help="two views, 16 directions, a coarse surface")
-    parser.add_argument("-o", "--out", type=Path, required=True)
-    arguments = parser.parse_args()
-    if arguments.quick:
-        arguments.directions, arguments.albedo_directions = 64, 16
-        arguments.resolution, arguments.views = 96, 2
+
+
+def main(arguments: argparse.Namespace) -> dict[str, dict]:
+    """Return all figures by scene; prints a table each."""
     figures = {}
     for folder in arguments.scenes:
         table = figures[folder.name] = measure(folder, arguments)
@@ -176,8 +175,4 @@ def main() -> None:
             values = zip(columns.values(), digits, strict=True)
             cells = [f"{row[key]:.{count}f}" if key in row else "" for key, count in values]
             print(f"| {name} | " + " | ".join(cells) + " |")
-    (arguments.out / "oracle.json").write_text(json.dumps(figures, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    return figures

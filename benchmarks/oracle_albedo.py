@@ -11,10 +11,11 @@ from flashcache.data.scene import View
 from flashcache.evaluation.relighting import MapLight
 from flashcache.physical.brdf import Materials
 from jaxtyping import Float
-from oracle_light import ProxySurface, shade
-from oracle_views import behind_pixels
 from scipy.spatial import cKDTree
 from torch import Tensor
+
+from benchmarks.oracle_light import ProxySurface, shade
+from benchmarks.oracle_views import behind_pixels
 
 SATURATED = 0.999
 """Linear value from which a photograph says only that there was at least so much light."""

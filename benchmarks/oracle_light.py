@@ -3,9 +3,7 @@
 Needs Mitsuba 3 (extra `dev`) with an LLVM library for its ray casting; no light is computed by it.
 """
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -22,11 +20,10 @@ from flashcache.physical.incident import (
 )
 from flashcache.physical.shading import ShadingPoints
 from jaxtyping import Bool, Float, Int
-from oracle_geometry import Proxy
+from make_sample_scene import load_renderer
 from torch import Tensor
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
-from make_sample_scene import load_renderer
+from benchmarks.oracle_geometry import Proxy
 
 LIMITS = RayLimits(near=0.0, far=10.0, origin_offset=0.012)
 """Rays begin twice the 95th percentile of the proxy's error above the surface."""

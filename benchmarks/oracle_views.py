@@ -9,9 +9,10 @@ from flashcache.evaluation.relighting import MapLight
 from flashcache.physical.brdf import Materials
 from flashcache.physical.shading import ShadingPoints
 from jaxtyping import Float, Int
-from oracle_geometry import pixel_rays, single_surface
-from oracle_light import Hits, ProxySurface, points_at, select, shade
 from torch import Tensor
+
+from benchmarks.oracle_geometry import pixel_rays, single_surface
+from benchmarks.oracle_light import Hits, ProxySurface, points_at, select, shade
 
 
 @dataclass(frozen=True, slots=True)

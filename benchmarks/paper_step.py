@@ -1,7 +1,7 @@
 """Take the paper's training steps: time and memory of each stage, and a curve where there is time for one.
 
-    OMP_NUM_THREADS=1 python benchmarks/paper_step.py [SCENE] [--preset paper_tensoir]
-    python benchmarks/paper_step.py SCENE --device cuda [--minutes 10] -o OUT
+    OMP_NUM_THREADS=1 python -m benchmarks paper_step [SCENE] [--preset paper_tensoir]
+    python -m benchmarks paper_step SCENE --device cuda [--minutes 10] -o OUT
 
 On a processor the batch is a 64th of the preset's and each stage has a process of its own; the memory model
 (`flashcache.memory`) says what that batch and the whole one need. Measured peaks are those of the process,
@@ -12,7 +12,6 @@ curve.png with the PSNR of two test views. Without SCENE a synthetic sphere is p
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -20,9 +19,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import numpy as np
 import torch
@@ -42,6 +38,8 @@ from lambent_worker.report.request import evenly_spaced
 from lambent_worker.run.steps.training import matrix_precision
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
+
+QUICK = "--preset tiny --share 8"
 
 STAGES = ("one", "two")
 GIB = 2**30
@@ -123,7 +121,16 @@ def measure(
 
 def measure_apart(arguments: argparse.Namespace, stage: str, share: int) -> dict[str, Any]:
     """Return what `measure` does, from a process of its own: a peak cannot be reset."""
-    command = [sys.executable, __file__, "--preset", arguments.preset, "--steps", str(arguments.steps)]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks",
+        "paper_step",
+        "--preset",
+        arguments.preset,
+        "--steps",
+        str(arguments.steps),
+    ]
     command += ["--share", str(share), "--only", stage]
     command += [str(arguments.scene)] if arguments.scene else []
     return json.loads(
@@ -242,9 +249,8 @@ def plot(points: list[dict[str, Any]], path: Path, title: str) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    """Measure steps, or draw a curve."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("scene", type=Path, nargs="?")
     parser.add_argument("--preset", default="paper_tensoir")
     parser.add_argument("--device", default="cpu")
@@ -252,28 +258,23 @@ def main() -> None:
     parser.add_argument("--share", type=int, default=0, help="the batch's divisor; 64, on a GPU 1")
     parser.add_argument("--minutes", type=float, default=0.0, help="train for that long and draw a curve")
     parser.add_argument("--only", choices=STAGES, help=argparse.SUPPRESS)
-    parser.add_argument("--quick", action="store_true", help="preset tiny, an eighth of the batch")
-    parser.add_argument("-o", "--out", type=Path, default=Path("build/bench/paper_step"))
-    arguments = parser.parse_args()
-    if arguments.quick:
-        arguments.preset, arguments.share = "tiny", 8
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure steps, or draw a curve."""
     device = torch.device(arguments.device)
     if device.type == "cuda" and not torch.cuda.is_available():
-        parser.error("--device cuda: torch finds no GPU")
+        raise SystemExit("--device cuda: torch finds no GPU")
     arguments.share = arguments.share or (1 if device.type == "cuda" else 64)
     whole = preset(arguments.preset)
     config = with_share(whole, arguments.share)
     if arguments.only:
-        print(
-            json.dumps(
-                measure(arguments.only, read_scene(arguments.scene, config), config, device, arguments.steps)
-            )
-        )
+        scene = read_scene(arguments.scene, config)
+        print(json.dumps(measure(arguments.only, scene, config, device, arguments.steps)))
         return
     print(f"preset {arguments.preset}, torch {torch.__version__}, {torch.get_num_threads()} threads")
     if arguments.minutes:
         points = curve(read_scene(arguments.scene, config), config, device, arguments.minutes)
-        arguments.out.mkdir(parents=True, exist_ok=True)
         (arguments.out / "curve.json").write_text(json.dumps(points, indent=1) + "\n")
         plot(
             points,
@@ -284,7 +285,3 @@ def main() -> None:
         on_gpu(arguments, read_scene(arguments.scene, config), config, device)
     else:
         on_processor(arguments, whole, config)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """How close found cameras come to true ones: path-traced photographs of a textured scene, solved by COLMAP.
 
-    python benchmarks/poses.py [--views 24] [--side 384] [--spp 8] [--repeats 1] [--keep] [-o DIR]
+    python -m benchmarks poses [--views 24] [--side 384] [--spp 8] [--repeats 1] [--keep] [-o DIR]
 
 Renders a box, a ball and a cylinder, all textured, on a textured plate with Mitsuba (extra `dev`), finds the
 cameras (extra `poses`), and compares them with the true ones up to a similarity. The plate stands on a
@@ -21,8 +21,11 @@ from lambent_worker.poses.solve import PoseSettings
 from lambent_worker.scenes.detect import describe_scene
 from numpy import ndarray
 from PIL import Image
-from pose_errors import pose_errors
 from scipy import ndimage
+
+from benchmarks.pose_errors import pose_errors
+
+QUICK = "--views 8 --side 192 --spp 4"
 
 DISTANCE = 4.0
 FIELD_DEG = 40.0
@@ -140,17 +143,18 @@ def render(out: Path, views: int, side: int, spp: int, repeats: float) -> dict[s
     return poses
 
 
-def main() -> None:
-    """Render, solve, compare, print, and write `poses.json`."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("--views", type=int, default=24)
     parser.add_argument("--side", type=int, default=384)
     parser.add_argument("--spp", type=int, default=8)
     parser.add_argument("--repeats", type=float, default=1.0, help="of the floor's pattern")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", action="store_true", help="use the photographs that are there")
-    parser.add_argument("-o", "--out", type=Path, default=Path("build/poses"))
-    options = parser.parse_args()
+
+
+def main(options: argparse.Namespace) -> dict[str, dict]:
+    """Render, solve, compare, print, and write `poses.json`."""
     mi.set_variant("scalar_rgb")
     if options.keep:
         true = {f"{i:03d}.png": true_pose(i, options.views) for i in range(options.views)}
@@ -181,8 +185,4 @@ def main() -> None:
             "seconds": seconds,
         }
         print(name, json.dumps(rows[name]), flush=True)
-    (options.out / "poses.json").write_text(json.dumps(rows, indent=1))
-
-
-if __name__ == "__main__":
-    main()
+    return rows

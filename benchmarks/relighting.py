@@ -1,6 +1,6 @@
 """Measure relighting from a bundle: time per ray of both readers, noise, and the gain of one bounce.
 
-    OMP_NUM_THREADS=1 python benchmarks/relighting.py BUNDLE SCENE --environments DIR [--views N]
+    OMP_NUM_THREADS=1 python -m benchmarks relighting BUNDLE SCENE --environments DIR [--views N]
 
 SCENE is the scene folder the bundle was trained on, with test views under other lights; DIR holds their
 maps as <light>.hdr. Times are processor seconds of one thread. Quality is PSNR of encoded pictures over
@@ -19,6 +19,8 @@ from lambent_relight import Bundle, Camera, Environment, Renderer, load_bundle, 
 from lambent_relight.images import srgb_from_linear
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
+
+QUICK = "{bundle} {sample} --environments {maps} --views 1 --samples 8"
 
 NUM_RAYS = 20_000
 
@@ -76,10 +78,15 @@ def encoded_over_white(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def print_bounce_gain(
-    renderer: Renderer, views: list[View], light: str, environment: Environment, ratio: np.ndarray
+    renderer: Renderer,
+    views: list[View],
+    light: str,
+    environment: Environment,
+    ratio: np.ndarray,
+    sample_counts: list[int],
 ) -> None:
-    """Print PSNR, noise and time for direct light alone and with one bounce, at two sample counts."""
-    for num_samples in (16, 64, 256):
+    """Print PSNR, noise and time for direct light alone and with one bounce, per number of directions."""
+    for num_samples in sample_counts:
         for indirect in (False, True):
             errors, noise, spent = [], [], 0.0
             for view in views:
@@ -106,16 +113,17 @@ def print_bounce_gain(
             )
 
 
-def main() -> None:
-    """Measure and print the tables of docs/benchmarks/relighting.md."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
+    parser.add_argument("--samples", type=int, nargs="+", default=[16, 64, 256])
     parser.add_argument("--views", type=int, default=8)
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure and print the tables of docs/benchmarks/relighting.md."""
     bundle = load_bundle(arguments.bundle)
     scene = load_scene(arguments.scene, describe_scene(arguments.scene), max_side=128)
     views = list(scene.test)[:: max(1, len(scene.test) // arguments.views)][: arguments.views]
@@ -128,8 +136,4 @@ def main() -> None:
     print("\n|", " | ".join(columns), "|\n|", " | ".join("---" for _ in columns), "|")
     for light in scene.relight_lights:
         environment = load_environment(arguments.environments / f"{light}.hdr")
-        print_bounce_gain(renderer, views, light, environment, ratio)
-
-
-if __name__ == "__main__":
-    main()
+        print_bounce_gain(renderer, views, light, environment, ratio, arguments.samples)

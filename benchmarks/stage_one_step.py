@@ -1,6 +1,6 @@
 """Time a stage-one training step: compiled encoder with Jacobian normals against eager double backward.
 
-    python benchmarks/stage_one_step.py [--preset fast] [--steps 12] [--threads 2] [--quick]
+    python -m benchmarks stage_one_step [--preset fast] [--steps 12] [--threads 2]
 
 Both sides take the same steps of the same preset on a synthetic sphere (256 x 256 pixels, every step with
 normals), alternating in one process with the same number of threads and float32 products. The other side asks
@@ -11,14 +11,9 @@ seconds, median and range over the steps; the ratio is of the medians.
 import argparse
 import os
 import statistics
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import patch
-
-os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import torch
 from flashcache.data.ray_batches import TrainingPixels
@@ -30,6 +25,8 @@ from flashcache.presets import preset
 from flashcache.training.stage_one import StageOne
 from support.lit_sphere import lit_sphere
 from torch import Tensor
+
+QUICK = "--preset tiny --steps 3"
 
 
 def double_backward(self: DensityField, positions: Tensor) -> tuple[DensitySample, Tensor]:
@@ -67,15 +64,16 @@ def timed_step(stage: StageOne) -> float:
     return time.perf_counter() - started
 
 
-def main() -> None:
-    """Print the two times and their ratio."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("--preset", default="fast")
     parser.add_argument("--steps", type=int, default=12)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--quick", action="store_true", help="preset tiny, three steps")
-    arguments = parser.parse_args()
-    name, steps = ("tiny", 3) if arguments.quick else (arguments.preset, arguments.steps)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the two times and their ratio."""
+    name, steps = arguments.preset, arguments.steps
     torch.set_num_threads(arguments.threads)
     compiled, eager = new_stage(name), new_stage(name)
     seconds: dict[str, list[float]] = {"compiled": [], "eager": []}
@@ -94,7 +92,3 @@ def main() -> None:
     for side, values in seconds.items():
         print(f"{side:9s} {medians[side]:.3f} s per step (from {min(values):.3f} to {max(values):.3f})")
     print(f"ratio     {medians['eager'] / medians['compiled']:.2f}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """What each switch beyond the paper is worth: stage two trained anew for each, from one shared stage one.
 
-    python benchmarks/switches.py SUITE/cowcrate --environments SUITE/envmaps/high_res --preset fast -o OUT
+    python -m benchmarks switches SUITE/cowcrate --environments SUITE/envmaps/high_res --preset fast -o OUT
 
 Stage one is trained once per seed. Each switch then gets a run folder of its own with the shared NeRF cache
 in it; its stage two is trained and evaluated, and scored by `tests/references/evaluate.py`. Results are kept
@@ -9,21 +9,21 @@ in OUT/<switch>_<seed>/; a run that is there is not repeated. Seconds are those 
 
 import argparse
 import json
-import os
 import statistics
 import subprocess
 import sys
 from pathlib import Path
 
-os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.run.folder import stage_seconds
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import Run, prepare_run
-from lambent_worker.stage_sharing import adopt_nerf_cache
 from lambent_worker.startup import prepare
-from reference_scores import figures_of
+
+from benchmarks.reference_scores import figures_of
+from benchmarks.stage_sharing import adopt_nerf_cache
+
+QUICK = "{sample} --preset tiny --only base no-clusters --views 1"
 
 SWITCHES: dict[str, dict[str, str]] = {
     "base": {},
@@ -103,9 +103,8 @@ def table(runs: dict[str, list[dict[str, float]]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Run every switch with every seed and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, help="maps of unseen lights; none: no relit pictures")
     parser.add_argument("--only", nargs="+", choices=list(SWITCHES), help="switches to run, base included")
@@ -113,8 +112,10 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--views", type=int, default=0, help="test views, evenly spaced; 0 for all")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="settings of all runs")
-    parser.add_argument("-o", "--out", type=Path, required=True)
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Run every switch with every seed and print the table."""
     prepare()
     names = arguments.only or list(SWITCHES)
     runs: dict[str, list[dict[str, float]]] = {name: [] for name in names}
@@ -125,7 +126,3 @@ def main() -> None:
             runs[name].append(run_one(name, seed, shared, arguments))
     print(f"\n{arguments.scene.name}, preset {arguments.preset}, seeds {arguments.seeds}\n")
     print(table(runs))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,24 +1,18 @@
 """Test on a trained run whether the control variate is unbiased, pixel by pixel, and draw the scores.
 
-    OMP_NUM_THREADS=1 python benchmarks/unbiasedness.py RUN_DIR [--pixels 256] [-o FOLDER]
+    OMP_NUM_THREADS=1 python -m benchmarks unbiasedness RUN_DIR [--pixels 256] [-o FOLDER]
 
 Random opaque training pixels are estimated many times the way training does it, once with the control
 variate and once from the fast cache only. Each mean is compared with a reference that asks the NeRF cache
 alone, along directions that no learned part chooses. The difference over its standard error is a pixel's
 z-score. Without bias the scores are standard normal: `chi-square` and `Kolm.-Smirn.` are the probabilities of
-scores at least as odd. Writes unbiasedness.json and unbiasedness.png.
+scores at least as odd. Writes OUT/unbiasedness.png.
 """
 
 import argparse
-import json
-import os
-import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import numpy as np
 import torch
@@ -26,7 +20,6 @@ from flashcache.caches.nerf_cache import Geometry
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.data.scene import Scene
-from flashcache.data.space import domain_of
 from flashcache.physical.estimator import DirectionCounts
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -38,6 +31,8 @@ from lambent_worker.run.prepare import open_run, step_context
 from lambent_worker.run.steps.training import load_trained, read_scene
 from numpy import ndarray
 from scipy import stats
+
+QUICK = "{run} --pixels 64 --estimates 256 --reference-samples 2048"
 
 POINTS_AT_ONCE = 4
 """Points per ray in one call; their mean is one estimate."""
@@ -117,16 +112,6 @@ def trained(run_dir: Path) -> tuple[InverseModel, Scene, StageTwoConfig]:
     return load_trained(context, scene, "joint"), scene, run.config.stage_two
 
 
-def untrained() -> tuple[InverseModel, Scene, StageTwoConfig]:
-    """Return a fresh model of preset `tiny` before a synthetic sphere."""
-    from support.lit_sphere import lit_sphere
-
-    config, scene = tiny(), lit_sphere()
-    torch.manual_seed(0)
-    domain = domain_of(scene, config.space, config.model.environment)
-    return InverseModel(config.model, domain), scene, config.stage_two
-
-
 @torch.no_grad()
 def compare(
     model: InverseModel, scene: Scene, own: StageTwoConfig, *, pixels: int, estimates: int, samples: int
@@ -183,21 +168,17 @@ def plot(verdicts: dict[str, Verdict], path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    """Print the verdicts, and write them with the plot."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("run_dir", type=Path, nargs="?")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
+    parser.add_argument("run_dir", type=Path)
     parser.add_argument("--pixels", type=int, default=256)
     parser.add_argument("--estimates", type=int, default=2048, help="shaded points per pixel and estimator")
     parser.add_argument("--reference-samples", type=int, default=100_000, help="directions per pixel")
-    parser.add_argument("--quick", action="store_true", help="few pixels; an untrained model without RUN_DIR")
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/bench/unbiasedness"))
-    arguments = parser.parse_args()
-    if arguments.run_dir is None and not arguments.quick:
-        parser.error("RUN_DIR is missing; --quick does without and looks at an untrained model")
-    if arguments.quick:
-        arguments.pixels, arguments.estimates, arguments.reference_samples = 64, 256, 2048
-    model, scene, own = untrained() if arguments.run_dir is None else trained(arguments.run_dir)
+
+
+def main(arguments: argparse.Namespace) -> dict[str, dict]:
+    """Return the verdicts; prints and plots them."""
+    model, scene, own = trained(arguments.run_dir)
     verdicts = compare(
         model,
         scene,
@@ -214,11 +195,5 @@ def main() -> None:
             f"{name:18}{found.chi_square:12.2g}{found.kolmogorov_smirnov:14.2g}{bias:>20}"
             f"{100 * found.precision:9.2f} %{found.seconds:10.0f}"
         )
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    plot(verdicts, arguments.output / "unbiasedness.png")
-    values = {name: asdict(found) for name, found in verdicts.items()}
-    (arguments.output / "unbiasedness.json").write_text(json.dumps(values, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    plot(verdicts, arguments.out / "unbiasedness.png")
+    return {name: asdict(found) for name, found in verdicts.items()}

@@ -2,7 +2,7 @@
 
     lambent train SCENE --preset fast -o RUN
     lambent evaluate RUN SCENE --repeats 1 -o REPORT
-    python benchmarks/uncertainty.py RUN SCENE REPORT
+    python -m benchmarks uncertainty RUN SCENE REPORT
 
 Pixels of the test views inside the object (truth alpha above 0.99) are pooled. The error of albedo is the
 mean over channels of |log(scaled prediction / truth)|, after the median ratio per channel. `given albedo`
@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 from lambent_relight.bundle.uncertainty import CHANNELS
 from scipy.stats import spearmanr
+
+QUICK = "{run} {sample} {report} --without-variants"
 
 VARIANTS = {
     "as shipped": {},
@@ -151,18 +153,16 @@ def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in cells) + " |", flush=True)
 
 
-def main() -> None:
-    """Print everything for one run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what can be chosen."""
     parser.add_argument("run", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("report", type=Path)
     parser.add_argument("--without-variants", action="store_true")
-    arguments = parser.parse_args()
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print everything for one run."""
     print_tables(pixels(arguments.scene, arguments.report))
     if not arguments.without_variants:
         print_variants(arguments.run, arguments.scene, arguments.report)
-
-
-if __name__ == "__main__":
-    main()

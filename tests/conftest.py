@@ -19,7 +19,7 @@ import pytest
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
-sys.path[:0] = [str(TESTS), *(str(ROOT / name) for name in ("scripts", "examples", "benchmarks"))]
+sys.path[:0] = [str(TESTS), str(ROOT), *(str(ROOT / name) for name in ("scripts", "examples"))]
 
 # Inherited by every process that the tests start, and by the runs of their servers.
 SESSION = uuid.uuid4().hex

@@ -19,6 +19,8 @@ from lambent_worker.stage_sharing import adopt_nerf_cache
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
 
+from benchmarks.stage_sharing import adopt_nerf_cache
+
 pytestmark = pytest.mark.slow
 
 SCENE = REFERENCES / "scenes" / "tensoir_synthetic"

@@ -17,6 +17,8 @@ from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
 from support.recording_reporter import RecordingReporter
 
+from benchmarks.painted_scene import overlap
+
 pytestmark = pytest.mark.slow
 
 

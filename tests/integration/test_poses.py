@@ -13,9 +13,10 @@ from lambent_worker.run import pipeline
 from lambent_worker.run.folder import read_settings
 from lambent_worker.scenes.detect import describe_scene
 from PIL import Image
-from pose_errors import pose_errors
 from support.textured_box import box_cameras, write_photographs
 from typer.testing import CliRunner
+
+from benchmarks.pose_errors import pose_errors
 
 pytest.importorskip("pycolmap", reason="needs the extra poses")
 pytestmark = pytest.mark.slow

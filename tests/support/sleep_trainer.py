@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from google.protobuf.json_format import MessageToJson
-from lambent_proto.v1 import bundle_pb2, scene_pb2
+from lambent_proto.v1 import bundle_pb2, job_pb2, scene_pb2
 from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.job.process import work
@@ -61,14 +61,16 @@ def pipeline(task: Task) -> Path:
         while step == int(params.get("hang_at", "0")):
             time.sleep(0.1)
         task.reporter.progress(
-            stage=stage,
-            step=step,
-            num_steps=num_steps,
-            fraction=step / num_steps,
-            eta_s=(num_steps - step) * step_s,
-            steps_per_s=1 / step_s if step_s else 0.0,
-            loss=1.0 / step,
-            psnr=20.0 + step / num_steps,
+            job_pb2.Progress(
+                stage=stage,
+                step=step,
+                num_steps=num_steps,
+                fraction=step / num_steps,
+                eta_s=(num_steps - step) * step_s,
+                steps_per_s=1 / step_s if step_s else 0.0,
+                loss=1.0 / step,
+                psnr=20.0 + step / num_steps,
+            )
         )
         task.reporter.preview("view", PNG)
         stopping = task.reporter.should_stop()

@@ -9,6 +9,7 @@ from flashcache.config import EvaluationConfig, ExportConfig
 from flashcache.data.scene import Camera, Scene, View
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
+from lambent_proto.v1 import job_pb2
 from lambent_relight.cameras import look_at
 from lambent_worker.bundle import graphs as bundle_graphs
 from lambent_worker.bundle import manifest as bundle_manifest
@@ -29,8 +30,8 @@ class Listener:
         self.fractions: list[float] = []
         self.stop = False
 
-    def progress(self, *, fraction: float, **_: object) -> None:
-        self.fractions.append(fraction)
+    def progress(self, now: job_pb2.Progress) -> None:
+        self.fractions.append(now.fraction)
 
     def log(self, event: str, **fields: object) -> None:
         self.events[event] = fields

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
+from lambent_proto.v1 import job_pb2
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
@@ -68,42 +69,31 @@ class ConsoleReporter:
         """Return whether `request_stop` was called."""
         return self._stop
 
-    def progress(
-        self,
-        *,
-        stage: str,
-        step: int,
-        num_steps: int,
-        fraction: float,
-        eta_s: float,
-        steps_per_s: float,
-        loss: float,
-        psnr: float,
-    ) -> None:
+    def progress(self, now: job_pb2.Progress) -> None:
         """Show how far the run is."""
         self._record(
             "progress",
-            stage=stage,
-            step=step,
-            num_steps=num_steps,
-            fraction=round(fraction, 5),
-            eta_s=round(eta_s, 1),
-            steps_per_s=round(steps_per_s, 3),
-            loss=loss,
-            psnr=round(psnr, 3),
+            stage=now.stage,
+            step=now.step,
+            num_steps=now.num_steps,
+            fraction=round(now.fraction, 5),
+            eta_s=round(now.eta_s, 1),
+            steps_per_s=round(now.steps_per_s, 3),
+            loss=now.loss,
+            psnr=round(now.psnr, 3),
         )
         if self._as_json:
             return
-        detail = describe_progress(step, num_steps, eta_s, psnr)
-        title = STAGE_TITLES.get(stage, stage)
+        detail = describe_progress(now.step, now.num_steps, now.eta_s, now.psnr)
+        title = STAGE_TITLES.get(now.stage, now.stage)
         if self._bars is not None:
-            self._bars.update(self._bars.task_ids[0], completed=fraction, title=title, detail=detail)
+            self._bars.update(self._bars.task_ids[0], completed=now.fraction, title=title, detail=detail)
             return
-        now = time.monotonic()
-        ended = step >= num_steps
-        if stage != self._stage or ended or now - self._last_line >= PLAIN_INTERVAL_S:
-            self._print(f"{title}: {100 * fraction:.0f} % of the job, {detail}")
-            self._stage, self._last_line = stage, now
+        at = time.monotonic()
+        ended = now.step >= now.num_steps
+        if now.stage != self._stage or ended or at - self._last_line >= PLAIN_INTERVAL_S:
+            self._print(f"{title}: {100 * now.fraction:.0f} % of the job, {detail}")
+            self._stage, self._last_line = now.stage, at
 
     def preview(self, name: str, png: bytes) -> None:
         """Keep a small picture of the current state in the run folder."""

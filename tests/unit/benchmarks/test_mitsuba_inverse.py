@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 import trimesh
 from make_sample_scene import llvm_library, load_renderer
-from mitsuba_inverse import Asset, Inversion, Settings, neighbours, picture, read_mesh, sensor, surface_maps
 from support.lit_sphere import RADIUS, camera
 from support.measured_sphere import measured_views
+
+from benchmarks.mitsuba_inverse import (
+    Asset,
+    Inversion,
+    Settings,
+    neighbours,
+    picture,
+    read_mesh,
+    sensor,
+    surface_maps,
+)
 
 
 @pytest.fixture

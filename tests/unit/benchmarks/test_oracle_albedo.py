@@ -8,11 +8,12 @@ import torch
 from flashcache.data.scene import View
 from flashcache.evaluation.relighting import MapLight
 from make_sample_scene import llvm_library
-from oracle_albedo import AlbedoFit, albedo_map
-from oracle_geometry import fuse
-from oracle_light import ProxySurface
-from oracle_views import TrueSurface
 from support.measured_sphere import measured_views
+
+from benchmarks.oracle_albedo import AlbedoFit, albedo_map
+from benchmarks.oracle_geometry import fuse
+from benchmarks.oracle_light import ProxySurface
+from benchmarks.oracle_views import TrueSurface
 
 BOX = ((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8))
 LIGHT = MapLight.from_image(np.full((8, 16, 3), 0.8, np.float32), torch.device("cpu"))

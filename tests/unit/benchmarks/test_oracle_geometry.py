@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracle_geometry import Proxy, fuse, pixel_of, pixel_rays, single_surface
 from support.lit_sphere import BOTTOM, RADIUS, TOP
 from support.measured_sphere import METALNESS, ROUGHNESS, measured_view, measured_views
+
+from benchmarks.oracle_geometry import Proxy, fuse, pixel_of, pixel_rays, single_surface
 
 BOX = ((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8))
 CELL = 1.6 / 40

@@ -6,10 +6,11 @@ import torch
 from flashcache.evaluation.relighting import MapLight
 from flashcache.physical.brdf import Materials
 from make_sample_scene import llvm_library
-from oracle_geometry import fuse
-from oracle_light import ProxySurface, points_at, shade
 from support.lit_sphere import RADIUS, TOP
 from support.measured_sphere import measured_views
+
+from benchmarks.oracle_geometry import fuse
+from benchmarks.oracle_light import ProxySurface, points_at, shade
 
 BOX = ((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8))
 CPU = torch.device("cpu")

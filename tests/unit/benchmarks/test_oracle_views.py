@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 from make_sample_scene import llvm_library
-from oracle_geometry import fuse
-from oracle_light import ProxySurface
-from oracle_views import TrueSurface, behind_pixels
 from support.lit_sphere import RADIUS
 from support.measured_sphere import measured_views
+
+from benchmarks.oracle_geometry import fuse
+from benchmarks.oracle_light import ProxySurface
+from benchmarks.oracle_views import TrueSurface, behind_pixels
 
 BOX = ((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8))
 

@@ -4,7 +4,8 @@ import pytest
 import torch
 from flashcache.memory import MemoryEstimate
 from flashcache.presets import preset
-from paper_step import describe_estimate, measure, read_scene, shortened, with_share
+
+from benchmarks.paper_step import describe_estimate, measure, read_scene, shortened, with_share
 
 
 def test_a_share_divides_the_rays_of_both_stages():

@@ -2,7 +2,13 @@
 
 import numpy as np
 import pytest
-from unbiasedness import Means, compare, untrained, verdict
+import torch
+from flashcache.data.space import domain_of
+from flashcache.physical.model import InverseModel
+from flashcache.presets import tiny
+from support.lit_sphere import lit_sphere
+
+from benchmarks.unbiasedness import Means, compare, verdict
 
 PIXELS, CALLS = 256, 400
 
@@ -47,7 +53,9 @@ def test_too_little_scatter_is_as_odd_as_too_much():
 
 @pytest.mark.slow
 def test_the_estimator_of_a_fresh_model_passes_and_the_fast_cache_alone_does_not():
-    model, scene, own = untrained()
-    found = compare(model, scene, own, pixels=24, estimates=128, samples=1024)
+    config, scene = tiny(), lit_sphere()
+    torch.manual_seed(0)
+    model = InverseModel(config.model, domain_of(scene, config.space, config.model.environment))
+    found = compare(model, scene, config.stage_two, pixels=24, estimates=128, samples=1024)
     assert found["control variate"].chi_square > 1e-4
     assert found["fast cache only"].chi_square < 1e-6

@@ -20,4 +20,4 @@ MULTIPLIERS: Final[dict[int, tuple[int, int]]] = {
     18: (177852, 190581),
     19: (5468, 133766),
 }
-"""log2(T) -> (b, c), found by `search` (benchmarks/lattice_search.py)."""
+"""log2(T) -> (b, c), found by `search` (benchmarks/lattice_search.py in revision 41a0d66)."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from google.protobuf.json_format import MessageToDict
-from lambent_proto.v1 import render_pb2
+from lambent_proto.v1 import job_pb2, render_pb2
 from lambent_relight.batch import tiles
 from lambent_relight.batch.journal import NAME as JOURNAL
 from lambent_relight.batch.journal import Journal, open_journal, read_records
@@ -83,16 +83,7 @@ def sum_up(task: "Task", manifest: Manifest) -> None:
     tile_of = tiles.Tiles(path for part in parts for path in part.glob(tiles.NAME))
     _summary(task.reporter, folder, results, manifest, tile_of)
     num = len(results)
-    task.reporter.progress(
-        stage=SUMMARY_STAGE,
-        step=num,
-        num_steps=num,
-        fraction=1.0,
-        eta_s=0.0,
-        steps_per_s=0.0,
-        loss=0.0,
-        psnr=0.0,
-    )
+    task.reporter.progress(job_pb2.Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
 
 
 def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
@@ -174,14 +165,14 @@ class _Work:
         seconds = time.monotonic() - self._began
         rate = done / seconds if done and seconds > 0.0 else 0.0
         self.reporter.progress(
-            stage=STAGE,
-            step=done,
-            num_steps=self.num_pictures,
-            fraction=(done + fraction) / max(self.num_pictures, 1),
-            eta_s=(self.num_pictures - done) / rate if rate else 0.0,
-            steps_per_s=rate,
-            loss=0.0,
-            psnr=0.0,
+            job_pb2.Progress(
+                stage=STAGE,
+                step=done,
+                num_steps=self.num_pictures,
+                fraction=(done + fraction) / max(self.num_pictures, 1),
+                eta_s=(self.num_pictures - done) / rate if rate else 0.0,
+                steps_per_s=rate,
+            )
         )
 
     def checkpoint(self) -> None:

@@ -75,31 +75,10 @@ class ServerReporter:
         """Return whether the run was asked to end, or has been given up by the server."""
         return self._stop.is_set()
 
-    def progress(
-        self,
-        *,
-        stage: str,
-        step: int,
-        num_steps: int,
-        fraction: float,
-        eta_s: float,
-        steps_per_s: float,
-        loss: float,
-        psnr: float,
-    ) -> None:
+    def progress(self, now: job_pb2.Progress) -> None:
         """Note how far the run is; the newest note is sent at the next occasion."""
-        progress = job_pb2.Progress(
-            stage=stage,
-            step=step,
-            num_steps=num_steps,
-            fraction=fraction,
-            eta_s=eta_s,
-            steps_per_s=steps_per_s,
-            loss=loss,
-            psnr=psnr,
-        )
         with self._lock:
-            self._progress = progress
+            self._progress = now
 
     def preview(self, name: str, png: bytes) -> None:
         """Show a small picture; only the newest of an interval is sent."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from flashcache.config import Config
+from lambent_proto.v1 import job_pb2
 
 from lambent_worker.errors import Stopped
 from lambent_worker.reporter import Reporter
@@ -72,14 +73,16 @@ class StepContext:
         """Tell the reporter how far this step is; works out the job's fraction and time to go."""
         fraction = step / max(num_steps, 1)
         self.reporter.progress(
-            stage=self.stage,
-            step=step,
-            num_steps=num_steps,
-            fraction=self.clock.job_fraction(fraction),
-            eta_s=self.clock.eta_s(fraction),
-            steps_per_s=steps_per_s,
-            loss=loss,
-            psnr=psnr,
+            job_pb2.Progress(
+                stage=self.stage,
+                step=step,
+                num_steps=num_steps,
+                fraction=self.clock.job_fraction(fraction),
+                eta_s=self.clock.eta_s(fraction),
+                steps_per_s=steps_per_s,
+                loss=loss,
+                psnr=psnr,
+            )
         )
 
     def stop_if_asked(self) -> None:

@@ -123,9 +123,7 @@ def test_the_scene_lies_in_a_folder_of_its_name(
 
 def test_what_the_pipeline_tells_arrives_in_order(stage: Stage, job: str, reporter: ServerReporter):
     for step in range(1, 4):
-        reporter.progress(
-            stage="cache", step=step, num_steps=3, fraction=0.1, eta_s=1, steps_per_s=1, loss=1, psnr=20
-        )
+        reporter.progress(job_pb2.Progress(stage="cache", step=step, num_steps=3, fraction=0.1))
     reporter.log("first", value=1)
     reporter.finding("scene.soft", "take sharper pictures", subject="r_0")
     reporter.preview("view", b"png")

@@ -8,8 +8,9 @@ import pytest
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.masks.consensus import MaskView
 from lambent_worker.masks.estimate import EstimateSettings, estimate_masks
-from painted_scene import overlap, paint, plain, surroundings
 from support.ball_views import ball_hits, ball_views
+
+from benchmarks.painted_scene import overlap, paint, plain, surroundings
 
 SETTINGS = EstimateSettings()
 

@@ -14,11 +14,12 @@ from lambent_worker.masks.segmenter import find_segmenter
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.inspect import inspect_scene
 from lambent_worker.scenes.pictures import read_coverage
-from painted_scene import overlap
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
 from support.ball_views import SIDE
 from typer.testing import CliRunner
+
+from benchmarks.painted_scene import overlap
 
 
 def call(command, *arguments):

@@ -12,8 +12,9 @@ from lambent_worker.poses.photographs import find_photographs, lay_out
 from lambent_worker.poses.solve import Solution
 from lambent_worker.scenes.problems import Problems
 from PIL import Image
-from pose_errors import pose_errors
 from support.captures import look_at, save
+
+from benchmarks.pose_errors import pose_errors
 
 NAMES = tuple(f"{i}.jpg" for i in range(12))
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import pytest
-import reference_scores
+
+from benchmarks import reference_scores
 
 
 @pytest.fixture

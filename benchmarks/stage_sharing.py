@@ -8,14 +8,13 @@ from flashcache.training.checkpoint import (
     latest_checkpoint,
     save_checkpoint,
 )
-from safetensors.torch import load_file
-
 from lambent_worker.errors import WorkerError
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.folder import begin_step, done_inputs, finish_step, step_folder
 from lambent_worker.run.hashes import input_hashes
 from lambent_worker.run.prepare import Run, step_context
 from lambent_worker.run.steps.training import new_model, read_scene
+from safetensors.torch import load_file
 
 NERF = "nerf."
 

@@ -1,0 +1,149 @@
+"""One entry to all benchmarks.
+
+    python -m benchmarks                       the names, a sentence each
+    python -m benchmarks NAME --help           what can be chosen
+    python -m benchmarks NAME [options]        a measurement
+    python -m benchmarks NAME --quick          the same on a small scale: whether it works, not what it says
+    python -m benchmarks --quick-all           all of these, each in a process of its own
+
+What is printed, and the machine it was measured on, is kept in OUT/result.json.
+"""
+
+import argparse
+import ast
+import importlib
+import io
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from contextlib import redirect_stdout
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parent.parent
+BUILD = ROOT / "build" / "benchmarks"
+SAMPLE = ROOT / "client" / "python" / "lambent" / "sample"
+
+
+def benchmarks() -> dict[str, str]:
+    """Return the first sentence of every benchmark by its name: of the modules that have a quick variant."""
+    found = {}
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        if "\nQUICK = " in text:
+            found[path.stem] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+    return found
+
+
+def machine() -> dict[str, Any]:
+    """Return what figures depend on: processor, cores and threads, system, versions."""
+    names = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    model = next((line.partition(": ")[2] for line in names if line.startswith("model name")), "")
+    packages = ("torch", "numpy", "numba", "onnxruntime")
+    return {
+        "processor": model or platform.processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "threads": os.environ.get("OMP_NUM_THREADS", "as many as cores"),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
+
+
+def quick_options(text: str) -> list[str]:
+    """Return the options of a quick variant, with the run it needs trained on the sample scene."""
+    run, report = BUILD / "sample_run", BUILD / "sample_report"
+    maps = SAMPLE / "envmaps"
+    command = [sys.executable, "-m", "lambent"]
+    if any(name in text for name in ("{run}", "{bundle}", "{report}")) and not (run / "bundle").is_dir():
+        subprocess.run([*command, "train", SAMPLE, "--preset", "tiny", "-o", run], check=True)
+    if "{report}" in text and not (report / "report.json").is_file():
+        evaluate = [*command, "evaluate", run, SAMPLE, "--environments", maps, "--views", "2", "-o", report]
+        subprocess.run([*evaluate, "--repeats", "1"], check=True)
+    return text.format(sample=SAMPLE, maps=maps, run=run, bundle=run / "bundle", report=report).split()
+
+
+class Tee(io.StringIO):
+    """Keeps what is printed, and shows it."""
+
+    def write(self, text: str) -> int:
+        """Return the number of characters."""
+        sys.__stdout__.write(text)
+        return super().write(text)
+
+    def flush(self) -> None:
+        """Show what was printed."""
+        sys.__stdout__.flush()
+
+
+def run(name: str, words: list[str]) -> None:
+    """Run a benchmark and keep what it printed and returned."""
+    module = importlib.import_module(f"benchmarks.{name}")
+    parser = argparse.ArgumentParser(
+        f"python -m benchmarks {name}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_options(parser)
+    parser.add_argument("--quick", action="store_true", help=f"as with: {module.QUICK}")
+    parser.add_argument("-o", "--out", type=Path, default=BUILD / name, help="folder (default: %(default)s)")
+    if "--quick" in words:
+        words = quick_options(module.QUICK) + words
+    options = parser.parse_args(words)
+    options.out.mkdir(parents=True, exist_ok=True)
+    about = machine()
+    print(", ".join(f"{key} {value}" for key, value in about.items()), "\n", flush=True)
+    began = time.perf_counter()
+    with redirect_stdout(Tee()) as printed:
+        result = module.main(options)
+    record = {
+        "benchmark": name,
+        "machine": about,
+        "options": vars(options),
+        "seconds": time.perf_counter() - began,
+        "printed": printed.getvalue(),
+        "result": result,
+    }
+    (options.out / "result.json").write_text(json.dumps(record, indent=1, default=str) + "\n")
+
+
+def run_all_quick() -> int:
+    """Return 1 when a quick variant fails; prints how long each took."""
+    rows = {}
+    for name in benchmarks():
+        print(f"\n# {name}\n", flush=True)
+        began = time.perf_counter()
+        code = subprocess.run([sys.executable, "-m", "benchmarks", name, "--quick"], cwd=ROOT).returncode
+        rows[name] = (time.perf_counter() - began, code)
+    print("\n| benchmark | s | |\n| --- | --- | --- |")
+    for name, (seconds, code) in rows.items():
+        print(f"| {name} | {seconds:.0f} | {f'failed with {code}' if code else ''} |")
+    return int(any(code for _, code in rows.values()))
+
+
+def main() -> int:
+    """Return the exit status."""
+    # A waiting thread sleeps: spinning ones would slow whatever is measured beside them.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Scenes and the browser page of the tests, and the scene makers of the examples, are used here as well.
+    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "examples")]
+    known, words = benchmarks(), sys.argv[1:]
+    if words == ["--quick-all"]:
+        return run_all_quick()
+    if words and words[0] in known:
+        run(words[0], words[1:])
+        return 0
+    print(__doc__)
+    for name, sentence in known.items():
+        print(f"{name:20} {sentence}")
+    if words and words[0] not in ("-h", "--help"):
+        print(f"\nthere is no benchmark {words[0]!r}", file=sys.stderr)
+    return int(bool(words) and words[0] not in ("-h", "--help"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
