@@ -15,7 +15,6 @@ from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import prepare_run, step_context
 from lambent_worker.run.steps import ingest
 from lambent_worker.run.steps.training import load_trained, read_scene
-from lambent_worker.stage_sharing import adopt_nerf_cache
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
 

@@ -12,7 +12,6 @@ from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import prepare_run, step_context
 from lambent_worker.run.steps.ingest import read_manifest
 from lambent_worker.scenes.load import load_scene
-from painted_scene import overlap
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
 from support.recording_reporter import RecordingReporter
