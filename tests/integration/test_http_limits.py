@@ -107,7 +107,8 @@ def test_a_thousand_slow_logins_and_a_thousand_idle_streams_harm_nobody(server: 
                 stack.enter_context(connected(server)).sendall(request)
             seconds = [answer_time(f"{server.url}/healthz") for _ in range(10)]
             seconds += [answer_time(f"{server.url}/v1/jobs", server.key) for _ in range(10)]
-            assert max(seconds) < 2.0
+            # A server that is full answers none of them in the ten seconds that they have.
+            assert max(seconds) < 5.0
 
 
 def answer_time(url: str, key: str = "") -> float:
