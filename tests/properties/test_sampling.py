@@ -176,7 +176,7 @@ def test_stratified_variates_of_a_point_are_spread_and_each_is_uniform():
     assert float(cells.double().mean()) > 12.0
 
 
-def test_a_density_below_the_floor_is_raised_and_counted():
+def test_a_density_below_the_floor_is_raised():
     mixture = VmfMixture(
         NORMAL.expand(1, 1, 3), torch.full((1, 1), 50.0).double(), torch.zeros(1, 1).double()
     )
@@ -191,7 +191,6 @@ def test_a_density_below_the_floor_is_raised_and_counted():
             return mixture.pdf(omega_i)
 
     drawn = draw_directions([(Opposite(), (4,))], torch.Generator(), torch.zeros(1, 3, dtype=torch.float64))
-    assert int(drawn.num_floored) == 4
     torch.testing.assert_close(drawn.weight, torch.full((1, 4), 1.0 / (4 * 1e-5), dtype=torch.float64))
 
 

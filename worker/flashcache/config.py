@@ -6,7 +6,6 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from hashlib import sha256
 from typing import Any
 
 from flashcache.data.ray_batches import PixelChoice
@@ -270,11 +269,6 @@ def to_dict(config: Any) -> dict[str, Any]:
     return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
-def config_hash(config: Any) -> str:
-    """Return the SHA-256 of a configuration's canonical JSON, in hexadecimal."""
-    return sha256(json.dumps(to_dict(config), sort_keys=True).encode()).hexdigest()
-
-
 REMOVED: Mapping[str, Any] = {
     "model.environment.texture_height": 0,
     "model.nerf.antialias": "none",
@@ -282,6 +276,7 @@ REMOVED: Mapping[str, Any] = {
     "stage_two.budget": {"error_share": 0.0},
     "stage_two.cache_weight": 1.0,
     "stage_two.environment_prior": {"white_weight": 0.0, "variation_weight": 0.0},
+    "stage_two.estimator.environment_gradient": 1.0,
     "stage_two.estimator.roulette": 0.0,
     "stage_two.unobserved": {"weight": 0.0},
     "stage_two.weight_gradient": 0.0,

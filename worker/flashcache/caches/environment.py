@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from flashcache.encoding.directional import positional_encoding
 from flashcache.errors import ConfigError
 from flashcache.fields.mlp import Hidden, linear
-from flashcache.geometry.directions import look_up
+from flashcache.geometry.directions import environment_directions, look_up
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -130,15 +130,6 @@ class Environment(nn.Module):
     def image(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:
         """Return a light's latitude-longitude picture of linear radiance, `width = 2 height`."""
         device = next(self.parameters()).device
-        polar = (torch.arange(height, device=device) + 0.5) * math.pi / height
-        azimuth = math.pi - (torch.arange(2 * height, device=device) + 0.5) * math.pi / height
-        directions = torch.stack(
-            [
-                polar.sin()[:, None] * azimuth.cos(),
-                polar.sin()[:, None] * azimuth.sin(),
-                polar.cos()[:, None].expand(-1, 2 * height),
-            ],
-            dim=-1,
-        ).reshape(-1, 3)
+        directions = environment_directions(height, 2 * height).reshape(-1, 3).to(device)
         index = torch.full((len(directions),), light, dtype=torch.long, device=device)
         return self(directions, index).reshape(height, 2 * height, 3)

@@ -117,10 +117,6 @@ class HashGrid(nn.Module):
             return
         super()._load_from_state_dict(state_dict, prefix, metadata, strict, *lists)
 
-    def level_tables(self) -> list[Float[Tensor, "rows features"]]:
-        """Return the part of `table` that belongs to each level (views), for losses per level."""
-        return [self.table[le.first_row : le.first_row + le.num_rows] for le in self.layout.levels]
-
 
 def _level_numbers(layout: GridLayout) -> Int[Tensor, "levels 5"]:
     """Return resolution, first row, rows and multipliers of y and z per level."""

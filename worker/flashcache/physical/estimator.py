@@ -87,8 +87,6 @@ class EstimatorConfig:
     """Factor on the gradient that reaches the shading normal."""
     through_cache: float = 0.0
     """Factor on the gradient into the caches; the paper's code has 1e-4; 0 saves the graph."""
-    environment_gradient: float = 1.0
-    """Factor on the gradient into the environment."""
 
     def __post_init__(self) -> None:
         if self.control_variate not in ("on", "off", "fast_only"):
@@ -145,7 +143,7 @@ def control_variate(
     specular = [(lobe, [count.specular for count in counts])]
     directions = DrawnDirections.draw(points, diffuse, specular, config.stratified, limits, generator)
     rays = directions.rays
-    sky = scale_gradient(environment(rays.directions, rays.light_index), config.environment_gradient)
+    sky = environment(rays.directions, rays.light_index)
     exact_nerf, exact_fast, fast_only = _ask(rays, directions.num_exact_rays, nerf, fast, config)
     near, clear = _signed(exact_nerf, exact_fast, fast_only, config)
     radiance = directions.scatter(near + clear.unsqueeze(-1) * sky)

@@ -153,8 +153,6 @@ class DirectionSamples(NamedTuple):
     """`mis_weight` / (number of directions * `pdf_solid_angle`): the integrand's factor."""
     groups: tuple[int, ...]
     """Lengths of the consecutive blocks of directions that one strategy drew for one estimate."""
-    num_floored: Tensor
-    """How many densities were raised to the floor (a count; those directions are biased)."""
 
 
 def draw_uniforms(
@@ -201,9 +199,7 @@ def draw_directions(
         num_points = like.shape[0]
         if not strategies:
             none = like.new_zeros((num_points, 0))
-            return DirectionSamples(
-                like.new_zeros((num_points, 0, 3)), none, none, none, (), like.new_zeros(())
-            )
+            return DirectionSamples(like.new_zeros((num_points, 0, 3)), none, none, none, ())
         drawn = []
         for strategy, counts in strategies:
             shapes = [(num_points, count, strategy.num_uniforms) for count in counts]
@@ -227,7 +223,6 @@ def draw_directions(
             ],
             dim=1,
         )
-        num_floored = (own < PDF_FLOOR).sum()
         own = own.clamp_min(PDF_FLOOR)
         expected = own * like.new_tensor(groups).repeat_interleave(torch.tensor(groups, device=like.device))
         if len(strategies) == 1:
@@ -238,4 +233,4 @@ def draw_directions(
                 rivals = [counts[estimate] for estimate, _, length in blocks for _ in range(length)]
                 total += (density.clamp_min(PDF_FLOOR) * like.new_tensor(rivals)).square()
             mis_weight = expected.square() / total
-        return DirectionSamples(omega_i, own, mis_weight, mis_weight / expected, groups, num_floored)
+        return DirectionSamples(omega_i, own, mis_weight, mis_weight / expected, groups)

@@ -32,14 +32,6 @@ class ShadingPoints(NamedTuple):
     light_index: Int[Tensor, " points"]
 
 
-class Guards(NamedTuple):
-    """How often numerical guards changed a direction's contribution; each is a source of bias."""
-
-    pdf_floored: Tensor
-    clipped: Tensor
-    not_a_number: Tensor
-
-
 @dataclass(frozen=True)
 class ExactDirections:
     """The directions that the NeRF cache answered: what trains the fast cache and the light sampler.
@@ -79,7 +71,6 @@ class Estimate(NamedTuple):
     variance: Float[Tensor, "points 3"] | None
     """Estimated variance of `rgb` (of its mean, not of one direction); None unless asked for."""
     exact: ExactDirections | None
-    guards: Guards
 
     @property
     def standard_error(self) -> Float[Tensor, "points 3"]:
@@ -160,7 +151,7 @@ class DrawnDirections:
             self.points.omega_o.unsqueeze(1), omega_s, normal, materials.per_direction()
         )
         terms = torch.cat([radiance[:, :num_diffuse] * cosine, radiance[:, num_diffuse:] * specular_cos], 1)
-        clean, clipped, not_a_number = _guard(terms)
+        clean = torch.nan_to_num(terms, nan=0.0).clamp(-CONTRIBUTION_MAXIMUM, CONTRIBUTION_MAXIMUM)
         weight = torch.cat([half.weight for half in self.halves], dim=1).unsqueeze(-1)
         weighted = clean * weight
         irradiance = weighted[:, :num_diffuse].sum(dim=1)
@@ -172,9 +163,7 @@ class DrawnDirections:
             with torch.no_grad():
                 variance = white.square() * _variance(weighted[:, :num_diffuse], self.halves[0].groups)
                 variance = variance + _variance(weighted[:, num_diffuse:], self.halves[1].groups)
-        floored = self.halves[0].num_floored + self.halves[1].num_floored
-        guards = Guards(floored, clipped, not_a_number)
-        return Estimate(diffuse + specular, diffuse, specular, irradiance, variance, None, guards)
+        return Estimate(diffuse + specular, diffuse, specular, irradiance, variance, None)
 
     def exact(self, nerf: NearField, fast: NearField | None, environment: Tensor) -> "ExactDirections":
         """Return what the losses of the fast cache and the light sampler need, given the answers."""
@@ -198,16 +187,6 @@ class DrawnDirections:
             nerf=answer,
             fast=known,
         )
-
-
-def _guard(terms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return contributions within +-1e4, not-a-number as zero, and how many of each there were."""
-    bound = CONTRIBUTION_MAXIMUM
-    with torch.no_grad():
-        size = terms.abs().amax(dim=-1)
-        not_a_number = size.isnan().sum()
-        clipped = (size > bound).sum()
-    return torch.nan_to_num(terms, nan=0.0).clamp(-bound, bound), clipped, not_a_number
 
 
 def _variance(weighted: Tensor, groups: tuple[int, ...]) -> Tensor:

@@ -41,15 +41,6 @@ def test_features_are_the_scale_times_the_table_and_start_alike():
     assert 0.9e-5 < HashGrid(replace(CONFIG, output_scale=10.0)).table.abs().max() <= 1e-5
 
 
-def test_level_tables_are_views_of_the_whole_table():
-    made = grid()
-    parts = made.level_tables()
-    assert [len(part) for part in parts] == [64, 2197, 4096]
-    parts[1].detach().zero_()
-    first = made.layout.levels[1].first_row
-    assert not made.table[first : first + made.layout.levels[1].num_rows].any()
-
-
 @pytest.mark.parametrize(
     "setting", [{"num_features": 0}, {"half_extent": 0.0}, {"num_levels": -1}, {"output_scale": 0.0}]
 )

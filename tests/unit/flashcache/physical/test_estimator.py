@@ -167,21 +167,6 @@ def test_the_fast_cache_alone_learns_from_exact_rays_that_do_not_count(supervise
         assert result.exact.radiance.max() > 500.0
 
 
-def test_the_gradient_into_the_environment_is_scaled():
-    given, reached = case(20), []
-    for factor in (1.0, 0.25, 0.0):
-        gain = torch.ones((), dtype=torch.float64, requires_grad=True)
-        result = estimates(
-            given,
-            light=lambda directions, light, gain=gain: gain * environment(directions),
-            environment_gradient=factor,
-        )
-        (result.rgb.sum() + 0.0 * gain).backward()
-        reached.append(float(gain.grad))
-    assert reached[1] == pytest.approx(0.25 * reached[0])
-    assert reached[2] == 0.0
-
-
 def test_exact_rays_know_their_half():
     result, *_ = _ask(case(30, alpha=1.0), EstimatorConfig(exact=_counts(3, 2, 4)))
     found = result.exact
@@ -259,7 +244,7 @@ def test_the_gradient_by_the_normal_is_scaled():
     assert gradients[2].abs().max() == 0.0
 
 
-def test_contributions_that_are_not_numbers_or_too_large_are_counted_and_kept_out():
+def test_contributions_that_are_not_numbers_or_too_large_are_kept_out():
     given = case(10)
 
     def broken(rays):
@@ -281,7 +266,6 @@ def test_contributions_that_are_not_numbers_or_too_large_are_counted_and_kept_ou
         generator=torch.Generator().manual_seed(1),
     )
     assert torch.isfinite(result.rgb).all()
-    assert [int(count) for count in result.guards] == [0, 1, 1]
 
 
 def test_estimates_are_made_on_the_device_of_the_points(device):
