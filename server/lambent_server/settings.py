@@ -109,7 +109,6 @@ class Settings(BaseSettings):
     max_archive_ratio: float = Field(default=200.0, gt=1)
     max_environment_bytes: Size = 512 * MIB
     max_environment_pixels: int = Field(default=16384 * 8192, ge=1)
-    max_preview_bytes: Size = 256 * KIB
     max_queued_jobs: int = Field(default=1000, ge=1)
     """Jobs of one tenant that have not ended."""
     max_batch_pictures: int = Field(default=1000, ge=1)

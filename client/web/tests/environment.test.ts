@@ -3,8 +3,6 @@ import { describe, expect, it } from "vitest";
 import {
   directionOfPixel,
   directionOfUv,
-  lookupUv,
-  pixelOfDirection,
   rotateAboutZ,
   uvOfDirection,
   type Direction,
@@ -54,14 +52,6 @@ describe("environment orientation", () => {
     expectClose(directionOfUv([0.75, 0.5]), [0, -1, 0], 1e-12);
   });
 
-  it("finds every pixel of a map again from its direction", () => {
-    for (let row = 0; row < 8; row++) {
-      for (let column = 0; column < 16; column++) {
-        expect(pixelOfDirection(directionOfPixel(row, column, 8, 16), 8, 16)).toEqual([row, column]);
-      }
-    }
-  });
-
   it("keeps u inside [0, 1) on the seam at -x", () => {
     for (const y of [0, -0, 1e-17, -1e-17]) {
       const [u] = uvOfDirection([-1, y, 0]);
@@ -72,8 +62,6 @@ describe("environment orientation", () => {
 
   it("turns the light counter-clockwise: what stood at +x stands at +y after 90 degrees", () => {
     expectClose(rotateAboutZ([1, 0, 0], 90), [0, 1, 0], 1e-12);
-    const light: Direction = [0, 1, 0];
-    expectClose(lookupUv(light, 90), uvOfDirection([1, 0, 0]), 1e-12);
   });
 
   it.each(golden.cases)("row $row, column $column, turned by $rotate_deg lights $lit_face", (one) => {
@@ -84,7 +72,7 @@ describe("environment orientation", () => {
       dot(face[1], turned) > dot(best[1], turned) ? face : best,
     );
     expect(brightest[0]).toBe(one.lit_face);
-    const [u, v] = lookupUv(turned, one.rotate_deg);
+    const [u, v] = uvOfDirection(rotateAboutZ(turned, -one.rotate_deg));
     expect([Math.floor(v * golden.height), Math.floor(u * golden.width)]).toEqual([one.row, one.column]);
   });
 });

@@ -6,8 +6,9 @@ import { packFastCache } from "../src/engine/fusedCache.js";
 import { gridFunction, literal } from "../src/engine/fusedGridShader.js";
 import { cacheShader } from "../src/engine/fusedShader.js";
 import { chained, FusedWeights, type Layer, NotFused, networkConstants } from "../src/engine/fusedWeights.js";
-import { halfValue, widenedHalves } from "../src/engine/half.js";
-import { keepOutputs, modelMetadata, withoutHalves } from "../src/engine/onnxModel.js";
+import { halfValue } from "../src/engine/half.js";
+import { keepOutputs, modelMetadata } from "../src/engine/onnxModel.js";
+import { widenedHalves, withoutHalves } from "./onnxWebgpu.js";
 
 const model = (fields: MessageInitShape<typeof OnnxModelSchema>) =>
   toBinary(OnnxModelSchema, create(OnnxModelSchema, fields));

@@ -7,7 +7,7 @@ import { openBundle } from "../src/bundle/manifest.js";
 import { FusedCache, packFastCache } from "../src/engine/fusedCache.js";
 import { type OnnxGraph, openGraph, type Provider } from "../src/engine/onnxGraphs.js";
 import { loadWasm } from "../src/engine/onnxWasm.js";
-import { loadWebgpu } from "../src/engine/onnxWebgpu.js";
+import { loadWebgpu, withoutHalves } from "./onnxWebgpu.js";
 
 type Arrays = Record<string, string>;
 
@@ -42,12 +42,12 @@ async function adapter(): Promise<GPUAdapter> {
 async function open(name: string, path: string, provider: Provider, outputs?: string[]): Promise<boolean> {
   const halves = provider === "wasm" || (await adapter()).features.has("shader-f16");
   const [model, weights] = [await fetched(`bundle/${path}`), await fetched("bundle/models/weights.bin")];
+  const stored = halves ? { model, weights } : withoutHalves(model, weights);
   graphs.set(
     name,
-    await openGraph(model, weights, {
+    await openGraph(stored.model, stored.weights, {
       provider,
       runtime: await (provider === "webgpu" ? loadWebgpu() : loadWasm()),
-      halves,
       wasmFolder: new URL("ort/", location.href).href,
       ...(outputs === undefined ? {} : { outputs }),
     }),

@@ -21,7 +21,6 @@ from lambent_server.scene_rows import SceneFile
 from lambent_server.services import Services
 from lambent_server.uploads import Upload, received
 
-ARCHIVE_TYPES = ("application/zip", "application/x-tar", "application/gzip", "application/octet-stream")
 router = APIRouter(tags=["scenes"])
 
 

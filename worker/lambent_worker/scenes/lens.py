@@ -64,15 +64,9 @@ def camera_with_lens(
             subject,
         )
         return None
-    camera = scene_pb2.Camera(
-        width=figures.width,
-        height=figures.height,
-        focal_x=figures.focal_x,
-        focal_y=figures.focal_y,
-        centre_x=figures.centre_x,
-        centre_y=figures.centre_y,
-        camera_to_world=pose.ravel().tolist(),
-    )
+    names = ("width", "height", "focal_x", "focal_y", "centre_x", "centre_y")
+    stated = {name: getattr(figures, name) for name in names}
+    camera = scene_pb2.Camera(**stated, camera_to_world=pose.ravel().tolist())
     if not any(figures.distortion):
         return camera
     coefficients = np.zeros(NUM_COEFFICIENTS)
@@ -86,15 +80,7 @@ def camera_with_lens(
             subject,
         )
         return None
-    lens = scene_pb2.Lens(
-        width=figures.width,
-        height=figures.height,
-        focal_x=figures.focal_x,
-        focal_y=figures.focal_y,
-        centre_x=figures.centre_x,
-        centre_y=figures.centre_y,
-        distortion=coefficients.tolist(),
-    )
+    lens = scene_pb2.Lens(**stated, distortion=coefficients.tolist())
     camera.focal_x *= zoom
     camera.focal_y *= zoom
     camera.lens.CopyFrom(lens)

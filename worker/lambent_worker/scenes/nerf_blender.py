@@ -17,7 +17,7 @@ from lambent_worker.scenes.frames import check_sizes
 from lambent_worker.scenes.pictures import encoding_of
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import read_json_object
-from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame_entries, read_camera
+from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame_entries, posed_entries
 
 NAME = "nerf_blender"
 LOOKS_LIKE = "transforms_train.json"
@@ -81,21 +81,7 @@ def _read_split(
     problems: Problems,
 ) -> None:
     shared_lens = []
-    for subject, entry in frame_entries(name, transforms, problems):
-        picture = find_picture(folder, entry["file_path"], subject, problems)
-        if picture is None:
-            continue
-        if picture in seen:
-            problems.error(
-                "scene.frame_duplicate",
-                f"{subject}: {picture} is named by an earlier frame already; remove one of the two",
-                picture,
-            )
-            continue
-        seen.add(picture)
-        camera = read_camera(folder, picture, {**transforms, **entry}, subject, problems)
-        if camera is None:
-            continue
+    for _, entry, picture, camera in posed_entries(folder, name, transforms, seen, problems):
         frame = _frame(folder, picture, split, camera)
         capture.frames.append(frame)
         exposure = stated_exposure(entry)

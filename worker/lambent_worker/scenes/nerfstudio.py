@@ -16,7 +16,7 @@ from lambent_worker.scenes.frames import check_sizes, frame_names, listed
 from lambent_worker.scenes.pictures import encoding_of
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import inside_folder, read_json_object
-from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame_entries, read_camera
+from lambent_worker.scenes.transforms_json import LENS_KEYS, posed_entries
 
 NAME = "nerfstudio"
 LOOKS_LIKE = "transforms.json"
@@ -42,23 +42,8 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
     transforms = read_json_object(folder, FILE, problems)
     if transforms is None:
         return capture
-    seen: set[str] = set()
     shared_lens = []
-    for subject, entry in frame_entries(FILE, transforms, problems):
-        picture = find_picture(folder, entry["file_path"], subject, problems)
-        if picture is None:
-            continue
-        if picture in seen:
-            problems.error(
-                "scene.frame_duplicate",
-                f"{subject}: {picture} is named by an earlier frame already; remove one of the two",
-                picture,
-            )
-            continue
-        seen.add(picture)
-        camera = read_camera(folder, picture, {**transforms, **entry}, subject, problems)
-        if camera is None:
-            continue
+    for subject, entry, picture, camera in posed_entries(folder, FILE, transforms, set(), problems):
         frame = scene_pb2.Frame(
             split=scene_pb2.SPLIT_TRAIN,
             camera=camera,

@@ -5,6 +5,7 @@ pixels of a picture of `w` x `h`; OpenCV's distortion `k1`, `k2`, `p1`, `p2`, `k
 FULL_OPENCV also `k4`, `k5`, `k6`.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,30 @@ def frame_entries(
             "scene.file_path_missing", f'{subject} has no "file_path"; name the picture it is about', subject
         )
     return found
+
+
+def posed_entries(
+    folder: Path, name: str, transforms: dict[str, Any], seen: set[str], problems: Problems
+) -> Iterator[tuple[str, dict[str, Any], str, scene_pb2.Camera]]:
+    """Yield how to call it in messages, entry, picture and camera of each frame that has the latter two.
+
+    Pictures in `seen` are refused, those yielded are added to it.
+    """
+    for subject, entry in frame_entries(name, transforms, problems):
+        picture = find_picture(folder, entry["file_path"], subject, problems)
+        if picture is None:
+            continue
+        if picture in seen:
+            problems.error(
+                "scene.frame_duplicate",
+                f"{subject}: {picture} is named by an earlier frame already; remove one of the two",
+                picture,
+            )
+            continue
+        seen.add(picture)
+        camera = read_camera(folder, picture, {**transforms, **entry}, subject, problems)
+        if camera is not None:
+            yield subject, entry, picture, camera
 
 
 def find_picture(folder: Path, file_path: str, subject: str, problems: Problems) -> str | None:

@@ -49,7 +49,7 @@ def _load(name: str) -> Any:
     try:
         if entry is not None and entry.target:
             module, _, function_name = entry.target.partition(":")
-            function = getattr(importlib.import_module(module), function_name)
+            function = getattr(importlib.import_module(f"lambent.cli.{module}"), function_name)
         else:
             point = _find_entry_point(name)
             if point is None:

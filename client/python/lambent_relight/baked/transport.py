@@ -63,13 +63,6 @@ class Transport:
         """The coarse texel (a block of 2 x 2) that every texel lies in, [texel]."""
         return coarse_blocks(self.size, self.texel_index)[1]
 
-    @cached_property
-    def rank_of_texel(self) -> NDArray[np.int32]:
-        """The number of every place of the atlas among the covered ones or -1, [size * size]."""
-        ranks = np.full(self.size * self.size, -1, np.int32)
-        ranks[self.texel_index] = np.arange(self.num_texels, dtype=np.int32)
-        return ranks
-
 
 def shadow_directions(count: int = NUM_SHADOW_DIRECTIONS) -> NDArray[np.float64]:
     """Return even unit directions [count, 3]: z = 1 - (2j + 1) / count, azimuth j pi (3 - sqrt 5)."""

@@ -31,25 +31,10 @@ export function directionOfPixel(row: number, column: number, height: number, wi
   return directionOfUv([(column + 0.5) / width, (row + 0.5) / height]);
 }
 
-/** Return the pixel [row, column] that holds a unit direction. */
-export function pixelOfDirection(
-  direction: Direction,
-  height: number,
-  width: number,
-): readonly [row: number, column: number] {
-  const [u, v] = uvOfDirection(direction);
-  return [Math.min(height - 1, Math.floor(v * height)), Math.min(width - 1, Math.floor(u * width))];
-}
-
 /** Return `direction` turned by +degrees about +z (counter-clockwise seen from above). */
 export function rotateAboutZ([x, y, z]: Direction, degrees: number): Direction {
   const angle = (degrees * Math.PI) / 180;
   const cos = Math.cos(angle);
   const sin = Math.sin(angle);
   return [cos * x - sin * y, sin * x + cos * y, z];
-}
-
-/** Return where to look up a map whose light has been turned by +degrees: L_deg(d) = L_0(Rz(-deg) d). */
-export function lookupUv(direction: Direction, rotateDeg: number): MapPosition {
-  return uvOfDirection(rotateAboutZ(direction, -rotateDeg));
 }

@@ -1,6 +1,4 @@
-/** Environment maps as arrays: look-up, solid angles, other programs' layouts, smaller maps. */
-
-import { rotateAboutZ, uvOfDirection, type Direction } from "./environment.js";
+/** Environment maps as arrays: solid angles, energy, smaller maps. */
 
 /** A latitude-longitude map; row 0 is +z. */
 export type EnvironmentMap = {
@@ -13,47 +11,11 @@ export type EnvironmentMap = {
 /** Red, green, blue. */
 export type Rgb = [red: number, green: number, blue: number];
 
-/** Layouts of other programs' maps; docs/reference/conventions.md. */
-export type MapAxes = "blender" | "threejs" | "mitsuba" | "skylibs";
-
-const quarterTurns: Readonly<Record<MapAxes, number>> = { blender: 0, threejs: 0, mitsuba: -1, skylibs: 1 };
-
-/** Return the angle in degrees by which a map laid out as `axes` must be turned to be ours. */
-export function turnOfAxes(axes: MapAxes): number {
-  return 90 * quarterTurns[axes];
-}
-
 /** Return the solid angle of one pixel of a row, in steradians. */
 export function pixelSolidAngle(row: number, height: number, width: number): number {
   const top = Math.cos((Math.PI * row) / height);
   const bottom = Math.cos((Math.PI * (row + 1)) / height);
   return ((2 * Math.PI) / width) * (top - bottom);
-}
-
-/** Return the radiance of an unturned map in a direction: bilinear, columns wrap, rows are held at the poles. */
-export function lookup(map: EnvironmentMap, direction: Direction): Rgb {
-  const [u, v] = uvOfDirection(direction);
-  const column = u * map.width - 0.5;
-  const row = Math.min(Math.max(v * map.height - 0.5, 0), map.height - 1);
-  const floorColumn = Math.floor(column);
-  const top = Math.floor(row);
-  const across = column - floorColumn;
-  const down = row - top;
-  const left = (floorColumn + map.width) % map.width;
-  const right = (left + 1) % map.width;
-  const bottom = Math.min(top + 1, map.height - 1);
-  const mix = (channel: number): number => {
-    const value = (r: number, c: number): number => map.radianceRgb[3 * (r * map.width + c) + channel]!;
-    const upper = value(top, left) * (1 - across) + value(top, right) * across;
-    const lower = value(bottom, left) * (1 - across) + value(bottom, right) * across;
-    return upper * (1 - down) + lower * down;
-  };
-  return [mix(0), mix(1), mix(2)];
-}
-
-/** Return the radiance in a direction of a map whose light is turned by +rotateDeg about +z. */
-export function lookupTurned(map: EnvironmentMap, direction: Direction, rotateDeg: number): Rgb {
-  return lookup(map, rotateAboutZ(direction, -rotateDeg));
 }
 
 /** Return the integral of radiance over the sphere. */
@@ -106,7 +68,7 @@ export function resized(map: EnvironmentMap, height: number, width: number): Env
   return { height, width, radianceRgb };
 }
 
-/** Write what `lookup` gives at the centres of other pixels. */
+/** Write the bilinear interpolant at the centres of other pixels: columns wrap, rows are held at the poles. */
 function interpolate(map: EnvironmentMap, height: number, width: number, radianceRgb: Float64Array): void {
   const places = Float64Array.from(
     { length: width },

@@ -16,14 +16,3 @@ export function halfTable(): Float32Array {
   table ??= Float32Array.from({ length: 0x10000 }, (_, bits) => halfValue(bits));
   return table;
 }
-
-/** Return the bytes of little-endian halves as those of little-endian float32 numbers. */
-export function widenedHalves(bytes: Uint8Array): Uint8Array<ArrayBuffer> {
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  const values = halfTable();
-  const wide = new DataView(new ArrayBuffer(bytes.byteLength * 2));
-  for (let at = 0; at < bytes.byteLength; at += 2) {
-    wide.setFloat32(2 * at, values[view.getUint16(at, true)]!, true);
-  }
-  return new Uint8Array(wide.buffer);
-}

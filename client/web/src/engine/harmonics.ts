@@ -256,11 +256,6 @@ function solve(a: Float64Array, b: Float64Array, size: number): Float64Array {
   return b.map((value, index) => value / a[Math.floor(index / size) * (size + 1)]!);
 }
 
-/** Return the Hanning factor of every coefficient: (1 + cos(pi l / width)) / 2, zero from band `width` on. */
-export function windowFactors(bands: number, width: number): Float64Array {
-  return perCoefficient(bands, (l) => (l < width ? 0.5 + 0.5 * Math.cos((Math.PI * l) / width) : 0));
-}
-
 /** Return the factor per coefficient that turns radiance into irradiance. */
 export function cosineFactors(bands: number): Float64Array {
   return perCoefficient(bands, (l) => {

@@ -1,12 +1,12 @@
 /**
  * A bundle's graphs run by onnxruntime-web. Answers equal those of onnxruntime on a processor within 1e-5.
  *
- * The runtime is given, by `onnxWasm.ts` or `onnxWebgpu.ts`: a page that needs one kind does not carry the other.
+ * The runtime is given, by `onnxWasm.ts`: a page that needs another kind does not carry that one.
  */
 
 import type { InferenceSession, Tensor } from "onnxruntime-web";
 import type * as runtimes from "onnxruntime-web/wasm";
-import { keepOutputs, withoutHalves } from "./onnxModel.js";
+import { keepOutputs } from "./onnxModel.js";
 
 /** "wasm" runs on the processor, "webgpu" on the graphics hardware and nowhere else. */
 export type Provider = "wasm" | "webgpu";
@@ -24,8 +24,6 @@ export type GraphOptions = {
   readonly runtime: Runtime;
   /** Outputs to compute; all when left out. */
   readonly outputs?: readonly string[];
-  /** Whether the hardware computes with halves; without, float16 tables are widened first. */
-  readonly halves: boolean;
   /** Folder with onnxruntime's .wasm files, ending in "/"; without, where the packager put them. */
   readonly wasmFolder?: string;
 };
@@ -71,13 +69,9 @@ export async function openGraph(
   runtime.env.wasm.numThreads = 1;
   if (options.wasmFolder !== undefined) runtime.env.wasm.wasmPaths = options.wasmFolder;
   const trimmed = options.outputs === undefined ? model : keepOutputs(model, options.outputs);
-  const stored =
-    options.provider === "webgpu" && !options.halves
-      ? withoutHalves(trimmed, weights)
-      : { model: trimmed, weights };
-  const session = await runtime.InferenceSession.create(stored.model, {
+  const session = await runtime.InferenceSession.create(trimmed, {
     executionProviders: [options.provider],
-    externalData: [{ path: "weights.bin", data: stored.weights }],
+    externalData: [{ path: "weights.bin", data: weights }],
     logSeverityLevel: 3,
     ...(options.provider === "webgpu" ? { extra: { session: { disable_cpu_ep_fallback: "1" } } } : {}),
   });

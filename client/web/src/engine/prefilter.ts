@@ -6,8 +6,7 @@
  * Source: docs/reference/conventions.md (prefiltered levels).
  */
 
-import type { Direction } from "./environment.js";
-import { lookupTurned, pixelSolidAngle, resized, type EnvironmentMap, type Rgb } from "./environmentMap.js";
+import { pixelSolidAngle, resized, type EnvironmentMap } from "./environmentMap.js";
 import { type Coupling, narrowCoupling, sampledCoupling } from "./coupling.js";
 import { Fourier } from "./fourier.js";
 
@@ -40,25 +39,6 @@ export function prefilter(map: EnvironmentMap, numLevels: number): Prefiltered {
     );
   }
   return levels;
-}
-
-/** Return radiance in a direction for a perceptual roughness, of light turned by +rotateDeg about +z. */
-export function lookupLevels(
-  levels: Prefiltered,
-  direction: Direction,
-  perceptualRoughness: number,
-  rotateDeg = 0,
-): Rgb {
-  const last = levels.length - 1;
-  const place = Math.min(Math.max(perceptualRoughness, 0), 1) * last;
-  const index = Math.min(Math.floor(place), last - 1);
-  const [low, high] = [levels[index], levels[index + 1]];
-  if (low === undefined || high === undefined) throw new RangeError("at least two levels are needed");
-  const sharp = lookupTurned(low, direction, rotateDeg);
-  const rough = lookupTurned(high, direction, rotateDeg);
-  const mix = (channel: 0 | 1 | 2): number =>
-    sharp[channel] + (place - index) * (rough[channel] - sharp[channel]);
-  return [mix(0), mix(1), mix(2)];
 }
 
 /**

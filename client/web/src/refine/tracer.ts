@@ -121,7 +121,6 @@ async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
     provider: "wasm",
     runtime: await loadWasm(),
     outputs: ["opacity", "distance"],
-    halves: true,
   });
   const run = async (rays: Float32Array): Promise<Traced> => {
     const count = rays.length / 6;

@@ -1,7 +1,7 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { directionOfPixel } from "../../src/engine/environment.js";
-import { lookup } from "../../src/engine/environmentMap.js";
+import { lookup } from "../lookup.js";
 import { readExr } from "../../src/light/exrInput.js";
 import { toHalf } from "../../src/light/half.js";
 import { turnMatrix } from "../../src/render/light.js";
