@@ -87,14 +87,14 @@ def make_pictures(bundle: Path, sample: Sample, output: Path, note: Note) -> lis
     rendered = []
     for view in shown:
         note(f"rendering {view.name}: as photographed")
-        reconstruction = renderer.render(view.camera, trained, num_samples=NUM_SAMPLES, antialias=ANTIALIAS)
+        reconstruction = renderer.render(view.camera, trained, spp=NUM_SAMPLES, antialias=ANTIALIAS)
         relit = {}
         for light, environment in unseen.items():
             note(f"rendering {view.name}: under {light}")
             relit[light] = renderer.render(
                 view.camera,
                 environment,
-                num_samples=NUM_SAMPLES,
+                spp=NUM_SAMPLES,
                 antialias=ANTIALIAS,
                 albedo_ratio=ratio,
             )

@@ -1,8 +1,9 @@
 """What a batch consists of. Source: docs/howto/batch.md (the manifest)."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from lambent_proto.pictures import RenderSettings
 
 from lambent_relight.aovs import PASSES
 from lambent_relight.cameras import Camera
@@ -15,12 +16,13 @@ MAX_PICTURES = 100_000
 SUFFIXES = ("png", "exr")
 PLACES = ("asset", "environment", "quality", "camera")
 DEFAULT_PATH = "{asset}/{environment}/{quality}/{camera}"
-BACKGROUNDS: Mapping[str, str | tuple[float, float, float]] = {
-    "transparent": "transparent",
-    "environment": "environment",
-    "white": (1.0, 1.0, 1.0),
-}
-"""What may lie behind the object, by name."""
+LINEAR = "npz"
+"""Suffix of a picture's linear radiance, which exposure, tone mapping and background are applied to."""
+
+
+def place(path: str, suffix: str) -> str:
+    """Return where a file of the picture `path` lies in the output folder."""
+    return f".linear/{path}.{suffix}" if suffix == LINEAR else f"{path}.{suffix}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,21 +73,10 @@ class Cameras:
     pointer: str = field(default="", compare=False)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Quality:
-    """How pictures are made; the fields mean what the options of `lambent relight` do."""
+class Quality(RenderSettings):
+    """The settings of pictures under one name."""
 
     name: str = "refined"
-    quality: str = "refined"
-    spp: int = 64
-    until_stderr: float = 0.0
-    antialias: int = 2
-    indirect: bool = True
-    bounces: str = "auto"
-    seed: int = 0
-    background: str = "transparent"
-    exposure_ev: float = 0.0
-    tone_mapping: str = "linear"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,6 +89,10 @@ class Files:
     """16-bit instead of 32-bit floats in EXR files."""
     path: str = DEFAULT_PATH
     """Path in the output folder without suffix."""
+    linear: bool = False
+    """Whether the linear picture is kept: another exposure, tone curve or background renders nothing."""
+    probes: bool = False
+    """Whether a chrome and a grey ball stand in the PNG's corner."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -717,6 +717,8 @@ export interface components {
         /**
          * RenderAsset
          * @description A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset.
+         *
+         *     Its name is the bundle's id where it is not given.
          */
         RenderAsset: {
             /** Bundle Id */
@@ -796,6 +798,8 @@ export interface components {
         /**
          * RenderEnvironment
          * @description An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment.
+         *
+         *     Its name is the environment's own where it is not given.
          */
         RenderEnvironment: {
             /**
@@ -862,32 +866,39 @@ export interface components {
         /**
          * RenderQuality
          * @description How pictures are made; mirrors lambent_proto.v1.RenderQuality.
+         *
+         *     Its name is the quality itself where it is not given.
          */
         RenderQuality: {
             /**
              * Antialias
+             * @description Rays per pixel along each side, at the object.
              * @default 2
              */
             antialias: number;
             /**
              * Background
+             * @description What is behind the object.
              * @default transparent
              * @enum {string}
              */
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
+             * @description Of refined pictures: auto (a cache adapted to the light, else baked transport), adapted, transport, or light that bounced just once.
              * @default auto
              * @enum {string}
              */
             bounces: "auto" | "adapted" | "transport" | "one";
             /**
              * Exposure Ev
+             * @description Brighten the PNG by this many stops; the EXR stays.
              * @default 0
              */
             exposure_ev: number;
             /**
              * Indirect
+             * @description Light that bounced once, or not.
              * @default true
              */
             indirect: boolean;
@@ -895,28 +906,33 @@ export interface components {
             name?: string | null;
             /**
              * Quality
+             * @description From baked transport, at once and without noise, or sampled.
              * @default refined
              * @enum {string}
              */
             quality: "preview" | "baked" | "refined";
             /**
              * Seed
+             * @description Seed of every random number.
              * @default 0
              */
             seed: number;
             /**
              * Spp
+             * @description Light directions per pixel.
              * @default 64
              */
             spp: number;
             /**
              * Tone Mapping
+             * @description Curve of the PNG.
              * @default linear
              * @enum {string}
              */
             tone_mapping: "linear" | "neutral" | "aces" | "agx";
             /**
              * Until Stderr
+             * @description Go on until the standard error is this share of the radiance; 0: do not.
              * @default 0
              */
             until_stderr: number;

@@ -48,7 +48,7 @@ def world(tmp_path_factory):
 def _write_view(folder, view, opened, maps):
     folder.mkdir()
     for name, radiance in maps.items():
-        picture = render(opened, view, environment_from_array(radiance), num_samples=256, seed=1)
+        picture = render(opened, view, environment_from_array(radiance), spp=256, seed=1)
         stem = "rgba_sky_000" if name == "sky" else f"rgba_{name}"
         Image.fromarray(encode_png(picture)).save(folder / f"{stem}.png")
     for stem, values in (("albedo", picture.albedo), ("normal", 0.5 + 0.5 * picture.normal)):
