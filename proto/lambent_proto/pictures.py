@@ -33,10 +33,8 @@ class Wanted(BaseModel):
 
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
-PictureName = Annotated[
-    str,
-    Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$", description="letters, digits, '.', '_' and '-'"),
-]
+_WORDS = "a name of letters, digits, '.', '_' and '-'"
+PictureName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$", description=_WORDS)]
 Identifier = Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
 Angle = Annotated[float, Field(ge=-36000.0, le=36000.0)]
 Side = Annotated[int, Field(ge=0, le=16384), WHOLE]
@@ -74,39 +72,25 @@ class RenderMaterial(Wanted):
     roughness_scale: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
 
 
-class AssetUse(Wanted):
-    """How an object is shown, whatever names its bundle."""
+class RenderAsset(Wanted):
+    """A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset."""
 
     name: PictureName | None = None
+    """The bundle's id where it is not given."""
+    bundle_id: Identifier
     material: Annotated[RenderMaterial, Field(default_factory=RenderMaterial)]
     object_rotate_deg: Angle = 0.0
 
 
-class RenderAsset(AssetUse):
-    """A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset.
-
-    Its name is the bundle's id where it is not given.
-    """
-
-    bundle_id: Identifier
-
-
-class LightUse(Wanted):
-    """How an environment map is to be understood, whatever names it."""
+class RenderEnvironment(Wanted):
+    """An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment."""
 
     name: PictureName | None = None
+    """The environment's own where it is not given."""
+    environment_id: Identifier
     axes: Axes = "blender"
     mend: bool = False
     sun_clamp: Annotated[float, Field(ge=0.0, le=1e30)] = 0.0
-
-
-class RenderEnvironment(LightUse):
-    """An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment.
-
-    Its name is the environment's own where it is not given.
-    """
-
-    environment_id: Identifier
     rotate_deg: Angle = 0.0
 
 
@@ -126,7 +110,7 @@ class RenderCamera(Wanted):
 class RenderCameras(Wanted):
     """Some cameras: one of turntable, views, all_views and poses; mirrors lambent_proto.v1.RenderCameras."""
 
-    name: Annotated[str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9._-]{0,63})?$")] = ""
+    name: Annotated[str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9._-]{0,63})?$", description=_WORDS)] = ""
     turntable: Annotated[int, Field(ge=0, le=1000), WHOLE] = 0
     elevation_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
     radius: Positive | None = None
@@ -147,54 +131,41 @@ class RenderSettings(Wanted):
     Exposure, tone mapping and background change a picture that is there; anything else makes another.
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
 
-    quality: Annotated[
-        Literal["preview", "baked", "refined"],
-        Field(description="From baked transport, at once and without noise, or sampled."),
-    ] = "refined"
-    spp: Annotated[int, Field(ge=2, le=65536, description="Light directions per pixel."), WHOLE] = 64
-    until_stderr: Annotated[
-        float,
-        Field(
-            ge=0.0,
-            le=0.999,
-            description="Go on until the standard error is this share of the radiance; 0: do not.",
-        ),
-    ] = 0.0
-    antialias: Annotated[
-        int, Field(ge=1, le=8, description="Rays per pixel along each side, at the object."), WHOLE
-    ] = 2
-    indirect: Annotated[bool, Field(description="Light that bounced once, or not.")] = True
-    bounces: Annotated[
-        Bounces,
-        Field(
-            description="Of refined pictures: auto (a cache adapted to the light, else baked transport), "
-            "adapted, transport, or light that bounced just once."
-        ),
-    ] = "auto"
-    seed: Annotated[int, Field(ge=0, le=2**31 - 1, description="Seed of every random number."), WHOLE] = 0
-    background: Annotated[
-        Literal["transparent", "environment", "white"], Field(description="What is behind the object.")
-    ] = "transparent"
-    exposure_ev: Annotated[
-        float,
-        Field(ge=-64.0, le=64.0, description="Brighten the PNG by this many stops; the EXR stays."),
-    ] = 0.0
-    tone_mapping: Annotated[ToneMapping, Field(description="Curve of the PNG.")] = "linear"
+    quality: Literal["preview", "baked", "refined"] = "refined"
+    """From baked transport, at once and without noise, or sampled."""
+    spp: Annotated[int, Field(ge=2, le=65536), WHOLE] = 64
+    """Light directions per pixel."""
+    until_stderr: Annotated[float, Field(ge=0.0, le=0.999)] = 0.0
+    """Go on until the standard error is this share of the radiance; 0: do not."""
+    antialias: Annotated[int, Field(ge=1, le=8), WHOLE] = 2
+    """Rays per pixel along each side, at the object."""
+    indirect: bool = True
+    """Light that bounced once, or not."""
+    bounces: Bounces = "auto"
+    """Of refined pictures: auto (a cache adapted to the light, else baked transport), or one by name."""
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
+    """Seed of every random number."""
+    background: Literal["transparent", "environment", "white"] = "transparent"
+    """What is behind the object."""
+    exposure_ev: Annotated[float, Field(ge=-64.0, le=64.0)] = 0.0
+    """Brighten the PNG by this many stops; the EXR stays as it is."""
+    tone_mapping: ToneMapping = "linear"
+    """Curve of the PNG."""
 
 
 class RenderQuality(RenderSettings):
-    """How pictures are made; mirrors lambent_proto.v1.RenderQuality.
-
-    Its name is the quality itself where it is not given.
-    """
+    """How pictures are made; mirrors lambent_proto.v1.RenderQuality."""
 
     name: PictureName | None = None
+    """The quality itself where it is not given."""
 
 
 _PLACE = r"\{(?:asset|environment|quality|camera)\}"
 _PART = rf"(?:[A-Za-z0-9_]|{_PLACE})(?:[A-Za-z0-9._-]|{_PLACE})*"
+
+_PATH = "a relative path of plain names that may name {asset}, {environment}, {quality} and {camera}"
 
 
 class RenderOutput(Wanted):
@@ -206,7 +177,7 @@ class RenderOutput(Wanted):
     ]
     passes: Annotated[Passes, Field(default_factory=lambda: list(get_args(Pass)))]
     half: bool = True
-    path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$")] = (
+    path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$", description=_PATH)] = (
         "{asset}/{environment}/{quality}/{camera}"
     )
     """Path of a picture without suffix."""

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from lambent_proto.pictures import (
-    AssetUse,
-    LightUse,
     RenderAsset,
     RenderCameras,
+    RenderEnvironment,
     RenderQuality,
     RenderSpec,
     safe_name,
@@ -257,7 +256,7 @@ def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: 
         lights.append(light.model_copy(update={"name": name}))
     qualities = [each.model_copy(update={"name": each.name or each.quality}) for each in spec.qualities]
     named = spec.model_copy(update={"assets": assets, "environments": lights, "qualities": qualities})
-    named_entries: dict[str, Sequence[AssetUse | LightUse | RenderQuality]]
+    named_entries: dict[str, Sequence[RenderAsset | RenderEnvironment | RenderQuality]]
     named_entries = {"assets": assets, "environments": lights, "qualities": qualities}
     for place, entries in named_entries.items():
         seen: set[str] = set()

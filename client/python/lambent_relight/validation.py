@@ -47,8 +47,6 @@ def problems_of(error: ValidationError, model: type[BaseModel], pointer: str = "
             yield Problem(
                 place, f"{start}at most {node['maxLength']} characters are expected, not {len(value)}"
             )
-        elif kind == "string_pattern_mismatch" and "description" in node:
-            yield Problem(place, f"{start}{expected} are expected, not {shown(value)}", expected)
         elif kind in ("greater_than_equal", "less_than_equal") and math.isfinite(value):
             yield Problem(place, f"{start}{value} is not {_range(node)}", expected)
         else:

@@ -2,22 +2,25 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any
 
-from lambent_proto.pictures import RenderSettings
+from lambent_proto.pictures import WHOLE, RenderCameras, RenderSettings
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from lambent_relight.aovs import PASSES
-from lambent_relight.cameras import Camera
+from lambent_relight.cameras import parse_camera_list
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.input import EnvironmentInput
+from lambent_relight.errors import CameraError
 
 SCHEMA = "lambent-batch/1"
 """What `schema` must say; a reader refuses another number."""
 MAX_PICTURES = 100_000
 SUFFIXES = ("png", "exr")
-PLACES = ("asset", "environment", "quality", "camera")
 DEFAULT_PATH = "{asset}/{environment}/{quality}/{camera}"
 LINEAR = "npz"
 """Suffix of a picture's linear radiance, which exposure, tone mapping and background are applied to."""
+Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 def place(path: str, suffix: str) -> str:
@@ -49,28 +52,52 @@ class Light:
     pointer: str = field(default="", compare=False)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cameras:
-    """Some cameras; exactly one of `turntable`, `file`, `views`, `all_views` and `given` says which."""
+def _as_path(value: Any, info: ValidationInfo) -> Any:
+    """Return text as a path from the folder `base` of the context on."""
+    return (info.context or {}).get("base", Path()) / Path(value).expanduser() if _is_text(value) else value
 
-    turntable: int = 0
-    """Cameras evenly around the object."""
-    elevation_deg: float | None = None
-    radius: float | None = None
-    """Distance from the middle of the object, scene units."""
-    field_of_view_deg: float | None = None
-    start_deg: float = 0.0
-    file: Path | None = None
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value) and value.isprintable()
+
+
+def _as_cameras(value: Any) -> Any:
+    """Return the cameras of a document; made ones stay."""
+    if not isinstance(value, list) or not value:
+        return value
+    try:
+        return tuple(parse_camera_list(value, source="poses"))
+    except CameraError as error:
+        raise ValueError(error.message) from error
+
+
+File = Annotated[Path | None, BeforeValidator(_as_path)]
+
+
+class Cameras(RenderCameras):
+    """Some cameras; exactly one of `turntable`, `file`, `views`, `all_views` and `poses` says which."""
+
+    model_config = ConfigDict(frozen=True)
+
+    turntable: Annotated[int, Field(ge=1, le=10_000), WHOLE] = 0
+    file: File = None
     """A cameras.json; with `views` only those."""
-    views: tuple[str, ...] = ()
-    """Names of the bundle's own cameras."""
-    all_views: bool = False
-    given: tuple[Camera, ...] = ()
-    name: str = ""
-    """Stands before the names of the cameras, so that two entries can be told apart."""
-    size: int = 0
-    """Longer side of the pictures in pixels; 0 leaves them as they are."""
-    pointer: str = field(default="", compare=False)
+    views: Annotated[tuple[Text, ...], Field(strict=False, max_length=10_000)] = ()  # type: ignore[assignment]
+    poses: Annotated[tuple[Any, ...], BeforeValidator(_as_cameras)] = ()  # type: ignore[assignment]
+
+    @field_validator("elevation_deg", "radius", "field_of_view_deg", "start_deg")
+    @classmethod
+    def _check_place(cls, value: float, info: ValidationInfo) -> float:
+        if info.data.get("turntable", 1) == 0:
+            raise ValueError("this places a turntable and has no meaning here")
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> "Cameras":
+        kinds = [name for name in ("turntable", "file", "all_views", "poses") if getattr(self, name)]
+        if len(kinds) + bool(self.views) != 1 and not (kinds == ["file"] and self.views):
+            raise ValueError("one of turntable, file, views, all_views and poses is needed")
+        return self
 
 
 class Quality(RenderSettings):

@@ -162,11 +162,11 @@ def _open(asset: Asset, entries: Sequence[Cameras], opening: Callable[[Path | st
         return _Opened(errors=((error, ""),))
     cameras: list[Camera] = []
     errors: list[tuple[Exception, str]] = []
-    for entry in entries:
+    for index, entry in enumerate(entries):
         try:
             cameras += cameras_of(entry, bundle)
         except (RelightError, OSError) as error:
-            errors.append((error, entry.pointer))
+            errors.append((error, f"/cameras/{index}"))
     return _Opened(digest=digest, cameras=tuple(cameras), errors=tuple(errors))
 
 
@@ -213,8 +213,8 @@ def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
 
 def stated_cameras(entry: Cameras) -> list[Camera] | None:
     """Return the cameras that an entry holds or names a file of; None where it asks for those of a bundle."""
-    if entry.given:
-        return _picked(list(entry.given), entry, "poses")
+    if entry.poses:
+        return _picked(list(entry.poses), entry, "poses")
     if entry.file is not None:
         return _picked(load_cameras(entry.file), entry, entry.file.name)
     return None

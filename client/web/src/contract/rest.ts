@@ -717,8 +717,6 @@ export interface components {
         /**
          * RenderAsset
          * @description A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset.
-         *
-         *     Its name is the bundle's id where it is not given.
          */
         RenderAsset: {
             /** Bundle Id */
@@ -770,6 +768,7 @@ export interface components {
             field_of_view_deg?: number | null;
             /**
              * Name
+             * @description a name of letters, digits, '.', '_' and '-'
              * @default
              */
             name: string;
@@ -798,8 +797,6 @@ export interface components {
         /**
          * RenderEnvironment
          * @description An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment.
-         *
-         *     Its name is the environment's own where it is not given.
          */
         RenderEnvironment: {
             /**
@@ -859,6 +856,7 @@ export interface components {
             passes?: ("direct" | "indirect" | "diffuse" | "specular" | "standard_error" | "visibility" | "albedo" | "normal" | "perceptual_roughness" | "metalness" | "depth")[];
             /**
              * Path
+             * @description a relative path of plain names that may name {asset}, {environment}, {quality} and {camera}
              * @default {asset}/{environment}/{quality}/{camera}
              */
             path: string;
@@ -866,8 +864,6 @@ export interface components {
         /**
          * RenderQuality
          * @description How pictures are made; mirrors lambent_proto.v1.RenderQuality.
-         *
-         *     Its name is the quality itself where it is not given.
          */
         RenderQuality: {
             /**
@@ -885,14 +881,14 @@ export interface components {
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
-             * @description Of refined pictures: auto (a cache adapted to the light, else baked transport), adapted, transport, or light that bounced just once.
+             * @description Of refined pictures: auto (a cache adapted to the light, else baked transport), or one by name.
              * @default auto
              * @enum {string}
              */
             bounces: "auto" | "adapted" | "transport" | "one";
             /**
              * Exposure Ev
-             * @description Brighten the PNG by this many stops; the EXR stays.
+             * @description Brighten the PNG by this many stops; the EXR stays as it is.
              * @default 0
              */
             exposure_ev: number;
@@ -902,7 +898,10 @@ export interface components {
              * @default true
              */
             indirect: boolean;
-            /** Name */
+            /**
+             * Name
+             * @description The quality itself where it is not given.
+             */
             name?: string | null;
             /**
              * Quality

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from google.protobuf.json_format import MessageToDict
-from lambent_proto.pictures import RenderSpec
 from lambent_proto.v1 import render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
 from lambent_server.render_messages import NewBatch
