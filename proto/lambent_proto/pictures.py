@@ -33,7 +33,7 @@ class Wanted(BaseModel):
 
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
-_WORDS = "a name of letters, digits, '.', '_' and '-'"
+_WORDS = "a name of up to 64 letters, digits, '.', '_' and '-'"
 PictureName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$", description=_WORDS)]
 Identifier = Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
 Angle = Annotated[float, Field(ge=-36000.0, le=36000.0)]

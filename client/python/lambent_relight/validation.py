@@ -82,7 +82,7 @@ def _hint(name: str, parent: _Schema) -> str:
 def _expected(node: _Schema) -> str:
     choices = node.get("enum") or ([node["const"]] if "const" in node else ())
     if choices:
-        return f"one of {', '.join(choices)}"
+        return f"one of {', '.join(choices)}" if len(choices) > 1 else str(choices[0])
     kind = node.get("type")
     if kind in ("integer", "number"):
         return f"{'a whole number' if kind == 'integer' else 'a number'} {_range(node)}".strip()
@@ -90,7 +90,9 @@ def _expected(node: _Schema) -> str:
         low, high = node.get("minItems", 0), node.get("maxItems")
         return f"a list of {high if low == high else f'{low} to {high}'} entries"
     words = {"boolean": "true or false", "object": "a mapping", "string": "text"}
-    return str(node["description"] if "pattern" in node and "description" in node else words.get(kind, kind))
+    return str(
+        node["description"] if "pattern" in node and "description" in node else words.get(str(kind), kind)
+    )
 
 
 def _range(node: _Schema) -> str:

@@ -47,7 +47,7 @@ def _option(name: str, node: dict[str, Any], defaults: dict[str, Any]) -> inspec
     kind = _TYPES[node["type"]]
     text = node["description"] + (f" ({', '.join(node['enum'])})" if "enum" in node else "")
     words = [_SWITCHES[name]] if name in _SWITCHES else []
-    limits = {"min": int(node["minimum"]), "max": int(node["maximum"])} if kind is int else {}
+    limits: dict[str, Any] = {"min": int(node["minimum"]), "max": int(node["maximum"])} if kind is int else {}
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,

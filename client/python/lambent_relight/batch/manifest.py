@@ -62,9 +62,9 @@ def _is_text(value: Any) -> bool:
 
 
 def _as_cameras(value: Any) -> Any:
-    """Return the cameras of a document; made ones stay."""
-    if not isinstance(value, list) or not value:
-        return value
+    """Return the cameras that a document describes."""
+    if not isinstance(value, list) or not 1 <= len(value) <= 10_000:
+        raise ValueError("a list of 1 to 10000 cameras is expected")
     try:
         return tuple(parse_camera_list(value, source="poses"))
     except CameraError as error:
@@ -82,7 +82,7 @@ class Cameras(RenderCameras):
     turntable: Annotated[int, Field(ge=1, le=10_000), WHOLE] = 0
     file: File = None
     """A cameras.json; with `views` only those."""
-    views: Annotated[tuple[Text, ...], Field(strict=False, max_length=10_000)] = ()  # type: ignore[assignment]
+    views: Annotated[tuple[Text, ...], Field(strict=False, min_length=1, max_length=10_000)] = ()  # type: ignore[assignment]
     poses: Annotated[tuple[Any, ...], BeforeValidator(_as_cameras)] = ()  # type: ignore[assignment]
 
     @field_validator("elevation_deg", "radius", "field_of_view_deg", "start_deg")

@@ -768,7 +768,7 @@ export interface components {
             field_of_view_deg?: number | null;
             /**
              * Name
-             * @description a name of letters, digits, '.', '_' and '-'
+             * @description a name of up to 64 letters, digits, '.', '_' and '-'
              * @default
              */
             name: string;
