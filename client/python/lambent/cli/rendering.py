@@ -138,7 +138,7 @@ def _notes(record: Record) -> Iterator[str]:
 
 def _listed(record: Record) -> dict[str, Any]:
     return {
-        "key": record.files["png"].key,
+        "key": next(iter(record.files.values())).key,
         "files": [record.files[suffix].path for suffix in SUFFIXES if suffix in record.files],
         "camera": record.camera,
         "environment": record.environment,

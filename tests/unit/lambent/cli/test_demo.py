@@ -91,10 +91,10 @@ def test_pictures_sheet_and_figures_are_written_and_found_again(world, exr_maps,
     with Image.open(tmp_path / "contact_sheet.png") as sheet:
         assert sheet.width > 10 * 192
     assert "floor" in (tmp_path / "metrics.txt").read_text()
-    other = json.loads((tmp_path / "metrics.json").read_text())
-    other["bundle_files_sha256"] = ["another bundle"]
-    (tmp_path / "metrics.json").write_text(json.dumps(other))
-    assert read_figures(bundle, tmp_path) is None
+    report = json.loads((tmp_path / "metrics.json").read_text())
+    for name in ("bundle_files_sha256", "renderer"):
+        (tmp_path / "metrics.json").write_text(json.dumps({**report, name: "another"}))
+        assert read_figures(bundle, tmp_path) is None
 
 
 def test_the_table_has_a_line_for_every_figure(world, exr_maps, tmp_path):
