@@ -79,7 +79,7 @@ def main(chosen: argparse.Namespace) -> None:
     for light in lights:
         path = chosen.environments / f"{light}.hdr"
         environment = load_environment(path)
-        way = {"num_samples": chosen.samples}
+        way = {"spp": chosen.samples}
         row = [
             psnr(plain, views, light, environment, ratio, indirect=False, **way),
             psnr(plain, views, light, environment, ratio, bounces="one", **way),

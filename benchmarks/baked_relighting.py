@@ -89,7 +89,7 @@ def speed(renderer: Renderer, size: int) -> None:
     for name, value in rows.items():
         print(f"| {name} | {value:.1f} |")
     began = time.process_time()
-    renderer.render(camera.resized(size // 4, size // 4), environment, num_samples=64, antialias=1)
+    renderer.render(camera.resized(size // 4, size // 4), environment, spp=64, antialias=1)
     print(f"\nrefined, 64 directions, at a quarter of the side: {time.process_time() - began:.2f} s\n")
 
 
@@ -99,7 +99,7 @@ def likeness(renderer: Renderer, folder: Path, num_views: int, num_samples: int)
     Half the squared difference of two refined pictures with other random numbers is the noise of one; the
     last column takes it off the squared difference of the baked picture.
     """
-    other_numbers = {"num_samples": num_samples, "seed": 1}
+    other_numbers = {"spp": num_samples, "seed": 1}
     ways = {
         "preview": {"quality": "preview"},
         "baked": {"quality": "baked"},
@@ -115,7 +115,7 @@ def likeness(renderer: Renderer, folder: Path, num_views: int, num_samples: int)
         light = load_environment(path)
         errors = dict.fromkeys(ways, 0.0)
         for camera in cameras:
-            truth = renderer.render(camera, light, num_samples=num_samples)
+            truth = renderer.render(camera, light, spp=num_samples)
             for name, way in ways.items():
                 shown = [
                     srgb_from_linear(p.rgb) * p.opacity + 1.0 - p.opacity

@@ -94,7 +94,7 @@ def print_bounce_gain(
                 picture = renderer.render(
                     camera_of(view),
                     environment,
-                    num_samples=num_samples,
+                    spp=num_samples,
                     indirect=indirect,
                     albedo_ratio=ratio,
                 )

@@ -2,9 +2,10 @@
 
 from typing import Annotated
 
+from lambent_proto.pictures import WHOLE
 from pydantic import Field
 
-from lambent_server.messages import WHOLE, Given, Sha256, Shown
+from lambent_server.messages import Given, Sha256, Shown
 
 MAX_SHARE_S = 366 * 24 * 3600
 

@@ -2,19 +2,12 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from lambent_proto.pictures import WHOLE, Name
+from pydantic import BaseModel, ConfigDict, Field
 
-
-def _whole(value: Any) -> Any:
-    """Return 2 for 2.0, which JSON Schema calls an integer too."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-WHOLE = BeforeValidator(_whole)
 # Without this the schema would allow names that match none of the patterns.
 ONLY_THESE = {"additionalProperties": False}
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 LabelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}$")]
 SettingName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$", max_length=100)]
 SettingValue = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]

@@ -1,11 +1,18 @@
 """Orders of pictures as rows: what was asked for, the jobs that make it, and how far they are."""
 
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lambent_proto.pictures import (
+    RenderAsset,
+    RenderCameras,
+    RenderEnvironment,
+    RenderQuality,
+    RenderSpec,
+    safe_name,
+)
 from sqlalchemy import ColumnElement, Connection, and_, exists, func
 
 from lambent_server.clock import new_id, now, rfc3339
@@ -22,7 +29,7 @@ from lambent_server.idempotency import made_before
 from lambent_server.job_queries import check_quota, insert_job
 from lambent_server.job_rows import CANCELLED, CANCELLING, FAILED, FINAL, QUEUED, SUCCEEDED, Job
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
-from lambent_server.render_messages import Batch, NewBatch, NewRender, RenderAsset, RenderCameras, RenderSpec
+from lambent_server.render_messages import Batch, NewBatch, NewRender
 from lambent_server.services import Services
 
 RENDER = "render"
@@ -245,11 +252,13 @@ def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: 
         row = find(connection, tenant, environments, light.environment_id)
         if row is None:
             raise _missing("environment", light.environment_id, f"#/environments/{index}")
-        name = light.name or _safe_name(row["name"].rpartition(".")[0] or row["name"])
+        name = light.name or safe_name(row["name"].rpartition(".")[0] or row["name"])
         lights.append(light.model_copy(update={"name": name}))
     qualities = [each.model_copy(update={"name": each.name or each.quality}) for each in spec.qualities]
     named = spec.model_copy(update={"assets": assets, "environments": lights, "qualities": qualities})
-    for place, entries in (("assets", assets), ("environments", lights), ("qualities", qualities)):
+    named_entries: dict[str, Sequence[RenderAsset | RenderEnvironment | RenderQuality]]
+    named_entries = {"assets": assets, "environments": lights, "qualities": qualities}
+    for place, entries in named_entries.items():
         seen: set[str] = set()
         for index, entry in enumerate(entries):
             name = str(entry.name).casefold()
@@ -274,10 +283,6 @@ def _check_path(spec: RenderSpec) -> None:
     if lacking:
         message = f"pictures would have the same name; add {', '.join(lacking)}"
         raise invalid("name_clash", "#/output/path", message)
-
-
-def _safe_name(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:64] or "_"
 
 
 def _missing(kind: str, identifier: str, pointer: str) -> Problem:

@@ -159,7 +159,7 @@ def test_mitsuba_sees_the_same_ball_in_the_same_light(tmp_path, kind):
 
     def pictures(light):
         theirs = mitsuba_picture(tmp_path, tmp_path / "ball.glb", to_axes(light, "mitsuba"))
-        refined = renderer.render(CAMERA, light, num_samples=384, antialias=1).rgb
+        refined = renderer.render(CAMERA, light, spp=384, antialias=1).rgb
         return {"mitsuba": theirs, "refined": refined, "baked": sum(baked_picture(surface, light))}
 
     lit, even = pictures(lopsided_light()), pictures(environment_from_array(np.ones((64, 128, 3))))

@@ -43,7 +43,7 @@ def expected(data: Path, camera: Camera, edit: MaterialEdit, rotate_deg: float) 
         camera,
         light,
         rotate_deg=rotate_deg,
-        num_samples=SAMPLES,
+        spp=SAMPLES,
         seed=7,
         antialias=2,
         bounces="transport",

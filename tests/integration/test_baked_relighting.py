@@ -47,7 +47,7 @@ def decibels(a, b):
 
 @pytest.fixture(scope="module")
 def refined(renderer):
-    return renderer.render(CAMERA, sky(), num_samples=256)
+    return renderer.render(CAMERA, sky(), spp=256)
 
 
 def test_baked_pictures_are_close_to_refined_ones_and_closer_than_previews(renderer, refined):
@@ -83,16 +83,16 @@ def test_indirect_light_brings_baked_pictures_closer(renderer, refined):
 
 
 def test_refined_light_of_many_bounces_is_more_than_that_of_one(renderer, refined):
-    once = renderer.render(CAMERA, sky(), num_samples=256, bounces="one")
+    once = renderer.render(CAMERA, sky(), spp=256, bounces="one")
     np.testing.assert_allclose(once.direct.mean(), refined.direct.mean(), rtol=0.02)
     # Albedos of 0.6 and 0.8 around: the second bounce is a fifth of the first.
     assert 1.05 < refined.indirect.sum() / once.indirect.sum() < 1.4
 
 
 def test_refined_pictures_go_on_until_they_are_as_quiet_as_asked(renderer):
-    quick = renderer.render(CAMERA, sky(), num_samples=8)
+    quick = renderer.render(CAMERA, sky(), spp=8)
     fractions = []
-    quiet = renderer.render(CAMERA, sky(), num_samples=8, until_stderr=0.04, progress=fractions.append)
+    quiet = renderer.render(CAMERA, sky(), spp=8, until_stderr=0.04, progress=fractions.append)
     assert quiet.num_samples > quick.num_samples
     inside = quiet.coverage[..., 0] > 0.99
     assert quiet.standard_error[inside].mean() < 0.05 * quiet.rgb[inside].mean()
@@ -134,7 +134,7 @@ def test_a_sun_is_split_off_and_its_shadow_is_where_the_traced_one_is(renderer):
     sunny = sky(0, sun=300.0)
     light = renderer.baked().light(sunny, 4)
     assert len(light.directions) == 1
-    truth = renderer.render(CAMERA, sunny, num_samples=256)
+    truth = renderer.render(CAMERA, sunny, spp=256)
     baked = renderer.render(CAMERA, sunny, quality="baked")
     # The same light, in harmonics alone.
     transport = renderer.baked().scene.transport
@@ -155,7 +155,7 @@ def test_compiled_and_plain_arrays_agree(renderer):
 
 @pytest.mark.parametrize("quality", ["preview", "baked", "refined"])
 def test_material_edits_act_in_every_quality(renderer, quality):
-    settings = {"quality": quality, "num_samples": 16}
+    settings = {"quality": quality, "spp": 16}
     plain = renderer.render(CAMERA, sky(), **settings)
     red = renderer.render(CAMERA, sky(), **settings, edit=MaterialEdit(albedo_gain=(1.2, 0.5, 0.5)))
     inside = plain.coverage[..., 0] > 0.99

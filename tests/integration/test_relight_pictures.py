@@ -50,7 +50,7 @@ def test_files_of_light_and_cameras_become_pictures(folder, tmp_path):
         bundle,
         bundle.cameras()[0],
         load_environment(tmp_path / "sky.exr"),
-        num_samples=8,
+        spp=8,
         progress=fractions.append,
     )
     assert fractions == sorted(fractions)
@@ -64,14 +64,14 @@ def test_files_of_light_and_cameras_become_pictures(folder, tmp_path):
 
 
 def test_the_background_shows_through_where_the_object_is_not(renderer):
-    transparent = renderer.render(CAMERA, SKY, num_samples=4)
+    transparent = renderer.render(CAMERA, SKY, spp=4)
     outside = transparent.opacity[..., 0] == 0.0
     assert outside.any()
     assert not outside.all()
     assert (transparent.rgb[outside] == 0.0).all()
     assert (transparent.standard_error[outside] == 0.0).all()
 
-    white = renderer.render(CAMERA, SKY, num_samples=4, background=(1.0, 0.5, 0.25))
+    white = renderer.render(CAMERA, SKY, spp=4, background=(1.0, 0.5, 0.25))
     np.testing.assert_array_equal(white.rgb[outside], np.float32([[1.0, 0.5, 0.25]] * outside.sum()))
     alpha = transparent.opacity
     np.testing.assert_allclose(
@@ -79,13 +79,13 @@ def test_the_background_shows_through_where_the_object_is_not(renderer):
     )
     assert (white.opacity == 1.0).all()
 
-    sky = renderer.render(CAMERA, SKY, num_samples=4, rotate_deg=70.0, background="environment")
+    sky = renderer.render(CAMERA, SKY, spp=4, rotate_deg=70.0, background="environment")
     directions = CAMERA.rays()[1].reshape(24, 24, 3)
     np.testing.assert_allclose(sky.rgb[outside], SKY.rotated(70.0).lookup(directions)[outside], rtol=1e-5)
 
 
 def test_passes_describe_the_surface_and_add_up(renderer):
-    picture = renderer.render(CAMERA, SKY, num_samples=8, antialias=1)
+    picture = renderer.render(CAMERA, SKY, spp=8, antialias=1)
     inside = picture.opacity[..., 0] > 0.0
     np.testing.assert_allclose(picture.rgb, picture.direct + picture.indirect, rtol=1e-6)
     np.testing.assert_allclose(picture.albedo[inside], [[0.6, 0.4, 0.2]] * inside.sum(), rtol=1e-6)
@@ -97,9 +97,9 @@ def test_passes_describe_the_surface_and_add_up(renderer):
 
 
 def test_the_albedo_ratio_scales_what_is_reflected_and_stops_at_one(renderer):
-    plain = renderer.render(CAMERA, SKY, num_samples=32)
-    double = renderer.render(CAMERA, SKY, num_samples=32, albedo_ratio=(1.5, 1.5, 1.5))
-    huge = renderer.render(CAMERA, SKY, num_samples=32, albedo_ratio=100.0)
+    plain = renderer.render(CAMERA, SKY, spp=32)
+    double = renderer.render(CAMERA, SKY, spp=32, albedo_ratio=(1.5, 1.5, 1.5))
+    huge = renderer.render(CAMERA, SKY, spp=32, albedo_ratio=100.0)
     inside = plain.opacity[..., 0] > 0.0
     np.testing.assert_allclose(double.albedo[inside], 1.5 * plain.albedo[inside], rtol=1e-6)
     assert plain.rgb[inside].mean() < double.rgb[inside].mean() < 1.6 * plain.rgb[inside].mean()
@@ -109,7 +109,7 @@ def test_the_albedo_ratio_scales_what_is_reflected_and_stops_at_one(renderer):
 def test_a_view_is_asked_for_once_however_many_lights_follow(folder):
     renderer = Renderer(load_bundle(folder), num_threads=1, reader="onnx")
     first = renderer.view(CAMERA, 2)
-    renderer.render(CAMERA, SKY, num_samples=2)
+    renderer.render(CAMERA, SKY, spp=2)
     assert renderer.view(CAMERA, 2) is first
     assert renderer.view(CAMERA, 1) is not first
     small = Renderer(renderer.bundle, num_threads=1, reader="onnx", kept_rays=3 * first.num_rays)
@@ -126,7 +126,7 @@ def test_more_rays_per_pixel_approach_the_true_coverage_of_the_edge(renderer):
     fine = renderer.gbuffer(CAMERA.resized(16 * side, 16 * side)).opacity
     truth = fine.reshape(side, 16, side, 16).mean(axis=(1, 3))
     errors = [
-        np.abs(renderer.render(CAMERA, SKY, num_samples=2, antialias=n).opacity[..., 0] - truth).mean()
+        np.abs(renderer.render(CAMERA, SKY, spp=2, antialias=n).opacity[..., 0] - truth).mean()
         for n in (1, 2, 4)
     ]
     assert errors[2] < 0.5 * errors[1] < 0.35 * errors[0]
@@ -146,7 +146,7 @@ def test_pixels_average_their_rays_by_coverage(renderer):
 
 def test_a_camera_that_sees_nothing_gives_an_empty_picture(renderer):
     away = turntable(1, radius=4.0, target=(0.0, 0.0, 50.0), width=4, height=4)[0]
-    picture = renderer.render(away, SKY, num_samples=2)
+    picture = renderer.render(away, SKY, spp=2)
     assert (picture.opacity == 0.0).all()
     assert (picture.rgb == 0.0).all()
 
@@ -154,14 +154,14 @@ def test_a_camera_that_sees_nothing_gives_an_empty_picture(renderer):
 def test_odd_numbers_of_samples_are_rounded_up_to_whole_passes(renderer):
     counts = {(2, 1): 2, (13, 1): 15, (64, 1): 64, (2, 2): 8, (64, 2): 64, (70, 2): 80}
     for (asked, antialias), spent in counts.items():
-        picture = renderer.render(CAMERA, SKY, num_samples=asked, antialias=antialias)
+        picture = renderer.render(CAMERA, SKY, spp=asked, antialias=antialias)
         assert picture.num_samples == spent
 
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
-        ({"num_samples": 1}, "relight.num_samples"),
+        ({"spp": 1}, "relight.num_samples"),
         ({"antialias": 0}, "relight.antialias"),
         ({"antialias": 9}, "relight.antialias"),
         ({"bounces": "adaptd"}, "relight.bounces"),
@@ -173,7 +173,7 @@ def test_odd_numbers_of_samples_are_rounded_up_to_whole_passes(renderer):
 )
 def test_settings_out_of_range_are_refused(renderer, arguments, code):
     with pytest.raises(SettingError) as caught:
-        renderer.render(CAMERA, SKY, **({"num_samples": 2} | arguments))
+        renderer.render(CAMERA, SKY, **({"spp": 2} | arguments))
     assert caught.value.code == code
 
 
@@ -195,7 +195,7 @@ def boxes(tmp_path_factory):
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3999, 0.0, 0.1), (0.4, 0.4, 0.4)])
 def test_a_camera_inside_the_object_sees_its_walls_and_nothing_strange(boxes, quality, place):
     looking = replace(CAMERA, camera_to_world=look_at(place, (-0.2, -0.1, 0.0)))
-    picture = boxes.render(looking, SKY, quality=quality, num_samples=8, antialias=1)
+    picture = boxes.render(looking, SKY, quality=quality, spp=8, antialias=1)
     for name in ("rgb", "direct", "indirect", "standard_error", "distance", "normal"):
         assert np.isfinite(getattr(picture, name)).all(), name
     assert (picture.opacity == 1.0).all(), "there is a wall wherever one looks"
@@ -207,7 +207,7 @@ def test_a_camera_inside_the_object_sees_its_walls_and_nothing_strange(boxes, qu
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.999, 0.0, 0.0)])
 def test_a_camera_inside_a_ball_makes_a_picture(renderer, place):
     looking = replace(CAMERA, camera_to_world=look_at(place, (-0.2, -0.1, 0.0)))
-    picture = renderer.render(looking, SKY, num_samples=8, antialias=1)
+    picture = renderer.render(looking, SKY, spp=8, antialias=1)
     assert np.isfinite(picture.rgb).all()
     assert (picture.opacity == 1.0).all()
     assert 0.0 <= picture.rgb.min() <= picture.rgb.max() < 2.0 * SKY.radiance.max()

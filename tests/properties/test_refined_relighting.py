@@ -252,8 +252,8 @@ def test_half_covered_pixels_are_mixed_with_what_is_behind_them(cube):
     renderer = Renderer(cube.bundle, num_threads=1, reader="onnx")
     renderer.caches = Veil(0.25)
     camera = camera_at((3.0, 0.0, 0.0))
-    plain = renderer.render(camera, sky(), num_samples=4)
-    mixed = renderer.render(camera, sky(), num_samples=4, background=(1.0, 2.0, 3.0))
+    plain = renderer.render(camera, sky(), spp=4)
+    mixed = renderer.render(camera, sky(), spp=4, background=(1.0, 2.0, 3.0))
     assert (plain.opacity == 0.25).all()
     np.testing.assert_allclose(mixed.rgb, 0.25 * plain.rgb + 0.75 * np.array([1.0, 2.0, 3.0]), rtol=1e-5)
     np.testing.assert_allclose(mixed.standard_error, 0.25 * plain.standard_error, rtol=1e-5)
@@ -283,7 +283,7 @@ def test_one_texel_lights_the_golden_face_of_a_cube(cube, case):
         normal = np.zeros(3)
         normal["xyz".index(face[1])] = 1.0 if face[0] == "+" else -1.0
         picture = cube.render(
-            camera_at(3.0 * normal, side=3), environment, rotate_deg=case["rotate_deg"], num_samples=16
+            camera_at(3.0 * normal, side=3), environment, rotate_deg=case["rotate_deg"], spp=16
         )
         assert (picture.opacity == 1.0).all()
         np.testing.assert_allclose(picture.normal, np.broadcast_to(normal, (3, 3, 3)), atol=1e-6)
@@ -297,9 +297,9 @@ def test_turning_the_light_is_turning_the_map(cube):
     image = sky(3).radiance
     camera = camera_at((2.0, 1.5, 1.0))
     rolled_map = environment_from_array(np.roll(image, -4, axis=1))
-    turned = cube.render(camera, environment_from_array(image), rotate_deg=90.0, num_samples=512)
-    rolled = cube.render(camera, rolled_map, num_samples=512, seed=1)
-    straight = cube.render(camera, environment_from_array(image), num_samples=512)
+    turned = cube.render(camera, environment_from_array(image), rotate_deg=90.0, spp=512)
+    rolled = cube.render(camera, rolled_map, spp=512, seed=1)
+    straight = cube.render(camera, environment_from_array(image), spp=512)
     error = np.sqrt(turned.standard_error**2 + rolled.standard_error**2)
     assert np.abs((turned.rgb - rolled.rgb) / error).mean() < 1.5
     assert np.abs((straight.rgb - rolled.rgb) / error).mean() > 3.0
@@ -307,6 +307,6 @@ def test_turning_the_light_is_turning_the_map(cube):
 
 def test_equal_seeds_give_equal_pictures_and_other_seeds_do_not(cube):
     camera = camera_at((2.0, 1.5, 1.0))
-    first, again, other = (cube.render(camera, sky(), num_samples=8, seed=seed) for seed in (5, 5, 6))
+    first, again, other = (cube.render(camera, sky(), spp=8, seed=seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.rgb, again.rgb)
     assert np.abs(first.rgb - other.rgb).max() > 0.0

@@ -42,7 +42,7 @@ def order_of(manifest: Manifest, environment_ids: Mapping[Path, str]) -> dict[st
             for light in manifest.environments
         ],
         "cameras": [_cameras_of(entry) for entry in manifest.cameras],
-        "qualities": [asdict(quality) for quality in manifest.qualities],
+        "qualities": [quality.model_dump() for quality in manifest.qualities],
         "output": {
             "files": list(manifest.files.suffixes),
             "passes": list(manifest.files.passes),

@@ -15,6 +15,7 @@ from lambent_relight import (
     write_picture_exr,
     write_png,
 )
+from lambent_relight.batch.plan import renderer_digest
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 from lambent import truth
@@ -87,14 +88,14 @@ def make_pictures(bundle: Path, sample: Sample, output: Path, note: Note) -> lis
     rendered = []
     for view in shown:
         note(f"rendering {view.name}: as photographed")
-        reconstruction = renderer.render(view.camera, trained, num_samples=NUM_SAMPLES, antialias=ANTIALIAS)
+        reconstruction = renderer.render(view.camera, trained, spp=NUM_SAMPLES, antialias=ANTIALIAS)
         relit = {}
         for light, environment in unseen.items():
             note(f"rendering {view.name}: under {light}")
             relit[light] = renderer.render(
                 view.camera,
                 environment,
-                num_samples=NUM_SAMPLES,
+                spp=NUM_SAMPLES,
                 antialias=ANTIALIAS,
                 albedo_ratio=ratio,
             )
@@ -240,6 +241,7 @@ def _write_metrics(
 ) -> None:
     report = {
         "bundle_files_sha256": sorted(entry.sha256 for entry in manifest.files),
+        "renderer": renderer_digest(),
         "views": shown,
         "num_samples": NUM_SAMPLES,
         "antialias": ANTIALIAS,
@@ -259,6 +261,7 @@ def read_figures(bundle: Path, output: Path) -> list[Figure] | None:
     manifest = json.loads((bundle / "manifest.json").read_text())
     if report.get("bundle_files_sha256") != sorted(entry["sha256"] for entry in manifest["files"]):
         return None
-    if (report.get("num_samples"), report.get("antialias")) != (NUM_SAMPLES, ANTIALIAS):
+    made = {"num_samples": NUM_SAMPLES, "antialias": ANTIALIAS, "renderer": renderer_digest()}
+    if any(report.get(name) != value for name, value in made.items()):
         return None
     return [Figure(**figure) for figure in report["figures"]]

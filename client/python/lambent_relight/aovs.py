@@ -6,24 +6,17 @@ is multiplied by coverage, so that layers add up under any background: direct + 
 """
 
 from collections.abc import Collection, Mapping
+from typing import get_args
 
 import numpy as np
+from lambent_proto.pictures import Pass
 from numpy.typing import NDArray
 
 from lambent_relight.picture import RelitPicture
 
-RADIANCE_PASSES = ("direct", "indirect", "diffuse", "specular")
-PASSES = (
-    *RADIANCE_PASSES,
-    "standard_error",
-    "visibility",
-    "albedo",
-    "normal",
-    "perceptual_roughness",
-    "metalness",
-    "depth",
-)
+PASSES = get_args(Pass)
 """Every pass there is, besides the beauty pass."""
+RADIANCE_PASSES = PASSES[:4]
 ATTRIBUTES: Mapping[str, str] = {
     "lambent:colorspace": "Linear Rec.709 (sRGB)",
     "colorInteropID": "lin_rec709_scene",

@@ -56,11 +56,14 @@ def write_picture_exr(
     half: bool = True,
     passes: bool | Collection[str] = True,
     attributes: Mapping[str, str] | None = None,
+    layers: Mapping[str, NDArray[np.floating]] | None = None,
 ) -> None:
     """Write a picture as linear EXR with channels R, G, B (times alpha) and A.
 
     With `passes` also every pass of `lambent_relight.aovs`, or those that are named, as layers. `attributes`
-    are written into the header beside what it says of colour, normals and depth.
+    are written into the header beside what it says of colour, normals and depth. `layers` are channels of the
+    same picture that are made already.
     """
     header = {**ATTRIBUTES, **(attributes or {})}
-    write_exr(Path(path), exr_channels(picture, passes=passes), half=half, attributes=header)
+    channels = {**(layers or {}), **exr_channels(picture, passes=passes)}
+    write_exr(Path(path), channels, half=half, attributes=header)

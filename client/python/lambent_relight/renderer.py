@@ -7,9 +7,10 @@ import functools
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from lambent_proto.pictures import RenderSettings
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import materials_from_roughness
@@ -21,27 +22,25 @@ from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import SettingError, UnsupportedQuality
+from lambent_relight.errors import SettingError
 from lambent_relight.picture import RelitPicture
-from lambent_relight.refined.sampling_plan import BOUNCES, Bounces, Sampling, estimated
+from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene
+from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
     from lambent_relight.baked.renderer import BakedRenderer
     from lambent_relight.fused.reader import FusedCaches
 
-Background = Literal["transparent", "environment"] | tuple[float, float, float]
-
+Background = str | Colour
+"""A name as in the settings, or a linear colour."""
 Reader = Literal["auto", "fused", "onnx"]
-
-QUALITIES = ("preview", "baked", "refined")
 
 _LOG = logging.getLogger("lambent_relight")
 KEPT_RAYS = 3_000_000
 """Camera rays that are remembered by default; about 70 bytes each."""
-_MAX_ANTIALIAS = 8
 
 
 class Renderer:
@@ -97,56 +96,46 @@ class Renderer:
         self,
         camera: Camera,
         environment: Environment,
+        settings: RenderSettings | None = None,
         *,
         rotate_deg: float = 0.0,
-        quality: str = "refined",
-        num_samples: int = 64,
-        seed: int = 0,
-        indirect: bool = True,
-        antialias: int = 2,
-        albedo_ratio: NDArray[np.floating] | None = None,
-        background: Background = "transparent",
-        edit: MaterialEdit | None = None,
         object_rotate_deg: float = 0.0,
-        until_stderr: float = 0.0,
-        bounces: Bounces = "auto",
+        edit: MaterialEdit | None = None,
+        albedo_ratio: NDArray[np.floating] | None = None,
+        background: Background | None = None,
         soft_edges: bool = True,
         progress: Callable[[float], None] | None = None,
+        **changes: Any,
     ) -> RelitPicture:
-        """Return the bundle's object as `camera` sees it in the light of `environment`; see `render`.
+        """Return the bundle's object as `camera` sees it in the light of `environment`, linear.
 
-        Without `soft_edges` the mesh alone draws the outline of a `baked` picture: for a camera that moves.
+        `changes` are fields of `settings`, such as `quality="baked"` or `spp=256`; exposure and tone mapping
+        are for screens and have no effect here. `rotate_deg` turns the light about +z, `object_rotate_deg`
+        the object, not its light. `edit` changes the material. `albedo_ratio` (one or three factors on the
+        stored albedo, result clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background`
+        may also be a linear colour. Without `soft_edges` the mesh alone draws the outline of a `baked`
+        picture: for a camera that moves. `progress` is called with the finished fraction.
+
+        Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
+        least); with `until_stderr` up to 64 times as many. The picture's `bounces` says where bounced light
+        came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such quality,
+        or no baked transport) or BundleError.
         """
-        if quality not in QUALITIES:
-            raise UnsupportedQuality(
-                "relight.quality_unsupported",
-                f"there is no quality {quality!r}",
-                f"use one of {', '.join(QUALITIES)}",
-            )
-        if num_samples < 2:
-            raise SettingError("relight.num_samples", f"{num_samples} samples", "use at least 2")
-        if not 1 <= antialias <= _MAX_ANTIALIAS:
-            raise SettingError("relight.antialias", f"antialias {antialias}", f"use 1 to {_MAX_ANTIALIAS}")
-        if not 0.0 <= until_stderr < 1.0:
-            raise SettingError("relight.until_stderr", f"standard error {until_stderr}", "use 0 to 1")
-        if bounces not in BOUNCES:
-            raise SettingError("relight.bounces", f"bounces {bounces!r}", f"use one of {', '.join(BOUNCES)}")
+        if isinstance(background, str):
+            changes["background"] = background
+        settings = settled(settings, **changes)
+        behind = background if background is not None else settings.background
         edit = _combined(self.bundle, edit or MaterialEdit(), albedo_ratio)
-        turned = environment.rotated(rotate_deg) if rotate_deg else environment
-        if object_rotate_deg:
-            # Turning the object is turning everything else the other way.
-            turned = turned.rotated(-object_rotate_deg)
-            camera = _turned_camera(camera, -object_rotate_deg)
-        if quality == "refined":
-            sampling = Sampling(num_samples, seed, indirect, antialias, until_stderr, bounces)
-            picture = self._refined(camera, turned, edit, sampling, progress)
+        seen_from, turned = _turned(camera, environment, rotate_deg, object_rotate_deg)
+        if settings.quality == "refined":
+            picture = self._refined(seen_from, turned, edit, settings, progress)
         else:
             picture = self.baked().render(
-                camera,
+                seen_from,
                 turned,
-                preview=quality == "preview",
-                antialias=antialias,
-                indirect=indirect,
+                preview=settings.quality == "preview",
+                antialias=settings.antialias,
+                indirect=settings.indirect,
                 edit=edit,
                 soft_edges=soft_edges,
             )
@@ -154,15 +143,7 @@ class Renderer:
                 progress(1.0)
         if object_rotate_deg:
             picture = replace(picture, normal=rotate_about_z(picture.normal, object_rotate_deg))
-        if background == "transparent":
-            return picture
-        behind = _background(background, turned, camera.rays()[1]).reshape(picture.rgb.shape)
-        return replace(
-            picture,
-            rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * behind,
-            standard_error=picture.coverage * picture.standard_error,
-            opacity=np.ones_like(picture.coverage),
-        )
+        return with_background(picture, behind, camera, environment, rotate_deg, object_rotate_deg)
 
     def baked(self) -> "BakedRenderer":
         """Return what renders `preview` and `baked`; raises UnsupportedQuality without baked transport."""
@@ -173,16 +154,18 @@ class Renderer:
             self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
         return self._baked
 
-    def _scene(self, environment: Environment, edit: MaterialEdit, sampling: Sampling) -> tuple[Scene, str]:
+    def _scene(
+        self, environment: Environment, edit: MaterialEdit, settings: RenderSettings
+    ) -> tuple[Scene, str]:
         """Return what refined pictures see, and where their bounced light comes from.
 
         Raises SettingError where that was asked for by name and is not there.
         """
         plain = Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit)
-        if not sampling.indirect:
+        if not settings.indirect:
             return plain, ""
-        if sampling.bounces in ("auto", "adapted"):
-            insists = sampling.bounces == "adapted"
+        if settings.bounces in ("auto", "adapted"):
+            insists = settings.bounces == "adapted"
             chosen = choose(self.bundle, environment, edit, although_worse=insists)
             if chosen.light is not None:
                 adapted = functools.partial(self._networks.adapted, chosen.light.name)
@@ -194,11 +177,11 @@ class Renderer:
             if chosen.why_not and chosen.why_not != self._told:
                 _LOG.warning("no adapted fast cache fits this picture: %s", chosen.why_not)
                 self._told = chosen.why_not
-        if sampling.bounces == "one":
+        if settings.bounces == "one":
             return plain, "one"
         if self.bundle.manifest.HasField("transport"):
             return replace(plain, hits=self.baked().hits(environment, edit)), "transport"
-        if sampling.bounces == "transport":
+        if settings.bounces == "transport":
             self.baked()
         return plain, "one"
 
@@ -207,11 +190,11 @@ class Renderer:
         camera: Camera,
         environment: Environment,
         edit: MaterialEdit,
-        sampling: Sampling,
+        settings: RenderSettings,
         progress: Callable[[float], None] | None,
     ) -> RelitPicture:
         light = self._prepared(environment)
-        view = self.view(camera, sampling.antialias)
+        view = self.view(camera, settings.antialias)
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
         points = SurfacePoints(
@@ -220,8 +203,8 @@ class Renderer:
             -view.direction,
             materials_from_roughness(albedo, roughness, seen.metalness),
         )
-        scene, bounces = self._scene(environment, edit, sampling)
-        radiance = estimated(points, scene, light, sampling, progress)
+        scene, bounces = self._scene(environment, edit, settings)
+        radiance = estimated(points, scene, light, settings, progress)
         coverage = view.coverage()
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
         specular = view.mean(radiance.specular)
@@ -240,7 +223,7 @@ class Renderer:
             metalness=view.mean(seen.metalness),
             distance=view.mean(seen.distance),
             coverage=coverage,
-            num_samples=radiance.num_samples * sampling.antialias**2,
+            num_samples=radiance.num_samples * settings.antialias**2,
             bounces=bounces,
         )
 
@@ -277,82 +260,60 @@ def _combined(bundle: Bundle, edit: MaterialEdit, ratio: NDArray[np.floating] | 
     return replace(edit, albedo_gain=tuple(float(value) for value in gain))
 
 
-def _turned_camera(camera: Camera, degrees: float) -> Camera:
-    """Return `camera` carried around the z axis by +`degrees`."""
-    angle = np.radians(degrees)
+def _turned(
+    camera: Camera, environment: Environment, rotate_deg: float, object_rotate_deg: float
+) -> tuple[Camera, Environment]:
+    """Return camera and light as the object sees them: turning it turns everything else the other way."""
+    turned = environment.rotated(rotate_deg) if rotate_deg else environment
+    if not object_rotate_deg:
+        return camera, turned
+    angle = np.radians(-object_rotate_deg)
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return replace(camera, camera_to_world=turn @ camera.camera_to_world)
+    around = replace(camera, camera_to_world=turn @ camera.camera_to_world)
+    return around, turned.rotated(-object_rotate_deg)
 
 
-def _background(
-    background: Background, environment: Environment, direction: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Return what lies behind the object along every camera ray, [ray, 3]."""
-    if background == "environment":
-        return environment.lookup(direction)
-    colour = np.asarray(background, np.float32) if not isinstance(background, str) else np.empty(0)
-    if colour.shape != (3,) or not (np.isfinite(colour).all() and (colour >= 0).all()):
-        raise SettingError(
-            "relight.background",
-            f"background {background!r}",
-            'use "transparent", "environment" or three linear values',
-        )
-    return np.broadcast_to(colour, direction.shape)
+def with_background(
+    picture: RelitPicture,
+    background: Background,
+    camera: Camera,
+    environment: Environment,
+    rotate_deg: float = 0.0,
+    object_rotate_deg: float = 0.0,
+) -> RelitPicture:
+    """Return a transparent `picture` before a background; the other arguments are those it was made with."""
+    behind = BACKGROUNDS.get(background, background) if isinstance(background, str) else background
+    if behind == "transparent":
+        return picture
+    seen_from, turned = _turned(camera, environment, rotate_deg, object_rotate_deg)
+    if behind == "environment":
+        colour = turned.lookup(seen_from.rays()[1]).reshape(picture.rgb.shape)
+    else:
+        colour = np.asarray(behind, np.float32)
+        if colour.shape != (3,) or not (np.isfinite(colour).all() and (colour >= 0).all()):
+            raise SettingError(
+                "relight.background",
+                f"background {background!r}",
+                f"use one of {', '.join(BACKGROUNDS)}, or three linear values",
+            )
+    return replace(
+        picture,
+        rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * colour,
+        standard_error=picture.coverage * picture.standard_error,
+        opacity=np.ones_like(picture.coverage),
+    )
 
 
 def render(
     bundle: Bundle,
     camera: Camera,
     environment: Environment,
-    *,
-    rotate_deg: float = 0.0,
-    quality: str = "refined",
-    num_samples: int = 64,
-    seed: int = 0,
-    indirect: bool = True,
-    antialias: int = 2,
-    albedo_ratio: NDArray[np.floating] | None = None,
-    background: Background = "transparent",
-    edit: MaterialEdit | None = None,
-    object_rotate_deg: float = 0.0,
-    until_stderr: float = 0.0,
-    bounces: Bounces = "auto",
-    progress: Callable[[float], None] | None = None,
+    settings: RenderSettings | None = None,
+    **given: Any,
 ) -> RelitPicture:
-    """Return the bundle's object as `camera` sees it in the light of `environment`.
+    """Return the bundle's object as `camera` sees it; `given` and what is raised as in `Renderer.render`.
 
-    `rotate_deg` turns the light by that angle about +z. `num_samples` light directions are spent on every
-    covered pixel, shared by `antialias` x `antialias` rays (two directions each at least); `indirect` adds
-    light that was reflected once before. `albedo_ratio` (one or three factors on the stored albedo, result
-    clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background` is "transparent",
-    "environment" or a linear colour. `edit` changes the material, `object_rotate_deg` turns the object, not
-    its light, about +z. `quality` is "refined" (Monte Carlo), or "baked" or "preview" (from baked transport,
-    without noise; `num_samples` and `seed` have no effect). With `until_stderr` above 0, refined pictures go
-    on, `num_samples` at a time and up to 64 times, until their mean standard error is that share of their
-    mean radiance. `bounces` "auto" asks a fast cache that was adapted to this very light and material where
-    the bundle has one that was not found worse than baked transport, and else shades what refined rays hit
-    from baked transport where there is some, all bounces included; "one" traces on once; "adapted" and
-    "transport" insist. The picture's `bounces` says what it was. `progress` is called with the finished
-    fraction. Equal seeds give equal pictures.
-
-    Opens the bundle's graphs anew: to render many pictures, make one `Renderer`. Raises SettingError,
-    UnsupportedQuality (no such quality, or no baked transport) or BundleError.
+    Opens the bundle's graphs anew: to render many pictures, make one `Renderer`.
     """
-    return Renderer(bundle).render(
-        camera,
-        environment,
-        rotate_deg=rotate_deg,
-        quality=quality,
-        num_samples=num_samples,
-        seed=seed,
-        indirect=indirect,
-        antialias=antialias,
-        albedo_ratio=albedo_ratio,
-        background=background,
-        edit=edit,
-        object_rotate_deg=object_rotate_deg,
-        until_stderr=until_stderr,
-        bounces=bounces,
-        progress=progress,
-    )
+    return Renderer(bundle).render(camera, environment, settings, **given)

@@ -9,12 +9,15 @@ three.js under the same names, so that our viewers show the same picture. Exposu
     agx       Wrensch's fit of AgX's base look, in Rec. 2020
 """
 
+from typing import get_args
+
 import numpy as np
+from lambent_proto.pictures import ToneMapping
 from numpy.typing import NDArray
 
 from lambent_relight.errors import SettingError
 
-NAMES = ("linear", "neutral", "aces", "agx")
+NAMES = get_args(ToneMapping)
 _START_COMPRESSION, _DESATURATION = 0.8 - 0.04, 0.15
 _ACES_IN = np.array(
     [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]], np.float32

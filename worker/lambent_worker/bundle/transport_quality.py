@@ -54,7 +54,7 @@ def judge_qualities(
     for name, light in judging_lights(trained).items():
         found = {"baked": [], "preview": []}
         for camera in small:
-            refined = renderer.render(camera, light, num_samples=num_samples, seed=seed)
+            refined = renderer.render(camera, light, spp=num_samples, seed=seed)
             for quality, values in found.items():
                 values.append(difference(shipped.render(camera, light, quality=quality), refined))
         for quality, values in found.items():

@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -112,13 +112,14 @@ def _render(
 
     began = time.monotonic()
     results: list[Result] = []
+    files = replace(manifest.files, linear=True)
     with open_journal(folder) as journal, _table_at_the_end(folder, results):
         with PictureBar(len(plan.rows) + len(plan.failures), output) as bar:
 
             def show(fraction: float) -> None:
                 bar.move(len(results) + fraction)
 
-            for result in run_batch(plan, manifest.files, journal, num_jobs=num_jobs, progress=show):
+            for result in run_batch(plan, files, journal, num_jobs=num_jobs, progress=show):
                 results.append(result)
                 bar.done(len(results) - 1, result.path, result.state)
         write_table(folder / TABLE, results)

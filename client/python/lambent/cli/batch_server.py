@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path, PurePosixPath
 
+from lambent_proto.pictures import safe_name
 from lambent_relight.batch.journal import NAME as JOURNAL
 from lambent_relight.batch.journal import Journal, Record, open_journal, record_from_json
 from lambent_relight.batch.manifest import Manifest
 from lambent_relight.batch.plan import Failure
-from lambent_relight.batch.reading import safe_name
 from lambent_relight.batch.run import Result
 from lambent_relight.batch.summary import TABLE, write_table
 

@@ -1,70 +1,34 @@
-"""What relight and turntable share: opening inputs, cameras around an object, and pictures that resume."""
+"""What relight and turntable share: a batch of one bundle's pictures, and how its making is shown."""
 
-import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lambent_relight import (
-    BundleError,
-    Camera,
-    MaterialEdit,
-    RelightError,
-    Renderer,
-    load_bundle,
-    write_picture_exr,
-    write_png,
-)
-from lambent_relight.batch.manifest import BACKGROUNDS
-from lambent_relight.bundle import object_cameras
-from lambent_relight.environment.input import EnvironmentInput, OpenedEnvironment, open_environment
-from lambent_relight.environment.maps import Environment
-from lambent_relight.picture import RelitPicture
-from lambent_relight.refined.sampling_plan import Bounces
-from lambent_relight.renderer import KEPT_RAYS
+from lambent_proto.pictures import RenderSettings
+from lambent_relight import Bundle, BundleError, Camera, RelightError, load_bundle
+from lambent_relight.batch.journal import Record, open_journal
+from lambent_relight.batch.manifest import SUFFIXES, Asset, Files, Light, Quality
+from lambent_relight.batch.plan import Plan, Row, bundle_digest, check_names, light_digest
+from lambent_relight.batch.run import run_batch
 
 from lambent.cli.output import Output, format_duration
 from lambent.errors import LambentError, UsageProblemError
-from lambent.file_hash import file_sha256
 
-if TYPE_CHECKING:
-    from lambent_relight.probe_overlay import LightProbes
+INDEX = "pictures.json"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Shot:
-    """One picture to make: `name` is its path in the output folder without a suffix."""
+    """One picture to make: `path` is its place in the output folder without a suffix."""
 
-    name: str
+    path: str
+    light: Light
     camera: Camera
-    environment: Path
-    rotate_deg: float
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Look:
-    """How pictures are made: light directions per pixel, PNG exposure in stops, rays along a pixel's side."""
-
-    quality: str
-    num_samples: int
-    seed: int
-    exposure_ev: float
-    background: str
-    indirect: bool
-    antialias: int
-    until_stderr: float = 0.0
-    edit: MaterialEdit = field(default_factory=MaterialEdit)
-    object_rotate_deg: float = 0.0
-    light: EnvironmentInput = field(default_factory=EnvironmentInput)
-    tone_mapping: str = "linear"
-    bounces: Bounces = "auto"
-    probes: bool = False
-    """Whether a chrome and a grey ball stand in the PNG's corner."""
 
 
 _BOUNCES = {
@@ -92,169 +56,103 @@ def check_choice(option: str, value: str, choices: Sequence[str]) -> None:
         raise UsageProblemError("cli.bad_choice", f"{option} {value!r}", f"use one of {', '.join(choices)}")
 
 
-def open_renderer(bundle: Path, *, kept_rays: int = KEPT_RAYS) -> Renderer:
-    """Return a renderer of a checked bundle folder or zip; `kept_rays` as in `Renderer`."""
+def open_bundle(bundle: Path) -> Bundle:
+    """Return a checked bundle folder or zip."""
     if not bundle.exists():
         raise UsageProblemError(
             "bundle.missing", f"there is no {bundle}", "fetch one: lambent fetch JOB -o DIR"
         )
-    return Renderer(load_bundle(bundle), kept_rays=kept_rays)
+    return load_bundle(bundle)
 
 
-def around_object(
-    renderer: Renderer, num_views: int, *, size: int = 0, start_deg: float = 0.0
-) -> list[Camera]:
-    """Return a turntable at the distance, height and field of view of the bundle's own cameras.
+def rows_of(shots: Sequence[Shot], bundle: Bundle, asset: Asset, settings: RenderSettings) -> list[Row]:
+    """Return pictures of one bundle as rows of a batch.
 
-    `size` is the side of the square pictures in pixels; 0 takes the longer side of the first camera.
+    Raises `environment.missing` for a map that is not there, `batch.same_name` for two cameras of one name.
     """
-    return object_cameras.around_object(renderer.bundle, num_views, size=size, start_deg=start_deg)
-
-
-def render_shot(
-    renderer: Renderer,
-    shot: Shot,
-    look: Look,
-    environment: Environment,
-    progress: Callable[[float], None],
-) -> RelitPicture:
-    """Return one picture made as `look` says, linear radiance; `progress` is told the share that is done."""
-    return renderer.render(
-        shot.camera,
-        environment,
-        rotate_deg=shot.rotate_deg,
-        quality=look.quality,
-        num_samples=look.num_samples,
-        seed=look.seed,
-        indirect=look.indirect,
-        antialias=look.antialias,
-        until_stderr=look.until_stderr,
-        bounces=look.bounces,
-        edit=look.edit,
-        object_rotate_deg=look.object_rotate_deg,
-        background=BACKGROUNDS[look.background],
-        progress=progress,
-    )
-
-
-def render_shots(
-    renderer: Renderer, shots: Sequence[Shot], look: Look, folder: Path, output: Output, *, exr: bool = True
-) -> None:
-    """Make every picture that is not there yet, and list them in `folder`/pictures.json.
-
-    Files appear whole or not at all; a picture is kept when bundle, light, camera and look are the same.
-    """
-    check_choice("--background", look.background, tuple(BACKGROUNDS))
-    index = folder / "pictures.json"
-    records = _read_records(index)
-    environments: dict[Path, OpenedEnvironment] = {}
-    hashes: dict[Path, str] = {}
-    probes = ProbeDrawer(look)
-    told: set[tuple[Path, str]] = set()
-    began, num_made = time.monotonic(), 0
-    with PictureBar(len(shots), output) as bar:
-        for number, shot in enumerate(shots):
-            files = [folder / f"{shot.name}{suffix}" for suffix in ((".png", ".exr") if exr else (".png",))]
-            if shot.environment not in hashes:
-                hashes[shot.environment] = _light_hash(shot.environment)
-            key = _key(renderer, shot, hashes[shot.environment], look)
-            if records.get(shot.name, {}).get("key") == key and all(path.is_file() for path in files):
-                bar.done(number, shot.name, "kept")
-                continue
-            if shot.environment not in environments:
-                environments[shot.environment] = _load(shot.environment, look.light, output)
-            opened = environments[shot.environment]
-            picture = render_shot(
-                renderer,
-                shot,
-                look,
-                opened.environment,
-                lambda fraction, number=number: bar.move(number + fraction),
+    digest = bundle_digest(bundle)
+    quality = Quality(name=settings.quality, **settings.model_dump())
+    maps: dict[Path | None, str | Exception] = {}
+    rows = []
+    for shot in shots:
+        if shot.light.path not in maps:
+            maps[shot.light.path] = light_digest(shot.light)
+        found = maps[shot.light.path]
+        if isinstance(found, Exception):
+            raise found
+        rows.append(
+            Row(
+                path=shot.path,
+                asset=asset,
+                light=shot.light,
+                quality=quality,
+                camera=shot.camera,
+                bundle_digest=digest,
+                light_digest=found,
             )
-            shown = probes.over(picture, shot, opened.environment)
-            for path in files:
-                partial = path.with_name(f".partial-{path.name}")
-                if path.suffix == ".png":
-                    write_png(partial, shown.exposed(look.exposure_ev), tone_mapping=look.tone_mapping)
-                else:
-                    write_picture_exr(partial, picture)
-                os.replace(partial, path)
-            num_made += 1
-            if look.quality == "refined" and (shot.environment, picture.bounces) not in told:
-                told.add((shot.environment, picture.bounces))
-                output.note(f"{shot.environment.name}: {_BOUNCES[picture.bounces.partition(':')[0]]}")
-            records[shot.name] = {
-                "key": key,
-                "files": [path.relative_to(folder).as_posix() for path in files],
-                "camera": shot.camera.name,
-                "environment": shot.environment.name,
-                "rotate_deg": shot.rotate_deg,
-                "num_samples": picture.num_samples,
-                "bounces": picture.bounces,
-                "mean_standard_error": float(picture.standard_error.mean()),
-                "environment_notes": opened.notes(shot.environment.name),
-            }
-            _write_records(index, records)
-            bar.done(number, shot.name, "made")
-    seconds = time.monotonic() - began
-    text = f"{folder}  ({num_made} pictures made, {len(shots) - num_made} kept, {format_duration(seconds)})"
-    wanted = [records[shot.name] for shot in shots]
+        )
+    check_names(rows)
+    return rows
+
+
+def make_pictures(rows: Sequence[Row], files: Files, folder: Path, output: Output) -> None:
+    """Make every picture that is not there yet, and list those of `folder` in its pictures.json.
+
+    What is there is known as in a batch, by the hash of everything that it is made from.
+    """
+    told: set[str] = set()
+    began = time.monotonic()
+    states: list[str] = []
+    with open_journal(folder) as journal, PictureBar(len(rows), output) as bar:
+        try:
+            for result in run_batch(
+                Plan(rows=tuple(rows), failures=()),
+                files,
+                journal,
+                progress=lambda fraction: bar.move(len(states) + fraction),
+                strict=True,
+            ):
+                record = result.record
+                assert record is not None
+                for note in _notes(record) if result.state == "made" else ():
+                    if note not in told:
+                        told.add(note)
+                        output.note(note)
+                states.append(result.state)
+                bar.done(len(states) - 1, result.path, result.state)
+        finally:
+            listed = {path: _listed(record) for path, record in sorted(journal.records.items())}
+            _write_index(folder / INDEX, listed)
+    seconds, num_made = time.monotonic() - began, states.count("made")
+    text = f"{folder}  ({num_made} pictures made, {len(rows) - num_made} kept, {format_duration(seconds)})"
+    wanted = [listed[row.path] for row in rows]
     output.result(text, {"path": str(folder), "made": num_made, "pictures": wanted})
 
 
-class ProbeDrawer:
-    """Draws the balls that a look asks for, if it does."""
-
-    def __init__(self, look: Look) -> None:
-        self._wanted = look.probes
-        self._known: tuple[Path, LightProbes] | None = None
-
-    def over(self, picture: RelitPicture, shot: Shot, environment: Environment) -> RelitPicture:
-        """Return the picture of a shot with its balls."""
-        if not self._wanted:
-            return picture
-        if self._known is None or self._known[0] != shot.environment:
-            # Compiled code takes a moment to import, which pictures without balls do not pay.
-            from lambent_relight.probe_overlay import LightProbes
-
-            self._known = (shot.environment, LightProbes(environment))
-        return self._known[1].over(picture, shot.camera, rotate_deg=shot.rotate_deg)
+def _notes(record: Record) -> Iterator[str]:
+    """Yield what a user should know about the light of a picture."""
+    yield from record.notes
+    if record.quality == "refined":
+        yield f"{record.environment}: {_BOUNCES[record.bounces.partition(':')[0]]}"
 
 
-def _load(path: Path, light: EnvironmentInput, output: Output) -> OpenedEnvironment:
-    opened = open_environment(path, light)
-    for note in opened.notes(path.name):
-        output.note(note)
-    return opened
+def _listed(record: Record) -> dict[str, Any]:
+    return {
+        "key": next(iter(record.files.values())).key,
+        "files": [record.files[suffix].path for suffix in SUFFIXES if suffix in record.files],
+        "camera": record.camera,
+        "environment": record.environment,
+        "rotate_deg": record.rotate_deg,
+        "num_samples": record.num_samples,
+        "bounces": record.bounces,
+        "mean_standard_error": record.mean_standard_error,
+        "environment_notes": list(record.notes),
+    }
 
 
-def _light_hash(path: Path) -> str:
-    if not path.is_file():
-        raise UsageProblemError("environment.missing", f"there is no file {path}", "check the path")
-    return file_sha256(path)
-
-
-def _key(renderer: Renderer, shot: Shot, light: str, look: Look) -> str:
-    """Return a hash of everything that a picture is made from; `light` is that of the map's file."""
-    files = sorted(entry.sha256 for entry in renderer.bundle.manifest.files)
-    parts = [*files, light, shot.camera.key().hex(), shot.rotate_deg, repr(look)]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-
-
-def _read_records(index: Path) -> dict[str, dict[str, Any]]:
-    if not index.is_file():
-        return {}
-    try:
-        return {record["name"]: record for record in json.loads(index.read_text())["pictures"]}
-    except (ValueError, KeyError, TypeError) as error:
-        raise UsageProblemError(
-            "relight.bad_index", f"{index} was not written by this command: {error}", "choose another folder"
-        ) from error
-
-
-def _write_records(index: Path, records: dict[str, dict[str, Any]]) -> None:
+def _write_index(index: Path, listed: Mapping[str, dict[str, Any]]) -> None:
     partial = index.with_name(f".partial-{index.name}")
-    pictures = [{"name": name, **record} for name, record in sorted(records.items())]
+    pictures = [{"name": name, **record} for name, record in listed.items()]
     partial.write_text(json.dumps({"pictures": pictures}, indent=1) + "\n")
     os.replace(partial, index)
 

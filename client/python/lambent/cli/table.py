@@ -42,7 +42,7 @@ ENTRIES = (
     Entry(
         "keys",
         _SERVER,
-        "Make, list, revoke and replace the keys of the server on this machine.",
+        "Make, list, revoke and replace keys of the server on this machine.",
         extra="server",
     ),
     Entry("push", _SERVER, "Upload a scene folder or archive; sends only what is missing.", "transfer:push"),

@@ -2,16 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from lambent_relight import Renderer
+from lambent_proto.pictures import RenderSettings
+from lambent_relight import Bundle
+from lambent_relight.batch.manifest import Asset, Files, Light
+from lambent_relight.batch.plan import Row
+from lambent_relight.batch.studio import Studio
+from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.environment.axes import OURS
-from lambent_relight.environment.input import open_environment
-from lambent_relight.images import encode_png
-from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 from PIL import Image
 
 from lambent import film
@@ -23,24 +26,22 @@ from lambent.cli.environment_options import (
 )
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import (
-    BACKGROUNDS,
-    Look,
     PictureBar,
-    ProbeDrawer,
     Shot,
-    around_object,
     check_choice,
-    open_renderer,
+    make_pictures,
+    open_bundle,
     relight_errors,
-    render_shot,
-    render_shots,
+    rows_of,
 )
+from lambent.cli.setting_options import takes_settings
 from lambent.errors import UsageProblemError
 
 TURNS = ("camera", "light", "object")
 ANIMATIONS = ("webp", "gif")
 
 
+@takes_settings(spp=32, background="white")
 def turntable(
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
     env: Annotated[Path, typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr.")],
@@ -67,14 +68,6 @@ def turntable(
     animation: Annotated[
         str, typer.Option("--format", help="webp, gif, mp4, webm or none: a film beside a folder's pictures.")
     ] = "webp",
-    quality: Annotated[
-        str, typer.Option(help="preview, baked (both without noise, at once) or refined.")
-    ] = "refined",
-    exposure_ev: Annotated[float, typer.Option(help="Brighten by this many stops.")] = 0.0,
-    tone_mapping: Annotated[str, typer.Option(help=f"{', '.join(TONE_MAPPINGS)}.")] = "linear",
-    spp: Annotated[int, typer.Option(help="Light directions per pixel.", min=2, max=65536)] = 32,
-    seed: Annotated[int, typer.Option(help="Seed of every random number.", min=0)] = 0,
-    background: Annotated[str, typer.Option(help="white, environment or transparent.")] = "white",
     size: Annotated[int, typer.Option(help="Side of the pictures, pixels; 0: as photographed.")] = 0,
     rotate_deg: Annotated[
         float, typer.Option(help="Turn the light by this angle about +z before anything else, degrees.")
@@ -86,6 +79,8 @@ def turntable(
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
+    *,
+    settings: RenderSettings,
 ) -> None:
     """Render a whole turn: straight into a film, or into DIR/frames and DIR/turntable.<format>.
 
@@ -93,43 +88,30 @@ def turntable(
     """
     check_choice("--turn", turn, TURNS)
     check_choice("--format", animation, (*ANIMATIONS, *(suffix[1:] for suffix in film.SUFFIXES), "none"))
-    check_choice("--quality", quality, ("preview", "baked", "refined"))
-    check_choice("--tone-mapping", tone_mapping, TONE_MAPPINGS)
-    check_choice("--background", background, tuple(BACKGROUNDS))
     count = _num_frames(frames, seconds, fps)
     straight = bool(target.suffix) and not target.is_dir()
     is_film = straight or f".{animation}" in film.SUFFIXES
     whole = target if straight else target / f"turntable.{animation}"
     if is_film:
         film.check_film(whole, crf)
-        if background == "transparent":
+        if settings.background == "transparent":
             raise UsageProblemError(
                 "turntable.no_alpha", f"{whole.name} cannot be transparent", "use --format webp, or white"
             )
     elif crf is not None:
         raise UsageProblemError("cli.bad_choice", f"--crf with {animation}", "use it for .mp4 and .webm")
     output = Output(as_json)
-    look = Look(
-        quality=quality,
-        num_samples=spp,
-        seed=seed,
-        exposure_ev=exposure_ev,
-        tone_mapping=tone_mapping,
-        background=background,
-        indirect=True,
-        antialias=2,
-        light=environment_input(env_axes, sun_clamp, mend_env),
-        probes=probes,
-    )
+    light = Light(name=env.name, path=env, given=environment_input(env_axes, sun_clamp, mend_env))
+    files = Files(suffixes=("png",), linear=not straight, probes=probes)
     with relight_errors():
-        # No view is seen twice, but for the one that a turning light is looked at from.
-        renderer = open_renderer(bundle, kept_rays=1)
-        shots = shots_of_turn(renderer, env, turn, count, size=size, rotate_deg=rotate_deg)
+        opened = open_bundle(bundle)
+        shots = shots_of_turn(opened, light, turn, count, size=size, rotate_deg=rotate_deg)
+        rows = rows_of(shots, opened, Asset(name=bundle.name, path=bundle), settings)
         if straight:
-            _stream(renderer, shots, look, film.FilmWriter(target, fps=fps, crf=crf), output)
+            _stream(rows, files, film.FilmWriter(target, fps=fps, crf=crf), output)
         else:
-            render_shots(renderer, shots, look, target, output, exr=False)
-    pictures = [target / f"{shot.name}.png" for shot in shots]
+            make_pictures(rows, files, target, output)
+    pictures = [target / f"{row.path}.png" for row in rows]
     if animation in ANIMATIONS and not straight:
         _write_animation(pictures, whole, fps)
     elif animation == "none" and not straight:
@@ -143,21 +125,20 @@ def turntable(
 
 
 def shots_of_turn(
-    renderer: Renderer, environment: Path, turn: str, count: int, *, size: int = 0, rotate_deg: float = 0.0
+    bundle: Bundle, light: Light, turn: str, count: int, *, size: int = 0, rotate_deg: float = 0.0
 ) -> list[Shot]:
     """Return the pictures of one whole turn, counter-clockwise as seen from above; `turn` is one of `TURNS`.
 
     The object turns about the middle of its box: the camera goes the other way, and the light with it.
     """
-    views = around_object(renderer, 1 if turn == "light" else count, size=size)
+    views = around_object(bundle, 1 if turn == "light" else count, size=size)
     shots = []
     for index in range(count):
         angle = 360.0 * index / count
         view = views[{"camera": index, "light": 0, "object": -index % count}[turn]]
         light_deg = rotate_deg + {"camera": 0.0, "light": angle, "object": -angle}[turn]
-        shots.append(
-            Shot(name=f"frames/{index:04d}", camera=view, environment=environment, rotate_deg=light_deg)
-        )
+        turned = replace(light, rotate_deg=light_deg)
+        shots.append(Shot(path=f"frames/{index:04d}", light=turned, camera=view))
     return shots
 
 
@@ -169,25 +150,15 @@ def _num_frames(frames: int | None, seconds: float | None, fps: int) -> int:
     return max(math.floor(seconds * fps + 0.5), 2)
 
 
-def _stream(
-    renderer: Renderer, shots: Sequence[Shot], look: Look, writer: film.FilmWriter, output: Output
-) -> None:
+def _stream(rows: Sequence[Row], files: Files, writer: film.FilmWriter, output: Output) -> None:
     """Render pictures straight into a film."""
-    opened = open_environment(shots[0].environment, look.light)
-    for note in opened.notes(shots[0].environment.name):
+    # No view is seen twice, but for the one that a turning light is looked at from.
+    studio = Studio(Path(), files, kept_rays=0)
+    for note in studio.notes(rows[0]):
         output.note(note)
-    probes = ProbeDrawer(look)
-    with writer, PictureBar(len(shots), output) as bar:
-        for number, shot in enumerate(shots):
-            picture = render_shot(
-                renderer,
-                shot,
-                look,
-                opened.environment,
-                lambda fraction, number=number: bar.move(number + fraction),
-            )
-            shown = probes.over(picture, shot, opened.environment).exposed(look.exposure_ev)
-            pixels = encode_png(shown, tone_mapping=look.tone_mapping)
+    with writer, PictureBar(len(rows), output) as bar:
+        for number, row in enumerate(rows):
+            pixels = studio.frame(row, lambda fraction, number=number: bar.move(number + fraction))
             writer.add(pixels[..., :3])
             bar.done(number, f"{number + 1}", "made")
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from lambent_relight import Renderer
 from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.input import EnvironmentInput
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
@@ -15,7 +16,7 @@ from lambent.cli.environment_options import (
     environment_input,
 )
 from lambent.cli.output import JsonOption, Output
-from lambent.cli.rendering import check_choice, open_renderer, relight_errors
+from lambent.cli.rendering import check_choice, open_bundle, relight_errors
 from lambent.desktop.channels import RADIANCE, SURFACE
 from lambent.desktop.state import BACKDROPS
 from lambent.desktop.viewer import DesktopOptions, show
@@ -113,7 +114,7 @@ def view(
         overlays=overlays,
     )
     with relight_errors():
-        files = show(open_renderer(bundle), options)
+        files = show(Renderer(open_bundle(bundle)), options)
     for file in files:
         output.result(str(file), {"path": str(file)})
 

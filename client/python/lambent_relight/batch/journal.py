@@ -46,6 +46,7 @@ class Record:
     """Mean over the pixels, linear radiance."""
     relative_standard_error: float
     """That over the mean radiance; 0 where there is no noise."""
+    rotate_deg: float = 0.0
     bounces: str = ""
     """Where bounced light came from, as the picture says."""
     notes: tuple[str, ...] = ()

@@ -1,26 +1,31 @@
 """What a batch consists of. Source: docs/howto/batch.md (the manifest)."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any
+
+from lambent_proto.pictures import WHOLE, RenderCameras, RenderSettings
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from lambent_relight.aovs import PASSES
-from lambent_relight.cameras import Camera
+from lambent_relight.cameras import parse_camera_list
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.input import EnvironmentInput
+from lambent_relight.errors import CameraError
 
 SCHEMA = "lambent-batch/1"
 """What `schema` must say; a reader refuses another number."""
 MAX_PICTURES = 100_000
 SUFFIXES = ("png", "exr")
-PLACES = ("asset", "environment", "quality", "camera")
 DEFAULT_PATH = "{asset}/{environment}/{quality}/{camera}"
-BACKGROUNDS: Mapping[str, str | tuple[float, float, float]] = {
-    "transparent": "transparent",
-    "environment": "environment",
-    "white": (1.0, 1.0, 1.0),
-}
-"""What may lie behind the object, by name."""
+LINEAR = "npz"
+"""Suffix of a picture's linear radiance, which exposure, tone mapping and background are applied to."""
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+def place(path: str, suffix: str) -> str:
+    """Return where a file of the picture `path` lies in the output folder."""
+    return f".linear/{path}.{suffix}" if suffix == LINEAR else f"{path}.{suffix}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,45 +52,58 @@ class Light:
     pointer: str = field(default="", compare=False)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cameras:
-    """Some cameras; exactly one of `turntable`, `file`, `views`, `all_views` and `given` says which."""
+def _as_path(value: Any, info: ValidationInfo) -> Any:
+    """Return text as a path from the folder `base` of the context on."""
+    return (info.context or {}).get("base", Path()) / Path(value).expanduser() if _is_text(value) else value
 
-    turntable: int = 0
-    """Cameras evenly around the object."""
-    elevation_deg: float | None = None
-    radius: float | None = None
-    """Distance from the middle of the object, scene units."""
-    field_of_view_deg: float | None = None
-    start_deg: float = 0.0
-    file: Path | None = None
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value) and value.isprintable()
+
+
+def _as_cameras(value: Any) -> Any:
+    """Return the cameras that a document describes."""
+    if not isinstance(value, list) or not 1 <= len(value) <= 10_000:
+        raise ValueError("a list of 1 to 10000 cameras is expected")
+    try:
+        return tuple(parse_camera_list(value, source="poses"))
+    except CameraError as error:
+        raise ValueError(error.message) from error
+
+
+File = Annotated[Path | None, BeforeValidator(_as_path)]
+
+
+class Cameras(RenderCameras):
+    """Some cameras; exactly one of `turntable`, `file`, `views`, `all_views` and `poses` says which."""
+
+    model_config = ConfigDict(frozen=True)
+
+    turntable: Annotated[int, Field(ge=1, le=10_000), WHOLE] = 0
+    file: File = None
     """A cameras.json; with `views` only those."""
-    views: tuple[str, ...] = ()
-    """Names of the bundle's own cameras."""
-    all_views: bool = False
-    given: tuple[Camera, ...] = ()
-    name: str = ""
-    """Stands before the names of the cameras, so that two entries can be told apart."""
-    size: int = 0
-    """Longer side of the pictures in pixels; 0 leaves them as they are."""
-    pointer: str = field(default="", compare=False)
+    views: Annotated[tuple[Text, ...], Field(strict=False, min_length=1, max_length=10_000)] = ()  # type: ignore[assignment]
+    poses: Annotated[tuple[Any, ...], BeforeValidator(_as_cameras)] = ()  # type: ignore[assignment]
+
+    @field_validator("elevation_deg", "radius", "field_of_view_deg", "start_deg")
+    @classmethod
+    def _check_place(cls, value: float, info: ValidationInfo) -> float:
+        if info.data.get("turntable", 1) == 0:
+            raise ValueError("this places a turntable and has no meaning here")
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> "Cameras":
+        kinds = [name for name in ("turntable", "file", "all_views", "poses") if getattr(self, name)]
+        if len(kinds) + bool(self.views) != 1 and not (kinds == ["file"] and self.views):
+            raise ValueError("one of turntable, file, views, all_views and poses is needed")
+        return self
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Quality:
-    """How pictures are made; the fields mean what the options of `lambent relight` do."""
+class Quality(RenderSettings):
+    """The settings of pictures under one name."""
 
     name: str = "refined"
-    quality: str = "refined"
-    spp: int = 64
-    until_stderr: float = 0.0
-    antialias: int = 2
-    indirect: bool = True
-    bounces: str = "auto"
-    seed: int = 0
-    background: str = "transparent"
-    exposure_ev: float = 0.0
-    tone_mapping: str = "linear"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,6 +116,10 @@ class Files:
     """16-bit instead of 32-bit floats in EXR files."""
     path: str = DEFAULT_PATH
     """Path in the output folder without suffix."""
+    linear: bool = False
+    """Whether the linear picture is kept: another exposure, tone curve or background renders nothing."""
+    probes: bool = False
+    """Whether a chrome and a grey ball stand in the PNG's corner."""
 
 
 @dataclass(frozen=True, kw_only=True)

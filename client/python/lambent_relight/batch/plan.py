@@ -11,8 +11,18 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lambent_relight.batch.manifest import MAX_PICTURES, Asset, Cameras, Files, Light, Manifest, Quality
-from lambent_relight.batch.reading import safe_name
+from lambent_proto.pictures import safe_name
+
+from lambent_relight.batch.manifest import (
+    LINEAR,
+    MAX_PICTURES,
+    Asset,
+    Cameras,
+    Files,
+    Light,
+    Manifest,
+    Quality,
+)
 from lambent_relight.bundle.bundle import Bundle, load_bundle
 from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import Camera, load_cameras
@@ -36,7 +46,9 @@ class Row:
 
     def key(self, suffix: str, files: Files) -> str:
         """Return the SHA-256 of everything that the bytes of one file depend on."""
-        quality = {name: value for name, value in asdict(self.quality).items() if name != "name"}
+        quality = self.quality.model_dump(exclude={"name"})
+        shown = {name: quality.pop(name) for name in ("exposure_ev", "tone_mapping")}
+        background = quality.pop("background")
         parts: dict[str, Any] = {
             "renderer": renderer_digest(),
             "bundle": self.bundle_digest,
@@ -49,11 +61,18 @@ class Row:
             "quality": quality,
             "suffix": suffix,
         }
-        if suffix == "exr":
-            # Exposure and tone curve are for screens: the EXR stays as it is.
-            del quality["exposure_ev"], quality["tone_mapping"]
+        if suffix != LINEAR:
+            parts["background"] = background
+        # Exposure and tone curve are for screens: the EXR stays as it is.
+        if suffix == "png":
+            parts |= {**shown, "probes": files.probes}
+        elif suffix == "exr":
             parts |= {"passes": sorted(files.passes), "half": files.half}
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+    def before(self, background: str) -> "Row":
+        """Return the same picture before another background."""
+        return replace(self, quality=self.quality.model_copy(update={"background": background}))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -121,7 +140,7 @@ def make_plan(
                         )
                     )
                 _check_count(len(rows) + len(failures))
-    _check_names(rows)
+    check_names(rows)
     return Plan(rows=tuple(rows), failures=tuple(failures))
 
 
@@ -143,11 +162,11 @@ def _open(asset: Asset, entries: Sequence[Cameras], opening: Callable[[Path | st
         return _Opened(errors=((error, ""),))
     cameras: list[Camera] = []
     errors: list[tuple[Exception, str]] = []
-    for entry in entries:
+    for index, entry in enumerate(entries):
         try:
             cameras += cameras_of(entry, bundle)
         except (RelightError, OSError) as error:
-            errors.append((error, entry.pointer))
+            errors.append((error, f"/cameras/{index}"))
     return _Opened(digest=digest, cameras=tuple(cameras), errors=tuple(errors))
 
 
@@ -194,8 +213,8 @@ def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
 
 def stated_cameras(entry: Cameras) -> list[Camera] | None:
     """Return the cameras that an entry holds or names a file of; None where it asks for those of a bundle."""
-    if entry.given:
-        return _picked(list(entry.given), entry, "poses")
+    if entry.poses:
+        return _picked(list(entry.poses), entry, "poses")
     if entry.file is not None:
         return _picked(load_cameras(entry.file), entry, entry.file.name)
     return None
@@ -276,7 +295,7 @@ def _check_count(count: int) -> None:
         )
 
 
-def _check_names(rows: Sequence[Row]) -> None:
+def check_names(rows: Sequence[Row]) -> None:
     """Raise `batch.same_name` for two pictures, or a picture and a sheet, that are one file somewhere."""
     seen: dict[str, Row] = {}
     for row in rows:

@@ -7,6 +7,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,19 @@ _END_S = 5.0
 
 
 def run_tasks(
-    tasks: Sequence[Task], folder: Path, files: Files, *, num_jobs: int = 1, progress: Progress | None = None
+    tasks: Sequence[Task],
+    folder: Path,
+    files: Files,
+    *,
+    num_jobs: int = 1,
+    progress: Progress | None = None,
+    strict: bool = False,
 ) -> Generator[tuple[Row, Record | Failure], None, None]:
     """Make pictures and yield each as it is done, made or failed; the order is kept with one process only.
 
     `num_jobs` processes share the processor's threads. `progress` is called with the finished fraction of the
-    picture in work, with one process only. An iterator that is closed early ends the processes.
+    picture in work, with one process only; there `strict` raises what a picture fails with. An iterator
+    that is closed early ends the processes.
     """
     num_jobs = min(num_jobs, len(tasks))
     # Views are worth remembering only where a camera comes again, in another light or quality.
@@ -39,7 +47,8 @@ def run_tasks(
     if num_jobs <= 1:
         studio = Studio(folder, files, kept_rays=kept_rays)
         for row, suffixes in tasks:
-            yield row, attempt(studio, row, suffixes, progress)
+            make = studio.make if strict else partial(attempt, studio)
+            yield row, make(row, suffixes, progress)
         return
     num_threads = max(1, available_threads() // num_jobs)
     lanes = _Lanes(tasks, num_jobs)

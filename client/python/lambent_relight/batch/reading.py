@@ -1,41 +1,34 @@
 """A manifest from plain values, as YAML, JSON or a message give them."""
 
-import re
-import string
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
+
+from lambent_proto.pictures import (
+    Angle,
+    Name,
+    Passes,
+    RenderAsset,
+    RenderEnvironment,
+    RenderOutput,
+    RenderQuality,
+    RenderSettings,
+    Wanted,
+    safe_name,
+)
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from lambent_relight.aovs import PASSES
-from lambent_relight.batch import members as checks
-from lambent_relight.batch.manifest import (
-    BACKGROUNDS,
-    DEFAULT_PATH,
-    PLACES,
-    SCHEMA,
-    SUFFIXES,
-    Asset,
-    Cameras,
-    Files,
-    Light,
-    Manifest,
-    Quality,
-)
-from lambent_relight.batch.members import Members, Problem, Problems, shown
-from lambent_relight.cameras import parse_camera_list
+from lambent_relight.batch.manifest import Asset, Cameras, File, Files, Light, Manifest, Quality
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environment.axes import OURS, QUARTER_TURNS
 from lambent_relight.environment.input import EnvironmentInput
-from lambent_relight.errors import CameraError, RelightError
-from lambent_relight.refined.sampling_plan import BOUNCES
-from lambent_relight.renderer import QUALITIES
-from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
+from lambent_relight.errors import RelightError
+from lambent_relight.validation import Problem, problems_of, shown
 
-T = TypeVar("T", Asset, Light, Quality)
-NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
-_MAX_ENTRIES = 1000
-_MAX_SIDE = 16384
-_ANGLE = checks.number(-36000.0, 36000.0)
+Kind = TypeVar("Kind", bound=Wanted)
+_WORDS = {"all": list(PASSES), "none": []}
+Identifier = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f]+$")]
+Entries = Annotated[list[Any], Field(min_length=1, max_length=1000)]
 
 
 class ManifestError(RelightError):
@@ -47,251 +40,175 @@ class ManifestError(RelightError):
         self.problems = tuple(problems)
 
 
+class _Document(Wanted):
+    schema_: Annotated[Literal["lambent-batch/1"], Field(alias="schema")]
+    name: Name = "batch"
+    assets: Entries
+    environments: Entries
+    cameras: Entries
+    settings: Any = None
+    qualities: Entries | None = None
+    output: Any = None
+
+
+class _Asset(RenderAsset):
+    bundle: File = None
+    bundle_id: Identifier | None = None  # type: ignore[assignment]
+
+    @model_validator(mode="after")
+    def _check(self) -> "_Asset":
+        return _one_of(self, "bundle", "bundle_id")
+
+
+class _Light(RenderEnvironment):
+    map: File = None
+    environment_id: Identifier | None = None  # type: ignore[assignment]
+    rotate_deg: Annotated[  # type: ignore[assignment]
+        list[Angle],
+        Field(min_length=1, max_length=10_000, default_factory=lambda: [0.0]),
+        BeforeValidator(lambda value: value if isinstance(value, list) else [value]),
+    ]
+    _is_list: bool = False
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _check(cls, value: Any, handler: Callable[[Any], "_Light"]) -> "_Light":
+        entry = _one_of(handler(value), "map", "environment_id")
+        entry._is_list = isinstance(value.get("rotate_deg"), list)
+        return entry
+
+
+class _Output(RenderOutput):
+    passes: Annotated[
+        Passes,
+        Field(default_factory=lambda: list(PASSES)),
+        BeforeValidator(lambda value: _WORDS.get(value, value) if isinstance(value, str) else value),
+    ]
+
+
 def read_manifest(document: Any, base: Path) -> Manifest:
     """Return the manifest that `document` describes; relative paths start at `base`.
 
     Nothing is looked up on the disk. Raises ManifestError with every problem that was found.
     """
-    problems = Problems()
-    top = Members(document, "", problems)
-    schema = top.require("schema", checks.text(100), SCHEMA)
-    if schema != SCHEMA:
-        problems.report("/schema", f"schema: this program reads {SCHEMA}, not {shown(schema)}")
-    settings = _quality(Members(top.raw("settings") or {}, "/settings", problems), Quality(), common=True)
-    manifest = Manifest(
-        name=top.take("name", checks.text(100), "batch"),
-        assets=tuple(_entries(top, "assets", lambda value, at: [_asset(value, at, problems, base)])),
-        environments=tuple(_entries(top, "environments", lambda v, at: _lights(v, at, problems, base))),
-        cameras=tuple(_entries(top, "cameras", lambda value, at: [_cameras(value, at, problems, base)])),
-        qualities=tuple(
-            _entries(top, "qualities", lambda value, at: [_named_quality(value, at, problems, settings)])
-        )
-        if top.has("qualities")
-        else (settings,),
-        files=_files(Members(top.raw("output") or {}, "/output", problems)),
-    )
-    top.close()
-    for kind, entries in (
-        ("asset", manifest.assets),
-        ("environment", manifest.environments),
-        ("quality", manifest.qualities),
+    reader = _Reader(base)
+    top = document if isinstance(document, dict) else {}
+    reader.read(_Document, document, "")
+    settings = reader.read(RenderSettings, top.get("settings") or {}, "/settings") or RenderSettings()
+    output = reader.read(_Output, top.get("output") or {}, "/output")
+    assets = [_asset(each, at) for each, at in reader.entries(_Asset, top, "assets", "bundle")]
+    found = reader.entries(_Light, top, "environments", "map")
+    lights = [light for each, at in found for light in _lights(each, at)]
+    cameras = [each for each, _ in reader.entries(Cameras, top, "cameras", "file")]
+    found_qualities = list(reader.entries(RenderQuality, top, "qualities", "quality"))
+    qualities = [_quality(each, settings) for each, _ in found_qualities]
+    if top.get("qualities") is None:
+        qualities = [_quality(RenderQuality(), settings)]
+    for kind, names in (
+        ("asset", [(each.name, each.pointer) for each in assets]),
+        ("environment", [(each.name, each.pointer) for each in lights]),
+        ("quality", [(each.name, "/qualities") for each in qualities]),
     ):
-        _check_names(kind, entries, problems)
-    _check_path(manifest, problems)
-    if problems.found:
-        raise ManifestError(problems.found)
-    return manifest
+        reader.check_names(kind, names)
+    if output is not None:
+        reader.check_path(output.path, {"asset": assets, "environment": lights, "quality": qualities})
+    if reader.problems:
+        raise ManifestError(reader.problems)
+    assert output is not None
+    return Manifest(
+        name=top.get("name") or "batch",
+        assets=tuple(assets),
+        environments=tuple(lights),
+        cameras=tuple(cameras),
+        qualities=tuple(qualities),
+        files=Files(
+            suffixes=tuple(output.files), passes=tuple(output.passes), half=output.half, path=output.path
+        ),
+    )
 
 
-def safe_name(name: str) -> str:
-    """Return a name that is one part of a path everywhere."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:64] or "_"
+class _Reader:
+    """Reads parts of one document and collects what is wrong with them."""
+
+    def __init__(self, base: Path) -> None:
+        self._base = base
+        self.problems: list[Problem] = []
+
+    def read(self, model: type[Kind], value: Any, pointer: str) -> Kind | None:
+        """Return a part; None where it cannot be used. What is empty counts as left out."""
+        if isinstance(value, dict):
+            value = {name: each for name, each in value.items() if each is not None}
+        try:
+            return model.model_validate(value, context={"base": self._base})
+        except ValidationError as error:
+            self.problems += problems_of(error, model, pointer)
+            return None
+
+    def entries(
+        self, model: type[Kind], top: dict[str, Any], name: str, short: str
+    ) -> Iterator[tuple[Kind, str]]:
+        """Yield the entries of a list and their places; a word alone is the member `short`."""
+        listed = top.get(name)
+        for index, value in enumerate(listed if isinstance(listed, list) else ()):
+            pointer = f"/{name}/{index}"
+            if isinstance(value, str):
+                value = {"all_views": True} if (short, value) == ("file", "all") else {short: value}
+            entry = self.read(model, value, pointer)
+            if entry is not None:
+                yield entry, pointer
+
+    def check_names(self, kind: str, names: Sequence[tuple[str, str]]) -> None:
+        """Report a second entry of the same name."""
+        seen: set[str] = set()
+        for name, pointer in names:
+            if name.casefold() in seen:
+                message = f'a second {kind} is called "{name}"; give it another name'
+                self.problems.append(Problem(pointer, message))
+            seen.add(name.casefold())
+
+    def check_path(self, path: str, entries: dict[str, Sequence[Any]]) -> None:
+        """Report a pattern that gives two pictures the same name."""
+        needed = {"camera"} | {place for place, each in entries.items() if len(each) > 1}
+        lacking = ", ".join(f"{{{each}}}" for each in sorted(needed) if f"{{{each}}}" not in path)
+        if lacking:
+            message = f"path: {shown(path)} gives pictures the same name; add {lacking}"
+            self.problems.append(Problem("/output/path", message))
 
 
-def _entries(top: Members, name: str, read: Callable[[Any, str], list[Any]]) -> list[Any]:
-    value = top.raw(name)
-    if not isinstance(value, list) or not 1 <= len(value) <= _MAX_ENTRIES:
-        where = top.at(name) if top.has(name) else ""
-        found = shown(value) if top.has(name) else "none"
-        top.problems.report(where, f"{name}: a list of 1 to {_MAX_ENTRIES} is expected, not {found}")
-        return []
-    return [item for index, entry in enumerate(value) for item in read(entry, f"{top.at(name)}/{index}")]
+def _one_of(entry: Kind, file: str, identifier: str) -> Kind:
+    if (getattr(entry, file) is None) == (getattr(entry, identifier) is None):
+        raise ValueError(f"one of {file} and {identifier} is needed")
+    return entry
 
 
-def _name(value: Any) -> str:
-    found = checks.text(64)(value)
-    if not NAME.fullmatch(found):
-        raise ValueError(f"letters, digits, '.', '_' and '-' are expected, not {shown(found)}")
-    return found
-
-
-def _path(base: Path) -> checks.Check[Path]:
-    return lambda value: base / Path(checks.text()(value)).expanduser()
-
-
-def _source(fields: Members, file: str, identifier: str, base: Path) -> tuple[Path | None, str]:
-    """Return the path or the id of an entry; one of the two must be there."""
-    if fields.is_mapping and fields.has(file) == fields.has(identifier):
-        fields.problems.report(fields.pointer, f"one of {file} and {identifier} is needed")
-    path = fields.take(file, _path(base), base) if fields.has(file) else None
-    return path, fields.take(identifier, checks.text(64), "")
-
-
-def _asset(value: Any, pointer: str, problems: Problems, base: Path) -> Asset:
-    fields = Members({"bundle": value} if isinstance(value, str) else value, pointer, problems)
-    path, bundle_id = _source(fields, "bundle", "bundle_id", base)
-    default = safe_name(path.stem if path is not None else bundle_id)
-    asset = Asset(
-        name=fields.take("name", _name, default),
+def _asset(given: _Asset, pointer: str) -> Asset:
+    path, material = given.bundle, given.material.model_dump()
+    colours = {name: tuple(value) for name, value in material.items() if isinstance(value, list)}
+    return Asset(
+        name=given.name or safe_name(path.stem if path is not None else given.bundle_id or ""),
         path=path,
-        bundle_id=bundle_id,
-        edit=_edit(Members(fields.raw("material") or {}, fields.at("material"), problems)),
-        object_rotate_deg=fields.take("object_rotate_deg", _ANGLE, 0.0),
+        bundle_id=given.bundle_id or "",
+        edit=MaterialEdit(**{**material, **colours}),
+        object_rotate_deg=given.object_rotate_deg,
         pointer=pointer,
     )
-    fields.close()
-    return asset
 
 
-def _edit(fields: Members) -> MaterialEdit:
-    gain = fields.take("albedo_gain", checks.colour(1e-6, 1e6), (1.0, 1.0, 1.0))
-    albedo = fields.take("albedo", checks.colour(0.0, 1.0), (0.0, 0.0, 0.0)) if fields.has("albedo") else None
-    edit = MaterialEdit(
-        albedo_gain=gain,
-        albedo=albedo,
-        roughness_scale=fields.take("roughness_scale", checks.number(0.0, 1e6), 1.0),
-    )
-    fields.close()
-    return edit
-
-
-def _lights(value: Any, pointer: str, problems: Problems, base: Path) -> list[Light]:
-    """Return the entry, once for every angle it is to be turned by."""
-    fields = Members({"map": value} if isinstance(value, str) else value, pointer, problems)
-    path, environment_id = _source(fields, "map", "environment_id", base)
-    default = safe_name(path.stem if path is not None else environment_id)
-    name = fields.take("name", _name, default)
-    given = EnvironmentInput(
-        axes=fields.take("axes", checks.choice(QUARTER_TURNS), OURS),
-        mend=fields.take("mend", checks.flag, False),
-        sun_clamp=fields.take("sun_clamp", checks.number(0.0, 1e30), 0.0),
-    )
-    many = isinstance(fields.raw("rotate_deg"), list)
-    angles = (
-        fields.take("rotate_deg", checks.list_of(_ANGLE), (0.0,))
-        if many
-        else (fields.take("rotate_deg", _ANGLE, 0.0),)
-    )
-    fields.close()
-    return [
-        Light(
-            name=f"{name}_{angle:g}" if many else name,
+def _lights(given: _Light, pointer: str) -> Iterator[Light]:
+    """Yield the entry, once for every angle it is to be turned by."""
+    path = given.map
+    name = given.name or safe_name(path.stem if path is not None else given.environment_id or "")
+    for angle in given.rotate_deg:
+        yield Light(
+            name=f"{name}_{angle:g}" if given._is_list else name,
             path=path,
-            environment_id=environment_id,
-            given=given,
+            environment_id=given.environment_id or "",
+            given=EnvironmentInput(axes=given.axes, mend=given.mend, sun_clamp=given.sun_clamp),
             rotate_deg=angle,
             pointer=pointer,
         )
-        for angle in angles
-    ]
 
 
-def _cameras(value: Any, pointer: str, problems: Problems, base: Path) -> Cameras:
-    if value == "all":
-        value = {"all_views": True}
-    fields = Members({"file": value} if isinstance(value, str) else value, pointer, problems)
-    kinds = [
-        name
-        for name in ("turntable", "file", "all_views", "poses")
-        if fields.has(name) and fields.raw(name) is not False
-    ]
-    named = fields.has("views")
-    if fields.is_mapping and len(kinds) + named != 1 and not (kinds == ["file"] and named):
-        problems.report(pointer, "one of turntable, file, views, all_views and poses is needed")
-    optional = {
-        name: fields.take(name, check, 0.0) if fields.has(name) else None
-        for name, check in (
-            ("elevation_deg", checks.number(-90.0, 90.0)),
-            ("radius", checks.number(1e-6, 1e6)),
-            ("field_of_view_deg", checks.number(0.1, 179.0)),
-        )
-    }
-    cameras = Cameras(
-        turntable=fields.take("turntable", checks.whole(1, 10_000), 1) if "turntable" in kinds else 0,
-        start_deg=fields.take("start_deg", _ANGLE, 0.0),
-        file=fields.take("file", _path(base), base) if "file" in kinds else None,
-        views=fields.take("views", checks.list_of(checks.text(200)), ()),
-        all_views=fields.take("all_views", checks.flag, False),
-        given=_camera_list(fields) if "poses" in kinds else (),
-        name=fields.take("name", _name, ""),
-        size=fields.take("size", checks.whole(0, _MAX_SIDE), 0),
-        pointer=pointer,
-        **optional,
-    )
-    if kinds != ["turntable"]:
-        for name in ("elevation_deg", "radius", "field_of_view_deg", "start_deg"):
-            if fields.has(name):
-                problems.report(fields.at(name), f"{name} places a turntable and has no meaning here")
-    fields.close()
-    return cameras
-
-
-def _camera_list(fields: Members) -> tuple[Any, ...]:
-    entries = fields.raw("poses")
-    if not isinstance(entries, list) or not 1 <= len(entries) <= 10_000:
-        fields.problems.report(fields.at("poses"), "poses: 1 to 10000 cameras are expected")
-        return ()
-    try:
-        return tuple(parse_camera_list(entries, source="poses"))
-    except CameraError as error:
-        fields.problems.report(fields.at("poses"), f"poses: {error.message}")
-        return ()
-
-
-def _quality(fields: Members, default: Quality, *, common: bool = False) -> Quality:
-    quality = fields.take("quality", checks.choice(QUALITIES), default.quality)
-    found = Quality(
-        name=quality if common else fields.take("name", _name, quality),
-        quality=quality,
-        spp=fields.take("spp", checks.whole(2, 65536), default.spp),
-        until_stderr=fields.take("until_stderr", checks.number(0.0, 0.999), default.until_stderr),
-        antialias=fields.take("antialias", checks.whole(1, 8), default.antialias),
-        indirect=fields.take("indirect", checks.flag, default.indirect),
-        bounces=fields.take("bounces", checks.choice(BOUNCES), default.bounces),
-        seed=fields.take("seed", checks.whole(0, 2**31 - 1), default.seed),
-        background=fields.take("background", checks.choice(BACKGROUNDS), default.background),
-        exposure_ev=fields.take("exposure_ev", checks.number(-64.0, 64.0), default.exposure_ev),
-        tone_mapping=fields.take("tone_mapping", checks.choice(TONE_MAPPINGS), default.tone_mapping),
-    )
-    fields.close()
-    return found
-
-
-def _named_quality(value: Any, pointer: str, problems: Problems, settings: Quality) -> Quality:
-    return _quality(
-        Members({"quality": value} if isinstance(value, str) else value, pointer, problems), settings
-    )
-
-
-def _files(fields: Members) -> Files:
-    passes = fields.raw("passes")
-    words = {"all": PASSES, "none": ()}
-    files = Files(
-        suffixes=fields.take("files", checks.list_of(checks.choice(SUFFIXES), 1, 2), SUFFIXES),
-        passes=words[passes]
-        if isinstance(passes, str) and passes in words
-        else fields.take("passes", checks.list_of(checks.choice(PASSES), 0), PASSES),
-        half=fields.take("half", checks.flag, True),
-        path=fields.take("path", checks.text(500), DEFAULT_PATH),
-    )
-    fields.close()
-    return files
-
-
-def _check_names(kind: str, entries: Sequence[T], problems: Problems) -> None:
-    seen: set[str] = set()
-    for entry in entries:
-        if entry.name.casefold() in seen:
-            where = getattr(entry, "pointer", "") or "/qualities"
-            problems.report(where, f'a second {kind} is called "{entry.name}"; give it another name')
-        seen.add(entry.name.casefold())
-
-
-def _check_path(manifest: Manifest, problems: Problems) -> None:
-    """Report a pattern that leads out of the folder or gives two pictures the same name."""
-    path = manifest.files.path
-    try:
-        used = {name for _, name, _, _ in string.Formatter().parse(path) if name is not None}
-        parts = path.format(**dict.fromkeys(PLACES, "x")).split("/")
-    except (ValueError, KeyError, IndexError, AttributeError):
-        used, parts = {""}, []
-    known = ", ".join(f"{{{place}}}" for place in PLACES)
-    if used - set(PLACES):
-        problems.report("/output/path", f"path: {shown(path)} may name {known} only")
-    elif not all(NAME.fullmatch(part) for part in parts):
-        problems.report("/output/path", f"path: {shown(path)} is no relative path of plain names")
-    counts = {"asset": manifest.assets, "environment": manifest.environments, "quality": manifest.qualities}
-    needed = {"camera"} | {place for place, entries in counts.items() if len(entries) > 1}
-    if not used - set(PLACES) and needed - used:
-        lacking = ", ".join(f"{{{place}}}" for place in sorted(needed - used))
-        problems.report("/output/path", f"path: {shown(path)} gives pictures the same name; add {lacking}")
+def _quality(given: RenderQuality, settings: RenderSettings) -> Quality:
+    values = {**settings.model_dump(), **given.model_dump(exclude_unset=True)}
+    return Quality(**{**values, "name": given.name or values["quality"]})

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 from lambent_relight.batch.journal import Journal, MadeFile, Record
-from lambent_relight.batch.manifest import Files
+from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Failure, Plan, Row
 from lambent_relight.batch.pool import Progress, Task, run_tasks
 from lambent_relight.batch.studio import remove_partials
+from lambent_relight.settings import BACKGROUNDS
 
 State = Literal["made", "kept", "copied", "failed"]
 
@@ -39,16 +40,23 @@ def sort_plan(plan: Plan, files: Files, journal: Journal, *, copy: bool = True) 
     """Return which pictures are there and which are to be made.
 
     A file is known by the hash of everything it is made from. One that lies under another name is copied,
-    unless `copy` is False; then it is only told.
+    unless `copy` is False; then it is only told. Where linear pictures are kept, a task without one among its
+    files needs no rendering.
     """
     done, tasks = [], []
     for row in plan.rows:
-        known = {suffix: journal.known(suffix, row.path, row.key(suffix, files)) for suffix in files.suffixes}
+        kept = (*files.suffixes, LINEAR) if files.linear else files.suffixes
+        known = {suffix: journal.known(suffix, row.path, row.key(suffix, files)) for suffix in kept}
         found = {suffix: made for suffix, made in known.items() if made is not None}
-        in_place = {suffix: made for suffix, made in found.items() if made.path == f"{row.path}.{suffix}"}
-        if len(found) < len(known):
+        in_place = {suffix: made for suffix, made in found.items() if made.path == place(row.path, suffix)}
+        if not found.keys() >= set(files.suffixes):
             # A file under another name may be overwritten before this picture's turn comes.
-            tasks.append((row, tuple(suffix for suffix in known if suffix not in in_place)))
+            wanted = [suffix for suffix in files.suffixes if suffix not in in_place]
+            if files.linear and not (
+                LINEAR in in_place and ("exr" not in wanted or _has_layers(row, files, journal))
+            ):
+                wanted.append(LINEAR)
+            tasks.append((row, tuple(wanted)))
             continue
         source = _source(row, found, journal)
         if in_place == found and source.path == row.path:
@@ -64,19 +72,27 @@ def sort_plan(plan: Plan, files: Files, journal: Journal, *, copy: bool = True) 
 
 
 def run_batch(
-    plan: Plan, files: Files, journal: Journal, *, num_jobs: int = 1, progress: Progress | None = None
+    plan: Plan,
+    files: Files,
+    journal: Journal,
+    *,
+    num_jobs: int = 1,
+    progress: Progress | None = None,
+    strict: bool = False,
 ) -> Iterator[Result]:
     """Make what is missing and yield the result of every picture; what is there or cannot be comes first.
 
     Each picture is in the journal before it is yielded, so nothing is lost where the caller stops.
-    `num_jobs` and `progress` as in `run_tasks`.
+    `num_jobs`, `progress` and `strict` as in `run_tasks`.
     """
     remove_partials(journal.folder, plan.rows)
     parts = sort_plan(plan, files, journal)
     yield from parts.done
     for failure in plan.failures:
         yield Result(path=failure.path, state="failed", failure=failure)
-    pictures = run_tasks(parts.tasks, journal.folder, files, num_jobs=num_jobs, progress=progress)
+    pictures = run_tasks(
+        parts.tasks, journal.folder, files, num_jobs=num_jobs, progress=progress, strict=strict
+    )
     try:
         for row, made in pictures:
             if isinstance(made, Failure):
@@ -85,13 +101,27 @@ def run_batch(
                 continue
             before = journal.records.get(row.path)
             kept = before.files if before is not None else {}
-            record = replace(made, files={suffix: (kept | made.files)[suffix] for suffix in files.suffixes})
+            both = {**kept, **made.files}
+            wanted = (*files.suffixes, LINEAR) if files.linear else files.suffixes
+            record = replace(made, files={suffix: both[suffix] for suffix in wanted})
             journal.add(record)
             yield Result(path=row.path, state="made", record=record)
     finally:
         # Processes that are at work when the caller stops are ended, perhaps while they write.
         pictures.close()
         remove_partials(journal.folder, plan.rows)
+
+
+def _has_layers(row: Row, files: Files, journal: Journal) -> bool:
+    """Return whether the picture's EXR lies in its place, before whatever background."""
+    record = journal.records.get(row.path)
+    made = record.files.get("exr") if record is not None else None
+    return (
+        made is not None
+        and made.path == place(row.path, "exr")
+        and made.key in {row.before(each).key("exr", files) for each in BACKGROUNDS}
+        and journal.is_whole(made)
+    )
 
 
 def _source(row: Row, found: dict[str, MadeFile], journal: Journal) -> Record:
@@ -120,7 +150,7 @@ def _as_row(source: Record, row: Row, files: dict[str, MadeFile]) -> Record:
 
 
 def _copied(folder: Path, row: Row, suffix: str, made: MadeFile) -> MadeFile:
-    relative = f"{row.path}.{suffix}"
+    relative = place(row.path, suffix)
     target = folder / relative
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".partial-{os.getpid()}-{target.name}")

@@ -2,22 +2,30 @@
 
 import os
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lambent_relight.batch.journal import MadeFile, Record
-from lambent_relight.batch.manifest import BACKGROUNDS, Files, Light
+from lambent_relight.batch.manifest import LINEAR, Files, Light, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
+from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
 from lambent_relight.file_hash import file_sha256
-from lambent_relight.images import write_picture_exr, write_png
-from lambent_relight.picture import RelitPicture
-from lambent_relight.refined.sampling_plan import Bounces
-from lambent_relight.renderer import Renderer
+from lambent_relight.images import encode_png, write_picture_exr, write_png
+from lambent_relight.picture import Image, RelitPicture
+from lambent_relight.renderer import Renderer, with_background
 
+if TYPE_CHECKING:
+    from lambent_relight.probe_overlay import LightProbes
+
+_KEPT = ("rgb", "standard_error", "coverage")
 KEPT_RAYS = 1_000_000
 """Camera rays whose views are remembered, about 70 MB; other lights of the same cameras find them again."""
 
@@ -34,6 +42,7 @@ class Studio:
         self._num_threads = num_threads
         self._renderer: tuple[Path, str, Renderer] | None = None
         self._light: tuple[Light, str, OpenedEnvironment] | None = None
+        self._probes: tuple[Environment, LightProbes] | None = None
 
     def make(
         self, row: Row, suffixes: Collection[str], progress: Callable[[float], None] | None = None
@@ -43,31 +52,18 @@ class Studio:
         `progress` is called with the finished fraction. Raises RelightError where an input cannot be used.
         """
         began = time.monotonic()
-        renderer, opened = self._open_bundle(row), self._open_light(row)
-        quality = row.quality
-        picture = renderer.render(
-            row.camera,
-            opened.environment,
-            rotate_deg=row.light.rotate_deg,
-            quality=quality.quality,
-            num_samples=quality.spp,
-            seed=quality.seed,
-            indirect=quality.indirect,
-            bounces=cast(Bounces, quality.bounces),
-            antialias=quality.antialias,
-            until_stderr=quality.until_stderr,
-            edit=row.asset.edit,
-            object_rotate_deg=row.asset.object_rotate_deg,
-            background=BACKGROUNDS[quality.background],
-            progress=progress,
-        )
-        made = {suffix: self._write(row, suffix, picture) for suffix in suffixes}
+        kept = self._files.linear and LINEAR not in suffixes
+        linear, notes = self._read_linear(row) if kept else self._render(row, progress)
+        picture = self._before_background(row, linear)
+        made = {}
+        for suffix in suffixes:
+            made[suffix] = self._write(row, suffix, picture if suffix != LINEAR else linear, notes, kept=kept)
         noise, mean = float(picture.standard_error.mean()), float(picture.rgb.mean())
         return Record(
             path=row.path,
             asset=row.asset.name,
             environment=row.light.name,
-            quality=quality.name,
+            quality=row.quality.name,
             camera=row.camera.name,
             files=made,
             width=row.camera.width,
@@ -75,10 +71,72 @@ class Studio:
             seconds=time.monotonic() - began,
             num_samples=picture.num_samples,
             mean_standard_error=noise,
+            rotate_deg=row.light.rotate_deg,
             bounces=picture.bounces,
             relative_standard_error=noise / mean if mean > 0.0 else 0.0,
-            notes=tuple(opened.notes(row.light.name)),
+            notes=notes,
         )
+
+    def frame(self, row: Row, progress: Callable[[float], None] | None = None) -> NDArray[np.uint8]:
+        """Return the pixels of one picture's PNG; nothing is written."""
+        linear, _ = self._render(row, progress)
+        shown = self._shown(row, self._before_background(row, linear))
+        return encode_png(shown, tone_mapping=row.quality.tone_mapping)
+
+    def notes(self, row: Row) -> tuple[str, ...]:
+        """Return what a user should know about the map of a picture."""
+        return tuple(self._open_light(row).notes(row.light.name))
+
+    def _render(
+        self, row: Row, progress: Callable[[float], None] | None
+    ) -> tuple[RelitPicture, tuple[str, ...]]:
+        """Return the picture before no background, and what a user should know about its map."""
+        renderer, opened = self._open_bundle(row), self._open_light(row)
+        picture = renderer.render(
+            row.camera,
+            opened.environment,
+            row.before("transparent").quality,
+            rotate_deg=row.light.rotate_deg,
+            object_rotate_deg=row.asset.object_rotate_deg,
+            edit=row.asset.edit,
+            progress=progress,
+        )
+        return picture, self.notes(row)
+
+    def _before_background(self, row: Row, linear: RelitPicture) -> RelitPicture:
+        name = row.quality.background
+        if name == "transparent":
+            return linear
+        turned = (row.light.rotate_deg, row.asset.object_rotate_deg)
+        return with_background(linear, name, row.camera, self._open_light(row).environment, *turned)
+
+    def _shown(self, row: Row, picture: RelitPicture) -> RelitPicture:
+        """Return the picture as its PNG shows it, before the tone curve."""
+        if self._files.probes:
+            environment = self._open_light(row).environment
+            if self._probes is None or self._probes[0] is not environment:
+                # Compiled code takes a moment to import, which pictures without balls do not pay.
+                from lambent_relight.probe_overlay import LightProbes
+
+                self._probes = (environment, LightProbes(environment))
+            picture = self._probes[1].over(picture, row.camera, rotate_deg=row.light.rotate_deg)
+        return picture.exposed(row.quality.exposure_ev)
+
+    def _read_linear(self, row: Row) -> tuple[RelitPicture, tuple[str, ...]]:
+        """Return what `_write` kept of a picture: its passes are those of its EXR and left out."""
+        with np.load(self._folder / place(row.path, LINEAR)) as kept:
+            planes = {}
+            for name in _KEPT:
+                planes[name] = np.zeros((*kept["seen"].shape, kept[name].shape[1]), np.float32)
+                planes[name][kept["seen"]] = kept[name]
+            left_out = np.empty((0, 0, 0), np.float32)
+            passes = {each.name: left_out for each in fields(RelitPicture) if each.type == Image}
+            picture = RelitPicture(
+                **{**passes, **planes, "opacity": planes["coverage"]},
+                num_samples=int(kept["num_samples"]),
+                bounces=str(kept["bounces"]),
+            )
+            return picture, tuple(str(note) for note in kept["notes"])
 
     def _open_bundle(self, row: Row) -> Renderer:
         path = row.asset.path
@@ -117,21 +175,25 @@ class Studio:
             known = self._light = (light, row.light_digest, open_environment(light.path, light.given))
         return known[2]
 
-    def _write(self, row: Row, suffix: str, picture: RelitPicture) -> MadeFile:
-        relative = f"{row.path}.{suffix}"
+    def _write(
+        self, row: Row, suffix: str, picture: RelitPicture, notes: Sequence[str], *, kept: bool
+    ) -> MadeFile:
+        relative = place(row.path, suffix)
         path = self._folder / relative
         partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
         try:
             if suffix == "png":
-                shown = picture.exposed(row.quality.exposure_ev)
-                write_png(partial, shown, tone_mapping=row.quality.tone_mapping)
+                write_png(partial, self._shown(row, picture), tone_mapping=row.quality.tone_mapping)
+            elif suffix == LINEAR:
+                _write_linear(partial, picture, notes)
             else:
                 write_picture_exr(
                     partial,
                     picture,
                     half=self._files.half,
-                    passes=self._files.passes,
+                    passes=() if kept else self._files.passes,
                     attributes={"lambent:bundle": row.bundle_digest, "lambent:environment": row.light_digest},
+                    layers=_channels(path) if kept else None,
                 )
             digest = file_sha256(partial)
             size_bytes = partial.stat().st_size
@@ -142,8 +204,32 @@ class Studio:
         return MadeFile(path=relative, key=key, sha256=digest, size_bytes=size_bytes)
 
 
+def _write_linear(path: Path, picture: RelitPicture, notes: Sequence[str]) -> None:
+    """Keep what backgrounds, exposures and curves are applied to, exactly; the empty pixels are left out."""
+    planes = {name: getattr(picture, name) for name in _KEPT}
+    seen = np.any([plane.any(axis=-1) for plane in planes.values()], axis=0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        np.savez(
+            file,
+            seen=seen,
+            **{name: plane[seen] for name, plane in planes.items()},
+            num_samples=picture.num_samples,
+            bounces=picture.bounces,
+            notes=np.array(notes, dtype=np.str_),
+        )
+
+
+def _channels(path: Path) -> dict[str, NDArray[np.floating]]:
+    """Return the channels of one of our EXRs."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: channel.pixels.copy() for name, channel in file.parts[0].channels.items()}
+
+
 def remove_partials(folder: Path, rows: Collection[Row]) -> None:
     """Remove half-written files that a killed program left beside the pictures of `rows`."""
-    for place in {(folder / row.path).parent for row in rows}:
-        for path in place.glob(".partial-*"):
+    for home in {(folder / place(row.path, suffix)).parent for row in rows for suffix in ("png", LINEAR)}:
+        for path in home.glob(".partial-*"):
             path.unlink(missing_ok=True)

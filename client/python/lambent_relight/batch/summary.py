@@ -64,7 +64,7 @@ def _line(result: Result) -> dict[str, object]:
             "mean_standard_error": f"{record.mean_standard_error:.6g}",
             "relative_standard_error": f"{record.relative_standard_error:.6g}",
         }
-        line |= {suffix: made.path for suffix, made in record.files.items()}
+        line |= {suffix: made.path for suffix, made in record.files.items() if suffix in COLUMNS}
     if failure is not None:
         line |= {"code": failure.code, "message": failure.message}
     return line

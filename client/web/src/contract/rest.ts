@@ -824,6 +824,7 @@ export interface components {
             field_of_view_deg?: number | null;
             /**
              * Name
+             * @description a name of up to 64 letters, digits, '.', '_' and '-'
              * @default
              */
             name: string;
@@ -911,6 +912,7 @@ export interface components {
             passes?: ("direct" | "indirect" | "diffuse" | "specular" | "standard_error" | "visibility" | "albedo" | "normal" | "perceptual_roughness" | "metalness" | "depth")[];
             /**
              * Path
+             * @description a relative path of plain names that may name {asset}, {environment}, {quality} and {camera}
              * @default {asset}/{environment}/{quality}/{camera}
              */
             path: string;
@@ -922,57 +924,70 @@ export interface components {
         RenderQuality: {
             /**
              * Antialias
+             * @description Rays per pixel along each side, at the object.
              * @default 2
              */
             antialias: number;
             /**
              * Background
+             * @description What is behind the object.
              * @default transparent
              * @enum {string}
              */
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
+             * @description Of refined pictures: auto (a cache adapted to the light, else baked transport), or one by name.
              * @default auto
              * @enum {string}
              */
             bounces: "auto" | "adapted" | "transport" | "one";
             /**
              * Exposure Ev
+             * @description Brighten the PNG by this many stops; the EXR stays as it is.
              * @default 0
              */
             exposure_ev: number;
             /**
              * Indirect
+             * @description Light that bounced once, or not.
              * @default true
              */
             indirect: boolean;
-            /** Name */
+            /**
+             * Name
+             * @description The quality itself where it is not given.
+             */
             name?: string | null;
             /**
              * Quality
+             * @description From baked transport, at once and without noise, or sampled.
              * @default refined
              * @enum {string}
              */
             quality: "preview" | "baked" | "refined";
             /**
              * Seed
+             * @description Seed of every random number.
              * @default 0
              */
             seed: number;
             /**
              * Spp
+             * @description Light directions per pixel.
              * @default 64
              */
             spp: number;
             /**
              * Tone Mapping
+             * @description Curve of the PNG.
              * @default linear
              * @enum {string}
              */
             tone_mapping: "linear" | "neutral" | "aces" | "agx";
             /**
              * Until Stderr
+             * @description Go on until the standard error is this share of the radiance; 0: do not.
              * @default 0
              */
             until_stderr: number;

@@ -16,7 +16,10 @@ from lambent.client import Client
 from lambent.models import Event, Job, Progress
 from support.fake_server import FakeServer, event, event_stream
 
-HEAVY = ("torch", "fastapi", "numba", "numpy", "httpx2", "onnxruntime", "lambent_relight", "lambent_server")
+HEAVY = (
+    *("torch", "fastapi", "numba", "numpy", "pydantic", "httpx2", "onnxruntime"),
+    *("lambent_relight", "lambent_server"),
+)
 
 
 def python(code, *args):

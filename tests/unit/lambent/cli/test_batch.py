@@ -75,7 +75,7 @@ output: {half: false, passes: [direct, normal]}
         camera,
         light.environment,
         rotate_deg=40.0,
-        num_samples=4,
+        spp=4,
         antialias=1,
         seed=5,
         indirect=False,

@@ -48,7 +48,7 @@ def world(tmp_path_factory):
 def _write_view(folder, view, opened, maps):
     folder.mkdir()
     for name, radiance in maps.items():
-        picture = render(opened, view, environment_from_array(radiance), num_samples=256, seed=1)
+        picture = render(opened, view, environment_from_array(radiance), spp=256, seed=1)
         stem = "rgba_sky_000" if name == "sky" else f"rgba_{name}"
         Image.fromarray(encode_png(picture)).save(folder / f"{stem}.png")
     for stem, values in (("albedo", picture.albedo), ("normal", 0.5 + 0.5 * picture.normal)):
@@ -91,10 +91,10 @@ def test_pictures_sheet_and_figures_are_written_and_found_again(world, exr_maps,
     with Image.open(tmp_path / "contact_sheet.png") as sheet:
         assert sheet.width > 10 * 192
     assert "floor" in (tmp_path / "metrics.txt").read_text()
-    other = json.loads((tmp_path / "metrics.json").read_text())
-    other["bundle_files_sha256"] = ["another bundle"]
-    (tmp_path / "metrics.json").write_text(json.dumps(other))
-    assert read_figures(bundle, tmp_path) is None
+    report = json.loads((tmp_path / "metrics.json").read_text())
+    for name in ("bundle_files_sha256", "renderer"):
+        (tmp_path / "metrics.json").write_text(json.dumps({**report, name: "another"}))
+        assert read_figures(bundle, tmp_path) is None
 
 
 def test_the_table_has_a_line_for_every_figure(world, exr_maps, tmp_path):

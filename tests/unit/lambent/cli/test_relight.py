@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from lambent.cli import app
-from lambent_relight import cameras_json, turntable, write_environment
+from lambent_relight import Renderer, cameras_json, turntable, write_environment
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
@@ -84,6 +84,50 @@ def test_run_again_it_makes_only_what_is_missing_or_changed(bundle, sky, tmp_pat
     write_environment(sky, np.ones((8, 16, 3), np.float32))
     assert made("--rotate-deg", "90") == 2
     assert not list(out.rglob(".partial*"))
+
+
+@pytest.mark.parametrize("command", ["relight", "turntable"])
+def test_exposure_alone_renders_nothing_and_another_renderer_everything(
+    bundle, sky, tmp_path, monkeypatch, capsys, command
+):
+    rendered, render = [], Renderer.render
+    monkeypatch.setattr(
+        Renderer, "render", lambda *given, **more: (rendered.append(1), render(*given, **more))[1]
+    )
+    views = ("--turntable", "2") if command == "relight" else ("--frames", "2", "--format", "none")
+
+    def run(*more):
+        words = (command, str(bundle), "--env", str(sky), "-o", str(tmp_path / "out"), *views)
+        rendered.clear()
+        assert app.run([*words, "--size", "6", "--spp", "4", "--json", *more]) == 0
+        made = json.loads(capsys.readouterr().out.splitlines()[0])["made"]
+        return len(rendered), made, [path.read_bytes() for path in sorted((tmp_path / "out").rglob("*.png"))]
+
+    first = run()
+    assert first[:2] == (2, 2)
+    brighter = run("--exposure-ev", "1", "--background", "environment")
+    assert brighter[:2] == (0, 2)
+    assert brighter[2] != first[2]
+    assert run("--exposure-ev", "1", "--background", "environment")[:2] == (0, 0)
+    monkeypatch.setattr("lambent_relight.batch.plan.renderer_digest", lambda: "another version")
+    assert run()[:2] == (2, 2)
+
+
+def test_pictures_of_another_bundle_or_an_older_version_are_never_kept(bundle, sky, tmp_path, capsys):
+    """Older versions listed their pictures in pictures.json and looked no further."""
+    out = tmp_path / "out"
+    other = write_analytic_bundle(tmp_path / "other", AnalyticScene([Sphere((0.0, 0.0, 0.0), 0.7)]))
+    assert relight(other, sky, out, "--turntable", "1", "--size", "8") == 0
+    shown = out / "sky/turntable_000.png"
+    before = shown.read_bytes()
+    assert relight(bundle, sky, out, "--turntable", "1", "--size", "8") == 0
+    assert shown.read_bytes() != before
+    right = shown.read_bytes()
+    shown.write_bytes(before)
+    (out / "pictures.jsonl").unlink()
+    assert relight(bundle, sky, out, "--turntable", "1", "--size", "8") == 0
+    assert shown.read_bytes() == right
+    assert "made 1/1 sky/turntable_000" in capsys.readouterr().err
 
 
 def test_what_was_measured_is_in_the_list_of_pictures(bundle, sky, tmp_path):

@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 from lambent.cli import app
-from lambent.cli.rendering import open_renderer
 from lambent.cli.turntable import shots_of_turn
-from lambent_relight import load_environment, write_environment
+from lambent_relight import Renderer, load_bundle, load_environment, write_environment
+from lambent_relight.batch.manifest import Light
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Box, Surface
@@ -109,14 +109,14 @@ def test_seconds_times_pictures_per_second_are_the_number_of_pictures(bundle, sk
 
 
 def test_an_object_that_turns_shows_what_relighting_shows_of_a_turned_object(bundle, sky):
-    renderer = open_renderer(bundle)
+    renderer = Renderer(load_bundle(bundle))
     light = load_environment(sky)
-    shots = shots_of_turn(renderer, sky, "object", 8, size=24, rotate_deg=15.0)
-    settings = {"num_samples": 64, "background": "environment"}
+    shots = shots_of_turn(renderer.bundle, Light(name="sky"), "object", 8, size=24, rotate_deg=15.0)
+    settings = {"spp": 64, "background": "environment"}
     first = shots[0].camera
     for index in (0, 1, 5):
         shot = shots[index]
-        found = renderer.render(shot.camera, light, rotate_deg=shot.rotate_deg, **settings)
+        found = renderer.render(shot.camera, light, rotate_deg=shot.light.rotate_deg, **settings)
         expected = renderer.render(first, light, rotate_deg=15.0, object_rotate_deg=45.0 * index, **settings)
         # The box around the object is centred on the axis that relighting turns about.
         np.testing.assert_allclose(found.albedo, expected.albedo, atol=1e-4)
@@ -127,9 +127,9 @@ def test_an_object_that_turns_shows_what_relighting_shows_of_a_turned_object(bun
         assert error < 0.1 * expected.rgb[inside].mean()
 
 
-def test_each_turn_moves_what_it_is_called_after(bundle, sky):
-    renderer = open_renderer(bundle)
-    shots = {turn: shots_of_turn(renderer, sky, turn, 4, size=8) for turn in ("camera", "light", "object")}
+def test_each_turn_moves_what_it_is_called_after(bundle):
+    opened, light = load_bundle(bundle), Light(name="sky")
+    shots = {turn: shots_of_turn(opened, light, turn, 4, size=8) for turn in ("camera", "light", "object")}
 
     def azimuths(turn):
         eyes = [shot.camera.camera_to_world[:2, 3] for shot in shots[turn]]
@@ -138,9 +138,9 @@ def test_each_turn_moves_what_it_is_called_after(bundle, sky):
     assert azimuths("camera") == [0, 90, 180, 270]
     assert azimuths("light") == [0, 0, 0, 0]
     assert azimuths("object") == [0, 270, 180, 90]
-    assert [shot.rotate_deg for shot in shots["camera"]] == [0.0] * 4
-    assert [shot.rotate_deg for shot in shots["light"]] == [0.0, 90.0, 180.0, 270.0]
-    assert [shot.rotate_deg for shot in shots["object"]] == [0.0, -90.0, -180.0, -270.0]
+    assert [shot.light.rotate_deg for shot in shots["camera"]] == [0.0] * 4
+    assert [shot.light.rotate_deg for shot in shots["light"]] == [0.0, 90.0, 180.0, 270.0]
+    assert [shot.light.rotate_deg for shot in shots["object"]] == [0.0, -90.0, -180.0, -270.0]
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,9 @@ def changed(**parts):
     found = ROW
     for name, values in parts.items():
         part = getattr(found, name)
-        found = replace(found, **{name: replace(part, **values) if isinstance(values, dict) else values})
+        if isinstance(values, dict):
+            values = part.model_copy(update=values) if name == "quality" else replace(part, **values)
+        found = replace(found, **{name: values})
     return found
 
 

@@ -98,7 +98,7 @@ def test_a_cache_fits_its_own_light_and_material_alone():
 def test_a_picture_says_where_its_bounced_light_came_from(made, caplog):
     bundle, _, plain = made
     renderer, camera = Renderer(bundle), bundle.cameras()[0].resized(6, 6)
-    way = {"num_samples": 4, "antialias": 1}
+    way = {"spp": 4, "antialias": 1}
     assert choose(bundle, SKY.rotated(30.0), MaterialEdit()).light == LIGHT
     assert renderer.render(camera, SKY, rotate_deg=30.0, **way).bounces == "adapted:studio"
     assert renderer.render(camera, SKY, rotate_deg=30.0, bounces="one", **way).bounces == "one"
@@ -123,7 +123,7 @@ def test_a_cache_is_taken_on_its_own_only_if_it_was_found_better(made, caplog, a
     judged.CopyFrom(bundle.manifest)
     judged.metrics.update({"adapted_error_studio": adapted, "transport_error_studio": transport})
     renderer = Renderer(replace(bundle, manifest=judged))
-    camera, way = bundle.cameras()[0].resized(4, 4), {"rotate_deg": 30.0, "num_samples": 4, "antialias": 1}
+    camera, way = bundle.cameras()[0].resized(4, 4), {"rotate_deg": 30.0, "spp": 4, "antialias": 1}
     with caplog.at_level(logging.WARNING, "lambent_relight"):
         assert renderer.render(camera, SKY, **way).bounces == taken
     assert ("its error is 0.3, that of baked transport 0.1" in caplog.text) == (taken == "one")
@@ -132,7 +132,7 @@ def test_a_cache_is_taken_on_its_own_only_if_it_was_found_better(made, caplog, a
 
 def test_an_object_that_turns_the_other_way_is_in_the_light_it_was_adapted_to(made):
     camera = made[0].cameras()[0].resized(4, 4)
-    picture = Renderer(made[0]).render(camera, SKY, object_rotate_deg=-30.0, num_samples=4, antialias=1)
+    picture = Renderer(made[0]).render(camera, SKY, object_rotate_deg=-30.0, spp=4, antialias=1)
     assert picture.bounces == "adapted:studio"
 
 

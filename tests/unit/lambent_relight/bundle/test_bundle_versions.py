@@ -35,7 +35,7 @@ def test_a_bundle_of_an_earlier_version_gives_the_pictures_it_gave(name, quality
     assert bundle.manifest.schema_version == golden["schema_version"]
     (camera,) = bundle.cameras()
     renderer = Renderer(bundle, num_threads=1, reader="onnx")
-    picture = renderer.render(camera, light(), quality=quality, num_samples=256, antialias=1)
+    picture = renderer.render(camera, light(), quality=quality, spp=256, antialias=1)
     expected = np.array(golden["rgb"][quality])
     assert 0.05 < expected.mean() < 1.0
     difference = picture.rgb * picture.opacity - expected

@@ -3,20 +3,14 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 from google.protobuf.json_format import MessageToDict
 from lambent_proto.v1 import render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
-from lambent_relight.aovs import PASSES
-from lambent_relight.batch.manifest import BACKGROUNDS
-from lambent_relight.environment.axes import QUARTER_TURNS
-from lambent_relight.refined.sampling_plan import BOUNCES
-from lambent_relight.renderer import QUALITIES
-from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
-from lambent_server.render_messages import Axes, NewBatch, Pass, RenderQuality, RenderSpec
+from lambent_server.render_messages import NewBatch
 from lambent_server.render_rows import order_of_batch
 from support.api import STRANGER, STRANGER_KEY, Api, expect, expect_problem, opened
 from support.runs import Stage, staged
@@ -32,26 +26,6 @@ def add_environment(api: Api, folder: Path, name: str = "bright sky.exr") -> str
     content = (folder / "sky.exr").read_bytes()
     answer = api.post("/v1/environments", params={"name": name}, content=content)
     return str(expect(answer, 201)["id"])
-
-
-def test_the_server_knows_the_same_words_as_the_renderer():
-    """It may not import the renderer, so it has lists of its own."""
-    fields = RenderQuality.model_fields
-    ours = {
-        name: get_args(fields[name].annotation)
-        for name in ("quality", "bounces", "background", "tone_mapping")
-    }
-    theirs = {
-        "quality": QUALITIES,
-        "bounces": BOUNCES,
-        "background": tuple(BACKGROUNDS),
-        "tone_mapping": tuple(TONE_MAPPINGS),
-    }
-    assert {name: set(words) for name, words in ours.items()} == {
-        name: set(words) for name, words in theirs.items()
-    }
-    assert get_args(Pass) == PASSES
-    assert set(get_args(Axes)) == set(QUARTER_TURNS)
 
 
 @pytest.fixture(scope="module")
@@ -375,7 +349,6 @@ def test_every_field_of_an_order_reaches_the_message():
         output={"files": ["exr"], "passes": [], "half": False, "path": "p/{camera}"},
     )
     spec = order_of_batch(body).spec
-    assert set(RenderSpec.model_fields) == {field.name for field in render_pb2.RenderSpec.DESCRIPTOR.fields}
     from lambent_server.rest_json import from_rest
 
     message = from_rest(render_pb2.RenderSpec, spec.model_dump(mode="json"))

@@ -96,7 +96,7 @@ def test_an_order_becomes_the_manifest_that_it_means(inputs):
     assert low == Cameras(name="low", turntable=2, elevation_deg=0.0, size=8)
     assert named == Cameras(views=("turntable_001",))
     assert every == Cameras(all_views=True)
-    assert given.given[0].width == 4
+    assert given.poses[0].width == 4
     (asset,) = found.assets
     assert asset.path == inputs / "bundles" / "bundle_1"
     assert asset.edit.albedo == (0.0, 0.0, 0.0), "black is a colour, not none"

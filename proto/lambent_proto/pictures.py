@@ -1,0 +1,196 @@
+"""What pictures are to be made, checked: the messages of render.proto as people give them.
+
+Every setting is declared here once, with its range, its default and its sentence of help: commands, REST
+bodies, manifests and Python take it from here. The place is beside the messages that are mirrored, because
+server and renderer both read them and neither may import the other.
+"""
+
+import re
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+
+def _whole(value: Any) -> Any:
+    """Return 2 for 2.0, which JSON Schema calls an integer too, and for the 2 of an array."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return int(value) if hasattr(value, "__index__") and not isinstance(value, bool) else value
+
+
+WHOLE = BeforeValidator(_whole)
+
+
+def safe_name(name: str) -> str:
+    """Return a name that is one part of a path everywhere."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:64] or "_"
+
+
+class Wanted(BaseModel):
+    """What somebody asks for: nothing unknown, nothing converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
+_WORDS = "a name of up to 64 letters, digits, '.', '_' and '-'"
+PictureName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$", description=_WORDS)]
+Identifier = Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
+Angle = Annotated[float, Field(ge=-36000.0, le=36000.0)]
+Side = Annotated[int, Field(ge=0, le=16384), WHOLE]
+Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
+Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
+Bounces = Literal["auto", "adapted", "transport", "one"]
+ToneMapping = Literal["linear", "neutral", "aces", "agx"]
+Axes = Literal["blender", "threejs", "mitsuba", "skylibs"]
+Pass = Literal[
+    "direct",
+    "indirect",
+    "diffuse",
+    "specular",
+    "standard_error",
+    "visibility",
+    "albedo",
+    "normal",
+    "perceptual_roughness",
+    "metalness",
+    "depth",
+]
+
+Passes = Annotated[list[Pass], Field(max_length=len(get_args(Pass)))]
+
+
+class RenderMaterial(Wanted):
+    """What differs from the bundle's material; mirrors lambent_proto.v1.RenderMaterial."""
+
+    albedo_gain: Annotated[
+        list[Positive], Field(min_length=3, max_length=3, default_factory=lambda: [1.0, 1.0, 1.0])
+    ]
+    albedo: (
+        Annotated[list[Annotated[float, Field(ge=0.0, le=1.0)]], Field(min_length=3, max_length=3)] | None
+    ) = None
+    roughness_scale: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
+
+
+class RenderAsset(Wanted):
+    """A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset."""
+
+    name: PictureName | None = None
+    """The bundle's id where it is not given."""
+    bundle_id: Identifier
+    material: Annotated[RenderMaterial, Field(default_factory=RenderMaterial)]
+    object_rotate_deg: Angle = 0.0
+
+
+class RenderEnvironment(Wanted):
+    """An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment."""
+
+    name: PictureName | None = None
+    """The environment's own where it is not given."""
+    environment_id: Identifier
+    axes: Axes = "blender"
+    mend: bool = False
+    sun_clamp: Annotated[float, Field(ge=0.0, le=1e30)] = 0.0
+    rotate_deg: Angle = 0.0
+
+
+class RenderCamera(Wanted):
+    """A pinhole camera; mirrors lambent_proto.v1.RenderCamera."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    width: Annotated[int, Field(ge=1, le=16384), WHOLE]
+    height: Annotated[int, Field(ge=1, le=16384), WHOLE]
+    focal_x: Annotated[float, Field(gt=0.0, le=1e9)]
+    focal_y: Annotated[float, Field(gt=0.0, le=1e9)]
+    centre_x: Finite
+    centre_y: Finite
+    camera_to_world: Annotated[list[Finite], Field(min_length=16, max_length=16)]
+
+
+class RenderCameras(Wanted):
+    """Some cameras: one of turntable, views, all_views and poses; mirrors lambent_proto.v1.RenderCameras."""
+
+    name: Annotated[str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9._-]{0,63})?$", description=_WORDS)] = ""
+    turntable: Annotated[int, Field(ge=0, le=1000), WHOLE] = 0
+    elevation_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
+    radius: Positive | None = None
+    field_of_view_deg: Annotated[float, Field(ge=0.1, le=179.0)] | None = None
+    start_deg: Angle = 0.0
+    views: Annotated[
+        list[Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]],
+        Field(max_length=1000, default_factory=list),
+    ]
+    all_views: bool = False
+    poses: Annotated[list[RenderCamera], Field(max_length=1000, default_factory=list)]
+    size: Side = 0
+
+
+class RenderSettings(Wanted):
+    """How a picture is made and shown.
+
+    Exposure, tone mapping and background change a picture that is there; anything else makes another.
+    """
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+
+    quality: Literal["preview", "baked", "refined"] = "refined"
+    """From baked transport, at once and without noise, or sampled."""
+    spp: Annotated[int, Field(ge=2, le=65536), WHOLE] = 64
+    """Light directions per pixel."""
+    until_stderr: Annotated[float, Field(ge=0.0, le=0.999)] = 0.0
+    """Go on until the standard error is this share of the radiance; 0: do not."""
+    antialias: Annotated[int, Field(ge=1, le=8), WHOLE] = 2
+    """Rays per pixel along each side, at the object."""
+    indirect: bool = True
+    """Light that bounced once, or not."""
+    bounces: Bounces = "auto"
+    """Of refined pictures: auto (a cache adapted to the light, else baked transport), or one by name."""
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
+    """Seed of every random number."""
+    background: Literal["transparent", "environment", "white"] = "transparent"
+    """What is behind the object."""
+    exposure_ev: Annotated[float, Field(ge=-64.0, le=64.0)] = 0.0
+    """Brighten the PNG by this many stops; the EXR stays as it is."""
+    tone_mapping: ToneMapping = "linear"
+    """Curve of the PNG."""
+
+
+class RenderQuality(RenderSettings):
+    """How pictures are made; mirrors lambent_proto.v1.RenderQuality."""
+
+    name: PictureName | None = None
+    """The quality itself where it is not given."""
+
+
+_PLACE = r"\{(?:asset|environment|quality|camera)\}"
+_PART = rf"(?:[A-Za-z0-9_]|{_PLACE})(?:[A-Za-z0-9._-]|{_PLACE})*"
+
+_PATH = "a relative path of plain names that may name {asset}, {environment}, {quality} and {camera}"
+
+
+class RenderOutput(Wanted):
+    """What is written of every picture; mirrors lambent_proto.v1.RenderOutput."""
+
+    files: Annotated[
+        list[Literal["png", "exr"]],
+        Field(min_length=1, max_length=2, default_factory=lambda: ["png", "exr"]),
+    ]
+    passes: Annotated[Passes, Field(default_factory=lambda: list(get_args(Pass)))]
+    half: bool = True
+    path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$", description=_PATH)] = (
+        "{asset}/{environment}/{quality}/{camera}"
+    )
+    """Path of a picture without suffix."""
+
+
+class RenderSpec(Wanted):
+    """Assets x environments x cameras x qualities; mirrors lambent_proto.v1.RenderSpec."""
+
+    name: Name = "batch"
+    assets: Annotated[list[RenderAsset], Field(min_length=1, max_length=1000)]
+    environments: Annotated[list[RenderEnvironment], Field(min_length=1, max_length=1000)]
+    cameras: Annotated[list[RenderCameras], Field(min_length=1, max_length=100)]
+    qualities: Annotated[
+        list[RenderQuality], Field(min_length=1, max_length=16, default_factory=lambda: [RenderQuality()])
+    ]
+    output: Annotated[RenderOutput, Field(default_factory=RenderOutput)]
