@@ -1,14 +1,14 @@
-# Every target works in a fresh clone: it makes .venv and installs what it needs once.
+# Every target works in a fresh clone: the first one creates .venv and installs the dependencies.
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 WEB := client/web
 PAGES := client/python/lambent_pages/dist
 SAMPLE := client/python/lambent/sample
-# Where pip finds torch when the registry's CUDA build is not wanted; see README.md.
+# Index to install torch from, in place of the default CUDA build; see README.md.
 TORCH_INDEX ?=
 PYTEST_ARGS ?=
-# A waiting thread sleeps: spinning ones slow every other process.
+# Waiting OpenMP threads sleep: spinning ones slow down every other process.
 export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
@@ -43,7 +43,7 @@ pages: $(PAGES)/.built ## Build the web pages into the package lambent_pages
 wheel: $(VENV)/.installed pages ## Build the wheel, web pages included, into build/wheel
 	$(BIN)/hatchling build -t wheel -d build/wheel
 
-# Without Node there are no pages: the demo's link says so, and the tests in a browser are skipped.
+# Without Node there are no web pages: the demo's link says so, and browser tests are skipped.
 BUILT := $(if $(shell command -v npm),$(PAGES)/.built)
 
 demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (5 to 11 minutes on two cores)
@@ -51,13 +51,13 @@ demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and 
 
 # Two workers on two cores: one thread each.
 test: export OMP_NUM_THREADS ?= 1
-test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on 2 cores)
+test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on two cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
 .PHONY: $(CHECKS)
 
-check: $(CHECKS) ## Style, import contracts, schemas, links, types of the web part (with -k: all findings)
+check: $(CHECKS) ## Check style, import contracts, schemas, links and the web client's types (-k lists all findings)
 
 check-style: $(VENV)/.installed
 	$(BIN)/ruff check .
@@ -79,7 +79,7 @@ check-schemas: setup
 check-web: setup
 	cd $(WEB) && npm run check
 
-fix: $(VENV)/.installed ## Format, and mend what can be mended by itself
+fix: $(VENV)/.installed ## Format, and fix what can be fixed automatically
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
@@ -96,7 +96,7 @@ bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 	$(BIN)/python benchmarks/paper_step.py --quick
 	$(BIN)/python benchmarks/long_curve.py $(SAMPLE) --environments $(SAMPLE)/envmaps --quick -o build/bench/curve
 
-schema: setup ## Generate the code of proto/ again
+schema: setup ## Regenerate the code from proto/
 	$(BIN)/python scripts/schema.py
 	$(if $(wildcard $(WEB)/package.json),cd $(WEB) && npm run schema)
 
