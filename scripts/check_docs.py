@@ -34,7 +34,7 @@ def broken_links(page: Path) -> list[str]:
     problems = []
     for target, file, fragment in links(page):
         if not file.exists():
-            problems.append(f"{page}: ({target}) leads to no file; mend the path or remove the link")
+            problems.append(f"{page}: ({target}) leads to no file; fix the path or remove the link")
         elif fragment and file.suffix == ".md" and fragment not in anchors(file.read_text(encoding="utf-8")):
             problems.append(f"{page}: ({target}) leads to no heading of {file.name}")
     return problems

@@ -159,7 +159,7 @@ def _write_mask(photographs: Photographs, name: str, target: Path, problems: Pro
         )
     elif not (coverage > 0.0).any():
         problems.error(
-            "scene.mask_empty", f"{file.name} says that the object is not in {name}; mend the mask", name
+            "scene.mask_empty", f"{file.name} says that the object is not in {name}; fix the mask", name
         )
     target.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.round(255.0 * coverage).astype(np.uint8)).save(target)

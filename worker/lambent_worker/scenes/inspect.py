@@ -142,7 +142,7 @@ def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], pr
     elif not (coverage > 0.0).any():
         problems.error(
             "scene.mask_empty",
-            f'{frame.mask} (frame "{frame.name}") says that the object is not in the picture; mend the mask '
+            f'{frame.mask} (frame "{frame.name}") says that the object is not in the picture; fix the mask '
             "or leave the frame out",
             frame.mask,
         )

@@ -35,7 +35,7 @@ class Problems:
         rest = _finding(
             "scene.more_findings",
             severity,
-            f"{left_out} more findings are not listed; mend these first and check again",
+            f"{left_out} more findings are not listed; fix these first and check again",
             "",
         )
         return [*everything[: MAX_FINDINGS - 1], rest]

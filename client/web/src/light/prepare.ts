@@ -93,7 +93,7 @@ function radiusOf({ direction }: DirectionalLight, map: EnvironmentMap, residual
 /** Return a map without unusable values and not wider than textures are kept, and what was done to it. */
 export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: string[] } {
   const notes: string[] = [];
-  let map = mended(given, notes);
+  let map = repaired(given, notes);
   if (map.width > maxWidth) {
     const height = Math.max(1, Math.round((map.height * maxWidth) / map.width));
     map = resized(map, height, maxWidth);
@@ -103,7 +103,7 @@ export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: 
 }
 
 /** Replace NaN and negative values by 0 and infinite ones by the largest finite value, and say so. */
-function mended(map: EnvironmentMap, notes: string[]): EnvironmentMap {
+function repaired(map: EnvironmentMap, notes: string[]): EnvironmentMap {
   let largest = 0;
   let count = 0;
   const { radianceRgb: values } = map;
@@ -120,7 +120,7 @@ function mended(map: EnvironmentMap, notes: string[]): EnvironmentMap {
       "export the map again",
     );
   }
-  notes.push(`Mended ${count} values that were negative, infinite or no number.`);
+  notes.push(`Replaced ${count} negative, infinite or NaN values.`);
   const radianceRgb = Float32Array.from(map.radianceRgb, (value) => {
     if (!(value >= 0)) return 0;
     return value === Number.POSITIVE_INFINITY ? largest : value;

@@ -127,10 +127,10 @@ describe("an upload", () => {
     complaints.splice(0);
   });
 
-  it("of a capture that cannot be used says what to mend, and offers no training", async () => {
+  it("of a capture that cannot be used says what to fix, and offers no training", async () => {
     await uploaded("bad", { ...capture, "reject.txt": "x" });
     await stateIs("cannot be used");
-    await page.waitForSelector(".findings li:has-text('mend reject.txt')");
+    await page.waitForSelector(".findings li:has-text('fix reject.txt')");
     expect(await page.$("text=Start the job")).toBeNull();
     expect(await serious(page)).toEqual([]);
   });
