@@ -1,4 +1,4 @@
-"""Fail when a link in one of our Markdown files leads nowhere, or no link leads to a page of docs/."""
+"""Fail when a link in a Markdown file is broken, or a page of docs/ is not linked from anywhere."""
 
 import re
 import sys

@@ -23,14 +23,14 @@ PASSES = (
     "metalness",
     "depth",
 )
-"""Every pass there is, besides the beauty pass."""
+"""Names of all passes except the beauty pass."""
 ATTRIBUTES: Mapping[str, str] = {
     "lambent:colorspace": "Linear Rec.709 (sRGB)",
     "colorInteropID": "lin_rec709_scene",
     "lambent:normal": "world, right-handed, z up",
     "lambent:depth": "distance from the camera along the ray, scene units",
 }
-"""What the file says about its numbers, besides chromaticities."""
+"""Attributes that describe the channels, besides chromaticities."""
 
 
 def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> dict[str, NDArray[np.floating]]:

@@ -1,7 +1,7 @@
-"""A look into an ONNX file before a runtime opens it: which operators, and which outside data.
+"""Checks an ONNX file before a runtime opens it: its operators and external data.
 
-Reads the wire format directly, so that neither the onnx package nor a runtime's own parser has to be
-trusted with a stranger's file. Only the fields named in `_CHILDREN` are followed.
+Reads the wire format directly, so that neither the onnx package nor a runtime's parser has to be
+trusted with an untrusted file. Only the fields named in `_CHILDREN` are followed.
 """
 
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ _CHILDREN: dict[str, dict[int, str]] = {
 
 @dataclass
 class ExternalTensor:
-    """A tensor whose values lie in another file."""
+    """A tensor whose values are in another file."""
 
     name: str
     location: str = ""
@@ -37,7 +37,7 @@ class ExternalTensor:
 
 @dataclass
 class OnnxSummary:
-    """What a graph refers to."""
+    """The operators and external data that a graph refers to."""
 
     domains: set[str] = field(default_factory=set)
     """Operator domains of nodes and imports; "" and "ai.onnx" are the standard."""

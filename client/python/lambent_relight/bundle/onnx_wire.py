@@ -1,4 +1,4 @@
-"""The protobuf wire format, as far as looking into and trimming an ONNX file needs it.
+"""The part of the protobuf wire format that is needed to inspect and trim an ONNX file.
 
 A message is a list of fields: a key (number and wire type), then a value. Raises ValueError or
 IndexError for bytes that are no message. Source: protobuf encoding specification; the field numbers of
@@ -82,7 +82,7 @@ def _encode_varint(value: int) -> bytes:
 def keep_outputs(data: bytes, names: set[str]) -> bytes:
     """Return the ONNX model with only the graph outputs `names` and the nodes that serve them.
 
-    onnxruntime computes every node, asked for or not. Graphs with inner graphs keep all their nodes.
+    onnxruntime computes every node, needed or not. Graphs with inner graphs keep all their nodes.
     """
     model = bytearray()
     for field in fields(memoryview(data)):

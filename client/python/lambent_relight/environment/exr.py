@@ -1,6 +1,6 @@
-"""OpenEXR pictures: reading environment maps from strangers, writing results.
+"""OpenEXR pictures: reading untrusted environment maps, writing results.
 
-The header is read and judged before pixels are, because a file of a few hundred bytes can ask for
+The header is read and checked before the pixels, because a file of a few hundred bytes can request
 gigabytes. Source: docs/reference/conventions.md (colour).
 """
 

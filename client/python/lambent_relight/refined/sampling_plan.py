@@ -1,4 +1,4 @@
-"""How long a refined picture is sampled: a fixed number of directions, or until it is quiet enough."""
+"""Sampling budget of a refined picture: a fixed number of directions, or a target standard error."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ Bounces = Literal["auto", "adapted", "transport", "one"]
 BOUNCES: tuple[str, ...] = get_args(Bounces)
 
 MAX_ROUNDS = 64
-"""Rounds after which a picture is returned although it is noisier than asked for."""
+"""Maximum number of rounds, after which a picture is returned even if it is noisier than requested."""
 _NEXT_ROUND = 1_000_003
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """What one refined picture may cost."""
+    """The sampling budget of one refined picture."""
 
     num_samples: int
     """Light directions per pixel and round."""
@@ -41,7 +41,7 @@ def estimated(
     sampling: Sampling,
     progress: Callable[[float], None] | None,
 ) -> Radiance:
-    """Return the radiance of `points` after one round, or as many as it takes.
+    """Return the radiance of `points` after one round, or as many as the target needs.
 
     The rays of a pixel are averaged later: a pixel's error is that of its rays over `antialias`.
     """
@@ -66,7 +66,7 @@ def estimated(
         error = total.relative_error() / sampling.antialias
         if not sampling.until_stderr or error <= sampling.until_stderr:
             break
-        # Errors fall with the root of the rounds.
+        # Errors decrease with the square root of the number of rounds.
         needed = (number + 1) * (error / sampling.until_stderr) ** 2
     assert total is not None
     return total
