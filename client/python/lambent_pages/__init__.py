@@ -65,7 +65,7 @@ def are_built(folder: Path = FOLDER) -> bool:
 def find(path: str, folder: Path = FOLDER) -> PageFile | None:
     """Return the file at a relative address such as "assets/viewer-1a2b.js"; None where there is none.
 
-        Files with a hash in their name never change and are cached for a year; everything else is revalidated
+    Files with a hash in their name never change and are cached for a year; everything else is revalidated
     with its ETag.
     """
     parts = path.split("/")

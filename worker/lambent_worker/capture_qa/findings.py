@@ -1,4 +1,4 @@
-"""Turns figures into findings: what will hurt, where, and what to do."""
+"""Turns figures into findings: what is wrong, where, and what to do."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class _Complaint:
     badness: float
     """Orders the worst first."""
     what: str
-    """What is wrong with it: the middle of a sentence."""
+    """The problem, as the middle of a sentence."""
 
 
 def note_findings(

@@ -1,4 +1,4 @@
-"""Looks at everything in a capture: cameras, every picture, and files that have no place there."""
+"""Checks everything in a capture: cameras, every picture, and files that do not belong there."""
 
 from collections.abc import Callable
 from pathlib import Path

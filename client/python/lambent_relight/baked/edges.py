@@ -23,7 +23,7 @@ _AROUND = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 def with_soft_edges(view: BakedView, caches: SurfaceCaches, antialias: int) -> BakedView:
     """Return `view` with pixels next to the mesh's border and to depth steps taken from the volume.
 
-        A pixel that the mesh does not cover takes its light from the nearest one that it covers, one at a step
+    A pixel that the mesh does not cover takes its light from the nearest one that it covers, one at a step
     from both sides. Pixels that the volume does not cover are left out. Without networks, the mesh's
     edges are kept.
     """

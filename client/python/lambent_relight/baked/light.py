@@ -132,7 +132,7 @@ def free_share(
 ) -> NDArray[np.float32]:
     """Return the share of a light in `direction` that reaches `texels`, in [0, 1].
 
-        A weighted mean over the bits of the nearest stored directions, which makes the border of a shadow as wide
+    A weighted mean over the bits of the nearest stored directions, which makes the border of a shadow as wide
     as their distance.
     """
     assert bits is not None, "lights are split off only where there are shadow bits"

@@ -130,10 +130,9 @@ def load_environment(
 ) -> Environment:
     """Return the environment map in a Radiance (.hdr) or OpenEXR (.exr) file.
 
-        `mend` as in `environment_from_array`. A map above `max_pixels` is reduced by an integer factor to the
-        means
-    of blocks of pixels, and has `reduced_from` set. Raises EnvironmentFileError, with a code that starts
-        with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
+    `mend` as in `environment_from_array`. A map above `max_pixels` is reduced by an integer factor to the
+    means of blocks of pixels, and has `reduced_from` set. Raises EnvironmentFileError, with a code that
+    starts with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
     """
     path = Path(path)
     if not path.is_file():
