@@ -1,4 +1,4 @@
-/** What the page behind a share link does: it swaps the secret in its fragment for a cookie, and goes on. */
+/** The page behind a share link: exchanges the secret in its fragment for a cookie and opens the viewer. */
 
 import { viewerAddress } from "../page/addresses.js";
 import { type Api, Refused } from "../page/rest.js";

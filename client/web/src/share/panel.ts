@@ -1,11 +1,11 @@
-/** Links that show one bundle to others. */
+/** Share links for one bundle. */
 
 import { button } from "../page/actions.js";
 import { h } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
 import type { Api, Share } from "../page/rest.js";
 
-/** What the part asks of its page. */
+/** The callbacks of the panel. */
 export type ShareContext = {
   readonly api: Pick<Api, "shares" | "createShare" | "revokeShare">;
   readonly fail: (error: unknown) => void;
@@ -26,7 +26,7 @@ export function linkWithView(url: string, view: string): string {
   return view === "" ? url : `${url}&${view}`;
 }
 
-/** Return the part that makes links and takes them back. */
+/** Return the panel that creates and revokes links. */
 export function sharePanel(context: ShareContext, bundleId: string): HTMLElement {
   const { api, fail } = context;
   const linkOf = (share: Share): string => linkWithView(share.url, context.view?.() ?? "");
