@@ -1,4 +1,4 @@
-# Every target works in a fresh clone: it makes .venv and installs what it needs once.
+# Every target works in a fresh clone: the first one creates .venv and installs the dependencies.
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -43,7 +43,7 @@ pages: $(PAGES)/.built ## Build the web pages into the package lambent_pages
 wheel: $(VENV)/.installed pages ## Build the wheel, web pages included, into build/wheel
 	$(BIN)/hatchling build -t wheel -d build/wheel
 
-# Without Node there are no pages: the demo's link says so, and the tests in a browser are skipped.
+# Without Node there are no web pages: the demo's link says so, and browser tests are skipped.
 BUILT := $(if $(shell command -v npm),$(PAGES)/.built)
 
 demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (5 to 11 minutes on two cores)
@@ -51,7 +51,7 @@ demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and 
 
 # Two workers on two cores: one thread each.
 test: export OMP_NUM_THREADS ?= 1
-test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on 2 cores)
+test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on two cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
@@ -60,7 +60,7 @@ mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notic
 CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
 .PHONY: $(CHECKS)
 
-check: $(CHECKS) ## Style, import contracts, schemas, links, types of the web part (with -k: all findings)
+check: $(CHECKS) ## Check style, import contracts, schemas, links and the web client's types (-k lists all findings)
 
 check-style: $(VENV)/.installed
 	$(BIN)/ruff check .
@@ -82,14 +82,14 @@ check-schemas: setup
 check-web: setup
 	cd $(WEB) && npm run check
 
-fix: $(VENV)/.installed ## Format, and mend what can be mended by itself
+fix: $(VENV)/.installed ## Format, and fix what can be fixed automatically
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.installed ## Run the quick variant of every benchmark
 	$(BIN)/python -m benchmarks --quick-all
 
-schema: setup ## Generate the code of proto/ again
+schema: setup ## Regenerate the code from proto/
 	$(BIN)/python scripts/schema.py
 	$(if $(wildcard $(WEB)/package.json),cd $(WEB) && npm run schema)
 

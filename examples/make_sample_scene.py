@@ -1,4 +1,4 @@
-"""Render the scene that ships with Lambent: a still life of our own, path traced with its ground truth.
+"""Render the scene that ships with Lambent: a still life, path traced, with its ground truth.
 
     python examples/make_sample_scene.py -o FOLDER [--spp 2048]
 
@@ -83,7 +83,7 @@ def focal_length(resolution: int) -> float:
 def llvm_library() -> str | None:
     """Return the LLVM library that Dr.Jit is to use: the one it was told, or Debian's newest from 16 on.
 
-    With 15, which comes with some graphics drivers, differentiating a picture ended the process.
+    With version 15, which some graphics drivers install, differentiating a picture crashed the process.
     """
     found = sorted(glob.glob("/usr/lib/*/libLLVM-1[6-9].so") + glob.glob("/usr/lib/*/libLLVM-2?.so"))
     return os.environ.get("DRJIT_LIBLLVM_PATH") or (found[-1] if found else None)
@@ -202,7 +202,7 @@ def truth(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int) -> dic
 
 
 def check_environment(tolerance_pixels: float = 0.25) -> None:
-    """Raise unless a one-pixel environment shines from where the convention says, in Mitsuba's eyes."""
+    """Raise unless a one-pixel environment lights Mitsuba's scene from the direction the convention says."""
     import mitsuba as mi
 
     height, width = 64, 128

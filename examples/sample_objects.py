@@ -1,4 +1,4 @@
-"""The still life of the sample scene: shapes of our own on a plate, with the materials that are its truth.
+"""The still life of the sample scene: our own shapes on a plate, with their ground-truth materials.
 
 Scene units, z up; everything lies inside a sphere of radius 1.3. Materials are Mitsuba's `principled` model:
 GGX width alpha = perceptual_roughness^2, dielectric reflectance 0.04 at normal incidence.
@@ -16,7 +16,7 @@ RADIUS = 1.3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Surface:
-    """What one object is made of."""
+    """The material of one object."""
 
     base_colour: tuple[float, float, float] | np.ndarray
     """Linear base colour: one for the whole object, or an image [H, W, 3] over its texture coordinates."""

@@ -1,4 +1,4 @@
-"""Fail when a link in one of our Markdown files leads nowhere, or no link leads to a page of docs/."""
+"""Fail when a link in a Markdown file is broken, or a page of docs/ is not linked from anywhere."""
 
 import re
 import sys
@@ -34,7 +34,7 @@ def broken_links(page: Path) -> list[str]:
     problems = []
     for target, file, fragment in links(page):
         if not file.exists():
-            problems.append(f"{page}: ({target}) leads to no file; mend the path or remove the link")
+            problems.append(f"{page}: ({target}) leads to no file; fix the path or remove the link")
         elif fragment and file.suffix == ".md" and fragment not in anchors(file.read_text(encoding="utf-8")):
             problems.append(f"{page}: ({target}) leads to no heading of {file.name}")
     return problems

@@ -1,4 +1,4 @@
-"""Fail when a module of ours is longer than 400 lines: it has a second subject."""
+"""Fail when a module is longer than 400 lines: it has a second subject."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ def too_long(paths: list[Path], limit: int = LIMIT) -> list[str]:
 
 
 def tracked(*patterns: str) -> list[Path]:
-    """Return the files that git tracks, or would, under these patterns."""
+    """Return the files matching these patterns that git tracks or does not ignore."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns]
     listing = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     return [ROOT / line for line in listing.splitlines() if (ROOT / line).is_file()]

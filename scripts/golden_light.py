@@ -2,7 +2,7 @@
 
     python scripts/golden_light.py [--check]
 
-The inputs are stored beside the results, so that another implementation needs nothing else. With --check the
+The inputs are stored with the results, so that another implementation needs nothing else. With --check the
 files are compared, and the exit code is 1 where they differ by more than rounding.
 """
 

@@ -1,4 +1,4 @@
-"""Build hook of wheels: one without the web pages is refused, for its users may have no Node to make them."""
+"""Build hook that refuses wheels without the web pages, because users may not have Node to build them."""
 
 import os
 from pathlib import Path
@@ -12,12 +12,12 @@ ANYWAY = "LAMBENT_WITHOUT_PAGES"
 
 
 class RequirePages(BuildHookInterface):
-    """Looks for the pages before a wheel is written; an editable installation may do without."""
+    """Checks for the pages before a wheel is written; an editable installation does not need them."""
 
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Raise RuntimeError for a wheel whose pages were not built, unless that is wanted."""
+        """Raise RuntimeError for a wheel whose pages were not built, unless that is explicitly allowed."""
         missing = [name for name in REQUIRED if not (Path(self.root) / PAGES / name).is_file()]
         if version == "standard" and missing and not os.environ.get(ANYWAY):
             raise RuntimeError(

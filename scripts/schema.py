@@ -46,7 +46,7 @@ def generated(folder: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def lint() -> None:
-    """Hold the .proto files to the rules of buf.yaml."""
+    """Check the .proto files against the rules of buf.yaml."""
     subprocess.run([str(Path(sys.executable).parent / "buf"), "lint"], cwd=ROOT, check=True)
 
 

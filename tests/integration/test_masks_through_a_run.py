@@ -113,7 +113,7 @@ def test_a_capture_whose_object_is_not_found_is_refused(tmp_path):
     assert "4 views are too few" in finding.message
 
 
-def test_masks_that_were_refused_may_be_mended_in_the_same_run_folder(tmp_path):
+def test_masks_that_were_refused_may_be_fixed_in_the_same_run_folder(tmp_path):
     true = write_ball_photographs(tmp_path / "scene")
     masks = write_masks(tmp_path / "cut", true)
     Image.new("L", (8, 8), 255).save(masks / "train_r_2.png")

@@ -120,7 +120,7 @@ def check(scene_dir: Path) -> CaptureCheck:
         finding = scene_pb2.Finding(
             code="scene.test",
             severity=scene_pb2.SEVERITY_ERROR,
-            message="mend reject.txt",
+            message="fix reject.txt",
             subject="reject.txt",
         )
         return CaptureCheck(report=scene_pb2.SceneReport(usable=False, findings=[finding]))

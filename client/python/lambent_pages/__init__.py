@@ -1,4 +1,4 @@
-"""The built web pages and the headers that they are sent with, for the server and for `lambent view`.
+"""The built web pages and their HTTP headers, for the server and for `lambent view`.
 
 The build of client/web writes them to the folder `dist` beside this module; wheels contain it.
 """
@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "dist"
-"""Where the build writes to."""
+"""Output folder of the build."""
 
 _TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -23,7 +23,7 @@ _TYPES = {
     ".exr": "image/x-exr",
     ".hdr": "image/vnd.radiance",
 }
-# Names in this folder carry a hash of what is in them.
+# File names in this folder contain a hash of their contents.
 _HASHED = "assets"
 # The pages that compute in WebAssembly; workers have the policy of their own script.
 _WITHOUT_WASM = frozenset({"jobs.html", "share.html"})
@@ -45,7 +45,7 @@ class PageFile:
 
 
 def content_policy(*, wasm: bool) -> str:
-    """Return the Content-Security-Policy of a page: nothing inline, nothing from elsewhere.
+    """Return the Content-Security-Policy of a page: nothing inline, nothing from other origins.
 
     With `wasm` scripts may compile WebAssembly, which is not the same as evaluating text.
     """
@@ -65,8 +65,8 @@ def are_built(folder: Path = FOLDER) -> bool:
 def find(path: str, folder: Path = FOLDER) -> PageFile | None:
     """Return the file at a relative address such as "assets/viewer-1a2b.js"; None where there is none.
 
-    Names with a hash never change and are kept for a year; everything else is asked for again each time and
-    answered by its ETag.
+    Files with a hash in their name never change and are cached for a year; everything else is revalidated
+    with its ETag.
     """
     parts = path.split("/")
     if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
@@ -93,13 +93,13 @@ def _read(place: Path, is_hashed: bool, _changed_at: int, _size: int) -> PageFil
 
 
 def is_current(page: PageFile, if_none_match: str | None) -> bool:
-    """Return whether the If-None-Match of a request names the file, so that 304 answers it."""
+    """Return whether the If-None-Match of a request matches the file, so that the response is 304."""
     tags = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
     return page.headers["etag"] in tags or "*" in tags
 
 
 def not_built() -> PageFile:
-    """Return the page that stands in for the pages where they were not built; its status is 503."""
+    """Return the page that is served with status 503 if the pages have not been built."""
     text = """<!doctype html>
 <html lang="en">
   <head>

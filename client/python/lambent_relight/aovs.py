@@ -23,7 +23,7 @@ ATTRIBUTES: Mapping[str, str] = {
     "lambent:normal": "world, right-handed, z up",
     "lambent:depth": "distance from the camera along the ray, scene units",
 }
-"""What the file says about its numbers, besides chromaticities."""
+"""Attributes that describe the channels, besides chromaticities."""
 
 
 def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> dict[str, NDArray[np.floating]]:

@@ -198,7 +198,7 @@ def _parse_camera(entry: Any, index: int, source: str) -> Camera:
     ):
         raise fault(f"has the size {width} x {height}", f"give whole numbers from 1 to {_MAX_SIDE}")
     if not (np.isfinite(pose).all() and np.isfinite(list(numbers.values())).all()):
-        raise fault("holds NaN or infinite values", "mend the pose")
+        raise fault("holds NaN or infinite values", "fix the pose")
     if min(numbers["focal_x"], numbers["focal_y"]) <= 0.0:
         raise fault("has a focal length that is not positive", "give focal lengths in pixels")
     rotation = pose[:3, :3]

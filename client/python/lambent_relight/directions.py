@@ -1,7 +1,7 @@
 """Directions, environment pixels and shading frames.
 
 World: right-handed, z up. Environment map of H rows and W columns: row 0 is +z, column W/2 is +x, the
-azimuth falls to the right. Image coordinates `u`, `v` are in [0, 1): u = (column + 0.5) / W and
+azimuth decreases to the right. Image coordinates `u`, `v` are in [0, 1): u = (column + 0.5) / W and
 v = (row + 0.5) / H at pixel centres. Source: docs/reference/conventions.md.
 """
 

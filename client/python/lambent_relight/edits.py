@@ -12,7 +12,7 @@ Gain = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MaterialEdit:
-    """What differs from the bundle's material, everywhere on the object."""
+    """Changes to the bundle's material, everywhere on the object."""
 
     albedo_gain: Gain = (1.0, 1.0, 1.0)
     """Factor on the albedo, per channel; the result is clipped to [0, 1]."""
@@ -50,10 +50,10 @@ class MaterialEdit:
         return changed.astype(np.float32), roughness.astype(np.float32)
 
     def bounce_gain(self, mean_albedo: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return what light that was reflected once before is multiplied by, [3].
+        """Return the factor on indirect light, [3].
 
-        Baked indirect light holds the albedo it was baked with; a change of it is applied in the mean.
-        `mean_albedo` [3] is the object's.
+        Baked indirect light contains the albedo it was baked with; a change of albedo is applied as a mean
+        factor. `mean_albedo` [3] is the object's.
         """
         if self.albedo is None:
             return np.asarray(self.albedo_gain, np.float32)

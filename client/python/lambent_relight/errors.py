@@ -1,8 +1,8 @@
-"""What can go wrong while relighting, for the person who asked for it."""
+"""Errors of relighting that a user can act on."""
 
 
 class RelightError(Exception):
-    """Something a user can mend: a stable `code`, what was found, and what to do about it.
+    """An error a user can fix: a stable `code`, what was found, and what to do about it.
 
     `str(error)` is `code: message; advice`, one line for a terminal. `code` is part of the public
     interface and never changes its meaning.
@@ -16,7 +16,7 @@ class RelightError(Exception):
 
 
 class BundleError(RelightError):
-    """A bundle is damaged, unsafe, or written for another reader. Codes start with `bundle.`."""
+    """A bundle is damaged, unsafe, or of an unsupported version. Codes start with `bundle.`."""
 
 
 class EnvironmentFileError(RelightError):
@@ -32,7 +32,7 @@ class SettingError(RelightError, ValueError):
 
 
 class UnsupportedQuality(RelightError):  # noqa: N818 - the quality is at fault, not the program
-    """The asked-for quality does not exist in this version, or not in this bundle.
+    """The requested quality is not supported by this version or by this bundle.
 
     Codes `relight.quality_unsupported` and `relight.networks_missing`.
     """

@@ -19,9 +19,9 @@ class RelitPicture:
     standard_error: Image
     """Monte Carlo standard error of `rgb`, per channel, from independent passes, [height, width, 3]."""
     direct: Image
-    """Part of `rgb` that comes straight from the environment; without background, straight alpha."""
+    """Part of `rgb` that comes directly from the environment; without background, straight alpha."""
     indirect: Image
-    """Part of `rgb` that was reflected once before, [height, width, 3]; without background."""
+    """Part of `rgb` from indirect light, [height, width, 3]; without background."""
     diffuse: Image
     """Part of `rgb` that the diffuse lobe reflects; `diffuse` + `specular` = `direct` + `indirect`."""
     specular: Image
@@ -40,7 +40,7 @@ class RelitPicture:
     num_samples: int
     """Light directions behind every fully covered pixel; 0 where the light is not sampled."""
     bounces: str = ""
-    """Where bounced light came from: `adapted:<light>`, `transport`, `one`, or nothing without any."""
+    """Source of indirect light: `adapted:<light>`, `transport`, `one`, or empty without indirect light."""
 
     def exposed(self, exposure_ev: float) -> "RelitPicture":
         """Return the picture with its radiance multiplied by 2^`exposure_ev`."""

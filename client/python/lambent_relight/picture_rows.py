@@ -1,4 +1,4 @@
-"""A decoded picture whose rows become numbers when they are asked for, so that large ones can be reduced."""
+"""A decoded picture whose rows are converted to numbers on demand, so that large ones can be reduced."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The light beside what it lights: a chrome and a grey ball over a picture's lower left corner."""
+"""A chrome and a grey ball in a picture's lower left corner that show its light."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ _GAP_SHARE = 8
 
 
 class LightProbes:
-    """Balls in one environment; turning it filters nothing again."""
+    """Balls in one environment; rotating it does not filter it again."""
 
     def __init__(self, environment: Environment) -> None:
         """Filter the map for the grey ball."""

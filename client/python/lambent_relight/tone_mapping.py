@@ -1,9 +1,9 @@
-"""Curves that bring linear radiance into the range of a screen.
+"""Tone curves that map linear radiance to the range of a screen.
 
-All take and give linear Rec. 709; results lie in [0, 1] and are sRGB-encoded afterwards. They are those of
-three.js under the same names, so that our viewers show the same picture. Exposure is applied before.
+Input and output are linear Rec. 709; results are in [0, 1] and are sRGB-encoded afterwards. They are those of
+three.js with the same names, so that our viewers show the same picture. Exposure is applied first.
 
-    linear    clipped at one: what `relight` writes without being asked for another curve
+    linear    clipped at one: the default of `relight`
     neutral   Khronos PBR Neutral: true colours below 0.76, highlights compressed towards white
     aces      Hill's fit of the ACES reference and output transforms, on radiance / 0.6
     agx       Wrensch's fit of AgX's base look, in Rec. 2020

@@ -1,6 +1,6 @@
-"""What a camera sees, with several rays for every pixel that the object is in or beside.
+"""Views of the object, with several rays for every pixel on or next to it.
 
-One ray through a pixel's middle finds the pixels that matter; those are looked at again with a grid of
+One ray through each pixel's centre finds the relevant pixels; these are traced again with a grid of
 rays. Pixel values are means over a pixel's rays, weighted by opacity where they describe the surface.
 """
 
@@ -13,12 +13,12 @@ from lambent_relight.bundle.graphs import PrimaryHits, Rows, SurfaceCaches
 from lambent_relight.cameras import Camera
 
 MIN_OPACITY = 1e-3
-"""Rays that are covered less than this see nothing."""
+"""Rays with less opacity than this count as misses."""
 
 
 @dataclass(frozen=True)
 class View:
-    """The rays of a camera that meet the object, in the order of their pixels."""
+    """The rays of a camera that hit the object, in the order of their pixels."""
 
     camera: Camera
     rays_per_pixel: int
@@ -30,7 +30,7 @@ class View:
 
     @property
     def num_rays(self) -> int:
-        """How many rays meet the object."""
+        """The number of rays that hit the object."""
         return len(self.pixel)
 
     def coverage(self) -> Rows:
@@ -55,7 +55,7 @@ class View:
 
 
 def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
-    """Return what `camera` sees with `antialias` x `antialias` rays for every pixel that matters."""
+    """Return the view of `camera` with `antialias` x `antialias` rays for every relevant pixel."""
     origin, direction = camera.rays()
     hits = caches.gbuffer(origin, direction)
     pixel = np.arange(len(origin))

@@ -206,7 +206,7 @@ describe("a prepared light", () => {
     radianceRgb.set([Number.NaN, -1, Number.POSITIVE_INFINITY]);
     const { map, notes } = usableMap({ height: 4, width: 8, radianceRgb });
     expect([...map.radianceRgb.subarray(0, 4)]).toEqual([0, 0, 1, 1]);
-    expect(notes.join()).toContain("Mended 3 values");
+    expect(notes.join()).toContain("Replaced 3 negative");
     const none = { height: 1, width: 1, radianceRgb: new Float32Array(3).fill(-1) };
     expect(await codeOf(() => usableMap(none))).toBe("environment.no_values");
   });

@@ -142,10 +142,10 @@ def test_the_wait_before_the_next_try_doubles(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize("cause", ["BAD_SCENE", "BAD_CONFIG"])
 def test_what_cannot_get_better_is_not_tried_again(stage: Stage, cause: str):
     job = stage.start()
-    stage.call("Fail", job, cause=f"FAIL_CAUSE_{cause}", code="scene.bad", message="mend it")
+    stage.call("Fail", job, cause=f"FAIL_CAUSE_{cause}", code="scene.bad", message="fix it")
     found = stage.job(job)
     assert (found["state"], found["run"]) == ("failed", 1)
-    assert found["error"] == {"code": "scene.bad", "message": "mend it", "cause": cause.lower(), "run": 1}
+    assert found["error"] == {"code": "scene.bad", "message": "fix it", "cause": cause.lower(), "run": 1}
 
 
 @pytest.mark.parametrize(

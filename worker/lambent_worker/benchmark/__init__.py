@@ -1,1 +1,1 @@
-"""Runs of scenes x seeds x ablations, and the tables made of them."""
+"""Runs scenes x seeds x ablations and builds the tables."""

@@ -1,4 +1,4 @@
-"""A whole benchmark: plan, run, put together, write the tables."""
+"""Runs a whole benchmark: plan, run, combine, write the tables."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ MARKER = "benchmark.json"
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a benchmark ended with."""
+    """Result of a benchmark."""
 
     markdown: str
     failed: tuple[str, ...]
-    """Titles of the processes that failed, with where their log is."""
+    """Titles of the failed processes, with the paths of their logs."""
 
 
 def run_benchmark(
@@ -42,8 +42,9 @@ def run_benchmark(
 ) -> Outcome:
     """Compute what is missing and write `table.md`, `table.csv` and `table.json` into `out`.
 
-    Called again after a kill it goes on: finished cells are kept by the hash of their inputs, others continue
-    from their checkpoints. Raises `UsageError` where `out` holds something else, and `Stopped` on Ctrl-C.
+    Called again after a kill, it resumes: finished cells are kept by the hash of their inputs, others
+    continue from their checkpoints. Raises `UsageError` where `out` holds something else, and `Stopped` on
+    Ctrl-C.
     """
     _check_folder(out)
     cells = plan(scenes, variants, seeds, settings, preset=preset, overrides=overrides, evaluation=evaluation)
@@ -105,7 +106,7 @@ def _check_folder(out: Path) -> None:
 
 
 def _narrator(tell: Callable[[str], None], total: int) -> Callable[[str, Task, float], None]:
-    """Return what tells of every process in one line, with how many are done."""
+    """Return a function that reports every process in one line, with the number of finished ones."""
     done = 0
 
     def event(what: str, task: Task, seconds: float) -> None:

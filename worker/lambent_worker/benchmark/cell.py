@@ -49,7 +49,7 @@ def main(arguments: list[str]) -> int:
 
 
 def train_stage_one(cell: "Cell", folder: Path, device: str, reporter: "Reporter") -> None:
-    """Train what all ablations of a scene and seed start from."""
+    """Train the stage one that all ablations of a scene and seed share."""
     from lambent_worker.run.pipeline import run_pipeline
     from lambent_worker.run.prepare import config_for
 
@@ -128,13 +128,13 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
 
 
 def discard_predictions(report: Path) -> None:
-    """Remove the float maps of an evaluation; its page and its figures stay."""
+    """Remove the float maps of an evaluation; its page and metrics are kept."""
     for path in report.glob("pred*"):
         shutil.rmtree(path)
 
 
 def adopt(stage_one: Path, run_dir: Path) -> None:
-    """Let a run start from another run's stage one, by links to its files; a copy where links cannot be."""
+    """Let a run start from another run's stage one, by links to its files or, failing that, copies."""
     if (run_dir / "steps" / "cache.done.json").exists():
         return
     for name in SHARED:
@@ -156,7 +156,7 @@ def _link(source: str, target: str) -> None:
 
 
 def _end_with_parent() -> None:
-    """Let the kernel ask this process to end when the one that started it is gone (Linux)."""
+    """Have the kernel terminate this process when its parent is gone (Linux)."""
     if sys.platform.startswith("linux"):
         parent = os.getppid()
         ctypes.CDLL(None).prctl(_PARENT_DIED, signal.SIGTERM)

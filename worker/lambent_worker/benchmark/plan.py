@@ -1,4 +1,4 @@
-"""What has to be computed: a cell per scene, lights, seed and ablation, named by what it is made from."""
+"""The cells of a benchmark: one per scene, lights, seed and ablation, named by a hash of its inputs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ GROUPS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EvaluationOrder:
-    """How every cell is evaluated; see `EvaluationRequest`."""
+    """Evaluation settings of all cells; see `EvaluationRequest`."""
 
     views: int = 0
     repeats: int = 4
@@ -40,20 +40,20 @@ class EvaluationOrder:
     environments: str = ""
     lpips_weights: tuple[str, ...] = ()
     keep_predictions: bool = True
-    """Keep the float maps beside the report; a large suite fills a disk with them."""
+    """Whether to keep the float maps with the report; those of a large suite can fill a disk."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Variant:
-    """An ablation of the catalogue, or settings of the user's under a name."""
+    """An ablation of the catalogue, or named settings of the user."""
 
     name: str
     label: str
     settings: Mapping[str, str] = field(default_factory=dict)
-    """What is changed beside the catalogue's entry."""
+    """Settings changed in addition to the catalogue's entry."""
 
     def overrides(self, config: Config) -> dict[str, str]:
-        """Return what differs from `config`, for `with_overrides`."""
+        """Return the differences from `config`, for `with_overrides`."""
         known = ablation_settings(config, self.name) if self.name in ABLATIONS else {}
         return {**known, **self.settings}
 
@@ -107,10 +107,10 @@ def cell_from_json(text: str) -> Cell:
 
 
 def parse_variants(items: Sequence[str]) -> tuple[Variant, ...]:
-    """Return the ablations that were asked for, each once, the full method first.
+    """Return the requested ablations without duplicates, the full method first.
 
     An item is a name of `flashcache.ablations`, "paper", "all", several with commas, or
-    `NAME:KEY=VALUE;KEY=VALUE` for settings of one's own. Raises `UsageError` for anything else.
+    `NAME:KEY=VALUE;KEY=VALUE` for custom settings. Raises `UsageError` for anything else.
     """
     found = {FULL: Variant(name=FULL, label=ABLATIONS[FULL].label)}
     for item in items:
@@ -154,7 +154,7 @@ def plan(
     overrides: Mapping[str, str],
     evaluation: EvaluationOrder,
 ) -> list[Cell]:
-    """Return all cells; `settings` None means what the protocol asks for.
+    """Return all cells; `settings` None means those of the protocol.
 
     Raises `UsageError` and `ConfigError` for settings that do not exist.
     """

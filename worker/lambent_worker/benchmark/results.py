@@ -1,4 +1,4 @@
-"""Figures of a benchmark's cells, put together over seeds and scenes with their errors."""
+"""Metrics of a benchmark's cells, combined over seeds and scenes with their errors."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ class Value:
 
     mean: float
     standard_error: float | None
-    """None where there is nothing to estimate it from."""
+    """None if it cannot be estimated."""
     over: str
-    """What the standard error is over: "seeds", "views", or "scenes and seeds"."""
+    """The samples of the standard error: "seeds", "views", or "scenes and seeds"."""
     count: int
 
 
@@ -46,7 +46,7 @@ Metrics = dict[str, tuple[float, float]]
 
 
 def finished(cells: Iterable[Cell], out: Path) -> list[tuple[Cell, Metrics]]:
-    """Return the cells whose result is there, with their figures."""
+    """Return the finished cells with their metrics."""
     found = []
     for cell in cells:
         record = read_record(out / "cells" / cell.name / RESULT)
@@ -60,8 +60,8 @@ def finished(cells: Iterable[Cell], out: Path) -> list[tuple[Cell, Metrics]]:
 def scene_rows(results: Sequence[tuple[Cell, Metrics]]) -> list[Row]:
     """Return one row per scene, setting and ablation: means over seeds.
 
-    With one seed the standard error is the report's own, over views: it does not know how another seed would
-    have ended.
+    With one seed the standard error is the report's own, over views: it does not include the variation
+    between seeds.
     """
     keys = list(dict.fromkeys((cell.scene, cell.setting, cell.ablation) for cell, _ in results))
     rows = []
@@ -128,7 +128,7 @@ def _over_scenes(found: Sequence[Value]) -> Value:
 def differences(results: Sequence[tuple[Cell, Metrics]], names: Sequence[str]) -> dict[str, dict[str, Value]]:
     """Return by ablation and figure the mean difference to the full method, over the same scenes and seeds.
 
-    Pairs share scene, lights, seed and stage one, so that what these do to both cancels; the standard error
+    Pairs share scene, lights, seed and stage one, so that their effect cancels; the standard error
     is over pairs, None for a single one.
     """
     full = {(c.scene, c.setting, c.seed): m for c, m in results if c.ablation == FULL}

@@ -1,4 +1,4 @@
-"""Computes the cells of a benchmark, several at a time, and leaves alone what is there."""
+"""Computes the cells of a benchmark, several at a time, and keeps existing results."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ from lambent_worker.run.folder import done_inputs
 COMMAND = (sys.executable, "-m", "lambent_worker.benchmark.cell")
 POLL_S = 0.2
 PATIENCE_S = 60.0
-"""How long a process may take to write its checkpoint when it was asked to end."""
+"""Time limit for a process to write its checkpoint when it is terminated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +34,13 @@ class Task:
 
     @property
     def title(self) -> str:
-        """Return what it is, for people."""
+        """Return a readable title."""
         what = "stage one" if self.kind == "stage-one" else self.cell.ablation
         return f"{self.cell.scene}, {self.cell.setting} light, seed {self.cell.seed}: {what}"
 
     @property
     def done(self) -> bool:
-        """Whether the result is there, made from the same inputs."""
+        """Whether a result from the same inputs exists."""
         if self.kind == "stage-one":
             return done_inputs(self.stage_one, "cache") == self.cell.stage_one
         return read_record(self.folder / RESULT).get("inputs") == self.cell.inputs
@@ -48,7 +48,7 @@ class Task:
 
 @dataclass(slots=True)
 class Running:
-    """A process at work."""
+    """A running process."""
 
     task: Task
     process: subprocess.Popen[bytes]
@@ -61,7 +61,7 @@ Event = Callable[[str, Task, float], None]
 
 
 def tasks_of(cells: Sequence[Cell], out: Path) -> list[Task]:
-    """Return every process a benchmark needs: each stage one once, then the cells."""
+    """Return all processes of a benchmark: each stage one once, then the cells."""
     tasks: dict[Path, Task] = {}
     for cell in cells:
         folder = out / "stage_one" / cell.stage_one_name
@@ -73,7 +73,7 @@ def tasks_of(cells: Sequence[Cell], out: Path) -> list[Task]:
 
 
 def run_tasks(tasks: Sequence[Task], *, jobs: int, devices: Sequence[str], event: Event) -> list[Task]:
-    """Run what is not done, at most `jobs` processes at a time, and return the tasks that failed.
+    """Run the unfinished tasks, at most `jobs` processes at a time, and return those that failed.
 
     A cell waits for its stage one. Ctrl-C or SIGTERM asks the processes to write their checkpoints and raises
     `Stopped`.
@@ -141,7 +141,7 @@ def _start(task: Task, slot: int, device: str, jobs: int) -> Running:
 
 
 def _collect(running: list[Running], failed: list[Task], event: Event) -> list[Running]:
-    """Return those still at work, after noting how the others ended."""
+    """Return the processes still running, after recording how the others ended."""
     still = []
     for item in running:
         code = item.process.poll()
@@ -158,7 +158,7 @@ def _collect(running: list[Running], failed: list[Task], event: Event) -> list[R
 
 
 def _end(running: Sequence[Running]) -> None:
-    """Ask processes to end, and end those that do not."""
+    """Ask processes to exit, and kill those that do not."""
     for item in running:
         item.process.terminate()
     deadline = time.monotonic() + PATIENCE_S

@@ -1,4 +1,4 @@
-"""What a suite of scenes holds: captures with their lights, and environments to relight with."""
+"""The contents of a suite: captures with their lights, and environments for relighting."""
 
 import re
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ class SuiteScene:
 
     @property
     def settings(self) -> tuple[Setting, ...]:
-        """Return the numbers of lights that the protocol asks for."""
+        """Return the numbers of lights required by the protocol."""
         return ("single", "multi") if dataset_of(self.layout) == "openillumination" else ("single",)
 
     def lights_of(self, setting: Setting) -> tuple[str, ...]:
         """Return the lights to train in: the first, or those of the data set's multi-light training.
 
-        Lights that are one environment turned, as `sunset_000` and `sunset_120`, belong together. Raises
-        `UsageError` where there is only one light.
+        Lights that are rotations of one environment, such as `sunset_000` and `sunset_120`, belong together.
+        Raises `UsageError` where there is only one light.
         """
         if setting == "single":
             return self.lights[:1]
@@ -55,7 +55,7 @@ class SuiteScene:
 
     @property
     def turned(self) -> tuple[str, ...]:
-        """Return the lights that are one environment turned about the vertical axis; empty for none."""
+        """Return the lights that are rotations of one environment about +z; empty if there are none."""
         stems = {light: match[1] for light in self.lights if (match := _TURNED.match(light))}
         first = next(iter(stems.values()), "")
         found = tuple(light for light, stem in stems.items() if stem == first)

@@ -1,4 +1,4 @@
-"""The tables of a benchmark: the paper's layout, our figures with errors, the published ones beside them."""
+"""The tables of a benchmark: the paper's layout, with our metrics and errors next to the published ones."""
 
 import csv
 import io
@@ -46,7 +46,7 @@ NOTHING = "–"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Content:
-    """Everything that the tables show."""
+    """Contents of the tables."""
 
     preset: str
     rows: Sequence[Row]

@@ -1,1 +1,1 @@
-"""What a bundle is made of: checked graphs, a mesh, figures, and the manifest that lists all files."""
+"""The parts of a bundle: checked graphs, a mesh, metrics, and the manifest that lists all files."""

@@ -1,7 +1,7 @@
-"""A textured surface as a binary glTF file that any viewer opens.
+"""Writes a textured surface as a binary glTF file for any viewer.
 
-Written here and not by a mesh library: it needs tangents, and one that turns texture coordinates upside down
-on the way is hard to notice. Source: glTF 2.0 specification, sections 3.7.2 (meshes), 3.9 (materials) and 4
+Written here and not with a mesh library: the file needs tangents, and a library that flips texture
+coordinates is hard to notice. Source: glTF 2.0 specification, sections 3.7.2 (meshes), 3.9 (materials) and 4
 (GLB).
 """
 
@@ -23,7 +23,7 @@ _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 _VERTICES, _INDICES = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP_LINEAR, _CLAMP = 9729, 9987, 33071
 _RESTART = 0xFFFF
-"""16-bit index that some programs take for the end of a strip."""
+"""16-bit index that some programs interpret as the end of a strip."""
 
 
 def write_glb(surface: AtlasSurface, textures: TextureSet, *, unit: str) -> bytes:
@@ -73,7 +73,7 @@ def write_glb(surface: AtlasSurface, textures: TextureSet, *, unit: str) -> byte
                 "pbrMetallicRoughness": {
                     "baseColorTexture": {"index": 0},
                     "metallicRoughnessTexture": {"index": 1},
-                    # Both are 1 when absent; written, because some readers take 0.
+                    # Both default to 1; written explicitly, because some readers assume 0.
                     "metallicFactor": 1.0,
                     "roughnessFactor": 1.0,
                 },

@@ -1,4 +1,4 @@
-"""The graphs of a bundle, each compared with the model before it counts."""
+"""The graphs of a bundle, each compared with the model before it is accepted."""
 
 from collections.abc import Callable
 from hashlib import sha256
@@ -81,7 +81,7 @@ def write_graphs(
 
 
 def remove_networks(manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
-    """Take the networks and their weights out of an unfinished bundle; what was baked from them stays."""
+    """Remove the networks and their weights from an unfinished bundle; the data baked from them is kept."""
     networks = [graph for graph in manifest.graphs if graph.name in NETWORKS]
     for graph in networks:
         (folder / graph.path).unlink()

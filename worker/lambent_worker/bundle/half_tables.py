@@ -1,4 +1,4 @@
-"""Feature tables stored as float16: the model that they make, and how far it is from the trained one."""
+"""Feature tables stored as float16: the resulting model, and its error relative to the trained one."""
 
 import copy
 from collections.abc import Mapping
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 MOST_ROUNDING = 1e-2
 """Root mean square of an output's error up to which float16 tables are chosen, relative above 1."""
 _OWN = ("opacity", "radiance")
-"""Outputs whose error counts as it is; others mean little where opacity is small, and are weighted by it."""
+"""Outputs whose error is not weighted; the others are weighted by opacity, below which they mean little."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rounding:
-    """What float16 tables change in one output; absolute below 1 and relative above."""
+    """Error of float16 tables in one output; absolute below 1 and relative above."""
 
     max_abs_error: float
     rms_error: float
@@ -45,7 +45,7 @@ def fits_half(model: InverseModel) -> bool:
 def rounding_of(
     rounded: Mapping[str, NDArray[np.floating]], exact: Mapping[str, NDArray[np.floating]]
 ) -> dict[str, Rounding]:
-    """Return by output how far answers [row, n] from rounded tables are from exact ones.
+    """Return the error of each output [row, n] with rounded tables relative to exact ones.
 
     Errors of surface properties, normals and distances are multiplied by the exact answer's opacity.
     """

@@ -1,4 +1,4 @@
-"""manifest.json: what is in a bundle and how its numbers are meant."""
+"""manifest.json: the contents of a bundle and the meaning of its numbers."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""How well a bundle shows what was trained: figures for its manifest, and small pictures of a few views."""
+"""Compares a bundle with the trained model: metrics for its manifest, and small pictures of a few views."""
 
 import dataclasses
 from pathlib import Path
@@ -42,11 +42,11 @@ def measure(
     light: str,
     folder: Path,
 ) -> dict[str, float]:
-    """Return figures over a few views; write what the NeRF cache shows of them, and photographs, to `folder`.
+    """Return metrics over a few views; write the NeRF cache's pictures of them, and photographs, to `folder`.
 
     `psnr_views` compares the cache's picture with the photograph, sRGB over white. `gbuffer_opacity_error`
-    and `gbuffer_distance_error` (scene units, median) say how far the exported surface is from the traced
-    one, whose samples proposal networks place.
+    and `gbuffer_distance_error` (scene units, median) compare the exported surface with the traced
+    one, whose samples are placed by proposal networks.
     """
     shown = views[:: max(1, len(views) // SHOWN_VIEWS)][:SHOWN_VIEWS]
     found = [_measure_view(model, rule, surface, view, light, folder) for view in shown]
@@ -76,7 +76,7 @@ def _measure_view(
 
 
 def _photograph(image: Float[ndarray, "height width 4"]) -> bytes:
-    """Return a photograph as viewers compare with it: PNG, sRGB over white."""
+    """Return a photograph for comparison in viewers: PNG, sRGB over white."""
     shown = figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
     return figures.png(shown, max_side=PHOTO_SIDE)
 

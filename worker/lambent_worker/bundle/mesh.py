@@ -18,9 +18,9 @@ from lambent_worker.errors import WorkerError
 Corner = tuple[float, float, float]
 
 SURVEY_CELLS = 64
-"""Cells along the longest side of the scene's box in the first look."""
+"""Cells along the longest side of the scene's box in the first search."""
 SURVEY_MARGIN = 2
-"""Cells of the first look that are kept around what was found."""
+"""Margin around the occupied cells of the first search."""
 SURVEY_DEPTH = 0.5 * math.log(2.0)
 """Optical depth of such a cell that counts as matter, of which thinner parts must not be missed."""
 SURFACE_DEPTH = 0.25 * math.log(2.0)
@@ -33,7 +33,7 @@ head on, texels do not depend on it: they are moved to where the density is.
 DEPTH_RANGE = 50.0
 """Optical depths are limited to this factor around `SURFACE_DEPTH` before a surface is laid through them."""
 FAINTEST = 0.05
-"""Where nothing reaches that, a surface is laid at half the largest depth, if it is above this."""
+"""If nothing reaches that depth, the surface is placed at half the largest depth, if that is above this."""
 FLOATER_AREA = 0.01
 """Pieces with less than this share of the largest piece's surface are removed."""
 FLOATER_VOLUME = FLOATER_AREA**1.5
@@ -42,11 +42,11 @@ CHUNK_POINTS = 65536
 
 
 SEEN_FROM = 14
-"""Places around the object from which a piece must be seen somewhere, or it is inside."""
+"""Viewpoints around the object; a piece visible from none of them is inside."""
 SEEN_SIDE = 128
 """Pixels of those pictures."""
 CELLS_PER_PIXEL = 2.0
-"""Cells across what a pixel of the photographs covers at the object: finer ones would be guessed."""
+"""Cells across the footprint of a photograph's pixel at the object; finer detail would be guesswork."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class Mesh:
 
 
 def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
-    """Return the smallest box, with a margin, around all matter but floaters, inside the scene's box.
+    """Return the smallest box, with a margin, around all matter except floaters, inside the scene's box.
 
     Raises WorkerError when there is no matter.
     """
@@ -78,7 +78,7 @@ def occupied_box(model: InverseModel) -> tuple[Corner, Corner]:
 def data_resolution(
     model: InverseModel, box_min: Corner, box_max: Corner, *, pixel_size: float, limit: int
 ) -> int:
-    """Return how many cells along the longest side of a box the trained density can fill with detail.
+    """Return the number of cells along the longest side of a box for which the trained density has detail.
 
     Between the centres of its finest voxels density is interpolated, and half a pixel of the photographs
     (`pixel_size`, scene units at the object; 0: unknown) is the least they can tell apart. At most `limit`.
@@ -93,7 +93,7 @@ def data_resolution(
 def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resolution: int) -> Mesh:
     """Return the surface inside a box, with `resolution` cells along its longest side.
 
-    Floaters, and pieces that cannot be seen from outside, are left out. Raises WorkerError when there is no
+    Floaters, and pieces that are not visible from outside, are left out. Raises WorkerError when there is no
     surface.
     """
     low, high = np.array(box_min), np.array(box_max)
@@ -110,7 +110,7 @@ def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resoluti
 
 
 def simplified(mesh: Mesh, max_faces: int) -> Mesh:
-    """Return the mesh with at most about `max_faces` triangles, those that change its shape least.
+    """Return the mesh simplified to about `max_faces` triangles or fewer.
 
     Quadric error collapse; triangles without area are dropped.
     """
@@ -169,7 +169,7 @@ def _without_floaters(
 def without_hidden(
     vertices: NDArray[np.float32], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.integer]]:
-    """Return the triangles of the connected pieces that are seen from some place outside."""
+    """Return the triangles of the connected pieces that are visible from outside."""
     piece = _piece_of_face(len(vertices), faces)
     seen = np.zeros(piece.max() + 1, bool)
     for camera in _around(vertices):

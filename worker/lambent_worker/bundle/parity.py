@@ -1,4 +1,4 @@
-"""Whether an exported graph gives the numbers of the model it was made from."""
+"""Compares an exported graph with the model it was exported from."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -24,22 +24,22 @@ TOLERANCE = 1e-5
 NUDGE = 5e-7
 """A step of about the spacing of float32 numbers at a camera's distance, in scene units."""
 MAX_LEFT_OUT = 0.01
-"""Largest share of inputs that may be left out for being too steep for float32."""
+"""Largest share of inputs that may be ignored because the function is too steep there for float32."""
 CHUNK_ROWS = 512
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ParityResult:
-    """How far a graph is from its torch twin."""
+    """Error of a graph relative to its torch function."""
 
     max_abs_error: float
     """Over all outputs of the inputs that count; relative where the value is above 1."""
     num_samples: int
-    """Inputs that count."""
+    """Number of inputs that count."""
     num_left_out: int
     """Inputs where rounding alone changes the answer by more than the tolerance."""
     rounding: Mapping[str, Rounding] = field(default_factory=dict)
-    """By output, what the graph's model changed against the trained one; empty where they are the same."""
+    """By output, the error of the graph's model relative to the trained one; empty if they are the same."""
 
 
 def compare(
@@ -51,7 +51,7 @@ def compare(
     *,
     trained: nn.Module | None = None,
 ) -> ParityResult:
-    """Return how far the graph in the file `graph` is from `twin`, over all rows of `inputs`.
+    """Return the error of the graph in the file `graph` relative to `twin`, over all rows of `inputs`.
 
     Where `model` has rounded tables, `trained` is the model without, whose answers `rounding` refers to.
     A row whose error is above 1e-5 does not count if the function is too steep there for float32 to decide:
@@ -141,7 +141,7 @@ def _largest_error(
 def _steepness(
     twin: Twin, model: nn.Module, inputs: Inputs, single: Mapping[str, NDArray[np.floating]]
 ) -> NDArray[np.float64]:
-    """Return how far rounding may move each row's answer, as an error like that of `_largest_error`."""
+    """Return the effect of rounding on each row's result, as an error like that of `_largest_error`."""
     exact_model = copy.deepcopy(model).double().cpu()
     exact_inputs = {key: value.double() for key, value in inputs.items()}
     exact = _twin(twin, exact_model, exact_inputs)

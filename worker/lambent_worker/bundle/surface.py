@@ -1,7 +1,7 @@
-"""The surface of a trained model as charts on an atlas: a place and a normal for every covered texel.
+"""The surface of a trained model as charts on an atlas: a position and a normal for every covered texel.
 
-The mesh carries the atlas; the places of texels are moved from it to where the trained density is, along
-the normal, so that materials and rays of a bake belong to the surface that was trained.
+The mesh has the atlas; texel positions are moved from it along the normal to the trained density,
+so that materials and rays of a bake belong to the trained surface.
 """
 
 from collections.abc import Iterator
@@ -25,9 +25,9 @@ from lambent_worker.bundle.mesh import (
 from lambent_worker.errors import WorkerError
 
 OUTSIDE_CELLS, INSIDE_CELLS = 1.5, 2.5
-"""How far from the mesh, in cells of the marching cubes, the surface is looked for."""
+"""Search distance from the mesh, in marching-cubes cells."""
 NUM_PLACES = 16
-"""Places along that stretch at which density is asked."""
+"""Density samples along that distance."""
 UPRIGHT = 0.2
 """A learned normal keeps at least about this cosine with the mesh's normal."""
 FAINT = 1e-3

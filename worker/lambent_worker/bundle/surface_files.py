@@ -1,4 +1,4 @@
-"""The asset of a bundle: a textured mesh made from the trained model and written as glTF."""
+"""The asset of a bundle: a textured mesh of the trained model, written as glTF."""
 
 import logging
 from pathlib import Path
@@ -68,7 +68,7 @@ def write_asset(
 
 
 def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> SurfaceCaches:
-    """Return the graphs that were just written as clients answer them: compiled, or run by onnxruntime."""
+    """Return the written graphs as clients evaluate them: compiled, or run by onnxruntime."""
     listed = bundle_pb2.BundleManifest()
     listed.CopyFrom(manifest)
     # Files are listed last, when all are there.

@@ -1,4 +1,4 @@
-"""Ambient occlusion of a surface through the visibility that the fast cache learned."""
+"""Ambient occlusion of a surface from the fast cache's learned visibility."""
 
 import math
 from collections.abc import Callable

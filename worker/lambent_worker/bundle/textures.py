@@ -1,4 +1,4 @@
-"""Textures of an atlas: what a surface reflects, as planes of numbers and as the PNG files glTF refers to.
+"""Material textures of an atlas, as planes of numbers and as the PNG files that glTF refers to.
 
 Planes are [size, size, n] float32, rows from the top, every texel filled: those outside charts repeat their
 nearest covered texel, so that filtering and small versions of a texture find no foreign colour.
@@ -72,7 +72,7 @@ def tangent_normals(surface: AtlasSurface) -> NDArray[np.float32]:
     along = unit(tangent[:, :3])
     across = unit(np.sign(tangent[:, 3:]) * np.cross(normal, along))
     matrix = np.stack([along, across, normal], axis=-1)
-    # Where a tangent lies along the normal, there is no frame to speak of: the vertex normal stays.
+    # If a tangent is parallel to the normal there is no valid frame: keep the vertex normal.
     poor = np.abs(np.linalg.det(matrix)) < 1e-3
     matrix[poor] = np.eye(3)
     local = np.linalg.solve(matrix, surface.texel_normals[..., None].astype(np.float64))[..., 0]

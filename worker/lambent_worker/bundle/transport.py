@@ -33,17 +33,17 @@ TIERS = {"full": (7, 4, True), "lite": (5, 3, False)}
 """Bands of direct transfer and of visibility, and whether there are shadow bits."""
 INDIRECT_BANDS = 3
 LEAST_OPACITY = 12
-"""Of 255; what is less in the way is left out of the mirrored half of visibility."""
+"""Of 255; smaller opacities are left out of the mirrored half of visibility."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TransportConfig:
-    """What is baked."""
+    """Settings of the transport bake."""
 
     tier: str = "full"
     """"full" or "lite"; everything in a lite bundle is a part of the full one."""
     num_bounces: int = 4
-    """How often light may go from surface to surface."""
+    """Maximum number of bounces between surfaces."""
     rays: RayConfig = field(default_factory=RayConfig)
 
     def __post_init__(self) -> None:
@@ -75,10 +75,10 @@ def bake_transport(
     store: Path,
     advance: Callable[[float], None] = lambda share: None,
 ) -> tuple[Transport, dict[str, float]]:
-    """Return the transport of `surface`, and figures about how it was made.
+    """Return the transport of `surface`, and metrics of the bake.
 
     `reflectors` are the materials of the texels; `store` keeps finished rays, so that an interrupted bake
-    goes on where it was. `advance` is called with the finished share of the rays.
+    resumes. `advance` is called with the completed share of the rays.
     """
     bands, visibility_bands, with_bits = TIERS[config.tier]
     coarse, parent = coarse_blocks(surface.size, surface.texel_index)
@@ -179,13 +179,13 @@ def _blocked_sky(
 def _shadow_bits(seen: Occlusion) -> UInt8[ndarray, "texels _"]:
     """Return one bit per direction, set where more light passes than is held back, or below the horizon.
 
-    A settled texel asked half of the directions; the others are as free as their neighbours.
+    A settled texel was queried in half of the directions; the others take the value of their neighbours.
     """
     return np.packbits(seen.opacity < 128, axis=1, bitorder="little")
 
 
 def _material(surface: BakedSurface, reflectors: Reflectors) -> Float[ndarray, "8 texels"]:
-    """Return what texels are made of, as planes."""
+    """Return the materials of texels as planes."""
     columns = (
         reflectors.albedo,
         reflectors.perceptual_roughness,

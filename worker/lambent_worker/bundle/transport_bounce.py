@@ -1,4 +1,4 @@
-"""Light that reaches a texel by way of other surfaces, under any environment.
+"""Indirect light at a texel, under any environment.
 
 A blocked ray ends at a hit point, whose outgoing radiance is linear in the light: its diffuse part by the
 irradiance transfer of the nearest texel, its specular part by the environment seen in the mirror direction,

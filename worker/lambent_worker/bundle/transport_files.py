@@ -1,4 +1,4 @@
-"""The transport of an exported bundle: baked from the graphs that were just written, stored, and judged."""
+"""The transport of an exported bundle: baked from the graphs just written, stored, and compared."""
 
 import hashlib
 import shutil
@@ -32,7 +32,7 @@ _RAYS_ON_DEVICE = 1 << 18
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Bake:
-    """Where a bake works and whom it tells."""
+    """Work folder and progress callback of a bake."""
 
     config: TransportConfig
     store: Path
@@ -79,7 +79,7 @@ def write_transport(
 
 
 def secondary_rays(model: InverseModel, caches: SurfaceCaches) -> SecondaryRays:
-    """Return what answers secondary rays fastest on the model's device."""
+    """Return the fastest evaluation of secondary rays on the model's device."""
     device = next(model.parameters()).device
     if device.type == "cpu":
 

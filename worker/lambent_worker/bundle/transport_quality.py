@@ -1,4 +1,4 @@
-"""How far pictures from baked transport are from refined ones: figures for the manifest."""
+"""Compares pictures from baked transport with refined ones, for the manifest."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -65,7 +65,7 @@ def judge_qualities(
 
 
 def judging_lights(trained: Mapping[str, Float[ndarray, "rows columns 3"]]) -> dict[str, Environment]:
-    """Return the lights that are compared in: the recovered ones, three soft boxes, and a low sun."""
+    """Return the lights of the comparison: the recovered ones, three soft boxes, and a low sun."""
     directions = pixel_directions(32, 64)
 
     def spot(azimuth_deg: float, elevation_deg: float, radius_deg: float) -> Float[ndarray, "rows columns 1"]:

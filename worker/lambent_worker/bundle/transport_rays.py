@@ -1,9 +1,9 @@
-"""What is free and what is in the way around every texel: rays of the fast cache in stratified directions.
+"""Visibility around every texel, from rays of the fast cache in stratified directions.
 
-Every texel asks the directions of one of 16 sets, those above its horizon. All sets are the same 256 evenly
-spread directions, each moved inside its own share of the sphere, so that neighbouring texels ask between each
-other's directions. Half of the directions are asked first; a texel that they find nearly the same all around
-is settled, and takes each other direction from its nearest neighbour. Only the rest ask the second half.
+Every texel uses the directions of one of 16 sets that are above its horizon. All sets are the same 256 evenly
+distributed directions, each jittered within its own cell of the sphere, so that neighbouring texels sample
+between each other's directions. Half of the directions are traced first; a texel with nearly uniform results
+is settled, and takes each other direction from its nearest neighbour. Only the rest trace the second half.
 Source: supplement 2.1 (the fast cache's opacity).
 """
 
@@ -29,21 +29,21 @@ class SecondaryRays(Protocol):
     def __call__(
         self, origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
     ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
-        """Return what rays from offset surface points see."""
+        """Return the hits of rays from offset surface points."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RayConfig:
-    """How many rays are spent on a texel."""
+    """Ray budget of a texel."""
 
     texels_per_chunk: int = 2048
-    """Texels that are asked about and stored at once."""
+    """Texels that are traced and stored together."""
     settled: float = 0.2
     """Cosine-weighted standard deviation of opacity over the first half that settles a texel."""
     followed: float = 0.05
     """Rays with more opacity than this light the texel by what they hit."""
     jitter: float = 0.9
-    """How far directions may move, as a share of the radius of their cell."""
+    """Largest jitter of a direction, as a share of the radius of its cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,9 +91,9 @@ def cast(
     store: Path,
     advance: Callable[[float], None] = lambda share: None,
 ) -> Occlusion:
-    """Return what the rays of all texels find; `coarse` are the texels whose distances are kept.
+    """Return the hits of all texels' rays; `coarse` are the texels whose distances are kept.
 
-    Finished chunks lie in `store` and are not asked for again; the folder must belong to this surface and
+    Finished chunks are in `store` and are not traced again; the folder must belong to this surface and
     model. `advance` is called with the finished share and may raise to stop.
     """
     sets = direction_sets(config)

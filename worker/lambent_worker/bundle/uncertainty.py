@@ -1,4 +1,4 @@
-"""Puts into a bundle how well the photographs determine the materials."""
+"""Writes the uncertainty of the materials to a bundle."""
 
 from pathlib import Path
 

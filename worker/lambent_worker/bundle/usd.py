@@ -16,7 +16,7 @@ from lambent_worker.bundle.textures import TextureSet
 from lambent_worker.errors import UsageError, WorkerError
 
 METRES_PER_UNIT = 1.0
-"""What a scene unit is taken for where it is unknown, as glTF readers do."""
+"""Metres per scene unit where that is unknown, as glTF readers assume."""
 
 
 def write_usdz(path: Path, surface: AtlasSurface, textures: TextureSet) -> None:

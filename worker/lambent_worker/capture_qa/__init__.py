@@ -1,4 +1,4 @@
-"""What will hurt in a capture, found before any training: views, pictures, masks, exposure, poses.
+"""Checks a capture for problems before training: views, pictures, masks, exposure, poses.
 
 `examine.examine_capture` works on a `SceneManifest` and the picture files alone, whatever the layout was, and
 needs neither torch nor a GPU. Angles are in degrees, directions point from the object to a camera, world z

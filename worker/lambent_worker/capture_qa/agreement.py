@@ -1,7 +1,8 @@
-"""How far each silhouette agrees with all others, by what their common hull explains of it.
+"""Agreement of each silhouette with all others, by the part of it that their common hull explains.
 
-Two facts hold for any object and any number of views, and are what is measured: the hull of the other views
-explains every pixel of a true silhouette, and a true silhouette never cuts away what another view shows.
+Two statements hold for any object and any number of views, and are tested: the hull of the other views
+explains every pixel of a correct silhouette, and a correct silhouette never cuts away what another view
+shows.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,7 @@ through."""
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Agreement:
-    """What the other views say of a silhouette."""
+    """Agreement of a silhouette with the other views."""
 
     unexplained_share: float
     """Pixels of the silhouette that no cell of the others' hull explains, of its area."""
@@ -36,15 +37,15 @@ class Agreement:
     """Cells of the others' hull that are seen beside the silhouette, of those seen at all. Large without any
     fault where views are few."""
     carved_share: float = 0.0
-    """What is cut away by this silhouette alone though another view shows it, of that view's silhouette; the
+    """Share of another view's silhouette that only this silhouette cuts away; the
     largest over all others. 0 where `missed_share` is too small to matter."""
     hole_share: float = 0.0
-    """Holes of the mask that no other view looks through, of its area; 0 where no view is near enough."""
+    """Holes of the mask that no other view sees through, of its area; 0 where no view is near enough."""
     speck_share: float = 0.0
     """Small islands of the mask that are not explained, of its area."""
     num_specks: int = 0
     moved_share: float = 1.0
-    """What is left of the disagreement if the silhouette may be moved and scaled in the picture: small where
+    """Disagreement that remains after the best shift and scale of the silhouette: small if
     the camera is wrong and not the mask."""
 
 
@@ -67,7 +68,7 @@ def compare(
     if trusted.sum() < max(2, len(silhouettes) // 2):
         trusted[:] = True
     against = hull.against(trusted)
-    # What all trusted views but one agree on; who is in doubt has no vote that could be taken off.
+    # The cells on which all trusted views but one agree; a view in doubt has no vote to subtract.
     cores = [hull.cells(against, 0, v if trusted[v] else None) for v in views]
     dense = _have_neighbours(hull, silhouettes)
     found = [
@@ -164,7 +165,7 @@ def _carved(
 
 
 def moved_share(silhouette: Silhouette, core: Float[ndarray, "points 3"], spacing: float) -> float:
-    """Return how much of the disagreement is left after the best shift and scale of the silhouette.
+    """Return the share of the disagreement that remains after the best shift and scale of the silhouette.
 
     Near 0, a turned or displaced camera explains everything; 1 means that it explains nothing.
     """

@@ -73,7 +73,7 @@ def _depth_map(
 
 @dataclass(frozen=True, slots=True)
 class Exposures:
-    """What common points say of each view, in EV; 0 where too few of them are seen."""
+    """Exposure of each view from common points, in EV; 0 where too few of them are visible."""
 
     offsets: Float[ndarray, " views"]
     """By how much the view is brighter than the others show the same points; the median is 0."""

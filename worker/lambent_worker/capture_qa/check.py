@@ -1,7 +1,7 @@
-"""Looks at a capture before any training, in a child process that cannot harm anyone.
+"""Checks a capture before training, in a child process with restricted rights.
 
 The child may use 2 GiB of address space, ten minutes of processor time, and cannot write files. A picture
-that makes it die is named, left out, and the rest is checked without it.
+that crashes it is reported and left out, and the rest is checked without it.
 """
 
 import json
@@ -24,7 +24,7 @@ MAX_MEMORY_BYTES = 2 * 2**30
 MAX_CPU_S = 600
 MAX_WALL_S = 900
 MAX_DEATHS = 5
-"""Files that may kill the child before the check gives up."""
+"""Maximum number of files that may crash the child before the check gives up."""
 MAX_THUMBNAIL_CHARACTERS = 64 * 1024
 _BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
@@ -106,7 +106,7 @@ def _run_child(
 
 
 def _thumbnail(value: dict[str, Any]) -> dict[str, str]:
-    """Return a thumbnail by its frame, if it is what it should be: the child has read files of strangers."""
+    """Return a thumbnail by its frame, if it is valid: the child has read untrusted files."""
     name, data = value.get("name"), value.get("jpeg")
     if not isinstance(name, str) or not isinstance(data, str):
         return {}

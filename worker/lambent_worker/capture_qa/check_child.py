@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def limit_resources(memory_bytes: int, cpu_s: int) -> None:
-    """Take away from this process what reading pictures does not need, for good."""
+    """Drop all rights of this process that reading pictures does not need, permanently."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
@@ -42,7 +42,7 @@ def tell(kind: str, value: object) -> None:
 
 
 def announce(path: str) -> None:
-    """Say which file is read next; nothing where none is."""
+    """Announce the file that is read next; empty if none is."""
     tell("reading", path)
 
 

@@ -1,4 +1,4 @@
-"""What a look at a capture found."""
+"""Result of a capture check."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from lambent_proto.v1 import capture_pb2, scene_pb2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CaptureCheck:
-    """What a look at a capture found."""
+    """Result of a capture check."""
 
     report: scene_pb2.SceneReport
     figures: capture_pb2.CaptureFigures | None = None

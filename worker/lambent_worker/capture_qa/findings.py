@@ -1,4 +1,4 @@
-"""Turns figures into findings: what will hurt, where, and what to do."""
+"""Turns figures into findings: what is wrong, where, and what to do."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class _Complaint:
     badness: float
     """Orders the worst first."""
     what: str
-    """What is wrong with it: the middle of a sentence."""
+    """The problem, as the middle of a sentence."""
 
 
 def note_findings(
@@ -121,9 +121,9 @@ def _note_masks(
     for code, complaints, advice in (
         ("scene.pose_inconsistent", turned, "solve its pose again, or leave the frame out"),
         ("scene.mask_leak", leaking, "cut the background out"),
-        ("scene.mask_incomplete", missing, "mend the mask, or leave the frame out"),
+        ("scene.mask_incomplete", missing, "fix the mask, or leave the frame out"),
         ("scene.mask_specks", specks, "clean the mask: remove islands of a few pixels"),
-        ("scene.mask_border", cut, "show the whole object, or mend the mask"),
+        ("scene.mask_border", cut, "show the whole object, or fix the mask"),
     ):
         _note(code, complaints, advice, limits, problems)
     return frozenset(each.name for each in (*turned, *leaking, *missing))

@@ -1,4 +1,4 @@
-"""The visual hull: what is left of space when every view cuts away what its silhouette does not cover."""
+"""The visual hull: the space that remains when every view cuts away what its silhouette does not cover."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""From which figure on something is worth a word to the owner of a capture."""
+"""Limits above which a figure becomes a finding."""
 
 from dataclasses import dataclass
 

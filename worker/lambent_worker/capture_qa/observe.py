@@ -1,4 +1,4 @@
-"""Reads the pictures of a capture once, small, and measures what a single picture can tell."""
+"""Reads the pictures of a capture once, at reduced size, and measures each of them."""
 
 import base64
 import io
@@ -27,7 +27,7 @@ _LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PictureObservation:
-    """What one photograph tells by itself."""
+    """Measurements of one photograph."""
 
     light: str
     path: str
@@ -41,7 +41,7 @@ class PictureObservation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Observation:
-    """What is known of a frame once its pictures have been read."""
+    """Measurements of a frame after reading its pictures."""
 
     frame: scene_pb2.Frame
     camera: PictureCamera

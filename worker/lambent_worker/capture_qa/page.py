@@ -1,4 +1,4 @@
-"""Builds the page that shows a capture before any training: findings, thumbnails, the sphere of views."""
+"""Builds the report page of a capture: findings, thumbnails, the sphere of views."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ class Figure:
 
 
 def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
-    """Return a page that needs nothing beside it: no script, no style sheet, no picture file.
+    """Return a self-contained page: no script, no style sheet, no picture file.
 
     Everything that came with the capture, such as names of frames, is escaped.
     """

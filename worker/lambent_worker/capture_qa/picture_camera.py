@@ -1,4 +1,4 @@
-"""Where points of the scene are seen in a picture file, at any working size, lens included."""
+"""Projects points of the scene into a picture file, at any working size, including lens distortion."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -90,7 +90,7 @@ def _distorted(x: ndarray, y: ndarray, distortion: tuple[float, ...]) -> tuple[n
     square = x * x + y * y
     grown = 1.0 + square * (k1 + square * (k2 + square * k3))
     scale = grown / (1.0 + square * (k4 + square * (k5 + square * k6)))
-    # Where the distorted radius falls again, points from outside would be folded into the picture.
+    # Where the distorted radius decreases again, outside points would be folded into the picture.
     beyond = (1.0 + square * (3.0 * k1 + square * (5.0 * k2 + square * 7.0 * k3)) <= 0.0) & (square > 0.0)
     both = x * y
     bent_x = x * scale + 2.0 * p1 * both + p2 * (square + 2.0 * x * x)

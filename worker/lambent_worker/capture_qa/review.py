@@ -1,4 +1,4 @@
-"""The look at a capture that is known to be usable: measures it, and adds to its report what that means."""
+"""Measures a capture that is known to be usable and adds the resulting findings to its report."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +10,7 @@ from lambent_worker.capture_qa.findings import note_findings
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.scenes.problems import MAX_FINDINGS, Problems
 
-# What the first look says of single silhouettes is said better, or taken back, once all of them are compared.
+# Findings of the first check about single silhouettes are replaced or dropped after comparing all of them.
 COARSE_CODES = frozenset({"scene.mask_disagrees"})
 
 
@@ -21,7 +21,7 @@ def review(
     limits: CaptureLimits,
     announce: Callable[[str], None] = lambda path: None,
 ) -> Examination:
-    """Return what was measured on the capture, after adding to `report` what will hurt.
+    """Return the measurements of the capture, after adding the findings to `report`.
 
     `announce` is called with the path of each file before it is decoded, and with "" once none is.
     """
@@ -34,7 +34,7 @@ def review(
     fresh = [
         finding
         for finding in problems.findings()
-        # Whether masks and poses agree at all is settled by the first look.
+        # The first check has established whether masks and poses agree at all.
         if finding.code != "scene.poses_inconsistent" or "scene.silhouettes_disagree" not in known
     ]
     del report.findings[:]

@@ -1,4 +1,4 @@
-"""The sphere of views: from which sides the object was photographed, and from which not."""
+"""The sphere of views: the directions from which the object was photographed, and the gaps."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A copy of a bundle with one more fast cache, adapted to an environment."""
+"""Writes a copy of a bundle with an additional fast cache that is adapted to an environment."""
 
 from collections.abc import Mapping
 from hashlib import sha256

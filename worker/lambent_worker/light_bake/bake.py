@@ -1,4 +1,4 @@
-"""Adapts the fast cache of a run or a bundle to an environment and writes the bundle that has it."""
+"""Adapts the fast cache of a run or a bundle to an environment and writes the resulting bundle."""
 
 import math
 import re
@@ -40,13 +40,13 @@ MAP_ROWS = 256
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BakeRequest:
-    """What a light bake is asked to do."""
+    """Settings of a light bake."""
 
     environment: Path
     name: str = ""
-    """The light's name in the bundle; empty: the file's, without suffix."""
+    """The light's name in the bundle; empty: the file name without suffix."""
     rotate_deg: float = 0.0
-    """Turns the light by this angle about +z."""
+    """Rotation of the light about +z."""
     albedo_ratio: tuple[float, float, float] | None = None
     """Factor on the stored albedo; None: the bundle's own."""
     config: LightBakeConfig = field(default_factory=LightBakeConfig)
@@ -64,8 +64,8 @@ class BakeRequest:
 def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter) -> AdaptedLight:
     """Write to `out` the bundle of `source`, a run folder or a bundle, with a cache adapted to a light.
 
-    With a run, the NeRF cache says where secondary rays stop; a bundle alone has its fast cache for that. A
-    bake that was stopped goes on from its last checkpoint, in `OUT.work`. Raises `UsageError` for a source or
+    With a run, the NeRF cache determines where secondary rays stop; with a bundle alone, its fast cache does.
+    An interrupted bake resumes from its last checkpoint, in `OUT.work`. Raises `UsageError` for a source or
     an environment that cannot be used, and where `out` exists.
     """
     if out.exists():

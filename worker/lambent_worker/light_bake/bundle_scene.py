@@ -1,7 +1,7 @@
-"""What a light bake needs of a bundle alone: its fast cache in torch, its surface from its own networks.
+"""The scene of a light bake from a bundle alone: its fast cache in torch, its surface from its own networks.
 
-A bundle has no NeRF cache. Where its rays stop is what its fast cache says, with the expected distance for
-the point that is met; the second term of the estimate then only brings in further bounces sooner.
+A bundle has no NeRF cache. Its fast cache determines where rays stop, and its expected distance gives the
+hit point; the second term of the estimate then only adds further bounces sooner.
 """
 
 from dataclasses import dataclass
@@ -110,7 +110,7 @@ class BundleScene:
     albedo_ratio: Float[Tensor, "3"]
 
     def starts(self, count: int, generator: torch.Generator) -> ShadingPoints:
-        """Return at most `count` points that rays from the cameras into the bundle's box meet."""
+        """Return at most `count` points where rays from the cameras hit the surface in the bundle's box."""
         origins, directions = rays_into_box(self.viewpoints, self.box, RAYS_PER_POINT * count, generator)
         seen = self.caches.gbuffer(origins.numpy(), directions.numpy())
         kept = torch.from_numpy(np.flatnonzero(seen.opacity[:, 0] > SOLID)[:count])
@@ -120,7 +120,7 @@ class BundleScene:
         return ShadingPoints(positions, normal, omega_o, torch.zeros(len(kept), dtype=torch.long))
 
     def meet(self, rays: SecondaryRays, generator: torch.Generator) -> Hits:
-        """Return what the fast cache says that secondary rays meet."""
+        """Return the hits of secondary rays according to the fast cache."""
         seen = self.caches.secondary(rays.origins.numpy(), rays.directions.numpy())
         opacity, distance = (torch.from_numpy(values)[:, 0] for values in (seen.opacity, seen.distance))
         positions = rays.origins + distance[:, None] * rays.directions

@@ -1,8 +1,8 @@
-"""How far an adapted cache and baked transport are from the physical model, on rays that taught neither.
+"""Errors of an adapted cache and of baked transport relative to the physical model, on held-out rays.
 
-The model's estimate of a ray is the one that a light bake learns from, with two bounces of its own; what came
-by three or more is the adapted cache's. Its noise does not count as an error: of two independent estimates r
-and r', the mean of (answer - r) (answer - r') is the squared distance to what both estimate.
+The model's estimate of a ray is the training target of a light bake, with two bounces of its own; light from
+three or more bounces is the adapted cache's. Its noise does not count as an error: of two independent
+estimates r and r', the mean of (answer - r) (answer - r') is the squared distance to what both estimate.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ from lambent_relight.renderer import Renderer
 from torch import Tensor
 
 Answer = Callable[[SecondaryRays], Float[Tensor, "rays 3"]]
-"""The premultiplied radiance that arrives along rays from what they meet."""
+"""The premultiplied radiance that arrives along rays from their hit points."""
 
 _ROUNDS = 4
 """Draws of surface points and rays, as many of each as a step of the bake has."""
@@ -73,7 +73,7 @@ def judged(stage: LightBake, transported: Answer | None) -> Errors:
 
 
 def transported(bundle: Bundle, environment: Environment, light: AdaptedLight) -> Answer | None:
-    """Return what refined relighting takes from baked transport instead; None where there is none.
+    """Return the radiance that refined relighting takes from baked transport; None without transport.
 
     `environment` is turned already.
     """

@@ -1,8 +1,8 @@
-"""Lets all views agree on where the object is: colours vote for cells of space, cells vote for pixels.
+"""Finds the object by agreement of all views: colours vote for cells of space, cells vote for pixels.
 
-A cell of the object is seen as object by every view; an empty one is seen as background by some. So a view
-that says background speaks louder than one that says object, and a few that are mistaken are outvoted: a soft
-visual hull. What it says of a view, that view's own vote left out, is the prior for the next look at its
+A cell of the object is seen as object by every view; an empty one is seen as background by some. So a vote
+for background weighs more than one for object, and a few mistaken views are outvoted: a soft
+visual hull. Its prediction for a view, without that view's own vote, is the prior for the next round of
 colours.
 """
 
@@ -23,21 +23,21 @@ _BORDER = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Leaning:
-    """Whom to believe how much."""
+    """Weights of the sources of evidence."""
 
     colour: float
     """Factor on the log odds of colours."""
     distance: float
     """Factor on the log odds of distances from the border."""
     most_hull: float
-    """Most that the hull may say for the object, log odds."""
+    """Largest evidence of the hull for the object, log odds."""
     least_hull: float
-    """Most that it may say against it."""
+    """Largest evidence of the hull against the object, log odds."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConsensusSettings:
-    """How the views are brought to agree."""
+    """Settings of the agreement between views."""
 
     rounds: int = 5
     cells: int = 48
@@ -49,10 +49,10 @@ class ConsensusSettings:
     refit_after: tuple[int, ...] = (1, 3)
     """Rounds after which the box closes in on the object."""
     against: float = 2.0
-    """Most that one view may say against a cell, log odds; and for it: `in_favour`."""
+    """Largest vote of one view against a cell, log odds; and for it: `in_favour`."""
     in_favour: float = 0.6
     unseen: float = -0.3
-    """What a view says of a cell it does not show."""
+    """Vote of a view for a cell outside its picture."""
     scale: float = 6.0
     """Votes for a cell that are worth one unit of log odds in a pixel."""
 
@@ -128,7 +128,7 @@ def agree(
 def _ball(
     camera: PictureCamera, centre: Float[ndarray, "3"], radius: float
 ) -> Float[ndarray, "height width"]:
-    """Return the first belief: somewhere around the point that is looked at."""
+    """Return the initial estimate: a ball around the point the cameras look at."""
     column, row, _ = camera.project(centre[None])
     pixels = max(radius * camera.pixels_per_unit(centre), 1.0)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -160,7 +160,7 @@ def _grid(
 def _votes(
     odds: Float[ndarray, "height width"], grid: _Grid, view: int, settings: ConsensusSettings
 ) -> Float[ndarray, " points"]:
-    """Return what a view says of each cell, log odds of object against empty space.
+    """Return a view's vote for each cell, log odds of object against empty space.
 
     An object's cell looks like the object but for one mistake in fifteen, an empty one in half of the views.
     """
@@ -180,7 +180,7 @@ def _prior(
     leaning: Leaning,
     settings: ConsensusSettings,
 ) -> Float[ndarray, "height width"]:
-    """Return what the cells behind each pixel say of it, log odds.
+    """Return the evidence of the cells behind each pixel, log odds.
 
     Against the object where no cell is solid within reach of a cell's size; for it only further inside, since
     cells are larger than pixels.

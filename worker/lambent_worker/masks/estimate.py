@@ -1,6 +1,6 @@
-"""The built-in estimate: tries several ways to weigh colours against views, and believes the most consistent.
+"""The built-in estimate: tries several weightings of colours and views, and uses the most consistent one.
 
-How close it comes is measured in docs/benchmarks/masks.md.
+docs/benchmarks/masks.md has its accuracy.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ LEANINGS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EstimateSettings:
-    """Sizes, and when an estimate is not to be believed."""
+    """Sizes, and thresholds below which an estimate is rejected."""
 
     consensus_side: int = 128
     """Longer side at which the views are brought to agree, pixels."""
@@ -42,7 +42,7 @@ class EstimateSettings:
     temperature: float = 0.005
     """Difference in consistency between two leanings at which the better one counts e times as much."""
     min_views: int = 8
-    """Fewer views agree on almost anything."""
+    """With fewer views, almost any estimate is consistent."""
     min_consistency: float = 0.85
     """Least median overlap of a mask with what the others make of it. Estimates that are right reach 0.91 to
     0.96 on the benchmark scenes (true masks 0.95 to 0.96, limited by the size of the cells)."""
@@ -60,7 +60,7 @@ class EstimateSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Consistency:
-    """How far masks agree with each other; one value per view."""
+    """Agreement of the masks with each other; one value per view."""
 
     overlap: Float[ndarray, " views"]
     """Intersection over union of the mask and the hull of the others."""
@@ -70,12 +70,12 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Masks, and how far they can be believed."""
+    """Masks with their reliability."""
 
     coverages: list[Float[ndarray, "height width"]]
     consistency: Consistency
     separation: Float[ndarray, " views"]
-    """How well colours tell object from background, 0.5 to 1; see `evidence.separation`."""
+    """How well colours separate object and background, 0.5 to 1; see `evidence.separation`."""
 
 
 def estimate_masks(views: Sequence[MaskView], settings: EstimateSettings) -> Estimate:

@@ -1,4 +1,4 @@
-"""What a pixel tells of being object or background: its colour, and the edges between it and the border.
+"""Evidence for object or background at a pixel: its colour, and the edges between it and the border.
 
 Probabilities become tables of colours and distances, smoothed histograms that are made anew in every round,
 so nothing has to be known of the background but that the border of a picture shows it.
@@ -112,7 +112,7 @@ def distance_odds(
 def separation(
     labs: Sequence[Float[ndarray, "height width 3"]], coverages: Sequence[Float[ndarray, "height width"]]
 ) -> Float[ndarray, " views"]:
-    """Return how well the colours of other views' masks tell object from background in each view.
+    """Return how well the colours of other views' masks separate object and background in each view.
 
     That is the chance that a pixel inside of the view's mask has a colour that is more of the object's than
     one outside: 1 where they never look alike, 0.5 where the masks have nothing to do with the pictures. Even

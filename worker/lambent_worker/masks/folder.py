@@ -1,4 +1,4 @@
-"""Writes the masks of a capture into a folder, with a sheet of thumbnails to look at."""
+"""Writes the masks of a capture to a folder, with a sheet of thumbnails for checking."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,20 +26,20 @@ DOUBTFUL_OVERLAP = 0.75
 _THUMBNAIL_SIDE = 160
 _COLUMNS = 8
 _BEHIND = 0.4
-"""Share of the background that shines through, so that a part of the object that was lost is seen."""
+"""Visible share of the background, so that lost parts of the object can be seen."""
 _LABEL_HEIGHT = 14
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WrittenMasks:
-    """What `write_masks` has made."""
+    """Result of `write_masks`."""
 
     folder: Path
     """One PNG for each frame, named like it."""
     sheet: Path
     """Thumbnails with the outlines."""
     overlap: float
-    """Median agreement of the views, 0..1; 1 where a segmenter of somebody else made the masks."""
+    """Median agreement of the views, 0..1; 1 for masks from an external segmenter."""
     doubtful: tuple[str, ...]
     """Frames on which the views do not agree, the worst first."""
 

@@ -1,4 +1,4 @@
-"""The seam for somebody else's segmentation: `module:callable`, or a name that a package offers."""
+"""The interface for external segmenters: `module:callable`, or a name registered by a package."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -15,7 +15,7 @@ ENTRY_POINTS = "lambent.segmenters"
 
 
 class Segmenter(Protocol):
-    """Says where the object is in the pictures of one capture."""
+    """Finds the object in the pictures of one capture."""
 
     def __call__(self, views: Sequence[MaskView]) -> Sequence[Float[ndarray, "height width"]]:
         """Return for each view how much of each pixel the object covers, 0..1, at the size of its picture.

@@ -1,4 +1,4 @@
-"""Says how well cameras were found, and what to photograph next where that was not well enough."""
+"""Reports how well cameras were found, and which photographs to add if necessary."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from lambent_worker.scenes.world import common_up
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PoseLimits:
-    """When it is worth a word."""
+    """Thresholds of the findings."""
 
     min_share: float = 0.5
     """Share of the photographs whose cameras must be found; below, the capture is refused."""
@@ -33,7 +33,7 @@ class PoseLimits:
 
 
 def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
-    """Note in `problems` what is missing, why, and what to photograph next; nothing where all went well."""
+    """Note in `problems` what is missing, why, and which photographs to add; nothing if all went well."""
     found, total = len(solution.camera_to_world), len(solution.names)
     missing = [name for name in solution.names if name not in solution.camera_to_world]
     if not found:

@@ -24,7 +24,7 @@ class SolvedCapture:
 
     folder: Path
     record: dict[str, Any]
-    """What `poses.json` in it says: photographs, registered, missing, points, reprojection_error_px,
+    """Contents of its `poses.json`: photographs, registered, missing, points, reprojection_error_px,
     findings."""
 
 
@@ -35,7 +35,7 @@ def solve_capture(
     settings: PoseSettings | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> SolvedCapture:
-    """Write a capture to `out` with the photographs whose cameras were found, and return what was found out.
+    """Write a capture to `out` with the photographs whose cameras were found, and return the result.
 
     Where `out` was made from the same photographs, masks and settings it is left as it is. Photographs
     without a camera are left out. Raises `SceneRefusedError` with what to do where the photographs cannot be

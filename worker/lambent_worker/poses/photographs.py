@@ -29,7 +29,7 @@ MIN_PHOTOGRAPHS = 3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Photographs:
-    """Photographs of one object, and where it is in them."""
+    """Photographs of one object, with their masks."""
 
     folder: Path
     names: tuple[str, ...]
@@ -37,7 +37,7 @@ class Photographs:
     masks: dict[str, Path]
     """Mask file of each; empty where there are none."""
     cut_out: bool
-    """Whether their own alpha says where the object is."""
+    """Whether their own alpha is the mask."""
     one_size: bool
     """Whether all have the same number of pixels."""
 
@@ -159,7 +159,7 @@ def _write_mask(photographs: Photographs, name: str, target: Path, problems: Pro
         )
     elif not (coverage > 0.0).any():
         problems.error(
-            "scene.mask_empty", f"{file.name} says that the object is not in {name}; mend the mask", name
+            "scene.mask_empty", f"{file.name} says that the object is not in {name}; fix the mask", name
         )
     target.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.round(255.0 * coverage).astype(np.uint8)).save(target)

@@ -1,7 +1,7 @@
 """Runs COLMAP on a folder of photographs: features, matches of all pairs, cameras one after the other.
 
 The same photographs and seed give the same cameras, nearly: random numbers are seeded and the mapper has one
-thread, but COLMAP adds up in an order that differs from run to run.
+thread, but COLMAP's order of summation differs between runs.
 """
 
 import importlib
@@ -19,7 +19,7 @@ from lambent_worker.errors import UsageError
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PoseSettings:
-    """What COLMAP is asked to do."""
+    """Settings of COLMAP."""
 
     seed: int = 0
     max_side: int = 1600
@@ -32,7 +32,7 @@ class PoseSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Solution:
-    """What came out. Units of space are COLMAP's own, the world has any direction."""
+    """Cameras found by COLMAP; scale and orientation of the world are arbitrary."""
 
     names: tuple[str, ...]
     """All photographs."""

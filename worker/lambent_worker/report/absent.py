@@ -1,4 +1,4 @@
-"""Which figures of the protocol a report lacks, and why: nothing is left out without a word."""
+"""Lists the metrics of the protocol that a report lacks, with the reason for each."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""The whole evaluation of a model: predictions, figures, report.json and report.html."""
+"""Runs the evaluation of a model: predictions, metrics, report.json and report.html."""
 
 from collections.abc import Mapping, Sequence
 

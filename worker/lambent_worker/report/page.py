@@ -53,7 +53,7 @@ def write_page(
     views: Sequence[View],
     ratio: Float[ndarray, "3"] | None,
 ) -> None:
-    """Write the report as a page that needs nothing beside it, from predictions below `out`."""
+    """Write the report as a self-contained page, from predictions below `out`."""
     environment = Environment(
         loader=PackageLoader("lambent_worker.report", "."), autoescape=True, undefined=StrictUndefined
     )
@@ -169,7 +169,7 @@ def _with_error(
 
 
 def _uncertainty_line(out: Path, view: View) -> list[tuple[str, Picture]]:
-    """Return how uncertain the materials are, as heat, white where nothing is."""
+    """Return the uncertainty of the materials as heat, white in the background."""
     values = load(out, "pred", view, "uncertainty")
     albedo = load(out, "pred", view, "albedo")
     if values is None or albedo is None:

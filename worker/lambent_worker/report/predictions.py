@@ -1,4 +1,4 @@
-"""Renders what a trained model says about a scene's views, as float maps that any script can score.
+"""Renders a trained model's predictions for a scene's views, as float maps that any script can score.
 
 pred/<view>/rgba_<light>.npy          straight alpha [H, W, 4], sRGB-encoded, the physically based picture
 pred/<view>/albedo.npy                linear [H, W, 4];  normal.npy world xyz [H, W, 3]

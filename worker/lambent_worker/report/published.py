@@ -1,4 +1,4 @@
-"""Figures that others published, to stand beside ours: tables 1 to 3 of the paper's supplement.
+"""Published figures for comparison with ours: tables 1 to 3 of the paper's supplement.
 
 The files lie in `tables/`; docs/benchmarks/published/README.md says where each comes from.
 """

@@ -1,4 +1,4 @@
-"""What an evaluation is asked for, and what it works on."""
+"""The settings of an evaluation, and the model and scene it works on."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ UNSCALED_VIEWS = 5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EvaluationRequest:
-    """How much to render."""
+    """Settings of an evaluation."""
 
     num_views: int = 0
     """Test views, evenly spaced; 0 for all."""
@@ -38,7 +38,7 @@ class EvaluationRequest:
     max_side: int = 0
     """Longer side of the pictures in pixels; 0 for that of the files."""
     shadows: Shadows = "fast"
-    """Cache that tells what hides a new light; the paper's figures use the NeRF cache."""
+    """Cache that provides shadows under new light; the paper's figures use the NeRF cache."""
     lpips_weights: tuple[Path, ...] = ()
     """Files with the weights of LPIPS; empty for a report without it."""
     exr: bool = False
@@ -63,12 +63,12 @@ class Subject:
     advance: Callable[[], None]
     """Called after every picture; raises `Stopped` when the run was asked to end."""
     rule: RenderRule = field(default_factory=RenderRule)
-    """How the model was trained, and is rendered."""
+    """Estimator with which the model was trained and is rendered."""
     dataset: str = ""
     """Layout of the capture; some data sets have rules of their own."""
     lpips: Lpips | None = None
     uncertainty: UncertaintyGrid | None = None
-    """How well the photographs determine the materials, where it was measured."""
+    """Uncertainty of the materials, if it was measured."""
 
 
 def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:

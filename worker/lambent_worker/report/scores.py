@@ -53,7 +53,7 @@ def albedo_ratios(out: Path, views: Sequence[View]) -> tuple[Float[ndarray, "3"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ruling:
-    """What decides how pictures are compared, and under which names."""
+    """Rules for comparing pictures and naming the metrics."""
 
     held_out: bool
     """Whether the views were kept from training."""
@@ -143,7 +143,7 @@ def _compared(
 
 
 def _score_noise(table: Table, folder: Path, group: str, lights: Sequence[str]) -> None:
-    """Note the mean squared error that the noise of Monte Carlo pictures alone makes in encoded values."""
+    """Note the mean squared error in encoded values that is due to Monte Carlo noise alone."""
     errors, count = [], 0
     for light in lights:
         path = folder / f"rgba_{light}{ERROR_SUFFIX}.npy"

@@ -1,4 +1,4 @@
-"""Where the photographs leave materials open: measured at points of the surface, kept as a grid.
+"""Ambiguity of the materials: measured at points of the surface, stored as a grid.
 
 docs/discussion/uncertainty.md says what the values mean.
 """
@@ -61,7 +61,7 @@ def measure_uncertainty(
     num_points: int = NUM_POINTS,
     priors: Priors = PRIORS,
 ) -> UncertaintyGrid | None:
-    """Return how well the training photographs of `scene` determine the materials of `model`.
+    """Return the uncertainty of the materials of `model` given the training photographs of `scene`.
 
     Half of the points lie where photographs look, half anywhere on the outer surface. None where there are no
     training photographs, or the model has hardly any surface.

@@ -1,4 +1,4 @@
-"""Says how far the predicted uncertainty of albedo can be trusted, where the true albedo is known."""
+"""Scores the predicted uncertainty of albedo where the true albedo is known."""
 
 from pathlib import Path
 
@@ -21,8 +21,8 @@ INTERIOR_ALPHA = 0.99
 def score_uncertainty(table: Table, out: Path, view: View, ratio: Float[ndarray, "3"]) -> None:
     """Note how predicted and actual relative errors of albedo go together on the object's inner pixels.
 
-    `albedo_rank_correlation` is Spearman's, 1 where pixels that are said to be less certain are always more
-    wrong. `albedo_calibration` is the root mean square of actual over predicted error: 1 where the sizes are
+    `albedo_rank_correlation` is Spearman's, 1 if pixels with higher predicted uncertainty always have larger
+    errors. `albedo_calibration` is the root mean square of actual over predicted error: 1 where the sizes are
     right, larger where the prediction is too sure.
     """
     uncertainty = load(out, "pred", view, "uncertainty")

@@ -1,4 +1,4 @@
-"""What a layout's reader hands on: frames and lights, before extents are chosen."""
+"""Result of a layout's reader: frames and lights, before extents are chosen."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ from lambent_worker.scenes.exposure import Exposure
 
 @dataclass(kw_only=True, slots=True)
 class Capture:
-    """A folder understood frame by frame."""
+    """A capture, frame by frame."""
 
     name: str
     frames: list[scene_pb2.Frame] = field(default_factory=list)
@@ -21,7 +21,7 @@ class Capture:
     box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Corners of a box around the object, where the capture states it."""
     up_is_z: bool = True
-    """Whether the layout says that z points up; otherwise the cameras are asked."""
+    """Whether z points up in the layout; otherwise the up direction is estimated from the cameras."""
     exposures: dict[str, Exposure] = field(default_factory=dict)
     """By frame name, where the capture states them beside the pictures."""
     other_files: set[str] = field(default_factory=set)

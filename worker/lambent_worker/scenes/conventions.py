@@ -1,4 +1,4 @@
-"""Other ways in which a program could have meant its camera matrices, to tell the owner which one it was."""
+"""Alternative conventions for camera matrices, to report which one a program used."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from numpy import ndarray
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Convention:
-    """How to turn the poses of a capture if they follow another convention."""
+    """Conversion of a capture's poses from another convention."""
 
     advice: str
-    """What the owner should do, as the end of a sentence."""
+    """Advice, as the end of a sentence."""
     camera_axes: Float64[ndarray, "4 4"]
     """Multiplied from the right."""
     is_world_to_camera: bool = False

@@ -1,4 +1,4 @@
-"""What of each picture is the object: mask files, alpha, and the two together."""
+"""Coverage of each picture by the object: mask files, alpha, and their combination."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Finds out which layout a folder has and describes it as a `SceneManifest`."""
+"""Detects the layout of a folder and describes it as a `SceneManifest`."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def collect_scene(
     """Return what could be understood of `folder`; everything that is wrong goes to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
-    `masks` is a folder of masks that go before those of the layout.
+    `masks` is a folder of masks that override those of the layout.
     """
     if layout is not None and layout not in READERS:
         raise UsageError(
@@ -99,7 +99,7 @@ def describe_scene(
 ) -> scene_pb2.SceneManifest:
     """Return the description of the capture in `folder`, all lights included.
 
-    `masks` is a folder of masks that go before those of the layout. Where there are masks they say where the
+    `masks` is a folder of masks that override those of the layout. Where there are masks they say where the
     object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
     show; other pixels are looked at by `lambent_worker.capture_qa.check`.
     """

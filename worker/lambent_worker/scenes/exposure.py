@@ -1,4 +1,4 @@
-"""How much light each photograph let in, from EXIF or from the capture's own words."""
+"""Exposure of each photograph, from EXIF or from the capture's metadata."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +54,7 @@ def exif_exposure(path: Path) -> Exposure | None:
     if path.suffix.lower() not in PILLOW_FORMATS:
         return None
     with opened(path) as image:
-        # PNG may keep EXIF behind the pixels; looking for it would decode them all.
+        # PNG may store EXIF after the pixels; looking for it would decode them all.
         if image.format == "PNG" and "exif" not in image.info:
             return None
         try:
@@ -71,7 +71,7 @@ def set_exposures(
 ) -> None:
     """Fill in `Frame.exposure` where the photographs differ: exposure of the first frame over its own.
 
-    `stated` (by frame name) goes before EXIF. Where only some photographs tell, or those of one frame (under
+    `stated` (by frame name) overrides EXIF. Where only some photographs tell, or those of one frame (under
     several lights) disagree on its factor, all factors stay 1 and a finding says so.
     """
     for frame in frames:

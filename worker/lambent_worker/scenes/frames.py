@@ -1,4 +1,4 @@
-"""What every layout's frames have in common: unique names, one size, no pictures left over."""
+"""Checks common to all layouts: unique names, equal sizes, no unused pictures."""
 
 from collections import Counter
 from pathlib import Path, PurePosixPath

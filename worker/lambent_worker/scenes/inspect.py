@@ -1,4 +1,4 @@
-"""Looks at everything in a capture: cameras, every picture, and files that have no place there."""
+"""Checks everything in a capture: cameras, every picture, and files that do not belong there."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -142,7 +142,7 @@ def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], pr
     elif not (coverage > 0.0).any():
         problems.error(
             "scene.mask_empty",
-            f'{frame.mask} (frame "{frame.name}") says that the object is not in the picture; mend the mask '
+            f'{frame.mask} (frame "{frame.name}") says that the object is not in the picture; fix the mask '
             "or leave the frame out",
             frame.mask,
         )

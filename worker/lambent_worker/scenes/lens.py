@@ -21,7 +21,7 @@ BORDER_SAMPLES = 65
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LensFigures:
-    """What a layout says about the lens of a picture, in pixels of that picture."""
+    """Lens parameters of a picture as given by a layout, in pixels of that picture."""
 
     width: int
     height: int

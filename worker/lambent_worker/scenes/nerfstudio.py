@@ -100,7 +100,7 @@ def _choose_splits(folder: Path, transforms: dict[str, Any], capture: Capture, p
             continue
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             problems.error(
-                "scene.metadata_unreadable", f"{FILE}: {key} must be a list of file names; mend it", FILE
+                "scene.metadata_unreadable", f"{FILE}: {key} must be a list of file names; fix it", FILE
             )
             continue
         lists[key] = {name.removeprefix("./") for name in names}

@@ -1,4 +1,4 @@
-"""The one exception of everything that opens pictures."""
+"""The exception raised by everything that opens pictures."""
 
 
 class PictureError(Exception):

@@ -65,7 +65,7 @@ def picture_size(path: Path) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class PictureFacts:
-    """What a check needs to know about the pixels of a picture."""
+    """Facts about the pixels of a picture for a check."""
 
     is_finite: bool
     is_empty: bool

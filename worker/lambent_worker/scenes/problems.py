@@ -1,4 +1,4 @@
-"""Collects what is wrong with a scene, all of it, instead of ending at the first problem."""
+"""Collects all problems of a scene instead of stopping at the first one."""
 
 from lambent_proto.v1 import scene_pb2
 
@@ -35,13 +35,13 @@ class Problems:
         rest = _finding(
             "scene.more_findings",
             severity,
-            f"{left_out} more findings are not listed; mend these first and check again",
+            f"{left_out} more findings are not listed; fix these first and check again",
             "",
         )
         return [*everything[: MAX_FINDINGS - 1], rest]
 
 
 def _finding(code: str, severity: scene_pb2.Severity, message: str, subject: str) -> scene_pb2.Finding:
-    # Names from strangers' files may hold halves of characters, which no message can carry.
+    # Names from untrusted files may contain lone surrogates, which a message cannot encode.
     message, subject = (text.encode("utf-8", "replace").decode("utf-8") for text in (message, subject))
     return scene_pb2.Finding(code=code, severity=severity, message=message, subject=subject)

@@ -12,7 +12,7 @@ from lambent_worker.scenes.lens import distorted
 
 ROWS_AT_ONCE = 256
 SUPERSAMPLING = 2
-"""How much larger than the result a picture is while distortion is undone, at most."""
+"""Maximum oversampling while distortion is removed."""
 
 
 def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:

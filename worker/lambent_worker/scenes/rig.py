@@ -1,4 +1,4 @@
-"""Checks whether the cameras of a capture, taken together, can see an object."""
+"""Checks whether the cameras of a capture can see a common object."""
 
 import numpy as np
 from jaxtyping import Float64

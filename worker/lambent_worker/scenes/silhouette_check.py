@@ -82,7 +82,7 @@ def check_silhouettes(views: list[Silhouette], problems: Problems) -> None:
             problems.warning(
                 "scene.mask_disagrees",
                 f'frame "{view.name}": only {100.0 * share:.0f} % of its mask lies where the other masks '
-                "allow the object to be; its pose or its mask is wrong, mend it or leave the frame out",
+                "allow the object to be; its pose or its mask is wrong, fix it or leave the frame out",
                 view.name,
             )
         return

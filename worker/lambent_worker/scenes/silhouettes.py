@@ -1,4 +1,4 @@
-"""The space that all masks together leave for the object: a grid of points, carved by the cameras.
+"""The space that all masks allow for the object: a grid of points, carved by the cameras.
 
 A point belongs to the hull when almost every camera that shows it shows it inside the mask. Poses that follow
 another convention leave too little to explain the masks, which is how wrong axes are found.
@@ -38,7 +38,7 @@ SINGLE_AGREEMENT = 0.95
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Silhouette:
-    """What one camera shows of the object."""
+    """The object's silhouette in one camera."""
 
     name: str
     pose: Float64[ndarray, "4 4"]
@@ -58,7 +58,7 @@ class Hull:
     spacing: Float64[ndarray, "3"]
     """Distance between neighbours."""
     open_low: Bool[ndarray, "3"]
-    """Where it reaches the border of the volume that was looked at, so that it may be larger."""
+    """Sides on which it reaches the border of the searched volume, so that it may be larger."""
     open_high: Bool[ndarray, "3"]
 
     @property

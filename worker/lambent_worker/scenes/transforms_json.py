@@ -1,4 +1,4 @@
-"""What transforms files of all kinds share: naming pictures, and lenses by angle or in pixels.
+"""Common parts of all transforms files: naming pictures, and lenses by angle or in pixels.
 
 The figures of a lens may stand in the file or in a frame: `camera_angle_x`, or `fl_x` (`fl_y`, `cx`, `cy`) in
 pixels of a picture of `w` x `h`; OpenCV's distortion `k1`, `k2`, `p1`, `p2`, `k3`, with `camera_model`

@@ -1,4 +1,4 @@
-"""The coordinates a scene is worked on in: object at the origin, of the size the method expects, upright.
+"""Working coordinates of a scene: object at the origin, of the size the method expects, upright.
 
 The methods' numbers (contraction, hash grids, smoothness steps) are meant for an object of about 1.5 units
 around the origin with z up. `SceneManifest.world_from_capture` records what was done to reach that.

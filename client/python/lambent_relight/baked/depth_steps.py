@@ -1,4 +1,4 @@
-"""Where the surface that a camera sees jumps: outlines of parts of the object before other parts of it."""
+"""Depth discontinuities in a view: outlines of parts of the object in front of other parts."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from lambent_relight.baked.view import BakedView
 
 _LEAST_STEP = 4.0
-"""A step in depth is an edge from this many times the distance between two pixels on the surface."""
+"""Depth differences above this many times the distance between two pixels on the surface are edges."""
 _SAME_PART = 0.25
-"""A pixel is of a step's near or far part if it is no further from it than this share of the step."""
+"""A pixel belongs to a step's near or far side if it is no farther from it than this share of the step."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthSteps:
-    """Pixels of a view beside which the surface jumps; numbers of pixels in the view, [step] each."""
+    """Depth discontinuities of a view; indices of pixels in the view, [step] each."""
 
     at: NDArray[np.int64]
     near: NDArray[np.int64]
-    """The pixel that shows what is in front: `at` itself or one of its eight neighbours."""
+    """The pixel that shows the near side: `at` itself or one of its eight neighbours."""
     far: NDArray[np.int64]
 
     def __getitem__(self, which: NDArray[np.bool_]) -> "DepthSteps":
@@ -28,7 +28,7 @@ class DepthSteps:
 
 
 def depth_steps(view: BakedView) -> DepthSteps:
-    """Return the steps of a view, by rising pixel.
+    """Return the depth steps of a view, sorted by pixel.
 
     One over the depth of a plane is linear in a picture, so second differences of it show steps and creases,
     however slanted the surface is.

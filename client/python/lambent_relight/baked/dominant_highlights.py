@@ -1,13 +1,13 @@
 """Dominant lights in the specular lobe of baked pictures: each with its own shadow and its exact reflection.
 
-Harmonics of the visibility are too smooth to say whether one bright light is hidden. What the prefiltered map
-holds of a dominant light is therefore taken out of it again,
+Harmonics of the visibility are too smooth to resolve the shadow of a single bright light. The contribution of
+a dominant light is therefore removed from the prefiltered map,
 
     K(mirror . l) E_l,   K(c) = w(c) / (2 pi integral of w over the cosines 0..1),
 
-with the weight w of `environment.prefilter` and E_l the light's radiance times solid angle, and what is
-taken out comes back as the GGX reflection of E_l from l, times the share of it that the shadow bits let
-through. A lobe much narrower than a light sees its extent: there the map stays as it is.
+with the weight w of `environment.prefilter` and E_l the light's radiance times solid angle, and
+replaced by the GGX reflection of E_l from l, times the share of it that passes the shadow
+bits. A lobe much narrower than a light resolves its extent: there the map is not changed.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from lambent_relight.compiling import COMPILE_OPTIONS
 Rows = NDArray[np.float32]
 
 NARROW_ALPHA, WIDE_ALPHA = 0.05, 0.15
-"""GGX widths between which dominant lights are faded in; the radius of a light is 0.14 (8 degrees)."""
+"""GGX widths over which dominant lights are faded in; the radius of a light is 0.14 (8 degrees)."""
 _EVEN = 1e-3
 
 

@@ -1,9 +1,9 @@
-"""Soft edges: what the trained volume shows where the mesh, made from it, ends sharply.
+"""Soft edges: the trained volume's appearance at the sharp edges of the mesh extracted from it.
 
-Pixels at the mesh's border, and those where one part of the object ends before another, are few, so they are
-asked of the bundle's `gbuffer` function, as every pixel of a refined picture is. It says how much of the
-pixel is covered, of which material, and how far away in the mean: between two parts that tells how much of
-either is seen. Everywhere else the mesh decides.
+Pixels at the mesh's border and at depth discontinuities are few, so they are evaluated with the bundle's
+`gbuffer` function, like every pixel of a refined picture. It returns the pixel's coverage, material and
+mean distance; at a discontinuity the distance gives the share of either side. All other pixels come from
+the mesh.
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +21,11 @@ _AROUND = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def with_soft_edges(view: BakedView, caches: SurfaceCaches, antialias: int) -> BakedView:
-    """Return `view` as the volume shows it within one pixel of the mesh's border and of steps in depth.
+    """Return `view` with pixels next to the mesh's border and to depth steps taken from the volume.
 
-    A pixel that the mesh misses takes its light from the nearest pixel that it does not miss, one at a step
-    from both sides. Pixels that the volume does not cover are left out. Without networks to ask, the mesh's
-    edges stay.
+    A pixel that the mesh does not cover takes its light from the nearest one that it covers, one at a step
+    from both sides. Pixels that the volume does not cover are left out. Without networks, the mesh's
+    edges are kept.
     """
     if isinstance(caches, NoCaches):
         return view
@@ -56,11 +56,11 @@ def with_soft_edges(view: BakedView, caches: SurfaceCaches, antialias: int) -> B
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the volume shows in some pixels, rising."""
+    """The volume's appearance in some pixels, in rising order."""
 
     pixel: NDArray[np.intp]
     owner: NDArray[np.intp]
-    """Which of the pixels each ray belongs to."""
+    """Index of the pixel that each ray belongs to."""
     hits: PrimaryHits
     coverage: NDArray[np.float32]
 
@@ -73,7 +73,7 @@ class _Seen:
         return np.stack([column / total for column in sums], axis=-1).astype(np.float32)
 
     def share_of_near(self, view: BakedView, steps: DepthSteps) -> NDArray[np.float32]:
-        """Return how much of each step's pixel the near part takes, from the mean distance of its rays."""
+        """Return the share of the near side in each step's pixel, from the mean distance of its rays."""
         near, far = np.zeros((2, len(self.pixel)), np.float32)
         number = np.searchsorted(self.pixel, view.pixel[steps.at])
         near[number], far[number] = view.distance[steps.near, 0], view.distance[steps.far, 0]

@@ -1,4 +1,4 @@
-"""What hit points of refined relighting send back, from baked transport: every bounce, without own noise.
+"""Radiance of hit points in refined relighting, from baked transport: all bounces, without additional noise.
 
 The diffuse part comes from the irradiance of the nearest texel, the specular part from the split sum, as in
 `lambent_relight.baked.shading`. Source: docs/reference/conventions.md (relighting).
@@ -30,7 +30,7 @@ class HitFinder:
 
 
 class BakedHits:
-    """The radiance that hit points send under one light."""
+    """Outgoing radiance of hit points under one light."""
 
     def __init__(self, finder: HitFinder, light: BakedLight, edit: MaterialEdit) -> None:
         """Light all texels once."""
@@ -47,7 +47,7 @@ class BakedHits:
         self._around = bounced * scene.surroundings[:, None]
 
     def __call__(self, position: NDArray[np.float32], omega_o: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the radiance that points [n, 3] send towards `omega_o` [n, 3]."""
+        """Return the radiance from points [n, 3] towards `omega_o` [n, 3]."""
         scene = self._finder.scene
         texel = self._finder.nearest(position)
         normal = scene.normal[texel]

@@ -1,7 +1,7 @@
-"""An environment as `preview` and `baked` need it, and the irradiance it gives to every texel.
+"""An environment prepared for `preview` and `baked`, and the irradiance it causes at every texel.
 
-The light is kept as harmonics of what is left after a few dominant lights were taken out, those lights, and
-prefiltered levels of the whole map for the specular lobe. Turning it turns coefficients and directions;
+The light is stored as a few dominant lights, harmonics of the remainder, and
+prefiltered levels of the whole map for the specular lobe. Rotating it rotates coefficients and directions;
 nothing is filtered again. Source: docs/reference/conventions.md.
 """
 
@@ -59,14 +59,14 @@ def prepare_light(environment: Environment, bands: int, dominant_lights: int) ->
 
 @dataclass(frozen=True, eq=False)
 class LitTexels:
-    """The texels that are asked for, with their transport beside each other."""
+    """The requested texels, with their transport in contiguous arrays."""
 
     direct: NDArray[np.float32]
     """[bands^2, texel]."""
     indirect: NDArray[np.float32]
     """Of the coarse texels they lie in, channels one after another, [channel, bands^2, coarse]."""
     coarse: NDArray[np.int32]
-    """Which of those every texel lies in, [texel]."""
+    """Index of the coarse texel that every texel lies in, [texel]."""
     normal: NDArray[np.float32]
     shadow_bits: NDArray[np.uint8] | None
 
@@ -88,7 +88,7 @@ def lit_texels(scene: BakedScene, texels: NDArray[np.integer] | None = None) -> 
 
 
 def seen_lights(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
-    """Return how much of each dominant light reaches every texel, in [0, 1]; zero where it faces away."""
+    """Return the share of each dominant light that every texel receives, 0..1; 0 where it faces away."""
     result = np.zeros((len(light.directions), len(lit.normal)), np.float32)
     for row, direction in zip(result, light.directions, strict=True):
         facing = np.flatnonzero(lit.normal @ direction > 0.0)
@@ -99,9 +99,9 @@ def seen_lights(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
 def texel_irradiance(
     lit: LitTexels, light: BakedLight, bands: int, seen: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Return what arrives straight from the light at every texel, [texel, 3], not clipped at zero.
+    """Return the direct irradiance of every texel, [texel, 3], not clipped at zero.
 
-    `bands` may be fewer than there are: a smoother, cheaper answer. `seen` is `seen_lights`, where known.
+    Fewer `bands` than there are give a smoother, cheaper result. `seen` is `seen_lights`, if known.
     """
     seen = seen_lights(lit, light) if seen is None else seen
     planes = lit.direct[: bands**2]
@@ -114,9 +114,10 @@ def texel_irradiance(
 
 
 def coarse_bounce(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
-    """Return what arrives by way of other surfaces at every coarse texel, [coarse, 3].
+    """Return the indirect irradiance of every coarse texel, [coarse, 3].
 
-    Dominant lights take part through their harmonics: what they light up is not in their shadow.
+    Dominant lights are included through their harmonics: the surfaces they illuminate are not in their
+    shadow.
     """
     count = lit.indirect.shape[1]
     coefficients = light.coefficients[:count].copy()
@@ -129,10 +130,10 @@ def coarse_bounce(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
 def free_share(
     bits: NDArray[np.uint8] | None, direction: NDArray[np.float32], texels: NDArray[np.intp]
 ) -> NDArray[np.float32]:
-    """Return how much of a light in `direction` reaches `texels`, in [0, 1].
+    """Return the share of a light in `direction` that reaches `texels`, in [0, 1].
 
-    A weighted mean over the bits of the nearest stored directions, which gives a shadow a border as soft as
-    they are apart.
+    A weighted mean over the bits of the nearest stored directions, which makes the border of a shadow as wide
+    as their distance.
     """
     assert bits is not None, "lights are split off only where there are shadow bits"
     near, weight = shadow_weights(direction)

@@ -1,8 +1,8 @@
-"""The surface of a bundle, read from its mesh/asset.glb: what the rasteriser and the atlas need.
+"""The surface of a bundle, read from its mesh/asset.glb for the rasteriser and the atlas.
 
-Positions stay as the file stores them, which is the world (z up); the node that turns them to glTF's y up is
-for other programs. Source: glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB); the file may come
-from a stranger, so nothing in it is believed before it is checked.
+Positions are kept as stored in the file, in world coordinates (z up); the node that rotates them to glTF's y
+up is for other programs. Source: glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB). The file may
+come from an untrusted source, so everything in it is checked before use.
 """
 
 import json
@@ -24,7 +24,7 @@ _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 
 @dataclass(frozen=True, eq=False)
 class AtlasMesh:
-    """Triangles with a place in the atlas."""
+    """Triangles with texture coordinates in the atlas."""
 
     vertices: NDArray[np.float32]
     """World coordinates [vertex, 3]."""

@@ -1,4 +1,4 @@
-"""Which triangle each pixel of a picture, or each texel of an atlas, shows.
+"""Rasteriser: the triangle at each pixel of a picture, or at each texel of an atlas.
 
 Pixels are sampled at their centres; for smoother edges draw a camera `resized` to a multiple and take
 `block_means`. An atlas has u to the right and v down, both 0..1, texel (row, column) centred at
@@ -20,7 +20,7 @@ _ROWS_PER_TASK = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fragments:
-    """What is seen at the places of a grid."""
+    """The visible triangle at every cell of a grid."""
 
     face: NDArray[np.int32]
     """[height, width], -1 where nothing is."""
@@ -31,7 +31,7 @@ class Fragments:
 
     @property
     def covered(self) -> NDArray[np.bool_]:
-        """Whether a triangle is seen."""
+        """Whether a triangle is visible."""
         return self.face >= 0
 
 
@@ -44,7 +44,7 @@ def rasterise(
 ) -> Fragments:
     """Return the nearest triangle at each pixel centre of `camera`.
 
-    Both sides of triangles are seen, and the camera may stand inside the object. `vertices` [vertex, 3] are
+    Both sides of triangles are visible, and the camera may be inside the object. `vertices` [vertex, 3] are
     world coordinates.
     """
     pose = camera.camera_to_world

@@ -1,4 +1,4 @@
-"""Pictures of the qualities `preview` and `baked`; views and the light are remembered between pictures."""
+"""Renders the qualities `preview` and `baked`; views and lights are cached between pictures."""
 
 from dataclasses import dataclass, replace
 
@@ -19,13 +19,13 @@ from lambent_relight.picture import RelitPicture
 
 QUALITIES = ("preview", "baked")
 _KEPT_PIXELS = 2_000_000
-"""Pixels of views that are remembered; about 400 bytes each."""
+"""Maximum number of pixels in cached views; about 400 bytes each."""
 _KEPT_LIGHTS = 3
-"""Prepared environments that are remembered: those that are compared side by side."""
+"""Number of cached environments, enough to compare two side by side."""
 
 
 class BakedRenderer:
-    """Renders from baked transport. A known view in a known light, turned or not, costs a matrix product."""
+    """Renders from baked transport; with view and light cached, a picture costs a matrix product."""
 
     def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_pixels: int = _KEPT_PIXELS) -> None:
         """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
@@ -41,7 +41,7 @@ class BakedRenderer:
         self._lights: list[tuple[Environment, int, BakedLight]] = []
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
-        """Return what `camera` sees; the last few cameras are remembered."""
+        """Return the view of `camera`; the last few cameras are cached."""
         key = (camera.key(), antialias, soft_edges)
         if key not in self._views:
             view = look_at_surface(self.scene, camera, antialias)
@@ -56,7 +56,7 @@ class BakedRenderer:
         return self._views[key]
 
     def light(self, environment: Environment, dominant_lights: int) -> BakedLight:
-        """Return `environment` prepared; turning one of the last few only turns what was prepared."""
+        """Return `environment` prepared for rendering; the last few are cached, whatever their rotation."""
         known = next(
             (
                 light
@@ -73,7 +73,7 @@ class BakedRenderer:
         return known[2].rotated(turn) if turn else known[2]
 
     def hits(self, environment: Environment, edit: MaterialEdit) -> BakedHits:
-        """Return what hit points of refined relighting send back under `environment`."""
+        """Return the radiance of hit points in refined relighting under `environment`."""
         if self._finder is None:
             self._finder = HitFinder(self.scene)
         can_split = self.scene.transport.shadow_bits is not None
@@ -122,7 +122,7 @@ class BakedRenderer:
         )
 
     def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
-        """Return what a view needs of materials and texels; kept for the last view and edit."""
+        """Return the materials and texels of a view; cached for the last view and edit."""
         known = self._known
         if known is None or known.view is not view or known.edit != edit or known.preview != preview:
             lobes = lobes_of(view, edit, preview=preview)

@@ -19,7 +19,7 @@ _LEAST_BLOCKED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class BakedScene:
-    """Everything about the object that `preview` and `baked` need, whatever the light and the camera."""
+    """The object's data for `preview` and `baked`, independent of light and camera."""
 
     mesh: AtlasMesh
     transport: Transport
@@ -33,7 +33,7 @@ class BakedScene:
 
     @cached_property
     def openness(self) -> NDArray[np.float32]:
-        """The share of the cosine-weighted hemisphere that is free, [texel] in [0, 1]."""
+        """The unoccluded share of the cosine-weighted hemisphere, [texel] in [0, 1]."""
         return np.clip(self.transport.direct[0] / np.float32(0.5 * np.sqrt(np.pi)), 0.0, 1.0)
 
     @cached_property
@@ -43,12 +43,12 @@ class BakedScene:
 
     @cached_property
     def surroundings(self) -> NDArray[np.float32]:
-        """Factor from indirect irradiance to the mean radiance of what stands around, [texel]."""
+        """Factor from indirect irradiance to the mean radiance of the surroundings, [texel]."""
         return 1.0 / (np.float32(np.pi) * np.maximum(1.0 - self.openness, _LEAST_BLOCKED))
 
     @cached_property
     def visibility(self) -> NDArray[np.float32]:
-        """The sky's openness as harmonics, coefficients last, [texel, bands^2]."""
+        """The sky's visibility as harmonics, coefficients last, [texel, bands^2]."""
         return np.ascontiguousarray(self.transport.visibility.T)
 
     def texels_at(self, uv: NDArray[np.floating]) -> NDArray[np.int32]:

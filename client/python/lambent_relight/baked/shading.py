@@ -3,9 +3,9 @@
     diffuse  = (1 - m) albedo / pi (E_direct + E_indirect)
     specular = (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings) + glints
 
-E is the texels' irradiance; s in [0, 1] is how much of the lobe is free, from the visibility's harmonics
-smoothed by the lobe; what is not free sees the mean radiance of what stands around. Dominant lights are taken
-out of the prefiltered map and reflected one by one, each in its own shadow (`baked.dominant_highlights`).
+E is the texels' irradiance; s in [0, 1] is the unoccluded share of the lobe, from the visibility's harmonics
+smoothed by the lobe; the rest sees the mean radiance of the surroundings. Dominant lights are removed
+from the prefiltered map and reflected one by one, each with its own shadow (`baked.dominant_highlights`).
 `preview` keeps three bands, has no indirect light, and takes s from the openness alone. Source:
 docs/reference/conventions.md.
 """
@@ -36,7 +36,7 @@ from lambent_relight.edits import MaterialEdit
 
 @dataclass(frozen=True, eq=False)
 class Lobes:
-    """What the reflection of a view's pixels needs, whatever the light; [pixel, n] each."""
+    """The light-independent reflection factors of a view's pixels; [pixel, n] each."""
 
     albedo: NDArray[np.float32]
     perceptual_roughness: NDArray[np.float32]
@@ -68,7 +68,7 @@ class BakedRadiance:
 
 
 def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
-    """Return how the pixels of a view reflect, with `edit` applied."""
+    """Return the reflection factors of a view's pixels, with `edit` applied."""
     albedo, roughness = edit.apply(view.albedo, view.perceptual_roughness)
     cosine = dot(view.normal, view.omega_o)
     mirror = (2.0 * cosine * view.normal - view.omega_o).astype(np.float32)
@@ -107,7 +107,7 @@ def shade(
     bounce_gain: NDArray[np.float32],
     compiled: bool = True,
 ) -> BakedRadiance:
-    """Return what the pixels of `view` send to the camera under `light`; `lit` are its used texels.
+    """Return the radiance of the pixels of `view` under `light`; `lit` are its used texels.
 
     `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before. `compiled`
     False keeps to numpy, with the same result but for rounding.

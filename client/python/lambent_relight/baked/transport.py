@@ -1,8 +1,8 @@
-"""How light travels over the object, baked into texels: independent of the light, linear in it.
+"""Light transport on the object, baked into texels: independent of the light, and linear in it.
 
 A texel's irradiance under a light with spherical-harmonic coefficients l [coefficient, channel] is
-`direct @ l` (what comes straight from the environment, shadows included) plus, per channel, `indirect @ l`
-(what other parts of the object send). Values are stored as one signed byte each, a plane of texels per
+`direct @ l` (directly from the environment, shadows included) plus, per channel, `indirect @ l`
+(from other parts of the object). Values are stored as one signed byte each, a plane of texels per
 coefficient, with a scale and an offset per plane. Source: docs/reference/bundle-format.md (transport).
 """
 
@@ -45,7 +45,7 @@ class Transport:
     direct: Planes
     """Transfer from the environment to irradiance, [bands^2, texel]."""
     visibility: Planes
-    """How open the sky is, mirrored below the surface's horizon, as harmonics [bands^2, texel]."""
+    """Visibility of the sky, mirrored below the surface's horizon, as harmonics [bands^2, texel]."""
     indirect: Planes
     """Transfer to irradiance by way of other surfaces, [bands^2, channel, coarse texel]."""
     shadow_bits: NDArray[np.uint8] | None
@@ -55,7 +55,7 @@ class Transport:
 
     @property
     def num_texels(self) -> int:
-        """How many texels are covered."""
+        """The number of covered texels."""
         return len(self.texel_index)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What smoothing light or visibility with a lobe does to spherical harmonics: one factor per band.
+"""Factors per band by which smoothing with a lobe scales the spherical harmonics of light or visibility.
 
 A lobe around an axis is diagonal in spherical harmonics (Funk-Hecke): band l is multiplied by A_l. The GGX
 lobe is that of prefiltering, seen along the normal and the mirror direction at once: D(half angle) times the

@@ -1,4 +1,4 @@
-"""What a camera sees of the baked surface: per pixel, the texels it covers and one averaged surface point.
+"""The view of a baked surface from a camera: per pixel, the texels it covers and one averaged surface point.
 
 Coverage and materials are means over `antialias` x `antialias` fragments of a pixel, and so is the irradiance
 of their texels. The specular lobe is looked up once per pixel. Nothing here depends on the light, so a new
@@ -24,13 +24,13 @@ class BakedView:
     pixel: NDArray[np.int64]
     """row * width + column, [pixel]."""
     first: NDArray[np.int64]
-    """Where the texels of every pixel begin in `texel`, [pixel + 1]."""
+    """Start of every pixel's texels in `texel`, [pixel + 1]."""
     texel: NDArray[np.int32]
     """Texels of all fragments, pixel after pixel, as places in `used`."""
     share: NDArray[np.float32]
-    """How much each of `texel` counts in its pixel's mean; a pixel's sum to one."""
+    """Weight of each of `texel` in its pixel's mean; a pixel's weights sum to one."""
     used: NDArray[np.int32]
-    """The texels that are seen at all, rising."""
+    """All visible texels, in rising order."""
     coverage: NDArray[np.float32]
     """Share of the pixel's fragments that show the surface, [pixel, 1]."""
     distance: NDArray[np.float32]
@@ -41,13 +41,13 @@ class BakedView:
     perceptual_roughness: NDArray[np.float32]
     metalness: NDArray[np.float32]
     visibility: NDArray[np.float32]
-    """Harmonics of the sky's openness, [pixel, coefficient]."""
+    """Harmonics of the sky's visibility, [pixel, coefficient]."""
     openness: NDArray[np.float32]
     surroundings: NDArray[np.float32]
 
     @property
     def num_pixels(self) -> int:
-        """How many pixels show the surface."""
+        """The number of pixels that show the surface."""
         return len(self.pixel)
 
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -65,7 +65,7 @@ class BakedView:
 
 
 def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedView:
-    """Return what `camera` sees with `antialias` x `antialias` fragments per pixel."""
+    """Return the view of `camera` with `antialias` x `antialias` fragments per pixel."""
     fine = camera.resized(camera.width * antialias, camera.height * antialias) if antialias > 1 else camera
     fragments = rasterise(scene.mesh.vertices, scene.mesh.faces, fine)
     row, column = np.nonzero(fragments.covered)

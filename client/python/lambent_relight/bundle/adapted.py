@@ -1,7 +1,7 @@
 """Fast caches that were adapted to an environment (`lambent bake-light`), and whether one fits a picture.
 
-An adapted cache answers with the radiance of every bounce, in one light, of one material. Its graph carries
-what those were as metadata under `lambent.adapted`. Source: docs/reference/bundle-format.md.
+An adapted cache returns the radiance of all bounces, under one light and for one material. Its graph
+describes these in the metadata `lambent.adapted`. Source: docs/reference/bundle-format.md.
 """
 
 import hashlib
@@ -24,14 +24,14 @@ _LEAST_RATIO = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptedLight:
-    """What a cache was adapted to."""
+    """The light and albedo that a cache was adapted to."""
 
     name: str
     """The graph's light in the manifest."""
     environment_sha256: str
     """`environment_digest` of the map, before it was turned."""
     rotate_deg: float
-    """How far the light was turned about +z."""
+    """Rotation of the light about +z."""
     albedo_ratio: tuple[float, float, float]
     """Factor on the stored albedo, per channel."""
 
@@ -54,7 +54,7 @@ def environment_digest(environment: Environment) -> str:
 
 
 def adapted_lights(bundle: Bundle) -> list[AdaptedLight]:
-    """Return the lights that fast caches of a bundle were adapted to, in the manifest's order.
+    """Return the lights to which a bundle's fast caches were adapted, in the manifest's order.
 
     Raises BundleError `bundle.graph_damaged` where a graph says so in a form that cannot be read.
     """
@@ -90,7 +90,7 @@ def _parsed(name: str, path: str, text: str) -> AdaptedLight:
 
 
 def misfit(light: AdaptedLight, environment: Environment, edit: MaterialEdit) -> str:
-    """Return why a cache does not answer for this environment and material; empty where it does."""
+    """Return why a cache is not valid for this environment and material; empty if it is."""
     if environment_digest(environment) != light.environment_sha256:
         return "it was adapted to another map"
     apart = (environment.rotate_deg - light.rotate_deg + 180.0) % 360.0 - 180.0
@@ -106,24 +106,24 @@ def misfit(light: AdaptedLight, environment: Environment, edit: MaterialEdit) ->
 
 @dataclass(frozen=True, kw_only=True)
 class Chosen:
-    """Where the bounced light of a refined picture comes from."""
+    """The source of indirect light in a refined picture."""
 
     light: AdaptedLight | None
-    """None: not from an adapted cache."""
+    """None: no adapted cache."""
     why_not: str
-    """Why no adapted cache is used although the bundle has some; empty where one is, or there are none."""
+    """Why no adapted cache is used although the bundle has some; empty if one is used, or there are none."""
 
 
 def error_names(light: str) -> tuple[str, str]:
-    """Return the names, among a manifest's metrics, of how far a cache and baked transport are off.
+    """Return the names of the metrics for the errors of a cache and of baked transport.
 
-    Root mean squared errors over the mean, against the physical model on rays that did not teach the cache.
+    Root mean squared errors divided by the mean, relative to the physical model on rays not used in training.
     """
     return f"adapted_error_{light}", f"transport_error_{light}"
 
 
 def outdone(bundle: Bundle, light: AdaptedLight) -> str:
-    """Return why baked transport answers better than a cache; empty where it does not, or nobody judged."""
+    """Return why baked transport is preferred to a cache; empty if it is not better, or was not compared."""
     adapted, transport = (bundle.manifest.metrics.get(name) for name in error_names(light.name))
     if adapted is None or transport is None or adapted < transport:
         return ""
@@ -135,7 +135,7 @@ def choose(
 ) -> Chosen:
     """Return the first adapted cache that fits an environment (as turned) and a material.
 
-    One that was found worse than baked transport when it was made is passed over, but for `although_worse`.
+    A cache that was worse than baked transport when it was baked is skipped, unless `although_worse`.
     """
     reasons = []
     for light in adapted_lights(bundle):

@@ -33,7 +33,7 @@ class FileSource(Protocol):
 
 
 def check_path(path: str) -> None:
-    """Raise BundleError unless `path` stays inside the bundle, written with forward slashes and no tricks."""
+    """Raise BundleError unless `path` is a plain relative path inside the bundle."""
     parts = PurePosixPath(path).parts
     clean = "/".join(parts)
     if not path or path != clean or path.startswith("/") or ".." in parts or "\\" in path or ":" in path:
@@ -45,7 +45,7 @@ def check_path(path: str) -> None:
 
 
 class FolderSource:
-    """A bundle that lies in a folder."""
+    """A bundle in a folder."""
 
     def __init__(self, root: Path) -> None:
         """Read from `root`; links inside it are refused, `root` itself may be one."""

@@ -29,7 +29,7 @@ _MAX_WEIGHTS_BYTES = 2 << 30
 _MAX_PICTURE_BYTES = 512 << 20
 WEIGHTS_PATH = "models/weights.bin"
 NETWORKS = ("gbuffer", "material", "fast_cache")
-"""Graphs that a bundle has all of, or, where it has baked transport, none of."""
+"""Graphs of which a bundle has all or, if it has baked transport, none."""
 _CONVENTIONS = {
     "up_axis": "z",
     "handedness": "right",
@@ -48,7 +48,7 @@ class Bundle:
 
     @property
     def has_networks(self) -> bool:
-        """Whether there are graphs to ask about rays and points; lite bundles carry baked transport alone."""
+        """Whether the bundle has graphs for rays and points; lite bundles have only baked transport."""
         return any(graph.name in NETWORKS for graph in self.manifest.graphs)
 
     def graph_path(self, name: str, light: str = "") -> str:
@@ -87,7 +87,7 @@ class Bundle:
             return load_environment(copy)
 
     def uncertainty(self) -> UncertaintyGrid | None:
-        """Return how well the photographs determine the materials, or None where the bundle does not say."""
+        """Return the uncertainty of the materials, or None if the bundle has none."""
         if not self.manifest.HasField("uncertainty"):
             return None
         stated = self.manifest.uncertainty
@@ -147,7 +147,7 @@ def peek_bundle(path: Path | str) -> Bundle:
 
 def _parse_manifest(data: bytes) -> BundleManifest:
     try:
-        # A later minor version may add fields, which an older reader must not trip over.
+        # A later minor version may add fields, which an older reader must ignore.
         return json_format.Parse(data.decode("utf-8"), BundleManifest(), ignore_unknown_fields=True)
     except (json_format.ParseError, UnicodeDecodeError, RecursionError) as error:
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__

@@ -20,12 +20,12 @@ from lambent_relight.errors import BundleError, UnsupportedQuality
 Rows = NDArray[np.float32]
 
 _ROWS_PER_CALL = {"gbuffer": 128, "fast_cache": 8192, "material": 8192}
-"""Bounds the memory of a graph's intermediate values: a camera ray asks for density at about 100 points."""
+"""Bounds the memory of a graph's intermediate values: a camera ray evaluates density at about 100 points."""
 
 
 @dataclass(frozen=True)
 class PrimaryHits:
-    """What camera rays see; values are means over the ray, valid where `opacity` > 0."""
+    """Surfaces hit by camera rays; values are means over the ray, valid where `opacity` > 0."""
 
     opacity: Rows
     distance: Rows
@@ -37,7 +37,7 @@ class PrimaryHits:
 
 @dataclass(frozen=True)
 class SecondaryHits:
-    """What rays from a surface see, whatever the light."""
+    """Hits of rays from a surface, independent of the light."""
 
     opacity: Rows
     """Probability that the ray is blocked, [ray, 1]; 1 - opacity is visibility of the environment."""
@@ -47,10 +47,10 @@ class SecondaryHits:
 
 @dataclass(frozen=True)
 class AdaptedHits(SecondaryHits):
-    """What rays from a surface see in the light that a fast cache was adapted to."""
+    """Hits of rays from a surface under the light that a fast cache was adapted to."""
 
     radiance: Rows
-    """What arrives from there, all bounces included: linear, premultiplied by `opacity`, [ray, 3]."""
+    """Incoming radiance including all bounces: linear, premultiplied by `opacity`, [ray, 3]."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ class PointMaterials:
 
 
 class SurfaceCaches(Protocol):
-    """What refined relighting asks for; answered by ONNX graphs or by the fused reader."""
+    """The queries of refined relighting; implemented by ONNX graphs or by the fused reader."""
 
     name: str
-    """"onnxruntime", "fused", or "none" where the bundle has no networks to ask."""
+    """"onnxruntime", "fused", or "none" if the bundle has no networks."""
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
         """Return what camera rays [ray, 3] see."""
@@ -80,7 +80,7 @@ class SurfaceCaches(Protocol):
 
 
 class NoCaches:
-    """The answer of a bundle without networks: an error that says what it can do instead."""
+    """Stands in for the networks of a bundle that has none; raises an error that names the alternatives."""
 
     name = "none"
 
@@ -136,7 +136,7 @@ class OnnxGraph:
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
-        # Idle threads that spin would slow down everything else on a small machine.
+        # Spinning idle threads would slow down everything else on a small machine.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         if check_onnx(data, path=path, weights_bytes=len(weights)):
             name = WEIGHTS_PATH.rpartition("/")[2]

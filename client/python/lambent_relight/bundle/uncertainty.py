@@ -1,6 +1,6 @@
-"""How well the photographs determine an object's materials, at any point: a grid of values over a box.
+"""Uncertainty of an object's materials at any point: a grid of values over a box.
 
-Written by the exporter, read by viewers and by whoever bakes it into textures.
+Written by the exporter, read by viewers and by programs that bake it into textures.
 Source: docs/reference/bundle-format.md; what the values mean: docs/discussion/uncertainty.md.
 """
 
@@ -66,7 +66,7 @@ def read_uncertainty(
     """Return the grid in the bytes of an NPY file; raises BundleError for anything but one that fits."""
     buffer = io.BytesIO(data)
     try:
-        # The header is judged before any memory is asked for.
+        # The header is checked before any memory is allocated.
         if np.lib.format.read_magic(buffer) != (1, 0):
             raise ValueError("version")
         shape, column_major, dtype = np.lib.format.read_array_header_1_0(buffer)

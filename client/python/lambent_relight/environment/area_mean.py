@@ -1,4 +1,4 @@
-"""Smaller maps: the mean of a map over larger pixels, weighted with solid angle."""
+"""Reduces maps: the mean over larger pixels, weighted by solid angle."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Latitude-longitude maps as other programs lay them out, and how they become ours.
+"""Layouts of latitude-longitude maps in other programs, and their conversion to ours.
 
 Each convention says which direction of its own world a map position (u to the right, v downwards, both in
 [0, 1)) stands for. Worlds with y up are those of glTF: their (x, y, z) is our (x, -z, y), as in `asset.glb`.

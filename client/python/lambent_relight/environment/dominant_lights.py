@@ -25,7 +25,7 @@ MAX_LIGHTS = 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeakRule:
-    """What counts as a light of its own."""
+    """Criteria for extracting a directional light."""
 
     radius_deg: float = 8.0
     """Angle about the brightest pixel that belongs to the light, 0.1 to 30 degrees."""

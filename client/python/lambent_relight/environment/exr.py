@@ -1,4 +1,4 @@
-"""OpenEXR pictures: reading environment maps from strangers, writing results.
+"""OpenEXR pictures: reading untrusted environment maps, writing results.
 
 The headers of all parts are judged before pixels are read, because a file of a few hundred bytes can ask
 for gigabytes, and the library decodes all parts or none. Source: docs/reference/conventions.md (colour).

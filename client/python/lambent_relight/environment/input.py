@@ -1,4 +1,4 @@
-"""An environment file as a user gives it: the file, its axes, what to mend and what to clamp."""
+"""An environment file as given by a user: the file, its axes, and which values to replace or clamp."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from lambent_relight.environment.sun_clamp import ClampReport, clamp_sun
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EnvironmentInput:
-    """How a map is to be understood."""
+    """Settings for reading an environment map."""
 
     axes: str = OURS
     """The map's convention, a name of `environment_axes.QUARTER_TURNS`."""
@@ -26,14 +26,14 @@ class OpenedEnvironment:
 
     environment: Environment
     clamp: ClampReport | None
-    """Set where a limit was asked for."""
+    """Set if a limit was requested."""
 
     def notes(self, name: str) -> list[str]:
         """Return one sentence for everything that a user should know about the map `name`."""
         found = []
         read = self.environment
         if read.cleaning:
-            found.append(f"{name}: mended {read.cleaning}")
+            found.append(f"{name}: replaced {read.cleaning}")
         if read.reduced_from is not None:
             (rows, columns), (height, width) = read.reduced_from, read.radiance.shape[:2]
             found.append(f"{name}: reduced from {columns} x {rows} to {width} x {height} pixels")
@@ -43,7 +43,7 @@ class OpenedEnvironment:
 
 
 def open_environment(path: Path | str, given: EnvironmentInput | None = None) -> OpenedEnvironment:
-    """Return the light of a file, in our convention, mended and clamped as `given` asks.
+    """Return the light of a file, in our convention, with values replaced and clamped as `given` specifies.
 
     Raises EnvironmentFileError for a file or a convention that cannot be used.
     """

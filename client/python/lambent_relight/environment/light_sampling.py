@@ -2,8 +2,8 @@
 
 A sampling table holds, for lobes about a grid of axes, the probability of every cell of the map in
 proportion to radiance times lobe; inside a cell, pixels are drawn by their radiance and directions
-uniformly in solid angle. The density is known exactly, so a coarse table costs variance, never truth.
-Lobe 0 is the clamped cosine about the normal; lobe k > 0 is exp(sharpness (cos - 1)) about the mirror
+uniformly in solid angle. The density is known exactly, so a coarse table increases variance but causes no
+bias. Lobe 0 is the clamped cosine about the normal; lobe k > 0 is exp(sharpness (cos - 1)) about the mirror
 direction. Source: paper Eq. 5 with supplement 2.7's split into a diffuse and a specular half.
 """
 

@@ -1,4 +1,4 @@
-"""Environment maps: light that comes from infinitely far away, as a latitude-longitude picture.
+"""Environment maps: infinitely distant light as a latitude-longitude picture.
 
 Directions, rows and columns as in `lambent_relight.directions`. Radiance between pixel centres is
 bilinear, wrapping around in azimuth and held constant above the first and below the last row.
@@ -17,14 +17,14 @@ from lambent_relight.errors import EnvironmentFileError
 from lambent_relight.picture_rows import block_means
 
 MAX_PIXELS = 1 << 25
-"""Largest map that is kept by default, 8192 x 4096; larger files are reduced while they are read."""
+"""Largest map kept at full size by default, 8192 x 4096; larger files are reduced while they are read."""
 MAX_FILE_PIXELS = 1 << 27
 """Largest file that is read: 16384 x 8192."""
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """How many values of a map were unusable, and mended on request.
+    """Counts of unusable values of a map that were replaced on request.
 
     NaN and negative values became 0, infinite ones the largest finite value.
     """
@@ -34,7 +34,7 @@ class Cleaning:
     num_negative: int = 0
 
     def __bool__(self) -> bool:
-        """Return whether anything had to be mended."""
+        """Return whether any value was replaced."""
         return bool(self.num_nan or self.num_infinite or self.num_negative)
 
     def __str__(self) -> str:
@@ -44,18 +44,18 @@ class Cleaning:
 
 @dataclass(frozen=True)
 class Environment:
-    """A map and the angle it is turned by."""
+    """A map and the angle by which it is rotated."""
 
     radiance: NDArray[np.float32]
     """Linear Rec. 709 radiance [height, width, 3], finite and not negative."""
     rotate_deg: float = 0.0
-    """The light is turned by this angle about +z: L(d) = L_0(Rz(-rotate_deg) d)."""
+    """The light is rotated by this angle about +z: L(d) = L_0(Rz(-rotate_deg) d)."""
     cleaning: Cleaning = Cleaning()
     reduced_from: tuple[int, int] | None = None
-    """Height and width of the file, where that was above the limit and the map is a mean of its pixels."""
+    """Height and width of the file, if it was above the limit and the map consists of means of its pixels."""
 
     def rotated(self, degrees: float) -> "Environment":
-        """Return the same light turned by a further +`degrees` about +z."""
+        """Return the same light rotated by a further +`degrees` about +z."""
         return replace(self, rotate_deg=self.rotate_deg + degrees)
 
     def scaled(self, factor: float) -> "Environment":
@@ -85,7 +85,7 @@ def environment_from_array(
 ) -> Environment:
     """Return an environment of linear values [height, width, 3].
 
-    NaN, negative and infinite values are an error, unless `mend` asks for them to be replaced: NaN and
+    NaN, negative and infinite values are an error, unless `mend` requests their replacement: NaN and
     negative ones by 0, infinite ones by the largest finite value of the map; `cleaning` tells how many.
     Raises EnvironmentFileError for those, for a wrong shape, and where nothing usable is left.
     """
@@ -113,8 +113,8 @@ def environment_from_array(
         raise EnvironmentFileError(
             "environment.unusable_values",
             f'"{source}" holds {cleaning}, the first in row {row}, column {column}',
-            "mend the map, or have them replaced: --mend-env (mend=True); "
-            "`lambent probe MAP --mend-env -o DIR` writes a mended map",
+            "fix the map, or have them replaced: --mend-env (mend=True); "
+            "`lambent probe MAP --mend-env -o DIR` writes a repaired map",
         )
     image[nan | negative] = 0.0
     image[positive_infinite] = usable.max()
@@ -130,9 +130,9 @@ def load_environment(
 ) -> Environment:
     """Return the environment map in a Radiance (.hdr) or OpenEXR (.exr) file.
 
-    `mend` as in `environment_from_array`. A map above `max_pixels` is reduced by a whole number, each pixel
-    the mean of a block, and says so in `reduced_from`. Raises EnvironmentFileError, with a code that starts
-    with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
+    `mend` as in `environment_from_array`. A map above `max_pixels` is reduced by an integer factor to the
+    means of blocks of pixels, and has `reduced_from` set. Raises EnvironmentFileError, with a code that
+    starts with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
     """
     path = Path(path)
     if not path.is_file():

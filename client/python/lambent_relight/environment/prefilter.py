@@ -1,4 +1,4 @@
-"""Environments seen through GGX lobes: equirectangular levels of growing roughness.
+"""Environments filtered by GGX lobes: equirectangular levels of increasing roughness.
 
 Level k of K has perceptual roughness r = k / (K - 1), GGX width alpha = r^2. Level 0 is the map itself. With
 n = omega_o = d, level k > 0 in direction d is

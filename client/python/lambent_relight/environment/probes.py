@@ -1,4 +1,4 @@
-"""Pictures of an environment as photographers look at light: a chrome ball, a grey ball, the map itself.
+"""Pictures that show an environment: a chrome ball, a grey ball, the map itself.
 
 The balls are seen from far away at azimuth `from_deg`, z up; at 0 the eye is on +x, with +y to the right,
 and `elevation_deg` above the horizontal plane. A chrome ball shows nearly all directions, those behind the

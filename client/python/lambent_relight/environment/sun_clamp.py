@@ -1,4 +1,4 @@
-"""Limiting the brightest texels of a map, with an account of the energy that is lost."""
+"""Limits the brightest texels of a map and reports the lost energy."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from lambent_relight.errors import SettingError
 
 @dataclass(frozen=True)
 class ClampReport:
-    """What a limit took out of a map."""
+    """Light removed from a map by a limit."""
 
     max_radiance: float
     num_texels: int
@@ -29,7 +29,7 @@ class ClampReport:
 
     @property
     def share_lost(self) -> float:
-        """Share of the energy of all channels together that is gone, 0 to 1."""
+        """Removed share of the energy of all channels together, 0 to 1."""
         before = sum(self.energy_before)
         return 1.0 - sum(self.energy_after) / before if before > 0.0 else 0.0
 
@@ -44,7 +44,7 @@ class ClampReport:
 
 
 def clamp_sun(environment: Environment, max_radiance: float) -> tuple[Environment, ClampReport]:
-    """Return the environment with no channel above `max_radiance`, and what that cost.
+    """Return the environment with no channel above `max_radiance`, and a report of the removed light.
 
     Texels above it are scaled as a whole, so that their hue stays. Raises SettingError for a limit that is
     not a positive number.

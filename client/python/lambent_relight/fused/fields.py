@@ -15,7 +15,7 @@ CONSTANTS += ("alpha_minimum",)
 
 
 class SurfaceFields:
-    """What the volume is made of, at points; the constants are those of one of the bundle's graphs."""
+    """Density, normals and materials at points, with the constants of one of the bundle's graphs."""
 
     def __init__(self, bundle: Bundle, weights: Weights, graph: str, kind: str, extra: tuple[str, ...] = ()):
         """Collect the networks; raises NotFused when the bundle has others."""

@@ -1,8 +1,9 @@
-"""What camera rays see, without a graph runtime: the same rule as the gbuffer graph, minus what is hidden.
+"""Surfaces hit by camera rays, without a graph runtime: the same rule as the gbuffer graph, without hidden
+parts.
 
 A ray is sampled at fixed fractions of its stretch inside the object's box. Its samples are taken front to
-back, and no further once less than 1e-7 of the light gets through; groups of samples whose share of the
-ray is below 1e-6 are not asked for normal and material. Source: paper Eq. 3; docs/reference/bundle-format.md.
+back until less than 1e-7 of the light gets through; normal and material are not evaluated for groups of
+samples whose share of the ray is below 1e-6. Source: paper Eq. 3; docs/reference/bundle-format.md.
 """
 
 import numpy as np
@@ -37,7 +38,7 @@ class FusedGbuffer:
             raise NotFused("the gbuffer's sampling rule is not understood")
 
     def __call__(self, origin: Rows, direction: Rows, out: PrimaryHits) -> None:
-        """Write what rays [row, 3] see."""
+        """Write the surfaces hit by rays [row, 3]."""
         start, end = self._stretch(origin, direction)
         entry = origin + start * direction
         length = end - start

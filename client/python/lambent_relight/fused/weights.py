@@ -1,6 +1,6 @@
-"""Tensors, layers and feature grids that a bundle keeps in models/weights.bin, for compiled code.
+"""Tensors, layers and feature grids of a bundle's models/weights.bin, for compiled code.
 
-Float32 arrays look into the file's bytes, float16 ones are widened: a processor interpolates those no faster.
+Float32 arrays are views of the file's bytes, float16 ones are widened: a CPU interpolates those no faster.
 Everything compiled code will index is checked here.
 """
 
@@ -21,7 +21,7 @@ _DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
 
 
 class NotFused(Exception):  # noqa: N818 - an answer, not a fault
-    """The bundle's networks are not the ones compiled code knows; the message says why."""
+    """Compiled code does not support the bundle's networks; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Weights:
             np.int64,
         ).reshape(-1, 5)
         fits = table.ndim == 2 and table.shape[1] == entry.num_features
-        # Compiled code does not check indices, so that every row a level can name must be there.
+        # Compiled code does not check indices, so every row that a level can address must exist.
         inside = (levels[:, 0] >= 2) & (levels[:, 2] >= 1)
         inside &= levels[:, 1] + levels[:, 2] <= (len(table) if fits else 0)
         if not (len(levels) and inside.all() and entry.half_extent > 0.0):

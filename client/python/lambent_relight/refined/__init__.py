@@ -1,1 +1,1 @@
-"""Relighting by sampling directions, to a wanted standard error."""
+"""Relighting by Monte Carlo sampling of directions, to a given standard error."""

@@ -1,4 +1,4 @@
-"""How long a refined picture is sampled: a fixed number of directions, or until it is quiet enough."""
+"""Sampling budget of a refined picture: a fixed number of directions, or a target standard error."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Radiance, Scene, outgoing_radiance
 
 MAX_ROUNDS = 64
-"""Rounds after which a picture is returned although it is noisier than asked for."""
+"""Maximum number of rounds, after which a picture is returned even if it is noisier than requested."""
 _NEXT_ROUND = 1_000_003
 
 
@@ -19,7 +19,7 @@ def estimated(
     settings: RenderSettings,
     progress: Callable[[float], None] | None,
 ) -> Radiance:
-    """Return the radiance of `points` after one round, or as many as it takes.
+    """Return the radiance of `points` after one round, or as many as the target needs.
 
     The rays of a pixel share its directions, two each at least. They are averaged later: a pixel's
     error is that of its rays over `antialias`.

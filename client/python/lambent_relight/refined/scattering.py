@@ -2,8 +2,8 @@
 
 Each direction comes from one of four strategies: light times the cosine, the cosine alone, the GGX lobe
 alone, light times the mirror lobe. It is weighted by one over the density of their mixture: the balance
-heuristic. The strategies that ignore the light find what other surfaces reflect. Source: Veach, balance
-heuristic; supplement 2.7 (diffuse and specular halves).
+heuristic. The strategies that ignore the light sample the reflections of other surfaces. Source: Veach,
+balance heuristic; supplement 2.7 (diffuse and specular halves).
 """
 
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class SurfacePoints:
 
 @dataclass(frozen=True)
 class LightDirections:
-    """One direction per point, with what light from there contributes."""
+    """One direction per point, with the weight of light from there."""
 
     omega_i: Array
     diffuse: Array

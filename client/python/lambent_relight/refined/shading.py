@@ -26,7 +26,7 @@ from lambent_relight.environment.maps import Environment
 from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares, whole_shares
 
 RAYS_PER_CHUNK = 1 << 16
-"""Secondary rays that are in memory at once."""
+"""Maximum number of secondary rays in memory."""
 # Fractional parts of multiples of these fill the unit square evenly (Roberts' R2 sequence).
 _R2 = 1.32471795724474602596 ** -np.arange(1.0, 3.0)
 
@@ -41,17 +41,17 @@ class Light:
 
 @dataclass(frozen=True)
 class Scene:
-    """What reflects the light."""
+    """The object that is lit."""
 
     caches: SurfaceCaches
     origin_offset: float
     """Secondary rays start this far along the normal, scene units."""
     edit: MaterialEdit
-    """What differs from the bundle's material."""
+    """Changes to the bundle's material."""
     hits: Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]] | None = None
     """Radiance of points [n, 3] towards directions [n, 3]; None: traced once more, see `hit_radiance`."""
     adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
-    """What rays [n, 3] see and what arrives along them in this very light; it goes before `hits`."""
+    """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `hits`."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def hit_radiance(
     light: Light,
     u: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Return an unbiased estimate of what hit points reflect straight from the light, [point, 3].
+    """Return an unbiased estimate of the direct light that hit points reflect, [point, 3].
 
     One direction per point, drawn with the uniforms `u` [point, 3].
     """

@@ -1,10 +1,10 @@
-/** Reads bundles beside the page: fetching, digests and packing cost the main thread nothing. */
+/** Reads bundles in a worker: fetching, digests and packing do not block the main thread. */
 
 import { toldOf } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 
-/** What the worker answers; the last answer is "loaded" or "failed". */
+/** Messages of the worker; the last one is "loaded" or "failed". */
 export type BundleAnswer =
   | BundleNews
   | { readonly kind: "loaded"; readonly bundle: LoadedBundle }

@@ -1,11 +1,11 @@
-/** Loads bundles by a worker. */
+/** Loads bundles in a worker. */
 
 import { BundleFault } from "./fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
 import type { BundleNews, LoadedBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 
-/** Read a bundle in a worker of its own, which ends with it; `signal` gives up. Throws BundleFault. */
+/** Read a bundle in a worker that exits afterwards; `signal` aborts it. Throws BundleFault. */
 export function loadInWorker(
   origin: BundleOrigin,
   tell: (news: BundleNews) => void,

@@ -1,6 +1,6 @@
 /** A bundle that cannot be used; codes are those of docs/reference/bundle-format.md. */
 
-/** What is wrong, and what to do about it. */
+/** A problem with a bundle and what to do about it. */
 export class BundleFault extends Error {
   override readonly name = "BundleFault";
 
@@ -14,12 +14,12 @@ export class BundleFault extends Error {
   }
 }
 
-/** Return the fault of a part that does not fit, of which a new export is the cure. */
+/** Return the fault for a part that does not match, which a new export fixes. */
 export function exportAgain(code: string, what: string): BundleFault {
   return new BundleFault(code, what, "export the bundle again");
 }
 
-/** Return an error of a reader as its code and what to tell. */
+/** Return a reader's error as code, message and advice. */
 export function toldOf(error: unknown): { readonly code: string; readonly message: string } {
   if (error instanceof BundleFault) return { code: error.code, message: error.message };
   // Arrays that do not fit are range errors.

@@ -1,4 +1,4 @@
-/** Everything a viewer needs of a bundle, read and checked. */
+/** Reads and checks the parts of a bundle that a viewer needs. */
 
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault } from "./fault.js";
@@ -32,7 +32,7 @@ export type LoadedBundle = {
   readonly previews: readonly BundlePicture[];
 };
 
-/** What is told of a bundle before all of it is there, so that its light can be prepared meanwhile. */
+/** Information sent before the whole bundle has been read, so that its light can be prepared meanwhile. */
 export type BundleNews =
   | { readonly kind: "progress"; readonly readBytes: number; readonly totalBytes: number }
   | {
@@ -44,7 +44,7 @@ export type BundleNews =
     }
   | { readonly kind: "map"; readonly map: BundlePicture };
 
-/** Read a bundle; `tell` hears what is known of it meanwhile. Throws BundleFault. */
+/** Read a bundle; `tell` receives information about it meanwhile. Throws BundleFault. */
 export async function loadBundle(
   origin: BundleOrigin,
   tell: (news: BundleNews) => void,

@@ -70,7 +70,7 @@ function checkVersion(manifest: BundleManifest): void {
   }
 }
 
-/** Throw unless a path stays inside the bundle, written with forward slashes and no tricks. */
+/** Throw unless a path is a plain relative path inside the bundle, with forward slashes. */
 export function checkPath(path: string): void {
   const parts = path.split("/");
   const plain = parts.every((part) => part !== "" && part !== "." && part !== "..");

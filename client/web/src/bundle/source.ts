@@ -1,4 +1,4 @@
-/** Where the files of a bundle come from: a web folder, our server, a zip archive, files that were dropped. */
+/** Sources of a bundle's files: a web folder, our server, a zip archive, dropped files. */
 
 import { BundleFault } from "./fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
@@ -12,7 +12,7 @@ export type FileSource = {
   readonly read: (path: string, limitBytes: number) => Promise<Bytes>;
 };
 
-/** What a bundle is opened from; can be sent to a worker. */
+/** The origin of a bundle; can be sent to a worker. */
 export type BundleOrigin =
   | { readonly kind: "url"; readonly url: string }
   | { readonly kind: "archive"; readonly file: Blob }
@@ -77,7 +77,7 @@ function folderSource(given: URL): FileSource {
   };
 }
 
-/** A zip archive at an address: fetched by ranges where the host knows them, whole otherwise. */
+/** A zip archive at an address: read with range requests where the host supports them, else as a whole. */
 async function remoteArchive(url: URL): Promise<FileSource> {
   const probe = await request(url, { range: "bytes=0-0" });
   const stated = /\/(\d+)$/.exec(probe.headers.get("content-range") ?? "");

@@ -1,4 +1,6 @@
-/** Which covered texel is nearest to each place of an atlas, the same rule as `lambent_relight.baked.raster.nearest_texel`. */
+/**
+ * The nearest covered texel of each texel of an atlas, as in `lambent_relight.baked.raster.nearest_texel`.
+ */
 
 const around = [
   [0, 1],

@@ -1,5 +1,5 @@
 /**
- * How the kernel of a GGX lobe couples rows of a map: transforms of its values over the columns.
+ * The coupling of a map's rows by the kernel of a GGX lobe: transforms of its values over the columns.
  *
  * The kernel is w(c) = max(c, 0) / (alpha^2 (1 + c) / 2 + (1 - c) / 2)^2 of the cosine c between two pixels, and
  * c = cos(polar) cos(other) + sin(polar) sin(other) cos(azimuth): even in azimuth, so that transforms are real.

@@ -1,9 +1,9 @@
-/** Light as it falls on an object, and its sums over baked planes: the same as `lambent_relight.baked.light`. */
+/** Light on an object, and its sums over baked planes: the same as `lambent_relight.baked.light`. */
 
 import type { Direction } from "./environment.js";
 import { basis } from "./harmonics.js";
 
-/** Light that is turned, and brighter or darker. */
+/** Rotated and scaled light. */
 export type FallingLight = {
   /** Harmonics of the light without the dominant lights, [bands^2, 3]. */
   readonly coefficientsRgb: Float64Array;
@@ -13,7 +13,7 @@ export type FallingLight = {
   readonly irradianceRgb: readonly (readonly number[])[];
 };
 
-/** How planes keep their values: plane p is offsets[p] + scales[p] times a signed byte. */
+/** Quantisation of planes: plane p is offsets[p] + scales[p] times a signed byte. */
 export type PlaneScales = {
   readonly bands: number;
   readonly layers: number;

@@ -36,7 +36,7 @@ const colourBias = -2;
 const usage = { mapRead: 1, copyFrom: 4, copyTo: 8, uniform: 64, storage: 128 } as const;
 const mapRead = 1;
 
-/** What rays see, [ray, 1] and [ray, 3]; distances in scene units. */
+/** Hits of rays, [ray, 1] and [ray, 3]; distances in scene units. */
 export type CacheAnswers = {
   readonly opacity: Float32Array;
   readonly distance: Float32Array;
@@ -254,7 +254,7 @@ export class FusedCache {
     pass.end();
   }
 
-  /** Return what rays [ray, 6] see: origin and unit direction each. */
+  /** Return the hits of rays [ray, 6]: origin and unit direction each. */
   async run(rays: Float32Array<ArrayBuffer>): Promise<CacheAnswers> {
     const count = rays.length / 6;
     const answerBytes = 4 * this.width * count;

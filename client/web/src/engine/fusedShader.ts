@@ -21,7 +21,7 @@ export type PackedLayer = {
   readonly relu: boolean;
 };
 
-/** What the shader evaluates. */
+/** The network that the shader evaluates. */
 export type CacheProgram = {
   readonly contractionRadius: number;
   readonly near: number;
@@ -38,13 +38,13 @@ export type CacheProgram = {
   /** Layers from "inputs" to the last activations, and the heads behind them, in "raw". */
   readonly network: readonly PackedLayer[];
   readonly head: PackedLayer;
-  /** What the radiance needs; left out where it is not wanted. */
+  /** The part for the radiance; absent if it is not requested. */
   readonly radiance?: RadianceProgram;
   /** vec4 that the widest activations need. */
   readonly width: number;
 };
 
-/** The part of a fast cache that knows what the hit looks like under a training light. */
+/** The part of a fast cache for the radiance of the hit under a training light. */
 export type RadianceProgram = {
   readonly grid: PackedGrid;
   /** Layers from the gathered features ("total") to the colour, in "raw". */

@@ -1,5 +1,5 @@
 /**
- * What smoothing with the GGX lobe does to spherical harmonics, one factor per band: the same sums as
+ * Factors per band for smoothing spherical harmonics with the GGX lobe: the same sums as
  * `lambent_relight.baked.transport_lobes`.
  */
 

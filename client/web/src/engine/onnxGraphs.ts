@@ -17,7 +17,7 @@ export type Runtime = Pick<typeof runtimes, "env" | "InferenceSession" | "Tensor
 /** Rows of numbers, [row, width] after each other. */
 export type RowsOf = Readonly<Record<string, Float32Array>>;
 
-/** What a graph is opened with. */
+/** Options for opening a graph. */
 export type GraphOptions = {
   readonly provider: Provider;
   /** Of the same provider. */
@@ -56,8 +56,9 @@ export class OnnxGraph {
 }
 
 /**
- * Open a graph of a bundle; `weights` are the bytes of models/weights.bin. With "webgpu" a graph that would need
- * the processor for any node is refused, so that nothing is slow in silence. Throws what onnxruntime throws.
+ * Open a graph of a bundle; `weights` are the bytes of models/weights.bin. With "webgpu" a graph that would
+ * need the CPU for any node is refused, so that it cannot be slow without notice. Throws what onnxruntime
+ * throws.
  */
 export async function openGraph(
   model: Uint8Array<ArrayBuffer>,

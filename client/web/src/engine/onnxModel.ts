@@ -1,4 +1,4 @@
-/** Looking into ONNX models and trimming them, before a runtime opens them. */
+/** Inspects and trims ONNX models before a runtime opens them. */
 
 import { fromBinary, toBinary } from "@bufbuild/protobuf";
 import { OnnxModelSchema } from "../contract/lambent_proto/v1/onnx_pb.js";

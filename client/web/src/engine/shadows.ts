@@ -1,4 +1,6 @@
-/** Which stored directions decide whether a light is visible: the same rule as `lambent_relight.baked.light`. */
+/**
+ * The stored directions that determine a light's visibility: the same rule as `lambent_relight.baked.light`.
+ */
 
 import type { Direction } from "./environment.js";
 

@@ -11,7 +11,7 @@ const minAlpha = 1e-4;
 const numPolar = 64;
 const numAzimuth = 32;
 
-/** What the specular lobe reflects of even light is F0 * scale + bias. */
+/** The specular reflectance under uniform light is F0 * scale + bias. */
 export type SplitSum = { readonly scale: number; readonly bias: number };
 
 const azimuthCosines = Float64Array.from({ length: numAzimuth }, (_, j) =>

@@ -1,4 +1,4 @@
-/** Curves over time, as coordinates of a box; drawing them is somebody else's matter. */
+/** Curves over time as coordinates in a box; drawing them is left to the caller. */
 
 import type { Sample } from "./store.js";
 

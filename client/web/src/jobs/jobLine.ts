@@ -1,4 +1,4 @@
-/** A job in a list, and what is said of one in a line. */
+/** A job in a list, and its summary in a line. */
 
 import { jobAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
@@ -15,7 +15,7 @@ export const stageNames: ReadonlyMap<string, string> = new Map([
   ["export", "writing the bundle"],
 ]);
 
-/** What jobs do that train nothing. */
+/** Descriptions of jobs that do not train. */
 const otherSteps: ReadonlyMap<string, string> = new Map([["contact_sheet", "laying out the contact sheet"]]);
 
 const purposes: ReadonlyMap<string, string> = new Map([
@@ -35,7 +35,7 @@ export function jobName(job: Job, sceneName: string | undefined): string {
   return sceneName ?? (job.scene_id || purpose(job));
 }
 
-/** Return how long a job took, or how far it is; empty where nothing is known. */
+/** Return the duration or progress of a job; empty if unknown. */
 export function progressText(job: Job): string {
   if (isFinal(job)) {
     if (job.started_at === null || job.finished_at === null) return "";
@@ -79,7 +79,7 @@ export function jobLine(first: Job, name: string): { element: HTMLLIElement; upd
   return { element, update };
 }
 
-/** Keep a list of jobs in step with what is known of them; jobs of the same place keep their element. */
+/** Update a list of jobs; jobs that stay in place keep their element. */
 export function jobList(label: string, nameOf: (job: Job) => string) {
   const element = h("ol", { class: "list", "aria-label": label });
   const lines = new Map<string, ReturnType<typeof jobLine>>();

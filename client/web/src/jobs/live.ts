@@ -1,4 +1,4 @@
-/** What is seen of a job while it runs: stages, pictures, curves. */
+/** The live view of a running job: stages, pictures, curves. */
 
 import { h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration } from "../page/format.js";

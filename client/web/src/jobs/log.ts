@@ -1,4 +1,4 @@
-/** What the run processes of a job wrote, when somebody wants to see it. */
+/** The log of a job's run processes, loaded on demand. */
 
 import { h, setText } from "../page/dom.js";
 import type { Job } from "../page/rest.js";

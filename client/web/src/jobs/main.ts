@@ -56,7 +56,7 @@ async function show(): Promise<void> {
   main.replaceChildren(view.element);
   document.title = view.title === "Lambent" ? view.title : `${view.title} · Lambent`;
   if (isFirst) return;
-  // What a link has led to is where a reader goes on.
+  // Move the focus to the view that a link has opened.
   scrollTo(0, 0);
   main.querySelector<HTMLElement>("h1")?.focus();
 }

@@ -7,7 +7,7 @@ import { formatAbout, plural } from "../page/format.js";
 import type { Estimate, Preset } from "../page/rest.js";
 import type { Context } from "./view.js";
 
-/** A line of the settings that is none. */
+/** An invalid line of the settings. */
 export class BadSetting extends Error {
   override readonly name = "BadSetting";
 }
@@ -24,7 +24,7 @@ export function parseSettings(text: string): Record<string, string> {
   return found;
 }
 
-/** Return what is said of a preset's time. */
+/** Return the text about a preset's time. */
 export function estimateText(estimate: Estimate): string {
   if (estimate.seconds === null) return "no time is known yet";
   const about = `about ${formatAbout(estimate.seconds)}`;
@@ -90,7 +90,7 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
         h(
           "label",
           { for: "settings" },
-          "Settings over the preset, one a line, such as stage_two.num_rays=512",
+          "Settings that override the preset, one per line, such as stage_two.num_rays=512",
         ),
         settings,
       ),

@@ -1,4 +1,4 @@
-/** What was found in a capture: its layout, what hurts, what was measured. */
+/** The report on a capture: its layout, findings, and measurements. */
 
 import { h } from "../page/dom.js";
 import { plural } from "../page/format.js";
@@ -13,7 +13,7 @@ const layouts: ReadonlyMap<string, string> = new Map([
   ["colmap", "COLMAP"],
 ]);
 
-/** Return the name of a layout as people know it. */
+/** Return the name of a layout for display. */
 export function layoutName(layout: string): string {
   return layouts.get(layout) ?? layout;
 }
@@ -41,7 +41,7 @@ export function measured(report: SceneReport): [string, string][] {
   return rows;
 }
 
-/** Return the section about a scene; empty before anything was looked at. */
+/** Return the section about a scene; empty before the first check. */
 export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
   const findings = ordered(report.findings);
   const rows = measured(report);
@@ -72,10 +72,10 @@ export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
 
 function verdict(errors: number, notes: number): string {
   if (errors > 0) {
-    return `This capture cannot be used yet: ${plural(errors, "thing")} to mend, then upload it again.`;
+    return `This capture cannot be used yet: fix ${plural(errors, "problem")} and upload it again.`;
   }
-  if (notes > 0) return `This capture can be used. ${plural(notes, "note")} on what would make it better:`;
-  return "This capture can be used, and nothing in it hurts.";
+  if (notes > 0) return `This capture can be used. ${plural(notes, "note")} on how to improve it:`;
+  return "This capture can be used; no problems were found.";
 }
 
 function table(rows: readonly [string, string][]): HTMLElement {
@@ -95,7 +95,7 @@ function table(rows: readonly [string, string][]): HTMLElement {
 }
 
 function findingLine(finding: Finding): HTMLLIElement {
-  const kind = finding.severity === "error" ? "To mend" : "Note";
+  const kind = finding.severity === "error" ? "To fix" : "Note";
   const about = finding.subject === "" ? "" : `${finding.subject}: `;
   return h(
     "li",

@@ -1,4 +1,4 @@
-/** What a job has made: figures, downloads, the viewer, and links for others. */
+/** Results of a job: metrics, downloads, the viewer, and share links. */
 
 import { viewerAddress } from "../page/addresses.js";
 import { h } from "../page/dom.js";

@@ -1,4 +1,4 @@
-/** What the page knows about jobs: fed by the stream, asked by the views. */
+/** The page's state of jobs: updated by the stream, read by the views. */
 
 import type { Api, Job, JobEvent } from "../page/rest.js";
 import type { StreamMessage } from "./stream.js";
@@ -15,7 +15,7 @@ export type JobRecord = {
   psnr: Sample[];
   loss: Sample[];
   previews: Preview[];
-  /** When each stage was first heard of, Unix seconds. */
+  /** Time of the first event of each stage, Unix seconds. */
   stages: Map<string, number>;
 };
 
@@ -26,7 +26,7 @@ export function isFinal(job: Pick<Job, "state">): boolean {
   return finalStates.has(job.state);
 }
 
-/** The jobs, and who wants to hear of changes. */
+/** The jobs and the listeners to their changes. */
 export class JobStore {
   readonly #api: Pick<Api, "job" | "events">;
   readonly #records = new Map<string, JobRecord>();
@@ -111,7 +111,7 @@ export class JobStore {
     const event = JSON.parse(message.data) as JobEvent;
     const record = this.#records.get(event.job_id);
     if (record === undefined || event.type === "state") {
-      // What a state brings with it (times, error, bundle) is in the job only.
+      // Details of a state (times, error, bundle) are only in the job.
       this.refresh(event.job_id).catch(() => {});
     } else if (event.seq > record.job.last_event) {
       const progress = event.progress ?? record.job.progress;

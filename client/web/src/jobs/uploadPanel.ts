@@ -1,4 +1,4 @@
-/** Where photographs are dropped or chosen, and the uploads that go on. */
+/** The panel for dropping or choosing photographs, with the current uploads. */
 
 import { sceneAddress } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";

@@ -1,4 +1,4 @@
-/** What every view of the page is given, and what it gives back. */
+/** The interface between the page and its views. */
 
 import { h } from "../page/dom.js";
 import type { Api } from "../page/rest.js";
@@ -9,7 +9,7 @@ export type Context = {
   readonly api: Api;
   readonly store: JobStore;
   readonly uploads: Uploads;
-  /** Tell what went wrong with something the visitor did. */
+  /** Report a problem with an action of the visitor. */
   readonly fail: (error: unknown) => void;
 };
 

@@ -1,4 +1,4 @@
-/** What an OpenEXR file states about itself, and which of it can be used: the checks of `lambent_relight.environment.exr`. */
+/** Reads and checks the header of an OpenEXR file, like `lambent_relight.environment.exr`. */
 
 import { MapFault } from "./fault.js";
 
@@ -20,7 +20,7 @@ export type Stated = {
   /** Bits of the second to fourth byte of the version: tiles 2, deep 8, several parts 16. */
   readonly flags: number;
   readonly attributes: ReadonlyMap<string, DataView>;
-  /** Where the header ends. */
+  /** Offset of the end of the header. */
   readonly end: number;
 };
 

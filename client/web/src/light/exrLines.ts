@@ -9,7 +9,7 @@ import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { halfTable } from "../engine/half.js";
 import { damaged, type Header, type Stated } from "./exrHeader.js";
 
-/** How the lines of such a file lie in it. */
+/** The layout of the lines in such a file. */
 export type HalfLines = {
   readonly header: Header;
   readonly width: number;
@@ -18,14 +18,14 @@ export type HalfLines = {
   readonly linesPerChunk: 1 | 16;
   readonly tableStart: number;
   readonly numChannels: number;
-  /** Which channels are red, green and blue. */
+  /** Indices of the red, green and blue channels. */
   readonly rgb: readonly number[];
 };
 
 const chromaticityNames = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
 const half = 1;
 
-/** Return how a file's lines lie in it, or null where it is of another kind. */
+/** Return the layout of a file's lines, or null if it is of another kind. */
 export function halfLinesOf({ flags, attributes, end }: Stated): HalfLines | null {
   const [window, shown] = [boxOf(attributes.get("dataWindow")), boxOf(attributes.get("displayWindow"))];
   const compression = attributes.get("compression");

@@ -1,4 +1,4 @@
-/** Decodes and prepares environment maps beside the page. */
+/** Decodes and prepares environment maps in a worker. */
 
 import { splitSumTable } from "../engine/splitSum.js";
 import { readExr } from "./exrInput.js";
@@ -7,7 +7,7 @@ import { type PreparedLight, prepareLight } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { readRgbe } from "./rgbe.js";
 
-/** Where a map comes from; the format of bytes is seen from their start. */
+/** The source of a map; the format is detected from the first bytes. */
 export type MapOrigin =
   | { readonly kind: "preset"; readonly name: PresetName }
   | { readonly kind: "bytes"; readonly data: Uint8Array<ArrayBuffer> }

@@ -1,6 +1,6 @@
 /**
- * A map as the renderer needs it, the same as `lambent_relight.baked.light.prepare_light`: a few dominant lights,
- * harmonics of the rest, and prefiltered levels in one texture.
+ * A map prepared for the renderer, the same as `lambent_relight.baked.light.prepare_light`: a few dominant
+ * lights, harmonics of the rest, and prefiltered levels in one texture.
  */
 
 import { splitDominantLights, type DirectionalLight } from "../engine/dominantLights.js";
@@ -19,10 +19,10 @@ const maxWidth = 2048;
 /** Harmonics of few bands do not see finer pixels. */
 const projectedWidth = 512;
 
-/** Where a level lies in the texture: column, row, width, height. */
+/** Position of a level in the texture: column, row, width, height. */
 export type LevelPlace = readonly [x: number, y: number, width: number, height: number];
 
-/** Light without its direction of north; turning it is the renderer's. */
+/** Unrotated light; the renderer rotates it. */
 export type PreparedLight = {
   /** Harmonics of the light without `lights`, [bands^2, 3]. */
   readonly coefficientsRgb: Float64Array<ArrayBuffer>;
@@ -39,7 +39,7 @@ export type PreparedLight = {
     readonly halfRgba: Uint16Array<ArrayBuffer>;
     readonly places: readonly LevelPlace[];
   };
-  /** Sentences about what was done to the map. */
+  /** Sentences about changes made to the map. */
   readonly notes: readonly string[];
 };
 
@@ -90,10 +90,10 @@ function radiusOf({ direction }: DirectionalLight, map: EnvironmentMap, residual
   return flux > 0 ? 2 * Math.sqrt(Math.max(away / flux, 0)) : 0;
 }
 
-/** Return a map without unusable values and not wider than textures are kept, and what was done to it. */
+/** Return a map without unusable values and at most as wide as textures, and notes about the changes. */
 export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: string[] } {
   const notes: string[] = [];
-  let map = mended(given, notes);
+  let map = repaired(given, notes);
   if (map.width > maxWidth) {
     const height = Math.max(1, Math.round((map.height * maxWidth) / map.width));
     map = resized(map, height, maxWidth);
@@ -103,7 +103,7 @@ export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: 
 }
 
 /** Replace NaN and negative values by 0 and infinite ones by the largest finite value, and say so. */
-function mended(map: EnvironmentMap, notes: string[]): EnvironmentMap {
+function repaired(map: EnvironmentMap, notes: string[]): EnvironmentMap {
   let largest = 0;
   let count = 0;
   const { radianceRgb: values } = map;
@@ -120,7 +120,7 @@ function mended(map: EnvironmentMap, notes: string[]): EnvironmentMap {
       "export the map again",
     );
   }
-  notes.push(`Mended ${count} values that were negative, infinite or no number.`);
+  notes.push(`Replaced ${count} negative, infinite or NaN values.`);
   const radianceRgb = Float32Array.from(map.radianceRgb, (value) => {
     if (!(value >= 0)) return 0;
     return value === Number.POSITIVE_INFINITY ? largest : value;

@@ -1,4 +1,4 @@
-/** Small maps made from formulas, for those who have none at hand. */
+/** Small procedural maps, for users without their own. */
 
 import { directionOfPixel, type Direction } from "../engine/environment.js";
 import type { EnvironmentMap, Rgb } from "../engine/environmentMap.js";

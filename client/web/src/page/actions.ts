@@ -1,9 +1,9 @@
-/** Buttons that ask the server for something, and what is told when it says no. */
+/** Buttons that send a request to the server, and the messages for refused requests. */
 
 import { h } from "./dom.js";
 import { Refused, Unreachable } from "./rest.js";
 
-/** Return what to tell a visitor about an error. */
+/** Return the message for an error. */
 export function explain(error: unknown): string {
   if (error instanceof Unreachable) return "The server does not answer. Is it running?";
   if (error instanceof Refused && error.status === 401) {
@@ -18,7 +18,7 @@ export function explain(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
 }
 
-/** Return a button that is not available while what it does goes on. */
+/** Return a button that is disabled while its action is running. */
 export function button(
   text: string,
   action: () => Promise<void>,

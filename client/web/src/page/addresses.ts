@@ -24,13 +24,13 @@ export function jobAddress(jobId: string): string {
   return `#/jobs/${jobId}`;
 }
 
-/** Where an address of this page leads. */
+/** The view that an address of this page opens. */
 export type Place =
   | { readonly kind: "start" }
   | { readonly kind: "scene"; readonly id: string }
   | { readonly kind: "job"; readonly id: string };
 
-/** Return the place that a fragment names; what is none leads to the start. */
+/** Return the view that a fragment names; anything else opens the start. */
 export function placeOf(fragment: string): Place {
   const found = /^#\/(scenes|jobs)\/([a-z0-9_]{1,64})$/.exec(fragment);
   if (found === null) return { kind: "start" };

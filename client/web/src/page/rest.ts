@@ -1,4 +1,4 @@
-/** The REST interface as the pages use it: typed bodies, problems as exceptions. */
+/** The REST API for the pages: typed bodies, problems as exceptions. */
 
 import type { components } from "../contract/rest.js";
 
@@ -38,7 +38,7 @@ export class Unreachable extends Error {
   override readonly name = "Unreachable";
 }
 
-/** Throw what a server's answer says is wrong; a good answer passes. */
+/** Throw the problem in a server's response, if there is one. */
 export async function requireOk(response: Response): Promise<Response> {
   if (response.ok) return response;
   let problem: Partial<Schemas["ProblemDocument"]> = {};

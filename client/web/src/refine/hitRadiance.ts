@@ -1,6 +1,7 @@
 /**
- * What hit points of secondary rays send back, from baked transport: `lambent_relight.baked.hits`. Every bounce is in
- * it: the diffuse part comes from the irradiance of the nearest texel, the specular part from the split sum.
+ * Radiance of secondary rays' hit points, from baked transport: `lambent_relight.baked.hits`. All bounces are
+ * included: the diffuse part comes from the irradiance of the nearest texel, the specular part from the split
+ * sum.
  */
 
 import type { AtlasMesh } from "../bundle/mesh.js";
@@ -20,7 +21,7 @@ import { type Vector, vector } from "./vectors.js";
 /** Share of the hemisphere that is taken to be surrounded at least, where light from there is wanted. */
 const leastBlocked = 0.05;
 
-/** Everything about hits that no light changes. */
+/** The light-independent data of hits. */
 export class HitScene {
   readonly materials: TexelMaterials;
   readonly nearest: NearestPoint;
@@ -45,7 +46,7 @@ export class HitScene {
   }
 }
 
-/** The radiance that hit points send under one light. */
+/** The radiance of hit points under one light. */
 export class Hits {
   readonly #materials: Omit<TexelMaterials, "edited">;
   /** Diffuse radiance, and mean radiance around, per texel. */
@@ -73,7 +74,7 @@ export class Hits {
     this.#around = bounced.map((value, index) => value * surroundings[Math.floor(index / 3)]!);
   }
 
-  /** Write what the surface nearest to (x, y, z) sends towards `omegaO`. */
+  /** Write the radiance of the surface nearest to (x, y, z) towards `omegaO`. */
   radiance(x: number, y: number, z: number, omegaO: Vector, out: Vector): void {
     const texel = this.scene.nearest.at(x, y, z);
     const { normal, albedo, metalness, perceptualRoughness } = this.#materials;

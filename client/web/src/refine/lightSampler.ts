@@ -3,8 +3,9 @@
  *
  * A table holds, for lobes about a grid of axes, the probability of every cell of the map in proportion to radiance
  * times lobe; inside a cell, pixels are drawn by their radiance and directions uniformly in solid angle. The density is
- * known exactly, so a coarse table costs variance, never truth. Lobe 0 is the clamped cosine about the normal; lobe
- * k > 0 is exp(sharpness (cos - 1)) about the mirror direction. All directions here are the map's.
+ * known exactly, so a coarse table increases variance but causes no bias. Lobe 0 is the clamped cosine about
+ * the normal; lobe k > 0 is exp(sharpness (cos - 1)) about the mirror direction. All directions here are the
+ * map's.
  */
 
 import { directionOfUv } from "../engine/environment.js";

@@ -13,7 +13,7 @@ import { shadowDirections, shadowWeights } from "../engine/shadows.js";
 
 const stored = shadowDirections(numShadowDirections);
 
-/** Return what arrives straight from the light at every texel, triples, not below zero. */
+/** Return the direct irradiance of every texel, triples, not below zero. */
 export function directIrradiance(
   transport: PackedTransport,
   normals: Float32Array,
@@ -39,7 +39,7 @@ export function directIrradiance(
   return result.map((value) => Math.max(value, 0));
 }
 
-/** Return what arrives by way of other surfaces at every texel, triples, not below zero. */
+/** Return the indirect irradiance of every texel, triples, not below zero. */
 export function bouncedIrradiance(
   transport: PackedTransport,
   light: FallingLight,

@@ -1,4 +1,4 @@
-/** What page and worker say to each other. */
+/** Messages between page and worker. */
 
 import type { AtlasMesh } from "../bundle/mesh.js";
 import type { BundleOrigin } from "../bundle/source.js";

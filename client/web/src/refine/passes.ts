@@ -9,12 +9,12 @@ import type { SurfacePoints } from "./surfacePoints.js";
 import type { Traced, Tracer } from "./tracer.js";
 import { type Vector, vector } from "./vectors.js";
 
-/** What is estimated. */
+/** The scene of an estimate. */
 export type RefineScene = {
   readonly points: SurfacePoints;
   readonly light: SkyLight;
   readonly sampler: LightSampler;
-  /** What hit points send back; null leaves light from other parts of the object out. */
+  /** Radiance of hit points; null leaves out light from other parts of the object. */
   readonly hits: Hits | null;
   /** Secondary rays start this far along the normal, scene units. */
   readonly originOffset: number;
@@ -28,7 +28,7 @@ export type PassMeans = {
   readonly visibility: Float32Array;
 };
 
-/** Directions of some points, before anyone has said what they meet. */
+/** Directions of some points, before they are traced. */
 type Drawn = {
   readonly count: number;
   readonly rays: Float32Array<ArrayBuffer>;

@@ -1,4 +1,4 @@
-/** How fine a picture is refined: as fine as it is shown, unless that would never end. */
+/** The resolution of a refined picture: that of the shown one, unless it would take too long. */
 
 /** Points that are refined at most, by what computes. */
 export const mostPoints = { quick: 1 << 19, slow: 1 << 14 } as const;

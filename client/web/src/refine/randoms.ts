@@ -1,4 +1,7 @@
-/** Repeatable random numbers: every point of every pass has a sequence of its own, whatever is computed beside it. */
+/**
+ * Repeatable random numbers: every point of every pass has its own sequence, independent of all other
+ * computations.
+ */
 
 /** Fractional parts of multiples of these fill the unit square evenly (Roberts' R2 sequence). */
 const evenSteps = [0.7548776662466927, 0.5698402909980532] as const;

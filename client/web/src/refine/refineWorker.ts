@@ -1,4 +1,4 @@
-/** Refines pictures beside the page. */
+/** Refines pictures in a worker. */
 
 import { BundleFault } from "../bundle/fault.js";
 import { openBundle } from "../bundle/manifest.js";

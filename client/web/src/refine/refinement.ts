@@ -1,4 +1,6 @@
-/** Refines the picture of a viewer while nothing moves, and takes the refined one away when something does. */
+/**
+ * Refines the picture of a viewer while nothing moves, and removes the refined picture when something does.
+ */
 
 import type { LoadedBundle } from "../bundle/load.js";
 import type { BundleOrigin } from "../bundle/source.js";
@@ -13,7 +15,7 @@ import { RefinedLayer, refinedChannels } from "./refinedLayer.js";
 import { notRefining, type RefineOptions, type RefineStatus } from "./status.js";
 import { readSamples } from "./surfaceReader.js";
 
-/** What is shown now. */
+/** The current picture. */
 export type RefineView = {
   readonly bundle: LoadedBundle;
   readonly origin: BundleOrigin;
@@ -26,7 +28,7 @@ export type RefineView = {
   readonly options: RefineOptions;
 };
 
-/** What a refinement needs of its viewer. */
+/** The parts of a viewer that a refinement uses. */
 export type RefineHost = {
   readonly stage: Stage;
   readonly view: () => RefineView;
@@ -46,7 +48,7 @@ export class Refinement {
   #sentLight: PreparedLight["levels"] | null = null;
   #layer: RefinedLayer | null = null;
   #picture: RefinedPicture | null = null;
-  /** What is refined now, or is to be. */
+  /** The current or next task. */
   #key = "";
   #light: PreparedLight | null = null;
   #id = 0;
@@ -54,7 +56,7 @@ export class Refinement {
 
   constructor(private readonly host: RefineHost) {}
 
-  /** What it does now. */
+  /** The current status. */
   get status(): RefineStatus {
     return this.#status;
   }

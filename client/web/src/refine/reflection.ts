@@ -78,7 +78,7 @@ export function ggxSample(
   for (let axis = 0; axis < 3; axis++) out[axis] = twice * out[axis]! - omegaO[axis]!;
 }
 
-/** What a pair of directions means to the lobes of a surface. */
+/** The values of a surface's lobes for a pair of directions. */
 export class Reflection {
   /** Density of `ggxSample`, 1/sr. */
   ggxPdf = 0;

@@ -1,20 +1,20 @@
-/** How far refining is, and what may be asked of it. */
+/** The status and options of refining. */
 
 /** "wgsl": a shader on graphics hardware; "wasm": onnxruntime on the processor. */
 export type Backend = "wgsl" | "wasm";
 
-/** What the refinement does now. */
+/** The current status of a refinement. */
 export type RefineStatus = {
   /** "waiting": something moves, or moved just now; the baked picture is shown. */
   readonly phase: "off" | "waiting" | "loading" | "running" | "done" | "failed";
   readonly backend: Backend | null;
-  /** Why it is not a faster one, and which adapted caches are not used; empty where there is nothing to tell. */
+  /** Why the backend is not a faster one, and unused adapted caches; empty if there is nothing to report. */
   readonly note: string;
   /** Light directions of a pixel so far. */
   readonly samplesPerPixel: number;
   /** Mean standard error of a pixel over mean radiance. */
   readonly relativeError: number;
-  /** What went wrong. */
+  /** The error message. */
   readonly message: string;
 };
 
@@ -27,7 +27,7 @@ export const notRefining: RefineStatus = {
   message: "",
 };
 
-/** When refining stops by itself, and by what it is computed. */
+/** When refining stops, and its backend. */
 export type RefineOptions = {
   readonly backend: Backend | "auto";
   /** Stop at this relative standard error, */

@@ -29,7 +29,7 @@ export type SurfaceSamples = {
   readonly distance: Float32Array<ArrayBuffer>;
 };
 
-/** What differs from the bundle's material, with the bundle's own factor on albedo. */
+/** Changes to the bundle's material, with the bundle's own factor on albedo. */
 export type RefineEdit = MaterialEdit & { readonly albedoScaleRgb: readonly number[] };
 
 /** Texels' materials as numbers. */

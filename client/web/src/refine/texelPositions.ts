@@ -1,4 +1,4 @@
-/** Where the texels of an atlas lie in the world: `texel_positions` of `lambent_relight.baked.scene`. */
+/** World positions of an atlas's texels: `texel_positions` of `lambent_relight.baked.scene`. */
 
 import type { AtlasMesh } from "../bundle/mesh.js";
 import { exportAgain } from "../bundle/fault.js";

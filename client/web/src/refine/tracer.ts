@@ -1,4 +1,6 @@
-/** What answers secondary rays: the fast cache as a shader on graphics hardware, or its graph in WebAssembly. */
+/**
+ * Traces secondary rays with the fast cache: as a shader on graphics hardware, or its graph in WebAssembly.
+ */
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { FusedCache, packFastCache } from "../engine/fusedCache.js";
@@ -13,7 +15,7 @@ export type Traced = { readonly opacity: Float32Array; readonly distance: Float3
 /** The light-independent answers of a fast cache. */
 export type Tracer = {
   readonly backend: Backend;
-  /** Whether a processor does the work, whatever it is called. */
+  /** Whether the CPU does the work, even under the name of another backend. */
   readonly slow: boolean;
   /** Rays that one call should have, so that none takes long. */
   readonly raysPerCall: number;
@@ -22,7 +24,7 @@ export type Tracer = {
   readonly close: () => Promise<void>;
 };
 
-/** No way to ask the fast cache; the message says why, for people. */
+/** No backend works for the fast cache; the message says why, for display. */
 export class RefineFault extends Error {
   override readonly name = "RefineFault";
 }

@@ -22,7 +22,7 @@ in vec3 position;
 void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }
 `;
 
-/** Where a texel lies in a table. */
+/** Position of a texel in a table. */
 export const tables = `
 ivec2 placeOf(uint texel) { return ivec2(int(texel) % ${tableWidth}, int(texel) / ${tableWidth}); }
 `;

@@ -36,7 +36,9 @@ vec3 planeSum(ivec2 where) {
 `;
 }
 
-/** How much of a dominant light reaches a texel: a weighted mean of its nearest shadow bits, zero where it faces away. */
+/**
+ * Share of a dominant light at a texel: a weighted mean of its nearest shadow bits, zero where it faces away.
+ */
 const shadows = `
 uniform isampler2DArray material;
 uniform vec4 materialScales[2];
@@ -155,11 +157,11 @@ export class IrradiancePasses {
   }
 }
 
-/** What one light does to every texel. */
+/** Irradiance of every texel under one light. */
 export class IrradianceTables {
   readonly direct: WebGLRenderTarget;
   readonly indirect: WebGLRenderTarget;
-  /** How much of each dominant light reaches a texel, one channel each. */
+  /** Share of each dominant light at every texel, one channel each. */
   readonly shares: WebGLRenderTarget;
 
   constructor(textures: BundleTextures) {

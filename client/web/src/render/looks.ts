@@ -1,4 +1,4 @@
-/** What can be asked of the renderer. */
+/** The options of the renderer. */
 
 import type { PhotoCamera } from "../bundle/cameras.js";
 
@@ -26,7 +26,7 @@ export type BackgroundKind = keyof typeof backgrounds;
 /** Red, green, blue. */
 export type Rgb = readonly [number, number, number];
 
-/** What differs from the bundle's material, as `lambent_relight.edits` applies it. */
+/** Changes to the bundle's material, as in `lambent_relight.edits`. */
 export type MaterialEdit = {
   /** Factor on albedo; the product is clipped to [0, 1]. */
   readonly albedoGain: Rgb;
@@ -36,7 +36,7 @@ export type MaterialEdit = {
   readonly metalnessShift: number;
 };
 
-/** How radiance becomes a picture. */
+/** Conversion of radiance to a picture. */
 export type Look = {
   readonly channel: Channel;
   readonly tone: ToneCurve;
@@ -45,13 +45,13 @@ export type Look = {
   /** sRGB-encoded, 0 to 1. */
   readonly backgroundSrgb: Rgb;
   readonly edit: MaterialEdit;
-  /** Whether light that was reflected once before is added. */
+  /** Whether indirect light is added. */
   readonly indirect: boolean;
   /** Whether level ground under the object shows its shadow. */
   readonly ground: boolean;
 };
 
-/** How the environment is turned and how bright it is. */
+/** Rotation and brightness of the environment. */
 export type LightTurn = {
   /** About +z; the same as `--rotate-deg`. */
   readonly yawDeg: number;

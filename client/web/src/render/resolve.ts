@@ -8,7 +8,7 @@ import type { GroundPlace } from "./ground.js";
 import { backgrounds, type LightTurn, type Look, toneCurves, type ViewCamera } from "./looks.js";
 import type { StageLight } from "./light.js";
 
-/** What the last pass writes. */
+/** Output formats of the last pass. */
 export const outputs = {
   /** sRGB-encoded, multiplied by alpha: for the canvas. */
   canvas: 0,

@@ -1,5 +1,5 @@
 /**
- * What the object sends to the camera: the formula of `lambent_relight.baked.shading`, per pixel.
+ * Radiance of the object towards the camera: the formula of `lambent_relight.baked.shading`, per pixel.
  *
  *     radiance = (1 - m) albedo / pi (E_direct + E_indirect)
  *              + (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings) + dominant lights

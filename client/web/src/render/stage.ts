@@ -64,7 +64,7 @@ export class GraphicsFault extends Error {
   }
 }
 
-/** What may be drawn in place of the light "a" with baked transport. */
+/** A picture that may be drawn in place of the light "a" with baked transport. */
 export type Overlay = {
   /** Draw what a camera sees into `target`, radiance multiplied by coverage; false where it is not known. */
   readonly draw: (screen: FullScreen, camera: ViewCamera, look: Look, target: WebGLRenderTarget) => boolean;

@@ -1,4 +1,4 @@
-/** Which texel each sample of a picture shows, and how far away it is: the mesh, drawn once per camera. */
+/** The texel and distance at each sample of a picture: the mesh, drawn once per camera. */
 
 import {
   BufferAttribute,

@@ -1,11 +1,11 @@
-/** Links that show one bundle to others. */
+/** Share links for one bundle. */
 
 import { button } from "../page/actions.js";
 import { h } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
 import type { Api, Share } from "../page/rest.js";
 
-/** What the part asks of its page. */
+/** The callbacks of the panel. */
 export type ShareContext = {
   readonly api: Pick<Api, "shares" | "createShare" | "revokeShare">;
   readonly fail: (error: unknown) => void;
@@ -26,7 +26,7 @@ export function linkWithView(url: string, view: string): string {
   return view === "" ? url : `${url}&${view}`;
 }
 
-/** Return the part that makes links and takes them back. */
+/** Return the panel that creates and revokes links. */
 export function sharePanel(context: ShareContext, bundleId: string): HTMLElement {
   const { api, fail } = context;
   const linkOf = (share: Share): string => linkWithView(share.url, context.view?.() ?? "");
@@ -70,13 +70,13 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       "Take back",
       async () => {
         await api.revokeShare(share.id);
-        news.textContent = "The link does not work any more.";
+        news.textContent = "The link no longer works.";
         await load();
       },
       context,
     );
-    revoke.setAttribute("aria-label", `Take back the link that ends ${ends}`);
-    return h("li", {}, address, h("span", { class: "faint" }, `ends ${ends}`), copy, revoke);
+    revoke.setAttribute("aria-label", `Take back the link that expires ${ends}`);
+    return h("li", {}, address, h("span", { class: "faint" }, `expires ${ends}`), copy, revoke);
   }
 
   const make = button(
@@ -84,7 +84,9 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     async () => {
       const share = await api.createShare(bundleId, Number(lifetime.value));
       await load();
-      news.textContent = (await copied(linkOf(share))) ? "The link is made and copied." : "The link is made.";
+      news.textContent = (await copied(linkOf(share)))
+        ? "The link was created and copied."
+        : "The link was created.";
     },
     context,
   );
@@ -92,7 +94,11 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     "div",
     { id: "share" },
     h("h3", {}, "Show it to others"),
-    h("p", { class: "faint" }, "Whoever has the link sees this one object and nothing else, until it ends."),
+    h(
+      "p",
+      { class: "faint" },
+      "Anyone with the link can see this one object and nothing else until it expires.",
+    ),
     h("div", { class: "actions" }, h("label", { for: "lifetime" }, "It works for"), lifetime, make),
     news,
     list,

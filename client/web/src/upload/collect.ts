@@ -1,4 +1,4 @@
-/** What a visitor drops or chooses, as the files of one scene. */
+/** Dropped or chosen files as the files of one scene. */
 
 import { BundleFault } from "../bundle/fault.js";
 import { type RangeReader, ZipArchive } from "../bundle/zip.js";
@@ -16,7 +16,7 @@ export type Candidate =
   | { readonly kind: "files"; readonly name: string; readonly files: readonly SceneFile[] }
   | { readonly kind: "archive"; readonly name: string; readonly file: File; readonly mediaType: string };
 
-/** What was dropped cannot be a scene; the message says what to do. */
+/** The dropped files cannot be a scene; the message says what to do. */
 export class NotAScene extends Error {
   override readonly name = "NotAScene";
 }

@@ -1,4 +1,4 @@
-/** Hashes files beside the page, so that the page goes on answering. */
+/** Hashes files in a worker, so that the page stays responsive. */
 
 import { sha256Hex } from "../bundle/sha256.js";
 import type { HashAnswer, HashRequest } from "./hashing.js";

@@ -1,4 +1,4 @@
-/** Sends a scene: hashes it, asks what the server lacks, sends that, and ends the upload. */
+/** Uploads a scene: hashes it, asks which files the server lacks, sends them, and commits the upload. */
 
 import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";

@@ -1,6 +1,6 @@
 /** Files that are dropped or chosen: a bundle, its folder, or a map. */
 
-/** What was dropped. */
+/** The dropped item. */
 export type Dropped =
   | { readonly kind: "archive"; readonly file: File }
   | { readonly kind: "folder"; readonly files: ReadonlyMap<string, Blob> }

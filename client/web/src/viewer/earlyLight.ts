@@ -11,7 +11,7 @@ export function lightFor(wanted: string, trained: readonly string[]): string {
   return trained[0] === undefined ? "preset:studio" : `trained:${trained[0]}`;
 }
 
-/** How many lights are split off for a bundle. */
+/** Number of dominant lights extracted for a bundle. */
 export function dominantFor(hasShadowBits: boolean): number {
   return hasShadowBits ? maxDominant : 0;
 }
@@ -19,7 +19,7 @@ export function dominantFor(hasShadowBits: boolean): number {
 type Host = {
   /** The light that is asked for now. */
   readonly wanted: () => string;
-  /** Where a light that is not the bundle's comes from; throws where there is none. */
+  /** Returns the source of a light that is not the bundle's; throws if there is none. */
   readonly originOf: (name: string) => MapOrigin;
   readonly prepare: (origin: MapOrigin, bands: number, dominant: number) => Promise<PreparedLight>;
 };

@@ -19,12 +19,12 @@ export class LambentViewerElement extends HTMLElement {
     return this.#ready;
   }
 
-  /** What draws; null while the element is in no document. */
+  /** The renderer; null while the element is not in a document. */
   get viewer(): Viewer | null {
     return this.#viewer;
   }
 
-  /** What is shown, as one plain value. */
+  /** The state as one plain value. */
   get state(): ViewerState {
     return this.#open().state;
   }

@@ -1,4 +1,4 @@
-/** The element alone, for other people's pages: `<script type="module" src=".../lambent-viewer.js">`. */
+/** Only the element, for use in other pages: `<script type="module" src=".../lambent-viewer.js">`. */
 
 import { defineViewer } from "./element.js";
 

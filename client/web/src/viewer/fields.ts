@@ -14,7 +14,7 @@ export function make<K extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-/** What a slider is. */
+/** Definition of a slider. */
 export type SliderSpec = {
   readonly label: string;
   readonly range: readonly [number, number];

@@ -1,4 +1,4 @@
-/** What surrounds the picture: controls, messages, dropping, the handle of a comparison. */
+/** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
 import { BundleFault } from "../bundle/fault.js";
 import { MapFault } from "../light/fault.js";
@@ -98,7 +98,7 @@ export class Interface {
     }
   }
 
-  /** Say what went wrong. */
+  /** Show an error. */
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
     const known = error instanceof BundleFault || error instanceof MapFault;

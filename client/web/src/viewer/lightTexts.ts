@@ -1,4 +1,4 @@
-/** How lights are named to people. */
+/** Display names of lights. */
 
 import { presetNames } from "../light/presets.js";
 import type { Viewer } from "./viewer.js";

@@ -3,10 +3,10 @@
 import type { LightTurn } from "../render/looks.js";
 import { limits, type OrbitPose, within, wrapped } from "./state.js";
 
-/** What is turned. */
+/** The thing being rotated. */
 export type Turned = { readonly pose: OrbitPose; readonly turn: LightTurn };
 
-/** What an orbit needs of its viewer. */
+/** The parts of a viewer that an orbit uses. */
 export type OrbitHost = {
   readonly element: HTMLElement;
   readonly state: () => Turned;

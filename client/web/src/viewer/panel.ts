@@ -8,7 +8,7 @@ import { type Comparison, limits, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
 import { statusText } from "../refine/status.js";
 
-/** What the panel can ask for beyond a change of state. */
+/** Actions of the panel other than changes of state. */
 export type PanelActions = {
   readonly change: (change: Partial<ViewerState>) => void;
   readonly openBundle: () => void;

@@ -62,13 +62,13 @@ export function encodeExr(halfRgba: Uint16Array, width: number, height: number):
   return file;
 }
 
-/** What a film shows. */
+/** The kinds of film. */
 export type FilmKind = "turntable" | "light";
 
 const filmSeconds = 6;
-/** How often the recorder hands out what it has. */
+/** Interval at which the recorder delivers data. */
 const sliceMs = 50;
-/** How long it may take to begin. */
+/** Time limit for the recorder to start. */
 const patienceSeconds = 30;
 
 /** Return the state at a moment of a film, from 0 to 1. */

@@ -1,4 +1,4 @@
-/** The part of the panel that gives others a link to a bundle of our server; its code comes when it is opened. */
+/** The part of the panel that shares a bundle on our server; its code is loaded when it is opened. */
 
 import { make, section } from "./fields.js";
 import { toParameters } from "./state.js";

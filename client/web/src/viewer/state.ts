@@ -17,7 +17,9 @@ import {
 export const comparisons = ["off", "environment", "plain", "photo"] as const;
 export type Comparison = (typeof comparisons)[number];
 
-/** Where the light comes from: "trained:NAME", "preset:NAME", "url:ADDRESS", or "file:NAME" of a dropped file. */
+/**
+ * The source of the light: "trained:NAME", "preset:NAME", "url:ADDRESS", or "file:NAME" of a dropped file.
+ */
 export type EnvironmentName = string;
 
 /** A camera that turns about a point; angles in degrees, azimuth from +x towards +y. */
@@ -39,7 +41,7 @@ export type ViewerState = {
   readonly compare: Comparison;
   /** The light on the right of a comparison of two. */
   readonly environmentB: EnvironmentName;
-  /** Where the two halves meet, 0 to 1. */
+  /** Position of the divider, 0 to 1. */
   readonly split: number;
   /** The photograph on the right of a comparison with one. */
   readonly photo: string;

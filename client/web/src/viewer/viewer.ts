@@ -1,4 +1,4 @@
-/** A bundle on a canvas under lights: what changes is drawn, and light is prepared beside the page. */
+/** A bundle on a canvas under lights: redraws on changes, and prepares light in a worker. */
 
 import { loadInWorker } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
@@ -17,7 +17,7 @@ import { orbitCamera, photoCamera } from "./camera.js";
 import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
 import { initialState, isPreset, type ViewerState } from "./state.js";
 
-/** What listeners hear. */
+/** The events of a viewer. */
 export type ViewerEvents = {
   /** The state is another one. */
   readonly change: () => void;
@@ -54,7 +54,7 @@ export class Viewer {
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
   #closed = false;
-  /** When refining stops by itself, and by what it is computed. */
+  /** When refining stops, and its backend. */
   refineOptions: RefineOptions = refineOptions;
 
   constructor(readonly canvas: HTMLCanvasElement) {
@@ -80,7 +80,7 @@ export class Viewer {
     return bundleAt(this.#source.url, document.baseURI);
   }
 
-  /** What is shown. */
+  /** The current state. */
   get state(): ViewerState {
     return this.#state;
   }
@@ -146,7 +146,7 @@ export class Viewer {
     try {
       await this.#applyLights();
     } catch (error) {
-      // What was chosen since then stays.
+      // Settings changed in the meantime are kept.
       const now = this.#state;
       const kept = (name: "environment" | "environmentB"): string =>
         now[name] === asked[name] ? before[name] : now[name];
@@ -371,7 +371,7 @@ export class Viewer {
           if (prepared.notes.length > 0) this.#tell("message", prepared.notes.join(" "), false);
           this.invalidate();
         } catch (error) {
-          // Of a light that nobody waits for any more, nobody needs to hear.
+          // Ignore errors of a light that is no longer wanted.
           if (this.#shown.get(slot) !== name) return;
           this.#shown.delete(slot);
           throw error;

@@ -141,10 +141,10 @@ describe("an upload", () => {
     complaints.splice(0);
   });
 
-  it("of a capture that cannot be used says what to mend, and offers no training", async () => {
+  it("of a capture that cannot be used says what to fix, and offers no training", async () => {
     await uploaded("bad", { ...capture, "reject.txt": "x" });
     await stateIs("cannot be used");
-    await page.waitForSelector(".findings li:has-text('mend reject.txt')");
+    await page.waitForSelector(".findings li:has-text('fix reject.txt')");
     expect(await page.$("text=Start the job")).toBeNull();
     expect(await serious(page)).toEqual([]);
   });
@@ -203,7 +203,7 @@ describe("a job", () => {
     for (const path of ["/v1/jobs", "/v1/bundles", bundle, `/v1/scenes/${scene}`])
       expect(await status(path)).toBe(401);
     await page.click("text=Take back");
-    await page.waitForSelector("text=does not work any more");
+    await page.waitForSelector("text=no longer works");
     expect(await status(`${bundle}/manifest`)).toBe(401);
     await guest.goto("about:blank");
     await guest.goto(link);

@@ -20,7 +20,7 @@ def test_the_report_has_one_line_per_check_and_machine_readable_rows(tmp_path, c
     assert all(row["advice"] for row in rows if row["verdict"] != "ok")
 
 
-def test_something_that_must_be_mended_exits_with_one(monkeypatch, capsys, tmp_path):
+def test_something_that_must_be_fixed_exits_with_one(monkeypatch, capsys, tmp_path):
     bad = doctor.Check(name="disk", verdict="fail", found="full", advice="free some")
     monkeypatch.setattr(doctor, "examine", lambda url, data: iter([bad]))
     assert app.run(["doctor", "--data", str(tmp_path)]) == 1

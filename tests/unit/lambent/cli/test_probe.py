@@ -71,7 +71,7 @@ def test_relight_reads_maps_of_other_programs_and_tells_what_it_did(sky, tmp_pat
     assert pixels[0].max() > 0.0
 
 
-def test_unusable_values_are_refused_and_mended_on_request(tmp_path, capsys):
+def test_unusable_values_are_refused_and_replaced_on_request(tmp_path, capsys):
     image = np.ones((4, 8, 3), np.float32)
     image[1, 2, 0] = np.nan
     channels = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
@@ -80,10 +80,10 @@ def test_unusable_values_are_refused_and_mended_on_request(tmp_path, capsys):
     assert app.run(words) == 2
     assert "environment.unusable_values" in capsys.readouterr().err
     assert app.run([*words, "--mend-env"]) == 0
-    assert "mended 1 NaN" in capsys.readouterr().err
-    mended = load_environment(tmp_path / "out/environment.exr")
+    assert "replaced 1 NaN" in capsys.readouterr().err
+    repaired = load_environment(tmp_path / "out/environment.exr")
     expected = environment_from_array(image, mend=True)
-    np.testing.assert_array_equal(mended.radiance, expected.radiance)
+    np.testing.assert_array_equal(repaired.radiance, expected.radiance)
 
 
 @pytest.mark.parametrize("words", [("--env-axes", "maya"), ("--sun-clamp", "-3"), ("--sun-clamp", "nan")])

@@ -204,7 +204,7 @@ def test_a_turntable_reads_maps_of_other_layouts_and_turns_them(bundle, tmp_path
     assert np.abs(undone[0] - plain[0]).mean() < 0.1 * np.abs(skylibs[0] - plain[0]).mean()
 
 
-def test_a_turntable_clamps_the_sun_and_mends_the_map(bundle, tmp_path, capsys):
+def test_a_turntable_clamps_the_sun_and_repairs_the_map(bundle, tmp_path, capsys):
     radiance = np.ones((8, 16, 3), np.float32)
     radiance[2, 8] = 1000.0
     radiance[5, 3] = np.nan

@@ -42,7 +42,7 @@ def test_unusable_values_are_counted_and_refused(tmp_path):
     assert load_environment(tmp_path / "bad.exr", mend=True).cleaning.num_infinite == 4
 
 
-def test_unusable_values_are_mended_on_request():
+def test_unusable_values_are_replaced_on_request():
     environment = environment_from_array(unusable_map(), mend=True)
     cleaning = environment.cleaning
     assert (cleaning.num_nan, cleaning.num_infinite, cleaning.num_negative) == (1, 4, 1)
