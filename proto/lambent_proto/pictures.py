@@ -57,8 +57,6 @@ Pass = Literal[
     "depth",
 ]
 
-Passes = Annotated[list[Pass], Field(max_length=len(get_args(Pass)))]
-
 
 class RenderMaterial(Wanted):
     """What differs from the bundle's material; mirrors lambent_proto.v1.RenderMaterial."""
@@ -175,7 +173,7 @@ class RenderOutput(Wanted):
         list[Literal["png", "exr"]],
         Field(min_length=1, max_length=2, default_factory=lambda: ["png", "exr"]),
     ]
-    passes: Annotated[Passes, Field(default_factory=lambda: list(get_args(Pass)))]
+    passes: Annotated[list[Pass], Field(max_length=11, default_factory=lambda: list(get_args(Pass)))]
     half: bool = True
     path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$", description=_PATH)] = (
         "{asset}/{environment}/{quality}/{camera}"

@@ -16,7 +16,7 @@ from lambent_relight.bundle.graphs import available_threads
 
 from lambent.cli.batch_failures import list_failures
 from lambent.cli.output import JsonOption, Output, UrlOption, format_duration
-from lambent.cli.rendering import PictureBar, relight_errors
+from lambent.cli.rendering import relight_errors, shown_batch
 from lambent.errors import UsageProblemError
 from lambent.manifest_file import Document, load_document
 
@@ -106,7 +106,7 @@ def _render(
 ) -> int:
     """Make what is missing, write table and sheet, and return the exit code."""
     from lambent_relight.batch.journal import open_journal
-    from lambent_relight.batch.run import Result, run_batch
+    from lambent_relight.batch.run import Result
     from lambent_relight.batch.sheet_lights import light_pictures
     from lambent_relight.batch.summary import TABLE, write_sheets, write_table
 
@@ -114,14 +114,9 @@ def _render(
     results: list[Result] = []
     files = replace(manifest.files, linear=True)
     with open_journal(folder) as journal, _table_at_the_end(folder, results):
-        with PictureBar(len(plan.rows) + len(plan.failures), output) as bar:
-
-            def show(fraction: float) -> None:
-                bar.move(len(results) + fraction)
-
-            for result in run_batch(plan, files, journal, num_jobs=num_jobs, progress=show):
-                results.append(result)
-                bar.done(len(results) - 1, result.path, result.state)
+        # One by one: what there is when Ctrl-C comes is in the table.
+        for result in shown_batch(plan, files, journal, output, num_jobs=num_jobs):
+            results.append(result)  # noqa: PERF402
         write_table(folder / TABLE, results)
         sheets = write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
     counts = Counter(result.state for result in results)

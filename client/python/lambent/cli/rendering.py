@@ -11,10 +11,10 @@ from typing import Any
 
 from lambent_proto.pictures import RenderSettings
 from lambent_relight import Bundle, BundleError, Camera, RelightError, load_bundle
-from lambent_relight.batch.journal import Record, open_journal
+from lambent_relight.batch.journal import Journal, Record, open_journal
 from lambent_relight.batch.manifest import SUFFIXES, Asset, Files, Light, Quality
 from lambent_relight.batch.plan import Plan, Row, bundle_digest, check_names, light_digest
-from lambent_relight.batch.run import run_batch
+from lambent_relight.batch.run import Result, run_batch
 
 from lambent.cli.output import Output, format_duration
 from lambent.errors import LambentError, UsageProblemError
@@ -95,35 +95,44 @@ def rows_of(shots: Sequence[Shot], bundle: Bundle, asset: Asset, settings: Rende
     return rows
 
 
+def shown_batch(
+    plan: Plan, files: Files, journal: Journal, output: Output, *, num_jobs: int = 1, strict: bool = False
+) -> Iterator[Result]:
+    """Yield the result of every picture of a batch as `run_batch` does, and show how far it is."""
+    done = 0
+    with PictureBar(len(plan.rows) + len(plan.failures), output) as bar:
+
+        def show(fraction: float) -> None:
+            bar.move(done + fraction)
+
+        for result in run_batch(plan, files, journal, num_jobs=num_jobs, progress=show, strict=strict):
+            bar.done(done, result.path, result.state)
+            done += 1
+            yield result
+
+
 def make_pictures(rows: Sequence[Row], files: Files, folder: Path, output: Output) -> None:
     """Make every picture that is not there yet, and list those of `folder` in its pictures.json.
 
     What is there is known as in a batch, by the hash of everything that it is made from.
     """
     told: set[str] = set()
-    began = time.monotonic()
-    states: list[str] = []
-    with open_journal(folder) as journal, PictureBar(len(rows), output) as bar:
+    began, num_made = time.monotonic(), 0
+    plan = Plan(rows=tuple(rows), failures=())
+    with open_journal(folder) as journal:
         try:
-            for result in run_batch(
-                Plan(rows=tuple(rows), failures=()),
-                files,
-                journal,
-                progress=lambda fraction: bar.move(len(states) + fraction),
-                strict=True,
-            ):
-                record = result.record
-                assert record is not None
-                for note in _notes(record) if result.state == "made" else ():
+            for result in shown_batch(plan, files, journal, output, strict=True):
+                if result.state != "made" or result.record is None:
+                    continue
+                num_made += 1
+                for note in _notes(result.record):
                     if note not in told:
                         told.add(note)
                         output.note(note)
-                states.append(result.state)
-                bar.done(len(states) - 1, result.path, result.state)
         finally:
             listed = {path: _listed(record) for path, record in sorted(journal.records.items())}
             _write_index(folder / INDEX, listed)
-    seconds, num_made = time.monotonic() - began, states.count("made")
+    seconds = time.monotonic() - began
     text = f"{folder}  ({num_made} pictures made, {len(rows) - num_made} kept, {format_duration(seconds)})"
     wanted = [listed[row.path] for row in rows]
     output.result(text, {"path": str(folder), "made": num_made, "pictures": wanted})

@@ -17,7 +17,6 @@ from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
 
-QUALITIES = ("preview", "baked")
 _KEPT_PIXELS = 2_000_000
 """Maximum number of pixels in cached views; about 400 bytes each."""
 _KEPT_LIGHTS = 3

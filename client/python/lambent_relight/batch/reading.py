@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, TypeVar
 from lambent_proto.pictures import (
     Angle,
     Name,
-    Passes,
     RenderAsset,
     RenderEnvironment,
     RenderOutput,
@@ -26,7 +25,6 @@ from lambent_relight.errors import RelightError
 from lambent_relight.validation import Problem, problems_of, shown
 
 Kind = TypeVar("Kind", bound=Wanted)
-_WORDS = {"all": list(PASSES), "none": []}
 Identifier = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f]+$")]
 Entries = Annotated[list[Any], Field(min_length=1, max_length=1000)]
 
@@ -78,14 +76,6 @@ class _Light(RenderEnvironment):
         return entry
 
 
-class _Output(RenderOutput):
-    passes: Annotated[
-        Passes,
-        Field(default_factory=lambda: list(PASSES)),
-        BeforeValidator(lambda value: _WORDS.get(value, value) if isinstance(value, str) else value),
-    ]
-
-
 def read_manifest(document: Any, base: Path) -> Manifest:
     """Return the manifest that `document` describes; relative paths start at `base`.
 
@@ -95,7 +85,10 @@ def read_manifest(document: Any, base: Path) -> Manifest:
     top = document if isinstance(document, dict) else {}
     reader.read(_Document, document, "")
     settings = reader.read(RenderSettings, top.get("settings") or {}, "/settings") or RenderSettings()
-    output = reader.read(_Output, top.get("output") or {}, "/output")
+    written = top.get("output") or {}
+    if isinstance(written, dict) and written.get("passes") in ("all", "none"):
+        written = {**written, "passes": list(PASSES) if written["passes"] == "all" else []}
+    output = reader.read(RenderOutput, written, "/output")
     assets = [_asset(each, at) for each, at in reader.entries(_Asset, top, "assets", "bundle")]
     found = reader.entries(_Light, top, "environments", "map")
     lights = [light for each, at in found for light in _lights(each, at)]

@@ -130,16 +130,6 @@ def test_changed_inputs_are_rendered_again(folder, change):
     assert set(states(folder).values()) == {"made"}
 
 
-def test_exposure_changes_the_png_and_never_the_exr(folder):
-    assert batch(folder, SMALL) == 0
-    exr = folder / "out/ball/sky/refined/turntable_000.exr"
-    before, png = exr.read_bytes(), exr.with_suffix(".png").read_bytes()
-    assert batch(folder, SMALL.replace("spp: 2", "spp: 2, exposure_ev: 2")) == 0
-    assert exr.read_bytes() == before
-    assert exr.with_suffix(".png").read_bytes() != png
-    assert set(states(folder).values()) == {"made"}
-
-
 def test_a_file_whose_hash_is_known_under_another_name_is_copied(folder):
     assert batch(folder, SMALL) == 0
     assert batch(folder, SMALL.replace("[sky.exr]", "[{name: heaven, map: sky.exr}]")) == 0
