@@ -23,9 +23,10 @@ os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.files import read_record
-from lambent_worker.run.folder import done_inputs, finish_step
+from lambent_worker.run.folder import done_inputs, finish_task
 from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import Run, prepare_run
+from lambent_worker.run.prepare import device_for
+from lambent_worker.run.spec import RunSpec
 from reference_scores import FIGURES, figures_of
 
 STAGES = ("cache", "joint")
@@ -89,36 +90,19 @@ def kept_checkpoints(folder: Path) -> list[Checkpoint]:
     return sorted(found)
 
 
-def train(scene: Path, out: Path, arguments: argparse.Namespace) -> Run:
+def train(scene: Path, out: Path, arguments: argparse.Namespace) -> RunSpec:
     """Train as far as materials go, keeping checkpoints on the way, and return the run."""
-    run = prepare_run(
-        scene,
-        out / "run",
-        preset=arguments.preset,
-        lights=(),
-        layout="",
-        seed=arguments.seed,
-        device=arguments.device,
-        overrides=dict(setting.split("=", 1) for setting in arguments.settings),
-        resume=False,
-    )
-    steps = {"cache": run.config.stage_one.num_steps, "joint": run.config.stage_two.num_steps}
+    overrides = dict(setting.split("=", 1) for setting in arguments.settings)
+    spec = RunSpec.from_options(scene, preset=arguments.preset, overrides=overrides, seed=arguments.seed)
+    steps = {"cache": spec.config.stage_one.num_steps, "joint": spec.config.stage_two.num_steps}
     every = {stage: max(1, round(0.99 * count / arguments.points)) for stage, count in steps.items()}
+    device = device_for(out / "run", arguments.device)
     with Keeper(out / "run", out / "kept", every) as reporter:
-        run_pipeline(
-            scene,
-            out / "run",
-            run.config,
-            run.seed,
-            run.device,
-            reporter,
-            ("ingest", *STAGES),
-            lights=run.lights,
-        )
+        run_pipeline(spec, out / "run", device, reporter, ("ingest", *STAGES))
     for stage in STAGES:  # The end of a stage is always worth a look.
         ended = max((out / "run" / stage).glob("step_*"))
         copy_checkpoint(ended, out / "kept" / f"{stage}_{ended.name.removeprefix('step_')}")
-    return run
+    return spec
 
 
 def evaluate(
@@ -133,7 +117,7 @@ def evaluate(
     shutil.copytree(out / "run" / "scene", probe / "scene")
     copy_checkpoint(checkpoint.folder, probe / "joint" / f"step_{checkpoint.step:07d}")
     (probe / "steps").mkdir()
-    finish_step(probe, "joint", f"{done_inputs(out / 'run', 'joint')} {checkpoint.name}")
+    finish_task(probe, "joint", f"{done_inputs(out / 'run', 'joint')} {checkpoint.name}")
     relight = []
     if arguments.environments and checkpoint.stage:
         relight = ["--environments", str(arguments.environments)]

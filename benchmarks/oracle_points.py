@@ -35,8 +35,8 @@ from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.report.predictions import encoded, save_array
 from lambent_worker.report.request import evenly_spaced
 from lambent_worker.run.evaluation import read_maps
-from lambent_worker.run.prepare import open_run, step_context
-from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
@@ -156,8 +156,7 @@ def albedo_ratio(model: InverseModel, views: tuple[View, ...], antialias: int) -
 
 def read_run(run_dir: Path, scene_dir: Path, num_views: int) -> tuple[InverseModel, Scene, tuple[View, ...]]:
     """Return the trained model, the scene with its truth under the light of the training, and test views."""
-    run = open_run(run_dir, "cpu")
-    context = step_context(run, run_dir, ConsoleReporter(), "joint")
+    context = open_task(run_dir, "joint", ConsoleReporter(), "cpu")
     trained = read_scene(context)
     model = load_trained(context, trained, "joint").eval().requires_grad_(False)
     manifest = select_lights(describe_scene(scene_dir), tuple(trained.lights))

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from lambent_proto.v1.job_pb2 import Progress
+
 
 class RecordingReporter:
     """Keeps every call in `calls`; asks to stop after `stop_after` progress calls."""
@@ -15,7 +17,8 @@ class RecordingReporter:
         """Return the arguments of all calls of one kind."""
         return [fields for kind, fields in self.calls if kind == name]
 
-    def progress(self, **fields: Any) -> None:
+    def progress(self, progress: Progress) -> None:
+        fields = {item.name: getattr(progress, item.name) for item in progress.DESCRIPTOR.fields}
         self.calls.append(("progress", fields))
 
     def preview(self, name: str, png: bytes) -> None:

@@ -1,25 +1,16 @@
-"""What a pipeline step tells the outside world, whoever listens."""
+"""What a task tells the outside world, whoever listens."""
 
 from pathlib import Path
 from typing import Protocol
+
+from lambent_proto.v1 import job_pb2
 
 
 class Reporter(Protocol):
     """Listener of a run: a terminal, a server, or a test."""
 
-    def progress(
-        self,
-        *,
-        stage: str,
-        step: int,
-        num_steps: int,
-        fraction: float,
-        eta_s: float,
-        steps_per_s: float,
-        loss: float,
-        psnr: float,
-    ) -> None:
-        """Tell how far the run is; `fraction` of the whole job in 0..1, `psnr` in dB (0 if unknown)."""
+    def progress(self, progress: job_pb2.Progress) -> None:
+        """Tell how far the run is."""
 
     def preview(self, name: str, png: bytes) -> None:
         """Show a small picture of the current state (at most 256 KiB)."""

@@ -10,66 +10,47 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flashcache.errors import ConfigError, TrainingError
-from lambent_proto.v1 import scene_pb2, worker_pb2
+from lambent_proto.v1 import worker_pb2
 
-from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
 from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_worker.job.order import Check, Order, Pipeline
 from lambent_worker.job.server_reporter import ServerReporter, media_type
-from lambent_worker.job.task import Check, Pipeline, Task
 from lambent_worker.reporter import Reporter
 
 _SIGKILL_ON_PARENT_DEATH = 1
 
 
-def train(task: Task) -> Path | None:
-    """Run the steps of `lambent_worker.run.pipeline` and return the bundle's folder."""
-    from lambent_worker.job.order import config_of, known_lights_of, masks_of
-    from lambent_worker.run.folder import step_folder
-    from lambent_worker.run.known_lights import keep_known_lights, names_by_content, parse_known_lights
-    from lambent_worker.run.masks import keep_masks, masks_setting
+def train(order: Order) -> Path:
+    """Run the tasks of `lambent_worker.run.pipeline` and return the bundle's folder."""
+    from lambent_worker.run.folder import task_folder
     from lambent_worker.run.pipeline import run_pipeline
+    from lambent_worker.run.spec import RunSpec
 
-    config, lights, layout = config_of(task.spec, task.adjustments)
-    known = parse_known_lights(known_lights_of(task.spec, task.scene_dir))
-    keep_known_lights(task.run_dir, known)
-    masks, whole_view = masks_of(task.spec, task.scene_dir)
-    setting = masks_setting(masks, whole_view=whole_view)
-    if masks is not None:
-        keep_masks(task.run_dir, masks)
-    run_pipeline(
-        task.scene_dir,
-        task.run_dir,
-        config,
-        task.spec.seed,
-        task.device,
-        task.reporter,
-        lights=lights,
-        layout=layout,
-        known_lights=names_by_content(known),
-        masks=setting,
-    )
-    return step_folder(task.run_dir, "export")
+    spec = RunSpec.from_job(order.spec, order.adjustments, order.scene_dir)
+    run_pipeline(spec, order.run_dir, order.device, order.reporter, checked=order.checked)
+    return task_folder(order.run_dir, "export")
 
 
-def perform(task: Task) -> Path | None:
+def perform(order: Order) -> Path:
     """Train, or adapt a bundle to a light, as the order's kind says."""
-    return bake(task) if task.spec.kind == "bake" else train(task)
+    return bake(order) if order.spec.kind == "bake" else train(order)
 
 
-def bake(task: Task) -> Path:
+def bake(order: Order) -> Path:
     """Adapt a bundle's fast cache to an environment and return the folder of the bundle that has it."""
     from lambent_worker.job.bake import run_bake
 
-    return run_bake(task.spec, task.scene_dir, task.run_dir, task.device, task.reporter)
+    return run_bake(order.spec, order.scene_dir, order.run_dir, order.device, order.reporter)
 
 
-def render(task: Task) -> None:
+def render(order: Order) -> None:
     """Make pictures of bundles; they are artifacts of the job."""
     from lambent_worker.job.render import render_pictures
 
-    render_pictures(task)
+    render_pictures(order)
 
 
 def check(scene_dir: Path) -> CaptureCheck:
@@ -162,19 +143,17 @@ def _do(
 ) -> Path | None:
     identity = connection.identity
     scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
+    checked = None
     if start.check_scene or start.spec.kind == "check":
         checked = check(scene_dir)
-        report = checked.report
         _report_scene(connection, start.scene_name, checked)
-        for finding in report.findings:
-            error = finding.severity == scene_pb2.SEVERITY_ERROR
-            reporter.finding(finding.code, finding.message, subject=finding.subject, error=error)
+        tell_findings(reporter, checked.report.findings)
         if start.spec.kind == "check":
             return None
-        if not report.usable:
-            raise SceneRefusedError(report)
+        if not checked.report.usable:
+            raise SceneRefusedError(checked.report)
     restore_checkpoints(connection, reporter, start, identity.work_dir)
-    task = Task(
+    order = Order(
         spec=start.spec,
         scene_dir=scene_dir,
         run_dir=identity.work_dir,
@@ -182,8 +161,9 @@ def _do(
         adjustments=start.adjustments,
         reporter=reporter,
         render=start.render,
+        checked=checked,
     )
-    bundle = render(task) if start.HasField("render") else pipeline(task)
+    bundle = render(order) if start.HasField("render") else pipeline(order)
     if reporter.broken is not None:
         raise reporter.broken
     return bundle
@@ -217,11 +197,11 @@ def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent:
 def restore_checkpoints(
     connection: Connection, reporter: Reporter, start: worker_pb2.StartResponse, run_dir: Path
 ) -> None:
-    """Bring the kept checkpoints to where the pipeline left them; one that is broken is left out."""
+    """Bring the kept checkpoints to where the pipeline left them; one that is broken is left out.
+
+    Whether one was made with the settings that its stage has now is seen when the stage goes on from it.
+    """
     for manifest in start.checkpoints:
-        if manifest.stage == start.adjustments.stage:
-            # It was made with the settings that failed.
-            continue
         try:
             for file in manifest.files:
                 connection.get_file(file.sha256, run_dir / file.path)

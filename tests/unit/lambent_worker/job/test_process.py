@@ -7,19 +7,15 @@ from pathlib import Path
 
 import pytest
 from flashcache.errors import ConfigError, TrainingError
-from flashcache.presets import PRESETS
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError
-from lambent_worker.job.order import adjust, config_of, known_lights_of
 from lambent_worker.job.process import describe_failure, fetch_scene, restore_checkpoints
 from lambent_worker.job.server_reporter import MAX_PREVIEW_BYTES, ServerReporter, media_type
 from support.recording_reporter import RecordingReporter
 from support.runs import SECRET, Stage, staged, token
-
-UNCHANGED = worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=1.0)
 
 
 @pytest.fixture
@@ -95,18 +91,6 @@ def test_a_checkpoint_that_is_broken_in_the_store_is_left_out(
     assert [path.parent.name for path in target.rglob("*.safetensors")] == ["step_000010"]
 
 
-def test_checkpoints_of_the_stage_that_failed_are_not_used_with_other_settings(
-    stage: Stage, job: str, connection: Connection, reporter: ServerReporter
-):
-    save(reporter, connection, "cache", 10, b"ten")
-    save(reporter, connection, "joint", 5, b"five")
-    start = stage.call("Start", job)
-    start.adjustments.CopyFrom(worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=0.3, stage="joint"))
-    target = connection.identity.work_dir.parent / "run-2"
-    restore_checkpoints(connection, RecordingReporter(), start, target)
-    assert [path.relative_to(target).parts[0] for path in target.rglob("*.safetensors")] == ["cache"]
-
-
 def test_the_scene_lies_in_a_folder_of_its_name(
     stage: Stage, job: str, connection: Connection, tmp_path: Path
 ):
@@ -123,9 +107,7 @@ def test_the_scene_lies_in_a_folder_of_its_name(
 
 def test_what_the_pipeline_tells_arrives_in_order(stage: Stage, job: str, reporter: ServerReporter):
     for step in range(1, 4):
-        reporter.progress(
-            stage="cache", step=step, num_steps=3, fraction=0.1, eta_s=1, steps_per_s=1, loss=1, psnr=20
-        )
+        reporter.progress(job_pb2.Progress(stage="cache", step=step, num_steps=3))
     reporter.log("first", value=1)
     reporter.finding("scene.soft", "take sharper pictures", subject="r_0")
     reporter.preview("view", b"png")
@@ -223,30 +205,6 @@ def test_every_kind_of_failure_has_its_cause(error: Exception, cause: str, code:
     assert request.message
 
 
-def test_an_order_becomes_a_configuration():
-    params = {"stage_one.num_rays": "64", "lights": "sun, sky", "layout": "nerf_blender"}
-    spec = job_pb2.JobSpec(preset="tiny", params=params)
-    config, lights, layout = config_of(spec, UNCHANGED)
-    assert config.stage_one.num_rays == 64
-    assert (lights, layout) == (("sun", "sky"), "nerf_blender")
-    for wrong in (job_pb2.JobSpec(preset="huge"), job_pb2.JobSpec(preset="tiny", params={"no.such": "1"})):
-        with pytest.raises(ConfigError):
-            config_of(wrong, UNCHANGED)
-
-
-def test_an_adjustment_changes_the_stage_that_failed_and_no_other():
-    config = PRESETS["tiny"]()
-    assert adjust(config, UNCHANGED) == config
-    slower = adjust(config, worker_pb2.Adjustments(ray_chunk=0.5, learning_rate=0.5, stage="joint"))
-    assert slower.stage_one == config.stage_one
-    assert slower.stage_two.num_rays == config.stage_two.num_rays // 2
-    assert slower.stage_two.material_rates.grid == config.stage_two.material_rates.grid / 2
-    assert slower.stage_two.environment_rate == config.stage_two.environment_rate / 2
-    early = adjust(config, worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=0.5, stage="cache"))
-    assert early.stage_two == config.stage_two
-    assert early.stage_one.rates.network == config.stage_one.rates.network / 2
-
-
 def test_files_have_the_media_type_of_their_name():
     assert media_type("a/b.exr") == "image/x-exr"
     assert media_type("mesh/asset.glb") == "model/gltf-binary"
@@ -260,18 +218,3 @@ def test_a_wrong_secret_is_an_end_and_not_a_retry(stage: Stage, job: str):
     with pytest.raises(FencedError):
         connection.call(connection.stub.Heartbeat, heartbeat(connection))
     connection.close()
-
-
-def test_an_order_names_environments_among_the_files_of_its_capture(tmp_path):
-    spec = job_pb2.JobSpec(preset="tiny", params={"known_lights": "a=sky.exr, maps/b.hdr"})
-    expected = [f"a={tmp_path / 'sky.exr'}", str(tmp_path / "maps" / "b.hdr")]
-    assert known_lights_of(spec, tmp_path) == expected
-    assert config_of(spec, UNCHANGED)[0].preset == "tiny"
-    assert known_lights_of(job_pb2.JobSpec(preset="tiny"), tmp_path) == []
-
-
-@pytest.mark.parametrize("name", ["../sky.exr", "a=/etc/sky.exr"])
-def test_an_environment_outside_the_capture_is_refused(tmp_path, name: str):
-    spec = job_pb2.JobSpec(preset="tiny", params={"known_lights": name})
-    with pytest.raises(ConfigError, match="outside the capture"):
-        known_lights_of(spec, tmp_path)

@@ -1,4 +1,4 @@
-"""What the two training steps of a job keep and find again."""
+"""What the two training tasks of a run keep and find again."""
 
 from dataclasses import replace
 
@@ -10,31 +10,30 @@ from flashcache.data.ray_budget import RayBudget
 from flashcache.data.space import SpaceConfig
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.steps.training import domain_for, drive, new_model
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks.training import domain_for, drive, new_model
 from support.lit_sphere import lit_sphere
 from support.recording_reporter import RecordingReporter
 
 SCENE = lit_sphere(num_views=3)
 
 
-def context_of(tmp_path, config: Config, stop_after: int | None = None) -> StepContext:
-    made = StepContext(
+def context_of(tmp_path, config: Config, stop_after: int | None = None) -> TaskContext:
+    made = TaskContext(
+        spec=RunSpec(scene=tmp_path / "scene", config=config),
         run_dir=tmp_path / "run",
-        scene_dir=tmp_path / "scene",
-        config=config,
-        seed=0,
         device="cpu",
         reporter=RecordingReporter(stop_after),
-        stage="joint",
+        task="joint",
     )
     made.folder.mkdir(parents=True, exist_ok=True)
     return made
 
 
-def joint(context: StepContext) -> StageTwo:
-    pixels = TrainingPixels(SCENE, context.config.pixels, torch.device("cpu"))
-    return StageTwo(new_model(context, SCENE), pixels, context.config.stage_two, seed=0)
+def joint(context: TaskContext) -> StageTwo:
+    pixels = TrainingPixels(SCENE, context.spec.config.pixels, torch.device("cpu"))
+    return StageTwo(new_model(context, SCENE), pixels, context.spec.config.stage_two, seed=0)
 
 
 def test_a_job_that_draws_by_error_goes_on_with_its_map(tmp_path):
