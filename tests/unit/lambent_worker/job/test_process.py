@@ -9,11 +9,19 @@ import pytest
 from flashcache.errors import ConfigError, TrainingError
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
+from lambent_worker.capture_qa import check
+from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256
+from lambent_worker.job import process
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError
 from lambent_worker.job.process import describe_failure, fetch_scene, restore_checkpoints
 from lambent_worker.job.server_reporter import MAX_PREVIEW_BYTES, ServerReporter, media_type
+from lambent_worker.run import pipeline
+from lambent_worker.run.spec import read_run
+from lambent_worker.run.tasks import ingest
+from lambent_worker.scenes.inspect import inspect_scene
+from support.captures import write_tensoir
 from support.recording_reporter import RecordingReporter
 from support.runs import SECRET, Stage, staged, token
 
@@ -218,3 +226,33 @@ def test_a_wrong_secret_is_an_end_and_not_a_retry(stage: Stage, job: str):
     with pytest.raises(FencedError):
         connection.call(connection.stub.Heartbeat, heartbeat(connection))
     connection.close()
+
+
+@pytest.mark.parametrize(("params", "looks"), [({}, 1), ({"layout": "tensoir_synthetic"}, 2)])
+def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, params: dict[str, str], looks: int
+):
+    folder = write_tensoir(tmp_path / "capture")
+    (folder / "tool.py").write_text("pass")
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+    job = stage.start(scene_id=stage.api.scene(files), params=params)
+    asked = []
+
+    def look(folder: Path, *how: object) -> CaptureCheck:
+        asked.append(how)
+        return CaptureCheck(report=inspect_scene(folder))
+
+    monkeypatch.setattr(check, "check_capture", look)
+    monkeypatch.setattr(ingest, "check_capture", look)
+    tasks = {"ingest": ingest.run}
+    monkeypatch.setattr(pipeline, "_task_function", lambda name: tasks.get(name, lambda context: None))
+    reporter = RecordingReporter()
+    reporter.broken = None
+    connection = connect(stage, job)
+    process._do(connection, reporter, stage.call("Start", job), process.perform, process.check)
+    connection.close()
+    assert len(asked) == looks
+    told = [(call["code"], call["subject"]) for call in reporter.named("finding")]
+    assert told == [("scene.unsupported_file", "tool.py")]
+    assert read_run(connection.identity.work_dir)[0].layout == params.get("layout", "")

@@ -10,6 +10,7 @@ from flashcache.data.ray_budget import RayBudget
 from flashcache.data.space import SpaceConfig
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
+from lambent_worker.errors import Stopped
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks.training import domain_for, drive, new_model
@@ -36,17 +37,16 @@ def joint(context: TaskContext) -> StageTwo:
     return StageTwo(new_model(context, SCENE), pixels, context.spec.config.stage_two, seed=0)
 
 
-def test_a_job_that_draws_by_error_goes_on_with_its_map(tmp_path):
-    base = tiny()
+def short(**changes) -> Config:
+    """Return a configuration whose stage two has five steps."""
     two = replace(
-        base.stage_two,
-        num_steps=5,
-        num_rays=32,
-        warmup_steps=0,
-        budget=RayBudget(error_share=0.5, block=8),
-        distil=DistilConfig(),
+        tiny().stage_two, num_steps=5, num_rays=32, warmup_steps=0, distil=DistilConfig(), **changes
     )
-    config = replace(base, stage_two=two, checkpoint_steps=3)
+    return replace(tiny(), stage_two=two, checkpoint_steps=3)
+
+
+def test_a_job_that_draws_by_error_goes_on_with_its_map(tmp_path):
+    config = short(budget=RayBudget(error_share=0.5, block=8))
     whole = joint(context_of(tmp_path / "whole", config))
     drive(context_of(tmp_path / "whole", config), whole)
 
@@ -67,6 +67,20 @@ def test_a_job_that_draws_by_error_goes_on_with_its_map(tmp_path):
     assert torch.equal(rest.errors.error, whole.errors.error)
     found, expected = rest.model.state_dict(), whole.model.state_dict()
     assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+def test_a_checkpoint_counts_if_it_was_made_with_the_settings_of_now_and_others_leave_no_trace(tmp_path):
+    first, second = short(smoothness_weight=0.5), short(smoothness_weight=0.0)
+    drive(context_of(tmp_path, first), joint(context_of(tmp_path, first)))
+    stopped = context_of(tmp_path, second, stop_after=0)
+    with pytest.raises(Stopped):
+        drive(stopped, joint(stopped))
+    names = [fields["folder"] for fields in stopped.reporter.named("checkpoint.other_settings")]
+    assert names == ["step_0000005", "step_0000003"]
+    assert [path.name for path in stopped.folder.glob("step_*")] == ["step_0000001"]
+    again = context_of(tmp_path, second)
+    drive(again, joint(again))
+    assert [fields["step"] for fields in again.reporter.named("checkpoint.resumed")] == [1]
 
 
 def test_the_space_of_a_preset_is_that_of_its_models(tmp_path):
