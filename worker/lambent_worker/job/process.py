@@ -35,12 +35,9 @@ def train(order: Order) -> Path:
 
 
 def perform(order: Order) -> Path:
-    """Train, or adapt a bundle to a light, as the order's kind says."""
-    return bake(order) if order.spec.kind == "bake" else train(order)
-
-
-def bake(order: Order) -> Path:
-    """Adapt a bundle's fast cache to an environment and return the folder of the bundle that has it."""
+    """Train, or adapt a bundle to a light, as the order's kind says, and return the bundle's folder."""
+    if order.spec.kind != "bake":
+        return train(order)
     from lambent_worker.job.bake import run_bake
 
     return run_bake(order.spec, order.scene_dir, order.run_dir, order.device, order.reporter)
@@ -225,44 +222,26 @@ def _send_bundle(connection: Connection, folder: Path) -> list[worker_pb2.Publis
 
 def describe_failure(error: Exception) -> worker_pb2.FailRequest:
     """Return what the server is told; the cause decides whether and how the job is tried again."""
-    if isinstance(error, SceneRefusedError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_BAD_SCENE, code=error.code, message=error.message
-        )
-    if isinstance(error, ConfigError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code="config.invalid", message=str(error)
-        )
-    if isinstance(error, UsageError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code=error.code, message=error.message
-        )
-    if isinstance(error, TrainingError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_DIVERGED, code="training.failed", message=str(error)
-        )
+    code, message = "run.crashed", f"{type(error).__name__}: {str(error)[:500]}; the log has the traceback"
+    cause = worker_pb2.FAIL_CAUSE_INTERNAL
     if isinstance(error, WorkerError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_INTERNAL, code=error.code, message=error.message
-        )
+        code, message = error.code, error.message
+        if isinstance(error, SceneRefusedError):
+            cause = worker_pb2.FAIL_CAUSE_BAD_SCENE
+        elif isinstance(error, UsageError):
+            cause = worker_pb2.FAIL_CAUSE_BAD_CONFIG
+    elif isinstance(error, ConfigError):
+        cause, code, message = worker_pb2.FAIL_CAUSE_BAD_CONFIG, "config.invalid", str(error)
+    elif isinstance(error, TrainingError):
+        cause, code, message = worker_pb2.FAIL_CAUSE_DIVERGED, "training.failed", str(error)
     # By name: torch is not imported for a look at an exception.
-    if type(error).__name__ == "OutOfMemoryError":
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_GPU_OUT_OF_MEMORY,
-            code="run.gpu_out_of_memory",
-            message="the GPU has too little memory for this preset; it is tried once with half the rays",
-        )
-    if isinstance(error, MemoryError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY,
-            code="run.out_of_memory",
-            message="the machine has too little memory for this preset",
-        )
-    return worker_pb2.FailRequest(
-        cause=worker_pb2.FAIL_CAUSE_INTERNAL,
-        code="run.crashed",
-        message=f"{type(error).__name__}: {str(error)[:500]}; the log has the traceback",
-    )
+    elif type(error).__name__ == "OutOfMemoryError":
+        cause, code = worker_pb2.FAIL_CAUSE_GPU_OUT_OF_MEMORY, "run.gpu_out_of_memory"
+        message = "the GPU has too little memory for this preset; it is tried once with half the rays"
+    elif isinstance(error, MemoryError):
+        cause, code = worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY, "run.out_of_memory"
+        message = "the machine has too little memory for this preset"
+    return worker_pb2.FailRequest(cause=cause, code=code, message=message)
 
 
 def _die_with_parent() -> None:

@@ -1,4 +1,4 @@
-"""The uncertainty of a run's materials: measured once, in the evaluation step, and kept in the run folder."""
+"""The uncertainty of a run's materials: measured once, in the evaluation task, and kept in the run folder."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ FILE = "uncertainty.npz"
 
 
 def kept_uncertainty(run_dir: Path) -> UncertaintyGrid | None:
-    """Return what the evaluation step measured for the trained model of a run, or None where it did not."""
+    """Return what the evaluation task measured for the trained model of a run, or None where it did not."""
     path = task_folder(run_dir, "evaluate") / FILE
     if not path.is_file():
         return None

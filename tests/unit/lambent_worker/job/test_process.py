@@ -1,5 +1,6 @@
 """The working part of a run process, against the real worker service in memory."""
 
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -233,7 +234,7 @@ def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
     stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, params: dict[str, str], looks: int
 ):
     folder = write_tensoir(tmp_path / "capture")
-    (folder / "tool.py").write_text("pass")
+    shutil.copyfile(folder / "train_000" / "rgba_sunset.png", folder / "train_001" / "rgba_sunset.png")
     paths = [path for path in folder.rglob("*") if path.is_file()]
     files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
     job = stage.start(scene_id=stage.api.scene(files), params=params)
@@ -254,5 +255,5 @@ def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
     connection.close()
     assert len(asked) == looks
     told = [(call["code"], call["subject"]) for call in reporter.named("finding")]
-    assert told == [("scene.unsupported_file", "tool.py")]
+    assert told == [("scene.image_duplicate", "train_001/rgba_sunset.png")]
     assert read_run(connection.identity.work_dir)[0].layout == params.get("layout", "")
