@@ -21,8 +21,8 @@ from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
 from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.prepare import open_run, step_context
-from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.tasks.training import load_trained, read_scene
 from torch import Tensor
 
 QUICK = "{run} --points 64 --repeats 8"
@@ -122,15 +122,14 @@ def describe(config: EstimatorConfig) -> str:
 @torch.no_grad()
 def trained(run_dir: Path, num_points: int) -> tuple[InverseModel, ShadingPoints, EstimatorConfig]:
     """Return a run's model, points on its surface, and how it estimates."""
-    run = open_run(run_dir, "cpu")
-    context = step_context(run, run_dir, ConsoleReporter(), "joint")
+    context = open_task(run_dir, "joint", ConsoleReporter(), "cpu")
     scene = read_scene(context)
     model = load_trained(context, scene, "joint")
     cameras = [view.camera for view in (scene.test or scene.train)[:4]]
     points = surface_points(model, cameras, num_points)
     if len(points.positions) == 0:
         raise SystemExit("no pixel of the first four views is opaque; give a run that was trained to its end")
-    return model, points, run.config.stage_two.estimator
+    return model, points, context.spec.config.stage_two.estimator
 
 
 @torch.no_grad()

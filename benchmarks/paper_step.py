@@ -35,7 +35,7 @@ from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 from lambent_worker.report.predictions import encoded
 from lambent_worker.report.request import evenly_spaced
-from lambent_worker.run.steps.training import matrix_precision
+from lambent_worker.run.tasks.training import matrix_precision
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
 

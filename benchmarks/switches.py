@@ -15,9 +15,10 @@ import sys
 from pathlib import Path
 
 from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.folder import stage_seconds
+from lambent_worker.run.folder import task_seconds
 from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import Run, prepare_run
+from lambent_worker.run.prepare import device_for
+from lambent_worker.run.spec import RunSpec
 from lambent_worker.startup import prepare
 
 from benchmarks.reference_scores import figures_of
@@ -42,26 +43,18 @@ SWITCHES: dict[str, dict[str, str]] = {
 """Settings by switch, weights as first guesses; "base" is the preset itself, "no-..." lacks a part of it."""
 
 
-def prepared(folder: Path, overrides: dict[str, str], seed: int, arguments: argparse.Namespace) -> Run:
-    """Return the run in `folder`, made with the preset and `overrides` where it is not there yet."""
+def spec_of(overrides: dict[str, str], seed: int, arguments: argparse.Namespace) -> RunSpec:
+    """Return a run with the preset, the settings of all runs, and `overrides`."""
     common = dict(item.split("=", 1) for item in arguments.set)
-    return prepare_run(
-        arguments.scene,
-        folder,
-        preset=arguments.preset,
-        lights=(),
-        layout="",
-        seed=seed,
-        device="",
-        overrides=common | overrides,
-        resume=False,
+    return RunSpec.from_options(
+        arguments.scene, preset=arguments.preset, overrides=common | overrides, seed=seed
     )
 
 
-def take_steps(run: Run, folder: Path, *steps: str) -> None:
-    """Take steps of the pipeline in a run folder."""
+def do_tasks(spec: RunSpec, folder: Path, *tasks: str) -> None:
+    """Do tasks of the pipeline in a run folder."""
     with ConsoleReporter(folder) as reporter:
-        run_pipeline(Path(run.scene), folder, run.config, run.seed, run.device, reporter, steps)
+        run_pipeline(spec, folder, device_for(folder), reporter, tasks)
 
 
 def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -> dict[str, float]:
@@ -70,11 +63,11 @@ def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -
     result = folder / "figures.json"
     if result.exists():
         return json.loads(result.read_text())
-    run = prepared(folder / "run", SWITCHES[name], seed, arguments)
-    take_steps(run, folder / "run", "ingest")
+    spec = spec_of(SWITCHES[name], seed, arguments)
+    do_tasks(spec, folder / "run", "ingest")
     with ConsoleReporter(folder / "run") as reporter:
-        adopt_nerf_cache(run, folder / "run", shared, reporter)
-    take_steps(run, folder / "run", "ingest", "cache", "joint")
+        adopt_nerf_cache(folder / "run", shared, reporter)
+    do_tasks(spec, folder / "run", "ingest", "cache", "joint")
     scene = arguments.scene
     evaluate = [*(sys.executable, "-m", "lambent", "evaluate", str(folder / "run"), str(scene))]
     evaluate += ["--repeats", "1", "--views", str(arguments.views), "-o", str(folder / "report")]
@@ -82,7 +75,7 @@ def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -
         evaluate += ["--environments", str(arguments.environments)]
     subprocess.run(evaluate, check=True)
     figures = figures_of(scene, folder / "report", arguments.views)
-    figures["stage two [s]"] = stage_seconds(folder / "run")["joint"]
+    figures["stage two [s]"] = task_seconds(folder / "run")["joint"]
     result.write_text(json.dumps(figures, indent=1))
     return figures
 
@@ -121,7 +114,7 @@ def main(arguments: argparse.Namespace) -> None:
     runs: dict[str, list[dict[str, float]]] = {name: [] for name in names}
     for seed in arguments.seeds:
         shared = arguments.out / f"stage-one_{seed}"
-        take_steps(prepared(shared, {}, seed, arguments), shared, "ingest", "cache")
+        do_tasks(spec_of({}, seed, arguments), shared, "ingest", "cache")
         for name in names:
             runs[name].append(run_one(name, seed, shared, arguments))
     print(f"\n{arguments.scene.name}, preset {arguments.preset}, seeds {arguments.seeds}\n")

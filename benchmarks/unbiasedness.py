@@ -27,8 +27,8 @@ from flashcache.randomness import generator_for
 from flashcache.training.passes import shade
 from jaxtyping import Float
 from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.prepare import open_run, step_context
-from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.tasks.training import load_trained, read_scene
 from numpy import ndarray
 from scipy import stats
 
@@ -106,10 +106,9 @@ def verdict(estimate: Means, reference: Means) -> Verdict:
 
 def trained(run_dir: Path) -> tuple[InverseModel, Scene, StageTwoConfig]:
     """Return a run's model, its scene, and the settings it was trained with."""
-    run = open_run(run_dir, "cpu")
-    context = step_context(run, run_dir, ConsoleReporter(), "joint")
+    context = open_task(run_dir, "joint", ConsoleReporter(), "cpu")
     scene = read_scene(context)
-    return load_trained(context, scene, "joint"), scene, run.config.stage_two
+    return load_trained(context, scene, "joint"), scene, context.spec.config.stage_two
 
 
 @torch.no_grad()

@@ -120,13 +120,13 @@ def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
     """Print how the map and its use change with the priors."""
     from lambent_worker.report.request import rule_of
     from lambent_worker.report.uncertainty import PRIORS, measure_uncertainty, uncertainty_map
-    from lambent_worker.run.prepare import open_run, step_context
-    from lambent_worker.run.steps.training import load_trained, read_scene
+    from lambent_worker.run.prepare import open_task
+    from lambent_worker.run.tasks.training import load_trained, read_scene
 
-    run = open_run(run_dir)
-    context = step_context(run, run_dir, None, "evaluate")
+    context = open_task(run_dir, "evaluate", None)
     scene = read_scene(context)
     model = load_trained(context, scene, "joint").eval().requires_grad_(False)
+    rule = rule_of(context.spec.config.stage_two)
     ratio = json.loads((report / "report.json").read_text())["albedo_ratio_rgb"]
     first = None
     print("\n| priors | median | rank correlation with the map as shipped | with the error | seconds |")
@@ -134,7 +134,7 @@ def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
     for name, changes in VARIANTS.items():
         started = time.process_time()
         grid = measure_uncertainty(
-            model, scene, seed=run.seed, rule=rule_of(run.config.stage_two), priors=replace(PRIORS, **changes)
+            model, scene, seed=context.spec.seed, rule=rule, priors=replace(PRIORS, **changes)
         )
         seconds = time.process_time() - started
         widths, errors = [], []

@@ -22,7 +22,7 @@ class Failure:
 
 # Causes that another try cannot mend.
 _HOPELESS = frozenset({"bad_scene", "bad_config"})
-# Causes that are tried once more with something changed: the setting and its factor.
+# Causes that each stage is tried with once more, with something changed: the setting and its factor.
 _ADJUSTED = {"gpu_out_of_memory": ("ray_chunk", 0.5), "diverged": ("learning_rate", 0.3)}
 
 
@@ -50,16 +50,26 @@ def requeue(connection: Connection, job: Job, message: str, **values: Any) -> bo
     return move(connection, job, QUEUED, message, stop_reason=None, **values)
 
 
+def adjustments_of(job: Job) -> dict[str, dict[str, float]]:
+    """Return what the job's failures have changed: factors by setting, by the stage they are for."""
+    kept = dict(job["adjustments"])
+    # Rows of the version before have the factors of one stage beside its name.
+    stage = kept.pop("stage", None)
+    return kept if stage is None else {stage: kept}
+
+
 def fail(connection: Connection, job: Job, failure: Failure, settings: Settings) -> bool:
     """Try the job again after a failure of its own, or give it up; a cancelled job just ends."""
     RUNS_FAILED.labels(failure.cause).inc()
     failures = job["failures"] + 1
-    adjustments = dict(job["adjustments"])
+    adjustments = adjustments_of(job)
     give_up = failure.cause in _HOPELESS or failures >= settings.max_failures
     if failure.cause in _ADJUSTED:
         name, factor = _ADJUSTED[failure.cause]
-        give_up = give_up or name in adjustments
-        adjustments |= {name: factor, "stage": (job["progress"] or {}).get("stage", "")}
+        stage = (job["progress"] or {}).get("stage", "")
+        own = adjustments.get(stage, {})
+        give_up = give_up or name in own
+        adjustments |= {stage: own | {name: factor}}
     common: dict[str, Any] = {"error": _error(failure, job), "failures": failures, "stop_reason": None}
     if give_up:
         return move(connection, job, FAILED, failure.message, **common)

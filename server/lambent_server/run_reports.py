@@ -18,7 +18,7 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.tenancy import add, change, find, rows
 from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fields
-from lambent_server.outcomes import Failure, fail, lose
+from lambent_server.outcomes import Failure, adjustments_of, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.problems import Problem, invalid
 from lambent_server.rest_json import enum_text, to_rest
@@ -55,9 +55,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
         check_scene=inputs.check_scene,
         device="cuda" if job["gpus"] else "cpu",
         adjustments=worker_pb2.Adjustments(
-            ray_chunk=job["adjustments"].get("ray_chunk", 1.0),
-            learning_rate=job["adjustments"].get("learning_rate", 1.0),
-            stage=job["adjustments"].get("stage", ""),
+            stages={stage: worker_pb2.StageAdjustments(**own) for stage, own in adjustments_of(job).items()}
         ),
         progress_interval_s=settings.progress_interval_s,
         preview_interval_s=settings.preview_interval_s,

@@ -15,7 +15,7 @@ from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.images import srgb_from_linear
 from lambent_worker.bundle.half_tables import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
-from lambent_worker.run.steps import export
+from lambent_worker.run.tasks import export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import RADIUS, sphere_model
 

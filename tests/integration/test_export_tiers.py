@@ -11,7 +11,7 @@ from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.errors import UnsupportedQuality
 from lambent_relight.renderer import Renderer
 from lambent_worker.errors import WorkerError
-from lambent_worker.run.steps import export
+from lambent_worker.run.tasks import export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import sphere_model
 

@@ -9,7 +9,7 @@ from lambent_worker.capture_qa.check import check_scene
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run import evaluation as evaluation_run
 from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import prepare_run
+from lambent_worker.run.spec import RunSpec
 from lambent_worker.scenes.load import load_scene
 from support.captures import REFERENCES
 from support.layouts import ColmapBinaryFolder
@@ -39,35 +39,10 @@ SMALL = {
 }
 
 
-def prepared(scene, folder, layout):
-    return prepare_run(
-        scene,
-        folder,
-        preset="tiny",
-        lights=(),
-        layout=layout,
-        seed=0,
-        device="cpu",
-        overrides=SMALL,
-        resume=False,
-    )
-
-
 @pytest.mark.parametrize(("layout", "folder"), SAMPLES.items(), ids=SAMPLES)
-def test_a_forced_layout_is_checked_and_described_by_the_first_step(tmp_path, layout, folder):
-    run = prepared(folder, tmp_path / "run", layout)
-    reporter = RecordingReporter()
-    run_pipeline(
-        folder,
-        tmp_path / "run",
-        run.config,
-        0,
-        "cpu",
-        reporter,
-        ("ingest",),
-        lights=run.lights,
-        layout=run.layout,
-    )
+def test_a_forced_layout_is_checked_and_described_by_the_first_task(tmp_path, layout, folder):
+    spec = RunSpec.from_options(folder, preset="tiny", layout=layout)
+    run_pipeline(spec, tmp_path / "run", "cpu", RecordingReporter(), ("ingest",))
     manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
     report = json.loads((tmp_path / "run" / "scene" / "report.json").read_text())
     assert manifest["layout"] == report["layout"] == layout
@@ -91,9 +66,8 @@ def test_a_model_far_from_the_origin_trains_and_is_evaluated_in_the_world_it_was
     shutil.rmtree(scene / "sparse")
     shutil.copytree(LAYOUTS / "colmap" / "sparse_text", scene / "sparse")
     shift(scene / "sparse" / "0" / "images.txt", np.array([100.0, -50.0, 20.0]), 10.0)
-    run = prepared(scene, tmp_path / "run", "")
-    steps = ("ingest", "cache", "joint")
-    run_pipeline(scene, tmp_path / "run", run.config, 0, "cpu", RecordingReporter(), steps)
+    spec = RunSpec.from_options(scene, preset="tiny", overrides=SMALL)
+    run_pipeline(spec, tmp_path / "run", "cpu", RecordingReporter(), ("ingest", "cache", "joint"))
     manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
     world = np.array(manifest["world_from_capture"]).reshape(4, 4)
     assert np.abs(world[:3, :3] @ [100.0, -50.0, 20.0] + world[:3, 3]).max() < 1.0

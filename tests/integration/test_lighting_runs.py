@@ -10,11 +10,12 @@ from flashcache.errors import ConfigError
 from flashcache.training.checkpoint import latest_checkpoint
 from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import UsageError, WorkerError
-from lambent_worker.run.folder import step_folder
+from lambent_worker.run.folder import task_folder
 from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import prepare_run, step_context
-from lambent_worker.run.steps import ingest
-from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks import ingest
+from lambent_worker.run.tasks.training import load_trained, read_scene
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
 
@@ -34,7 +35,7 @@ SMALL = {
     "stage_two.distil.num_steps": "1",
     "model.environment.known_height": "8",
 }
-STEPS = ("ingest", "cache", "joint")
+TASKS = ("ingest", "cache", "joint")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -45,28 +46,17 @@ def checked_once():
         yield
 
 
-def trained(folder, lights, known=(), steps=STEPS, **settings):
+def trained(folder, lights, known=(), tasks=TASKS, **settings):
     """Train a few steps and return the run and the model."""
-    run = prepare_run(
-        SCENE,
-        folder,
-        preset="tiny",
-        lights=lights,
-        layout="",
-        seed=0,
-        device="cpu",
-        overrides=SMALL | settings,
-        resume=False,
-        known_lights=known,
+    spec = RunSpec.from_options(
+        SCENE, preset="tiny", lights=lights, overrides=SMALL | settings, known_lights=known
     )
     reporter = RecordingReporter()
-    run_pipeline(
-        SCENE, folder, run.config, 0, "cpu", reporter, steps, lights=lights, known_lights=run.known_lights
-    )
-    context = step_context(run, folder, reporter, "joint")
-    if "joint" not in steps:
-        return run, None
-    return run, load_trained(context, read_scene(context), "joint")
+    run_pipeline(spec, folder, "cpu", reporter, tasks)
+    if "joint" not in tasks:
+        return spec, None
+    context = open_task(folder, "joint", reporter)
+    return spec, load_trained(context, read_scene(context), "joint")
 
 
 @pytest.fixture
@@ -101,7 +91,7 @@ def test_a_given_environment_stays_what_it_is_while_the_rest_learns(tmp_path, sk
     expected = np.full((8, 16, 3), 0.5, np.float32)
     expected[:, 6:10] = 4.0
     np.testing.assert_allclose(model.environment.image(8).numpy(), expected, rtol=1e-4)
-    folder = latest_checkpoint(step_folder(tmp_path / "run", "joint"))
+    folder = latest_checkpoint(task_folder(tmp_path / "run", "joint"))
     assert json.loads((folder / "state.json").read_text())["num_skipped"] == 0
 
 
@@ -124,16 +114,16 @@ def test_lights_without_angles_cannot_be_turned(tmp_path):
 
 def test_a_run_takes_over_the_nerf_cache_of_another_with_another_environment(tmp_path):
     lights = LIGHTS[:1]
-    trained(tmp_path / "base", lights, steps=STEPS[:2])
+    trained(tmp_path / "base", lights, tasks=TASKS[:2])
     other = {"model.environment.last_width": "8"}
-    run, _ = trained(tmp_path / "other", lights, steps=STEPS[:1], **other)
+    spec, _ = trained(tmp_path / "other", lights, tasks=TASKS[:1], **other)
     reporter = RecordingReporter()
     for _ in range(2):  # The second time there is nothing to do.
-        adopt_nerf_cache(run, tmp_path / "other", tmp_path / "base", reporter)
-    run_pipeline(SCENE, tmp_path / "other", run.config, 0, "cpu", reporter, STEPS, lights=lights)
+        adopt_nerf_cache(tmp_path / "other", tmp_path / "base", reporter)
+    run_pipeline(spec, tmp_path / "other", "cpu", reporter, TASKS)
     assert {call["stage"] for call in reporter.named("step.reused")} == {"ingest", "cache"}
-    base = latest_checkpoint(step_folder(tmp_path / "base", "cache"))
-    taken = latest_checkpoint(step_folder(tmp_path / "other", "cache"))
+    base = latest_checkpoint(task_folder(tmp_path / "base", "cache"))
+    taken = latest_checkpoint(task_folder(tmp_path / "other", "cache"))
     tables = [torch_tensors(folder)["nerf.density.grid.table"] for folder in (base, taken)]
     assert torch.equal(*tables)
     assert torch_tensors(taken)["environment.last.bias"].shape == (8,)
@@ -147,10 +137,10 @@ def torch_tensors(folder):
 
 def test_a_nerf_cache_that_is_not_there_or_does_not_fit_is_refused(tmp_path):
     lights = LIGHTS[:1]
-    run, _ = trained(tmp_path / "run", lights, steps=STEPS[:1])
+    trained(tmp_path / "run", lights, tasks=TASKS[:1])
     reporter = RecordingReporter()
     with pytest.raises(WorkerError, match=r"run\.no_stage_one"):
-        adopt_nerf_cache(run, tmp_path / "run", tmp_path / "none", reporter)
-    trained(tmp_path / "base", lights, steps=STEPS[:2], **{"model.nerf.density.width": "16"})
+        adopt_nerf_cache(tmp_path / "run", tmp_path / "none", reporter)
+    trained(tmp_path / "base", lights, tasks=TASKS[:2], **{"model.nerf.density.width": "16"})
     with pytest.raises(WorkerError, match=r"run\.other_shape"):
-        adopt_nerf_cache(run, tmp_path / "run", tmp_path / "base", reporter)
+        adopt_nerf_cache(tmp_path / "run", tmp_path / "base", reporter)

@@ -1,4 +1,4 @@
-"""Masks on their way through a run: given, estimated or refused, and the same ones in every later step."""
+"""Masks on their way through a run: given, estimated or refused, and the same ones in every later task."""
 
 import json
 
@@ -9,8 +9,9 @@ from lambent_worker.errors import SceneRefusedError
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run.evaluation import _scene_to_compare
 from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import prepare_run, step_context
-from lambent_worker.run.steps.ingest import read_manifest
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks.ingest import read_manifest
 from lambent_worker.scenes.load import load_scene
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
@@ -22,36 +23,16 @@ pytestmark = pytest.mark.slow
 
 
 def ingest(tmp_path, **options):
-    """Run the first step alone; return the run's context and what was reported."""
-    run = prepare_run(
-        tmp_path / "scene",
-        tmp_path / "run",
-        preset="tiny",
-        lights=(),
-        layout="",
-        seed=0,
-        device="cpu",
-        overrides={},
-        resume=False,
-        **options,
-    )
+    """Run the first task alone; return the run's context and what was reported."""
+    spec = RunSpec.from_options(tmp_path / "scene", preset="tiny", **options)
     reporter = RecordingReporter()
-    run_pipeline(
-        tmp_path / "scene",
-        tmp_path / "run",
-        run.config,
-        0,
-        "cpu",
-        reporter,
-        ("ingest",),
-        masks=run.masks,
-    )
-    return step_context(run, tmp_path / "run", reporter, "cache"), reporter
+    run_pipeline(spec, tmp_path / "run", "cpu", reporter, ("ingest",))
+    return open_task(tmp_path / "run", "cache", reporter), reporter
 
 
 def alphas(context):
     """Return the coverage of every training view as training gets it."""
-    scene = load_scene(context.scene_dir, read_manifest(context), max_side=64)
+    scene = load_scene(context.spec.scene, read_manifest(context), max_side=64)
     return {view.name: next(iter(view.images.values()))[..., 3] for view in (*scene.train, *scene.test)}
 
 

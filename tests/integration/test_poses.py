@@ -10,7 +10,7 @@ from lambent_worker.commands.training import train
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.poses.capture import solve_capture
 from lambent_worker.run import pipeline
-from lambent_worker.run.folder import read_settings
+from lambent_worker.run.spec import read_run
 from lambent_worker.scenes.detect import describe_scene
 from PIL import Image
 from support.textured_box import box_cameras, write_photographs
@@ -67,15 +67,14 @@ def test_cameras_are_where_they_were_up_to_a_similarity(solved):
 def test_train_finds_the_same_cameras_and_goes_on_with_the_capture(solved, tmp_path, monkeypatch):
     folder, _ = solved
     seen = []
-    monkeypatch.setattr(pipeline, "run_pipeline", lambda *given, **named: seen.append((given, named)))
+    monkeypatch.setattr(pipeline, "run_task", lambda context, inputs: seen.append(context.spec))
     run = tmp_path / "run"
     options = ("--poses", "auto", "--masks", folder / "cut", "--preset", "tiny")
     result = call(train, folder / "photographs", "-o", run, *options)
     assert result.exit_code == 0, result.output
-    ((given, named),) = seen
-    assert given[:2] == (run / "capture", run)
-    assert named["masks"] == ""
-    assert read_settings(run).scene == str(run / "capture")
+    assert {(spec.scene, spec.masks) for spec in seen} == {(run / "capture", "")}
+    assert f"note: scene.poses_solved: cameras for {COUNT} of {COUNT} photographs" in result.stderr
+    assert read_run(run)[0].scene == run / "capture"
     first, second = (poses_of(scene) for scene in (folder / "scene", run / "capture"))
     assert first.keys() == second.keys()
     # Photographs fix a world up to a similarity, and COLMAP's own order of sums differs from run to run.

@@ -5,15 +5,13 @@ import shutil
 
 import numpy as np
 import pytest
-from flashcache.config import with_overrides
-from flashcache.presets import PRESETS
 from lambent_relight.environment.exr import read_exr_rgb
 from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import Stopped, UsageError
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run.evaluation import evaluate_run, read_maps
 from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import prepare_run
+from lambent_worker.run.spec import RunSpec
 from support.captures import REFERENCES
 from support.predictions import reference_evaluation
 from support.recording_reporter import RecordingReporter
@@ -31,25 +29,15 @@ SMALL = {
     "evaluation.num_directions": "8",
 }
 REQUEST = EvaluationRequest(num_repeats=1, num_directions=8, max_side=16)
-STEPS = ("ingest", "cache", "joint", "evaluate")
+TASKS = ("ingest", "cache", "joint", "evaluate")
 
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory):
     """Return a run that has been trained for a few steps."""
     folder = tmp_path_factory.mktemp("train") / "run"
-    run = prepare_run(
-        SCENE,
-        folder,
-        preset="tiny",
-        lights=(),
-        layout="",
-        seed=0,
-        device="cpu",
-        overrides=SMALL,
-        resume=False,
-    )
-    run_pipeline(SCENE, folder, run.config, run.seed, run.device, RecordingReporter(), STEPS)
+    spec = RunSpec.from_options(SCENE, preset="tiny", overrides=SMALL)
+    run_pipeline(spec, folder, "cpu", RecordingReporter(), TASKS)
     return folder
 
 
@@ -65,7 +53,7 @@ def test_a_job_leaves_a_report_a_page_and_a_preview(run_dir):
     report = json.loads((run_dir / "evaluation" / "report.json").read_text())
     names = {row["name"] for row in report["metrics"]}
     assert {"nvs/psnr", "nvs_cache/psnr", "normal/mae_mask", "albedo_rgb_ratio/psnr_gamma"} <= names
-    assert set(report["seconds"]) == set(STEPS[:3])
+    assert set(report["seconds"]) == set(TASKS[:3])
     assert report["num_views"] == 1
     assert report["antialias"] == 1  # Of preset tiny.
     assert (run_dir / "evaluation" / "report.html").read_text().startswith("<!doctype html>")
@@ -162,10 +150,10 @@ def test_a_run_that_is_not_finished_is_not_evaluated(run_dir, tmp_path):
 
 def test_training_that_was_stopped_ends_like_training_that_was_not(run_dir, tmp_path):
     folder = tmp_path / "run"
-    config = with_overrides(PRESETS["tiny"](), SMALL)
+    spec = RunSpec.from_options(SCENE, preset="tiny", overrides=SMALL)
     with pytest.raises(Stopped):
-        run_pipeline(SCENE, folder, config, 0, "cpu", RecordingReporter(stop_after=3), STEPS[:3])
-    run_pipeline(SCENE, folder, config, 0, "cpu", RecordingReporter(), STEPS[:3])
+        run_pipeline(spec, folder, "cpu", RecordingReporter(stop_after=3), TASKS[:3])
+    run_pipeline(spec, folder, "cpu", RecordingReporter(), TASKS[:3])
     name = "joint/step_0000006/model.safetensors"
     assert (folder / name).read_bytes() == (run_dir / name).read_bytes()
 

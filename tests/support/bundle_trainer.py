@@ -11,17 +11,17 @@ from pathlib import Path
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.job.order import Order
 from lambent_worker.job.process import work
 from lambent_worker.job.supervisor import supervise
-from lambent_worker.job.task import Task
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
 from support.sleep_trainer import check
 
 
-def pipeline(task: Task) -> Path:
+def pipeline(order: Order) -> Path:
     """Return a bundle of one grey ball."""
-    return write_analytic_bundle(task.run_dir / "bundle", AnalyticScene([Sphere((0.0, 0.0, 0.0), 1.0)]))
+    return write_analytic_bundle(order.run_dir / "bundle", AnalyticScene([Sphere((0.0, 0.0, 0.0), 1.0)]))
 
 
 def accept(scene_dir: Path) -> CaptureCheck:

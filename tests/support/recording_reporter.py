@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from lambent_proto.v1 import job_pb2
+from lambent_proto.v1.job_pb2 import Progress
 
 
 class RecordingReporter:
@@ -17,8 +17,8 @@ class RecordingReporter:
         """Return the arguments of all calls of one kind."""
         return [fields for kind, fields in self.calls if kind == name]
 
-    def progress(self, now: job_pb2.Progress) -> None:
-        fields = {field.name: getattr(now, field.name) for field in now.DESCRIPTOR.fields}
+    def progress(self, progress: Progress) -> None:
+        fields = {item.name: getattr(progress, item.name) for item in progress.DESCRIPTOR.fields}
         self.calls.append(("progress", fields))
 
     def preview(self, name: str, png: bytes) -> None:

@@ -14,12 +14,13 @@ import time
 from pathlib import Path
 
 from google.protobuf.json_format import MessageToJson
-from lambent_proto.v1 import bundle_pb2, job_pb2, scene_pb2
+from lambent_proto.v1 import bundle_pb2, scene_pb2
+from lambent_proto.v1.job_pb2 import Progress
 from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import Stopped, WorkerError
+from lambent_worker.job.order import Order
 from lambent_worker.job.process import work
 from lambent_worker.job.supervisor import supervise
-from lambent_worker.job.task import Task
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d494844520000000100000001080200000090"
@@ -38,18 +39,18 @@ def fail(how: str) -> None:
     raise RuntimeError("the test asked for it")
 
 
-def pipeline(task: Task) -> Path:
+def pipeline(order: Order) -> Path:
     """Count steps, keep the count in checkpoints, and write a bundle that says how far it came."""
-    params = task.spec.params
+    params = order.spec.params
     num_steps = int(params.get("num_steps", "20"))
     stage = params.get("stage", "joint")
     until = Path(params["until"]) if "until" in params else None
     step_s = float(params.get("step_s", "0.02"))
     every = int(params.get("checkpoint_every", "5"))
-    folder = task.run_dir / "joint"
+    folder = order.run_dir / "joint"
     found = sorted(folder.glob("step_*/state.json"))
     first = json.loads(found[-1].read_text())["step"] if found else 0
-    task.reporter.log("sleep.started", first_step=first, run_pid=os.getpid())
+    order.reporter.log("sleep.started", first_step=first, run_pid=os.getpid())
     for step in range(first + 1, num_steps + 1):
         time.sleep(step_s)
         if step == int(params.get("fail_at", "0")) and first < step:
@@ -60,8 +61,8 @@ def pipeline(task: Task) -> Path:
                 fail(params.get("fail_how", ""))
         while step == int(params.get("hang_at", "0")):
             time.sleep(0.1)
-        task.reporter.progress(
-            job_pb2.Progress(
+        order.reporter.progress(
+            Progress(
                 stage=stage,
                 step=step,
                 num_steps=num_steps,
@@ -72,27 +73,27 @@ def pipeline(task: Task) -> Path:
                 psnr=20.0 + step / num_steps,
             )
         )
-        task.reporter.preview("view", PNG)
-        stopping = task.reporter.should_stop()
+        order.reporter.preview("view", PNG)
+        stopping = order.reporter.should_stop()
         if step % every == 0 or stopping:
             target = folder / f"step_{step:06d}"
             target.mkdir(parents=True, exist_ok=True)
-            (target / "state.json").write_text(json.dumps({"step": step, "run_dir": str(task.run_dir)}))
-            task.reporter.checkpoint("joint", step, target)
+            (target / "state.json").write_text(json.dumps({"step": step, "run_dir": str(order.run_dir)}))
+            order.reporter.checkpoint("joint", step, target)
         if stopping:
             raise Stopped
         if until is not None and until.exists():
             break
-    return write_result(task, num_steps)
+    return write_result(order, num_steps)
 
 
-def write_result(task: Task, num_steps: int) -> Path:
+def write_result(order: Order, num_steps: int) -> Path:
     """Write a bundle and an artifact."""
-    bundle = task.run_dir / "bundle"
+    bundle = order.run_dir / "bundle"
     (bundle / "models").mkdir(parents=True)
     weights = bytes(range(256)) * 40
     (bundle / "models" / "weights.bin").write_bytes(weights)
-    manifest = bundle_pb2.BundleManifest(schema_version="1.0", scene_id=task.spec.scene_id, name="sleep")
+    manifest = bundle_pb2.BundleManifest(schema_version="1.0", scene_id=order.spec.scene_id, name="sleep")
     manifest.generator.train_step = num_steps
     manifest.files.add(
         path="models/weights.bin",
@@ -105,12 +106,12 @@ def write_result(task: Task, num_steps: int) -> Path:
         manifest, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
     )
     (bundle / "manifest.json").write_text(text)
-    report = task.run_dir / "report.json"
+    report = order.run_dir / "report.json"
     report.write_text('{"metrics": []}')
-    task.reporter.artifact("report.json", report)
-    if "touch" in task.spec.params:
-        with Path(task.spec.params["touch"]).open("a") as file:
-            file.write(f"{task.run_dir.name}\n")
+    order.reporter.artifact("report.json", report)
+    if "touch" in order.spec.params:
+        with Path(order.spec.params["touch"]).open("a") as file:
+            file.write(f"{order.run_dir.name}\n")
     return bundle
 
 

@@ -9,12 +9,13 @@ from flashcache.config import EvaluationConfig, ExportConfig
 from flashcache.data.scene import Camera, Scene, View
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
-from lambent_proto.v1 import job_pb2
+from lambent_proto.v1.job_pb2 import Progress
 from lambent_relight.cameras import look_at
 from lambent_worker.bundle import graphs as bundle_graphs
 from lambent_worker.bundle import manifest as bundle_manifest
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.steps import export
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks import export
 from support.sphere_model import BOUND
 
 SIDE = 16
@@ -30,8 +31,8 @@ class Listener:
         self.fractions: list[float] = []
         self.stop = False
 
-    def progress(self, now: job_pb2.Progress) -> None:
-        self.fractions.append(now.fraction)
+    def progress(self, progress: Progress) -> None:
+        self.fractions.append(progress.fraction)
 
     def log(self, event: str, **fields: object) -> None:
         self.events[event] = fields
@@ -71,7 +72,7 @@ def scene() -> Scene:
     )
 
 
-def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.MonkeyPatch) -> StepContext:
+def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.MonkeyPatch) -> TaskContext:
     """Return a context whose run has `model` as its trained model, and whose bundle takes seconds."""
     monkeypatch.setattr(export, "read_scene", lambda context: scene())
     monkeypatch.setattr(export, "load_trained", lambda context, scene, stage: model)
@@ -92,14 +93,12 @@ def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.Monke
             environment_height=8,
         ),
     )
-    made = StepContext(
+    made = TaskContext(
+        spec=RunSpec(scene=tmp_path / "scene", config=config),
         run_dir=tmp_path / "run",
-        scene_dir=tmp_path / "scene",
-        config=config,
-        seed=0,
         device="cpu",
         reporter=Listener(),
-        stage="export",
+        task="export",
     )
     made.folder.mkdir(parents=True)
     (made.run_dir / "previews").mkdir()

@@ -11,7 +11,8 @@ from lambent_proto.v1 import job_pb2
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-STAGE_TITLES = {
+TASK_TITLES = {
+    "poses": "finding the cameras",
     "ingest": "reading the photographs",
     "cache": "training the radiance cache",
     "joint": "training materials and light",
@@ -37,7 +38,7 @@ class ConsoleReporter:
         self._error = error or sys.stderr
         self._console = Console(file=self._error)
         self._bars: Progress | None = None
-        self._stage = ""
+        self._task = ""
         self._last_line = 0.0
         self._stop = False
 
@@ -69,31 +70,32 @@ class ConsoleReporter:
         """Return whether `request_stop` was called."""
         return self._stop
 
-    def progress(self, now: job_pb2.Progress) -> None:
+    def progress(self, progress: job_pb2.Progress) -> None:
         """Show how far the run is."""
         self._record(
             "progress",
-            stage=now.stage,
-            step=now.step,
-            num_steps=now.num_steps,
-            fraction=round(now.fraction, 5),
-            eta_s=round(now.eta_s, 1),
-            steps_per_s=round(now.steps_per_s, 3),
-            loss=now.loss,
-            psnr=round(now.psnr, 3),
+            stage=progress.stage,
+            step=progress.step,
+            num_steps=progress.num_steps,
+            fraction=round(progress.fraction, 5),
+            eta_s=round(progress.eta_s, 1),
+            steps_per_s=round(progress.steps_per_s, 3),
+            loss=progress.loss,
+            psnr=round(progress.psnr, 3),
         )
         if self._as_json:
             return
-        detail = describe_progress(now.step, now.num_steps, now.eta_s, now.psnr)
-        title = STAGE_TITLES.get(now.stage, now.stage)
+        detail = describe_progress(progress)
+        title = TASK_TITLES.get(progress.stage, progress.stage)
         if self._bars is not None:
-            self._bars.update(self._bars.task_ids[0], completed=now.fraction, title=title, detail=detail)
+            bar = self._bars.task_ids[0]
+            self._bars.update(bar, completed=progress.fraction, title=title, detail=detail)
             return
-        at = time.monotonic()
-        ended = now.step >= now.num_steps
-        if now.stage != self._stage or ended or at - self._last_line >= PLAIN_INTERVAL_S:
-            self._print(f"{title}: {100 * now.fraction:.0f} % of the job, {detail}")
-            self._stage, self._last_line = now.stage, at
+        now = time.monotonic()
+        ended = progress.step >= progress.num_steps
+        if progress.stage != self._task or ended or now - self._last_line >= PLAIN_INTERVAL_S:
+            self._print(f"{title}: {100 * progress.fraction:.0f} % of the job, {detail}")
+            self._task, self._last_line = progress.stage, now
 
     def preview(self, name: str, png: bytes) -> None:
         """Keep a small picture of the current state in the run folder."""
@@ -137,13 +139,13 @@ class ConsoleReporter:
                 file.write(line + "\n")
 
 
-def describe_progress(step: int, num_steps: int, eta_s: float, psnr: float) -> str:
+def describe_progress(progress: job_pb2.Progress) -> str:
     """Return step, time to go and PSNR (dB) as words; what is unknown (zero) is left out."""
-    parts = [f"step {step}/{num_steps}"] if num_steps > 1 else []
-    if eta_s > 0.0:
-        parts.append(f"{format_duration(eta_s)} to go")
-    if psnr > 0.0:
-        parts.append(f"PSNR {psnr:.1f} dB")
+    parts = [f"step {progress.step}/{progress.num_steps}"] if progress.num_steps > 1 else []
+    if progress.eta_s > 0.0:
+        parts.append(f"{format_duration(progress.eta_s)} to go")
+    if progress.psnr > 0.0:
+        parts.append(f"PSNR {progress.psnr:.1f} dB")
     return ", ".join(parts) or "started"
 
 

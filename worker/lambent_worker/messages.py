@@ -26,5 +26,5 @@ def read_message(path: Path, message: M) -> M:
     except (OSError, ValueError, json_format.ParseError) as error:
         raise WorkerError(
             "run.file_unreadable",
-            f'"{path.name}" of the run cannot be read; run the step that writes it again',
+            f'"{path.name}" of the run cannot be read; run the task that writes it again',
         ) from error

@@ -1,4 +1,4 @@
-"""What a pipeline step tells the outside world, whoever listens."""
+"""What a task tells the outside world, whoever listens."""
 
 from pathlib import Path
 from typing import Protocol
@@ -9,7 +9,7 @@ from lambent_proto.v1 import job_pb2
 class Reporter(Protocol):
     """Listener of a run: a terminal, a server, or a test."""
 
-    def progress(self, now: job_pb2.Progress) -> None:
+    def progress(self, progress: job_pb2.Progress) -> None:
         """Tell how far the run is; what is unknown is 0."""
 
     def preview(self, name: str, png: bytes) -> None:

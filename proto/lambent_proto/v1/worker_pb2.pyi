@@ -98,14 +98,31 @@ class StartResponse(_message.Message):
     def __init__(self, spec: _Optional[_Union[_job_pb2.JobSpec, _Mapping]] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ..., scene_name: _Optional[str] = ..., render: _Optional[_Union[_render_pb2.RenderTask, _Mapping]] = ...) -> None: ...
 
 class Adjustments(_message.Message):
-    __slots__ = ("ray_chunk", "learning_rate", "stage")
+    __slots__ = ("ray_chunk", "learning_rate", "stage", "stages")
+    class StagesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: StageAdjustments
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[StageAdjustments, _Mapping]] = ...) -> None: ...
     RAY_CHUNK_FIELD_NUMBER: _ClassVar[int]
     LEARNING_RATE_FIELD_NUMBER: _ClassVar[int]
     STAGE_FIELD_NUMBER: _ClassVar[int]
+    STAGES_FIELD_NUMBER: _ClassVar[int]
     ray_chunk: float
     learning_rate: float
     stage: str
-    def __init__(self, ray_chunk: _Optional[float] = ..., learning_rate: _Optional[float] = ..., stage: _Optional[str] = ...) -> None: ...
+    stages: _containers.MessageMap[str, StageAdjustments]
+    def __init__(self, ray_chunk: _Optional[float] = ..., learning_rate: _Optional[float] = ..., stage: _Optional[str] = ..., stages: _Optional[_Mapping[str, StageAdjustments]] = ...) -> None: ...
+
+class StageAdjustments(_message.Message):
+    __slots__ = ("ray_chunk", "learning_rate")
+    RAY_CHUNK_FIELD_NUMBER: _ClassVar[int]
+    LEARNING_RATE_FIELD_NUMBER: _ClassVar[int]
+    ray_chunk: float
+    learning_rate: float
+    def __init__(self, ray_chunk: _Optional[float] = ..., learning_rate: _Optional[float] = ...) -> None: ...
 
 class SceneFile(_message.Message):
     __slots__ = ("path", "sha256", "size_bytes")

@@ -8,6 +8,7 @@ from typing import NoReturn
 import pytest
 from lambent_proto.v1 import worker_pb2
 from lambent_server.executors import Launch
+from lambent_server.outcomes import adjustments_of
 from support.runs import Stage, staged
 
 
@@ -148,23 +149,46 @@ def test_what_cannot_get_better_is_not_tried_again(stage: Stage, cause: str):
     assert found["error"] == {"code": "scene.bad", "message": "fix it", "cause": cause.lower(), "run": 1}
 
 
+def fail_in(stage: Stage, job: str, run: int, where: str, cause: str) -> None:
+    """Let a run fail in a stage of training, and the next one start if there is to be one."""
+    stage.call("Report", job, run, sequence=1, progress={"stage": where, "step": 1, "num_steps": 9})
+    stage.call("Fail", job, run, cause=f"FAIL_CAUSE_{cause}", code="x", message="y")
+    stage.end(0)
+    stage.controller.turn()
+    stage.controller.turn()
+
+
 @pytest.mark.parametrize(
     ("cause", "field"), [("GPU_OUT_OF_MEMORY", "ray_chunk"), ("DIVERGED", "learning_rate")]
 )
 def test_some_failures_are_tried_once_more_with_something_changed(stage: Stage, cause: str, field: str):
     job = stage.start()
-    assert stage.call("Start", job).adjustments == worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=1.0)
-    stage.call("Report", job, sequence=1, progress={"stage": "joint", "step": 1, "num_steps": 9})
-    stage.call("Fail", job, cause=f"FAIL_CAUSE_{cause}", code="x", message="y")
-    stage.end(0)
-    stage.controller.turn()
-    stage.controller.turn()
+    assert stage.call("Start", job).adjustments == worker_pb2.Adjustments()
+    fail_in(stage, job, 1, "joint", cause)
     assert stage.job(job)["run"] == 2
     adjustments = stage.call("Start", job, 2).adjustments
-    assert getattr(adjustments, field) < 1.0
-    assert adjustments.stage == "joint"
-    stage.call("Fail", job, 2, cause=f"FAIL_CAUSE_{cause}", code="x", message="y")
+    assert set(adjustments.stages) == {"joint"}
+    assert 0.0 < getattr(adjustments.stages["joint"], field) < 1.0
+    fail_in(stage, job, 2, "joint", cause)
     assert stage.job(job)["state"] == "failed"
+
+
+def test_what_a_failure_has_changed_in_one_stage_stays_when_another_stage_fails(stage: Stage):
+    job = stage.start()
+    fail_in(stage, job, 1, "cache", "GPU_OUT_OF_MEMORY")
+    fail_in(stage, job, 2, "joint", "DIVERGED")
+    assert stage.call("Start", job, 3).adjustments == worker_pb2.Adjustments(
+        stages={
+            "cache": worker_pb2.StageAdjustments(ray_chunk=0.5),
+            "joint": worker_pb2.StageAdjustments(learning_rate=0.3),
+        }
+    )
+
+
+def test_adjustments_of_the_version_before_are_read():
+    row = {"adjustments": {"ray_chunk": 0.5, "stage": "cache"}}
+    assert adjustments_of(row) == {"cache": {"ray_chunk": 0.5}}
+    assert adjustments_of({"adjustments": {}}) == {}
 
 
 def test_a_program_that_does_not_start_is_a_failure(stage: Stage):

@@ -4,25 +4,27 @@ import io
 import json
 
 import pytest
-from lambent_proto.v1 import job_pb2
+from lambent_proto.v1.job_pb2 import Progress
 from lambent_worker.console_reporter import ConsoleReporter, describe_progress, format_duration
 
-PROGRESS = {
-    "stage": "cache",
-    "step": 300,
-    "num_steps": 3000,
-    "fraction": 0.04,
-    "eta_s": 205.0,
-    "steps_per_s": 25.0,
-    "loss": 0.01,
-    "psnr": 24.12,
-}
+
+def progress(stage="cache", step=300):
+    return Progress(
+        stage=stage,
+        step=step,
+        num_steps=3000,
+        fraction=0.04,
+        eta_s=205.0,
+        steps_per_s=25.0,
+        loss=0.01,
+        psnr=24.12,
+    )
 
 
 def test_plain_lines_are_written_when_nobody_watches(tmp_path):
     error = io.StringIO()
     with ConsoleReporter(tmp_path, error=error) as reporter:
-        reporter.progress(job_pb2.Progress(**PROGRESS))
+        reporter.progress(progress())
     line = error.getvalue()
     assert line == (
         "training the radiance cache: 4 % of the job, step 300/3000, 3 min 25 s to go, PSNR 24.1 dB\n"
@@ -33,8 +35,8 @@ def test_plain_lines_are_thinned_but_stages_begin_and_end_visibly(tmp_path):
     error = io.StringIO()
     with ConsoleReporter(tmp_path, error=error) as reporter:
         for step in (1, 2, 3, 3000):
-            reporter.progress(job_pb2.Progress(**{**PROGRESS, "step": step}))
-        reporter.progress(job_pb2.Progress(**{**PROGRESS, "stage": "joint", "step": 1}))
+            reporter.progress(progress(step=step))
+        reporter.progress(progress("joint", 1))
     lines = error.getvalue().splitlines()
     assert [line.split("step ")[1].split("/")[0] for line in lines] == ["1", "3000", "1"]
 
@@ -42,7 +44,7 @@ def test_plain_lines_are_thinned_but_stages_begin_and_end_visibly(tmp_path):
 def test_json_lines_go_to_standard_output_and_nothing_else_does(tmp_path, capsys):
     error = io.StringIO()
     with ConsoleReporter(tmp_path, as_json=True, error=error) as reporter:
-        reporter.progress(job_pb2.Progress(**PROGRESS))
+        reporter.progress(progress())
         reporter.finding("scene.no_mask", "cut it out")
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["event"] for line in lines] == ["progress", "finding"]
@@ -57,7 +59,7 @@ def test_a_terminal_gets_a_bar(tmp_path):
 
     error = Terminal()
     with ConsoleReporter(tmp_path, error=error) as reporter:
-        reporter.progress(job_pb2.Progress(**PROGRESS))
+        reporter.progress(progress())
         reporter.finding("scene.no_mask", "[bold]cut[/bold] it out")
     assert "training the radiance cache" in error.getvalue()
     assert "[bold]cut[/bold] it out" in error.getvalue()
@@ -65,7 +67,7 @@ def test_a_terminal_gets_a_bar(tmp_path):
 
 def test_everything_is_kept_in_the_run_folder(tmp_path):
     with ConsoleReporter(tmp_path, error=io.StringIO()) as reporter:
-        reporter.progress(job_pb2.Progress(**PROGRESS))
+        reporter.progress(progress())
         reporter.preview("joint", b"png")
         reporter.checkpoint("joint", 5, tmp_path)
         reporter.artifact("report.html", tmp_path / "report.html")
@@ -106,5 +108,5 @@ def test_durations_are_as_coarse_as_useful(seconds, words):
 
 
 def test_what_is_unknown_is_left_out():
-    assert describe_progress(0, 1, 0.0, 0.0) == "started"
-    assert describe_progress(3, 10, 0.0, 0.0) == "step 3/10"
+    assert describe_progress(Progress(num_steps=1)) == "started"
+    assert describe_progress(Progress(step=3, num_steps=10)) == "step 3/10"

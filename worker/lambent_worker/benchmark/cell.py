@@ -15,13 +15,16 @@ from typing import TYPE_CHECKING
 from lambent_worker.startup import prepare
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from lambent_worker.benchmark.plan import Cell
     from lambent_worker.reporter import Reporter
+    from lambent_worker.run.spec import RunSpec
 
 _PARENT_DIED = 1
 RUN, REPORT, RESULT, ORDER = "run", "report", "result.json", "cell.json"
 SHARED = ("scene", "cache")
-SHARED_STEPS = ("ingest", "cache")
+SHARED_TASKS = ("ingest", "cache")
 
 
 def main(arguments: list[str]) -> int:
@@ -51,19 +54,23 @@ def main(arguments: list[str]) -> int:
 def train_stage_one(cell: "Cell", folder: Path, device: str, reporter: "Reporter") -> None:
     """Train the stage one that all ablations of a scene and seed share."""
     from lambent_worker.run.pipeline import run_pipeline
-    from lambent_worker.run.prepare import config_for
 
-    config = config_for(cell.preset, cell.base_overrides)
-    run_pipeline(
+    # Its folder is named by what it depends on; what the other cells' stage two looks like does not count.
+    (folder / RUN / "run.json").unlink(missing_ok=True)
+    run_pipeline(spec_of(cell, cell.base_overrides), folder / RUN, device, reporter, SHARED_TASKS)
+
+
+def spec_of(cell: "Cell", overrides: "Mapping[str, str]") -> "RunSpec":
+    """Return the run of a cell, with these settings over its preset."""
+    from lambent_worker.run.spec import RunSpec
+
+    return RunSpec.from_options(
         Path(cell.scene_dir),
-        folder / RUN,
-        config,
-        cell.seed,
-        device,
-        reporter,
-        SHARED_STEPS,
+        preset=cell.preset,
+        overrides=overrides,
         lights=cell.lights,
         layout=cell.layout,
+        seed=cell.seed,
     )
 
 
@@ -74,36 +81,17 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     from lambent_worker.messages import message_to_dict
     from lambent_worker.report.request import EvaluationRequest, as_shadows
     from lambent_worker.run.evaluation import evaluate_run
-    from lambent_worker.run.folder import stage_seconds
+    from lambent_worker.run.folder import task_seconds
     from lambent_worker.run.pipeline import run_pipeline
-    from lambent_worker.run.prepare import prepare_run
+    from lambent_worker.run.prepare import check_device
 
     scene_dir, run_dir = Path(cell.scene_dir), folder / RUN
     if run_dir.exists() and not (run_dir / "run.json").exists():
         shutil.rmtree(run_dir)
-    run = prepare_run(
-        scene_dir,
-        run_dir,
-        preset=cell.preset,
-        lights=cell.lights,
-        layout=cell.layout,
-        seed=cell.seed,
-        device=device,
-        overrides=cell.overrides,
-        resume=False,
-    )
+    check_device(device)
     adopt(stage_one, run_dir)
-    run_pipeline(
-        scene_dir,
-        run_dir,
-        run.config,
-        run.seed,
-        device,
-        reporter,
-        ("ingest", "cache", "joint"),
-        lights=run.lights,
-        layout=run.layout,
-    )
+    spec = spec_of(cell, cell.overrides)
+    run_pipeline(spec, run_dir, device, reporter, ("ingest", "cache", "joint"))
     order = cell.evaluation
     request = EvaluationRequest(
         num_views=order.views,
@@ -119,7 +107,7 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     result = {
         "inputs": cell.inputs,
         "git_revision": git_revision(),
-        "seconds": stage_seconds(run_dir),
+        "seconds": task_seconds(run_dir),
         "report": message_to_dict(report),
     }
     write_json(folder / RESULT, result)
@@ -141,10 +129,10 @@ def adopt(stage_one: Path, run_dir: Path) -> None:
         shutil.rmtree(run_dir / name, ignore_errors=True)
         shutil.copytree(stage_one / name, run_dir / name, copy_function=_link)
     (run_dir / "steps").mkdir(exist_ok=True)
-    for step in SHARED_STEPS:
+    for task in SHARED_TASKS:
         for kind in ("inputs", "done"):
             shutil.copyfile(
-                stage_one / "steps" / f"{step}.{kind}.json", run_dir / "steps" / f"{step}.{kind}.json"
+                stage_one / "steps" / f"{task}.{kind}.json", run_dir / "steps" / f"{task}.{kind}.json"
             )
 
 

@@ -16,8 +16,8 @@ from lambent_worker.errors import UsageError
 from lambent_worker.files import digest, file_sha256
 from lambent_worker.report import protocol
 from lambent_worker.report.published import published_rows, published_scene
-from lambent_worker.run.hashes import input_hashes, step_inputs
-from lambent_worker.run.prepare import config_for
+from lambent_worker.run.hashes import input_hashes, task_inputs
+from lambent_worker.run.spec import RunSpec, config_for
 
 FULL = "full"
 GROUPS = {
@@ -168,20 +168,21 @@ def plan(
             if setting == "multi" and lights == scene.turned:
                 base = {"model.environment.lights": "rotated", **base}
             config = config_for(own_preset, base)
-            ingest = input_hashes(scene.folder, config, 0, lights, scene.layout)["ingest"]
+            spec = RunSpec(scene=scene.folder, config=config, lights=lights, layout=scene.layout)
+            ingest = input_hashes(spec)["ingest"]
             for variant in variants:
                 changed = variant.overrides(config)
                 ablated = with_overrides(config, changed)
                 for seed in seeds:
-                    stage_one = step_inputs("cache", ingest, ablated, seed)
-                    trained = step_inputs("joint", stage_one, ablated, seed)
+                    stage_one = task_inputs("cache", ingest, ablated, seed)
+                    trained = task_inputs("joint", stage_one, ablated, seed)
                     looked_at = {
                         name: value
                         for name, value in asdict(evaluation).items()
                         if name not in ("environments", "keep_predictions")
                     }
                     # Stage one of an ablation is the full method's unless it changes that, too.
-                    shared = step_inputs("cache", ingest, config, seed) == stage_one
+                    shared = task_inputs("cache", ingest, config, seed) == stage_one
                     cells.append(
                         Cell(
                             scene=scene.name,

@@ -68,7 +68,7 @@ def _run_child(
     folder: Path, layout: str | None, masks: Path | None, killers: list[str]
 ) -> tuple[CaptureCheck | None, str | None]:
     """Return what the child found, or None and the file it was reading when it died."""
-    task = {
+    order = {
         "folder": str(folder.resolve()),
         "layout": layout,
         "masks": None if masks is None else str(masks.resolve()),
@@ -79,7 +79,7 @@ def _run_child(
     try:
         child = subprocess.run(
             [sys.executable, "-I", "-B", "-m", "lambent_worker.capture_qa.check_child"],
-            input=json.dumps(task),
+            input=json.dumps(order),
             capture_output=True,
             text=True,
             errors="replace",

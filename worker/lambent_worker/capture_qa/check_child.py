@@ -1,4 +1,4 @@
-"""The child process of `check`: reads a task on standard input, writes lines to standard output.
+"""The child process of `check`: reads an order on standard input, writes lines to standard output.
 
 Lines are `reading "path"` before each file is decoded; where the capture can be used `figures {CaptureFigures
 as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end `report {SceneReport}`.
@@ -23,16 +23,16 @@ def limit_resources(memory_bytes: int, cpu_s: int) -> None:
 
 
 def main() -> None:
-    """Check the folder that the task on standard input names."""
-    task: dict[str, Any] = json.load(sys.stdin)
-    limit_resources(task["memory_bytes"], task["cpu_s"])
-    from lambent_worker.scenes.inspect import inspect_scene
+    """Check the folder that the order on standard input names."""
+    order: dict[str, Any] = json.load(sys.stdin)
+    limit_resources(order["memory_bytes"], order["cpu_s"])
+    from lambent_worker.scenes.inspect import inspect_capture
 
-    folder, layout = Path(task["folder"]), task["layout"]
-    masks = None if task["masks"] is None else Path(task["masks"])
-    report = inspect_scene(folder, layout, frozenset(task["killers"]), announce, masks)
-    if report.usable:
-        measure(folder, layout, masks, report)
+    folder, layout = Path(order["folder"]), order["layout"]
+    masks = None if order["masks"] is None else Path(order["masks"])
+    report, manifest = inspect_capture(folder, layout, frozenset(order["killers"]), announce, masks)
+    if manifest is not None and report.usable:
+        measure(folder, manifest, report)
     tell("report", message_to_dict(report))
 
 
@@ -46,15 +46,11 @@ def announce(path: str) -> None:
     tell("reading", path)
 
 
-def measure(folder: Path, layout: str | None, masks: Path | None, report: "scene_pb2.SceneReport") -> None:
+def measure(folder: Path, manifest: "scene_pb2.SceneManifest", report: "scene_pb2.SceneReport") -> None:
     """Measure a capture that can be used, tell its figures, and add to `report` what they mean."""
     from lambent_worker.capture_qa.limits import CaptureLimits
     from lambent_worker.capture_qa.review import review
-    from lambent_worker.scenes.detect import collect_scene
-    from lambent_worker.scenes.problems import Problems
 
-    manifest = collect_scene(folder, layout, Problems(), masks)
-    assert manifest is not None, "a usable capture can be described"
     examination = review(folder, manifest, report, CaptureLimits(), announce)
     tell("figures", message_to_dict(examination.figures))
     for name, jpeg in examination.thumbnails.items():

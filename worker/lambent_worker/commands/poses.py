@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -20,37 +20,19 @@ def poses(
     as_json: Json = False,
 ) -> None:
     """Find cameras for photographs with COLMAP and write a capture that train and check take."""
-    from lambent_worker.poses.capture import solve_capture
+    from lambent_worker.poses.capture import solve_capture, summary
     from lambent_worker.poses.solve import PoseSettings
 
     solved = solve_capture(photographs, out, masks, PoseSettings(seed=seed), tell_progress)
     if as_json:
         typer.echo(json.dumps(solved.record))
         return
-    tell_solved(solved.record)
+    typer.echo(summary(solved.record))
+    for finding in solved.record["findings"]:
+        typer.echo(f"note: {finding['code']}: {finding['message']}")
     typer.echo(f'go on with: lambent check "{out}"')
-
-
-def solve_for_run(photographs: Path, capture: Path, masks: Path | None, seed: int, *, quiet: bool) -> None:
-    """Find the cameras of a run's photographs where that was not done yet, and tell how well that went."""
-    from lambent_worker.poses.capture import solve_capture
-    from lambent_worker.poses.solve import PoseSettings
-
-    solved = solve_capture(photographs, capture, masks, PoseSettings(seed=seed), tell_progress)
-    if not quiet:
-        tell_solved(solved.record)
 
 
 def tell_progress(text: str) -> None:
     """Say what is being done, where talk belongs."""
     typer.echo(text, err=True)
-
-
-def tell_solved(record: dict[str, Any]) -> None:
-    """Say how well cameras were found, and what could be done about it."""
-    typer.echo(
-        f"cameras for {record['registered']} of {record['photographs']} photographs, "
-        f"{record['points']} points, reprojection error {record['reprojection_error_px']:.2f} pixels"
-    )
-    for finding in record["findings"]:
-        typer.echo(f"note: {finding['code']}: {finding['message']}")

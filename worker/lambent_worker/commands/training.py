@@ -1,6 +1,7 @@
 """The commands that need no server: train, evaluate, export. Torch is imported only when they run."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -50,52 +51,41 @@ def train(
     from lambent_worker.startup import prepare
 
     prepare()
-    from lambent_worker.run.prepare import config_for, prepare_run
+    from lambent_worker.run.spec import RunSpec, config_for, read_run
 
     overrides = {"model.environment.lights": "rotated"} if rotated else {}
     overrides |= parse_settings(settings or [])
+    lights = tuple(name for name in light.split(",") if name)
     if dry_run:
         from lambent_worker.run.memory_plan import as_text, plan
 
-        num_lights = max(1, len([name for name in light.split(",") if name]))
-        found = plan(config_for(preset, overrides), num_lights=num_lights, device=device)
+        found = plan(config_for(preset, overrides), num_lights=max(1, len(lights)), device=device)
         typer.echo(json.dumps(found) if as_json else as_text(found))
         return
-    photographs, scene_dir = scene_dir, capture_of(scene_dir, out, poses)
-    run = prepare_run(
-        scene_dir,
-        out,
-        preset=preset,
-        lights=tuple(name for name in light.split(",") if name),
-        layout=layout,
-        seed=seed,
-        device=device,
-        overrides=overrides,
-        resume=resume,
-        known_lights=known_light or (),
-        masks=None if poses else masks,
-        whole_view=no_masks,
-    )
-    if poses:
-        from lambent_worker.commands.poses import solve_for_run
-
-        solve_for_run(photographs, scene_dir, masks, run.seed, quiet=as_json)
+    capture = capture_of(out, poses)
+    if resume:
+        places = None if capture is None else (scene_dir, masks)
+        spec = replace(read_run(out)[0], scene=capture or scene_dir, photographs=places)
+    else:
+        spec = RunSpec.from_options(
+            scene_dir,
+            preset=preset,
+            overrides=overrides,
+            lights=lights,
+            layout=layout,
+            known_lights=known_light or (),
+            masks=masks,
+            whole_view=no_masks,
+            capture=capture,
+            seed=seed,
+        )
     from lambent_worker.console_reporter import ConsoleReporter
     from lambent_worker.run.pipeline import run_pipeline
+    from lambent_worker.run.prepare import device_for
 
+    device = device_for(out, device)
     with ConsoleReporter(out, as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
-        run_pipeline(
-            scene_dir,
-            out,
-            run.config,
-            run.seed,
-            run.device,
-            reporter,
-            lights=run.lights,
-            layout=run.layout,
-            known_lights=run.known_lights,
-            masks=run.masks,
-        )
+        run_pipeline(spec, out, device, reporter)
     if not as_json:
         typer.echo(f"bundle: {out / 'bundle'}")
         typer.echo(f"report: {out / 'evaluation' / 'report.html'}")
@@ -182,14 +172,14 @@ def export(
         typer.echo(f"bundle: {out}")
 
 
-def capture_of(scene_dir: Path, run_dir: Path, poses: str) -> Path:
-    """Return the folder that is trained on: in the run where cameras are found first.
+def capture_of(run_dir: Path, poses: str) -> Path | None:
+    """Return where in the run the capture is made for which cameras are found first; None: there are some.
 
     Raises `UsageError` where `poses` is neither empty nor "auto".
     """
     if poses not in ("", "auto"):
         raise UsageError("config.poses_unknown", f'--poses "{poses}" must be auto, or left out')
-    return run_dir / "capture" if poses else scene_dir
+    return run_dir / "capture" if poses else None
 
 
 def parse_settings(items: list[str]) -> dict[str, str]:

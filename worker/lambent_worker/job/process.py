@@ -11,14 +11,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flashcache.errors import ConfigError, TrainingError
-from lambent_proto.v1 import scene_pb2, worker_pb2
+from lambent_proto.v1 import worker_pb2
 
-from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
 from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_worker.job.order import Check, Order, Pipeline
 from lambent_worker.job.server_reporter import ServerReporter, media_type
-from lambent_worker.job.task import Check, Pipeline, Task
 from lambent_worker.reporter import Reporter
 
 _SIGKILL_ON_PARENT_DEATH = 1
@@ -26,53 +26,31 @@ _SIGKILL_ON_PARENT_DEATH = 1
 _OUT_OF_MEMORY = ("Cannot allocate memory", "Failed to allocate memory", "std::bad_alloc")
 
 
-def train(task: Task) -> Path | None:
-    """Run the steps of `lambent_worker.run.pipeline` and return the bundle's folder."""
-    from lambent_worker.job.order import config_of, known_lights_of, masks_of
-    from lambent_worker.run.folder import step_folder
-    from lambent_worker.run.known_lights import keep_known_lights, names_by_content, parse_known_lights
-    from lambent_worker.run.masks import keep_masks, masks_setting
+def train(order: Order) -> Path:
+    """Run the tasks of `lambent_worker.run.pipeline` and return the bundle's folder."""
+    from lambent_worker.run.folder import task_folder
     from lambent_worker.run.pipeline import run_pipeline
+    from lambent_worker.run.spec import RunSpec
 
-    config, lights, layout = config_of(task.spec, task.adjustments)
-    known = parse_known_lights(known_lights_of(task.spec, task.scene_dir))
-    keep_known_lights(task.run_dir, known)
-    masks, whole_view = masks_of(task.spec, task.scene_dir)
-    setting = masks_setting(masks, whole_view=whole_view)
-    if masks is not None:
-        keep_masks(task.run_dir, masks)
-    run_pipeline(
-        task.scene_dir,
-        task.run_dir,
-        config,
-        task.spec.seed,
-        task.device,
-        task.reporter,
-        lights=lights,
-        layout=layout,
-        known_lights=names_by_content(known),
-        masks=setting,
-    )
-    return step_folder(task.run_dir, "export")
+    spec = RunSpec.from_job(order.spec, order.adjustments, order.scene_dir)
+    run_pipeline(spec, order.run_dir, order.device, order.reporter, checked=order.checked)
+    return task_folder(order.run_dir, "export")
 
 
-def perform(task: Task) -> Path | None:
-    """Train, or adapt a bundle to a light, as the order's kind says."""
-    return bake(task) if task.spec.kind == "bake" else train(task)
-
-
-def bake(task: Task) -> Path:
-    """Adapt a bundle's fast cache to an environment and return the folder of the bundle that has it."""
+def perform(order: Order) -> Path:
+    """Train, or adapt a bundle to a light, as the order's kind says, and return the bundle's folder."""
+    if order.spec.kind != "bake":
+        return train(order)
     from lambent_worker.job.bake import run_bake
 
-    return run_bake(task.spec, task.scene_dir, task.run_dir, task.device, task.reporter)
+    return run_bake(order.spec, order.scene_dir, order.run_dir, order.device, order.reporter)
 
 
-def render(task: Task) -> None:
+def render(order: Order) -> None:
     """Make pictures of bundles; they are artifacts of the job."""
     from lambent_worker.job.render import render_pictures
 
-    render_pictures(task)
+    render_pictures(order)
 
 
 def check(scene_dir: Path) -> CaptureCheck:
@@ -166,19 +144,17 @@ def _do(
 ) -> Path | None:
     identity = connection.identity
     scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
+    checked = None
     if start.check_scene or start.spec.kind == "check":
         checked = check(scene_dir)
-        report = checked.report
         _report_scene(connection, start.scene_name, checked)
-        for finding in report.findings:
-            error = finding.severity == scene_pb2.SEVERITY_ERROR
-            reporter.finding(finding.code, finding.message, subject=finding.subject, error=error)
+        tell_findings(reporter, checked.report.findings)
         if start.spec.kind == "check":
             return None
-        if not report.usable:
-            raise SceneRefusedError(report)
+        if not checked.report.usable:
+            raise SceneRefusedError(checked.report)
     restore_checkpoints(connection, reporter, start, identity.work_dir)
-    task = Task(
+    order = Order(
         spec=start.spec,
         scene_dir=scene_dir,
         run_dir=identity.work_dir,
@@ -186,8 +162,9 @@ def _do(
         adjustments=start.adjustments,
         reporter=reporter,
         render=start.render,
+        checked=checked,
     )
-    bundle = render(task) if start.HasField("render") else pipeline(task)
+    bundle = render(order) if start.HasField("render") else pipeline(order)
     if reporter.broken is not None:
         raise reporter.broken
     return bundle
@@ -221,11 +198,11 @@ def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent:
 def restore_checkpoints(
     connection: Connection, reporter: Reporter, start: worker_pb2.StartResponse, run_dir: Path
 ) -> None:
-    """Bring the kept checkpoints to where the pipeline left them; one that is broken is left out."""
+    """Bring the kept checkpoints to where the pipeline left them; one that is broken is left out.
+
+    Whether one was made with the settings that its stage has now is seen when the stage goes on from it.
+    """
     for manifest in start.checkpoints:
-        if manifest.stage == start.adjustments.stage:
-            # It was made with the settings that failed.
-            continue
         try:
             for file in manifest.files:
                 connection.get_file(file.sha256, run_dir / file.path)
@@ -249,45 +226,29 @@ def _send_bundle(connection: Connection, folder: Path) -> list[worker_pb2.Publis
 
 def describe_failure(error: Exception) -> worker_pb2.FailRequest:
     """Return what the server is told; the cause decides whether and how the job is tried again."""
-    if isinstance(error, SceneRefusedError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_BAD_SCENE, code=error.code, message=error.message
-        )
-    if isinstance(error, ConfigError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code="config.invalid", message=str(error)
-        )
-    if isinstance(error, UsageError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code=error.code, message=error.message
-        )
-    if isinstance(error, TrainingError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_DIVERGED, code="training.failed", message=str(error)
-        )
+    code, message = "run.crashed", f"{type(error).__name__}: {str(error)[:500]}; the log has the traceback"
+    cause = worker_pb2.FAIL_CAUSE_INTERNAL
     if isinstance(error, WorkerError):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_INTERNAL, code=error.code, message=error.message
-        )
+        code, message = error.code, error.message
+        if isinstance(error, SceneRefusedError):
+            cause = worker_pb2.FAIL_CAUSE_BAD_SCENE
+        elif isinstance(error, UsageError):
+            cause = worker_pb2.FAIL_CAUSE_BAD_CONFIG
+    elif isinstance(error, ConfigError):
+        cause, code, message = worker_pb2.FAIL_CAUSE_BAD_CONFIG, "config.invalid", str(error)
+    elif isinstance(error, TrainingError):
+        cause, code, message = worker_pb2.FAIL_CAUSE_DIVERGED, "training.failed", str(error)
     # By name: torch is not imported for a look at an exception.
-    if type(error).__name__ == "OutOfMemoryError":
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_GPU_OUT_OF_MEMORY,
-            code="run.gpu_out_of_memory",
-            message="the GPU has too little memory for this preset; it is tried once with half the rays",
+    elif type(error).__name__ == "OutOfMemoryError":
+        cause, code = worker_pb2.FAIL_CAUSE_GPU_OUT_OF_MEMORY, "run.gpu_out_of_memory"
+        message = "the GPU has too little memory for this preset; it is tried once with half the rays"
+    elif isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
+        cause, code = worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY, "run.out_of_memory"
+        message = (
+            "the run needs more memory than the machine has or LAMBENT_RUN_MEMORY_BYTES allows; "
+            "take a smaller preset"
         )
-    if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
-        return worker_pb2.FailRequest(
-            cause=worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY,
-            code="run.out_of_memory",
-            message="the run needs more memory than the machine has or LAMBENT_RUN_MEMORY_BYTES allows; "
-            "take a smaller preset",
-        )
-    return worker_pb2.FailRequest(
-        cause=worker_pb2.FAIL_CAUSE_INTERNAL,
-        code="run.crashed",
-        message=f"{type(error).__name__}: {str(error)[:500]}; the log has the traceback",
-    )
+    return worker_pb2.FailRequest(cause=cause, code=code, message=message)
 
 
 def _die_with_parent() -> None:

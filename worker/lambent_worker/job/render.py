@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from google.protobuf.json_format import MessageToDict
-from lambent_proto.v1 import job_pb2, render_pb2
+from lambent_proto.v1 import render_pb2
+from lambent_proto.v1.job_pb2 import Progress
 from lambent_relight.batch import tiles
 from lambent_relight.batch.journal import NAME as JOURNAL
 from lambent_relight.batch.journal import Journal, open_journal, read_records
@@ -28,7 +29,7 @@ from lambent_worker.errors import Stopped, UsageError
 from lambent_worker.reporter import Reporter
 
 if TYPE_CHECKING:
-    from lambent_worker.job.task import Task
+    from lambent_worker.job.order import Order
 
 STAGE = "render"
 SUMMARY_STAGE = "contact_sheet"
@@ -38,52 +39,52 @@ _PARTS = "parts"
 _PREVIEW_PIXELS = 256
 
 
-def render_pictures(task: "Task") -> None:
+def render_pictures(order: "Order") -> None:
     """Make the pictures of one part of an order; what fails is a finding, and stops no other picture.
 
     The run behind several parts makes their table and contact sheet instead. Raises UsageError
     (`render.spec_invalid`) for an order that cannot be meant and (`render.all_failed`) when no picture could
     be made.
     """
-    shard, num_shards = task.render.shard, task.render.num_shards
+    shard, num_shards = order.render.shard, order.render.num_shards
     try:
-        manifest = manifest_of(task.render.spec, task.scene_dir)
+        manifest = manifest_of(order.render.spec, order.scene_dir)
         plan = part_of(make_plan(manifest), shard, num_shards) if shard < num_shards else None
     except (ManifestError, RelightError) as error:
         raise UsageError("render.spec_invalid", f"{error.message}; {error.advice}") from error
     if plan is None:
-        sum_up(task, manifest)
+        sum_up(order, manifest)
         return
-    folder = task.run_dir / "pictures"
-    _restore(task.run_dir, folder)
+    folder = order.run_dir / "pictures"
+    _restore(order.run_dir, folder)
     with open_journal(folder) as journal:
-        work = _Work(task.reporter, task.run_dir, journal, len(plan.rows) + len(plan.failures))
+        work = _Work(order.reporter, order.run_dir, journal, len(plan.rows) + len(plan.failures))
         try:
             for result in run_batch(plan, manifest.files, journal, progress=work.progress):
                 work.add(result)
         except _StopNowError as stop:
             work.checkpoint()
             raise Stopped from stop
-    _publish(task, folder, work.results, manifest)
+    _publish(order, folder, work.results, manifest)
 
 
-def sum_up(task: "Task", manifest: Manifest) -> None:
+def sum_up(order: "Order", manifest: Manifest) -> None:
     """Make the table and the contact sheet of an order from what its parts have left in `parts/<part>/`."""
-    folder = task.run_dir / "summary"
+    folder = order.run_dir / "summary"
     folder.mkdir(parents=True, exist_ok=True)
-    parts = sorted((task.scene_dir / "parts").glob("*"))
+    parts = sorted((order.scene_dir / "parts").glob("*"))
     results = [
         Result(path=record.path, state="made", record=record)
         for part in parts
         for record in read_records(part / JOURNAL)
     ]
-    for each in task.render.failures:
+    for each in order.render.failures:
         failure = Failure(path=each.path, code=each.code, message=each.message)
         results.append(Result(path=failure.path, state="failed", failure=failure))
     tile_of = tiles.Tiles(path for part in parts for path in part.glob(tiles.NAME))
-    _summary(task.reporter, folder, results, manifest, tile_of)
+    _summary(order.reporter, folder, results, manifest, tile_of)
     num = len(results)
-    task.reporter.progress(job_pb2.Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
+    order.reporter.progress(Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
 
 
 def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
@@ -165,7 +166,7 @@ class _Work:
         seconds = time.monotonic() - self._began
         rate = done / seconds if done and seconds > 0.0 else 0.0
         self.reporter.progress(
-            job_pb2.Progress(
+            Progress(
                 stage=STAGE,
                 step=done,
                 num_steps=self.num_pictures,
@@ -221,9 +222,9 @@ def _put(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _publish(task: "Task", folder: Path, results: list[Result], manifest: Manifest) -> None:
+def _publish(order: "Order", folder: Path, results: list[Result], manifest: Manifest) -> None:
     """Send every picture, the records, and table and sheets or what they are made of; tell what failed."""
-    reporter = task.reporter
+    reporter = order.reporter
     failures = [result.failure for result in results if result.failure is not None]
     for failure in failures:
         reporter.finding(failure.code, failure.message, subject=failure.path, error=True)
@@ -235,7 +236,7 @@ def _publish(task: "Task", folder: Path, results: list[Result], manifest: Manife
             for made in result.record.files.values():
                 reporter.artifact(made.path, folder / made.path)
     reporter.artifact(JOURNAL, folder / JOURNAL)
-    if task.render.num_shards > 1:
+    if order.render.num_shards > 1:
         reporter.artifact(tiles.NAME, tiles.write_tiles(folder, results))
     else:
         _summary(reporter, folder, results, manifest)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from lambent_proto.v1 import job_pb2, worker_pb2
 
+from lambent_worker.files import read_record
 from lambent_worker.job.connection import Connection, FencedError, RefusedError, UnreachableError
 
 MAX_WAITING_EVENTS = 2000
@@ -32,7 +33,7 @@ def media_type(name: str) -> str:
 
 
 class ServerReporter:
-    """Sends progress now and then from a thread of its own, so that no step waits for the server.
+    """Sends progress now and then from a thread of its own, so that no task waits for the server.
 
     Checkpoints and artifacts are sent at once, and the caller waits until they are safe.
     """
@@ -42,14 +43,12 @@ class ServerReporter:
         connection: Connection,
         run_dir: Path,
         *,
-        config_sha256: str = "",
         code_version: str = "",
         progress_interval_s: float = 1.0,
         preview_interval_s: float = 10.0,
     ) -> None:
         self._connection = connection
         self._run_dir = run_dir
-        self._config_sha256 = config_sha256
         self._code_version = code_version
         self._progress_interval_s = progress_interval_s
         self._preview_interval_s = preview_interval_s
@@ -75,10 +74,10 @@ class ServerReporter:
         """Return whether the run was asked to end, or has been given up by the server."""
         return self._stop.is_set()
 
-    def progress(self, now: job_pb2.Progress) -> None:
+    def progress(self, progress: job_pb2.Progress) -> None:
         """Note how far the run is; the newest note is sent at the next occasion."""
         with self._lock:
-            self._progress = now
+            self._progress = progress
 
     def preview(self, name: str, png: bytes) -> None:
         """Show a small picture; only the newest of an interval is sent."""
@@ -103,7 +102,7 @@ class ServerReporter:
             run=identity.run,
             stage=stage,
             step=step,
-            config_sha256=self._config_sha256,
+            config_sha256=read_record(folder / "state.json").get("config_sha256", ""),
             code_version=self._code_version,
             files=files,
         )

@@ -27,12 +27,13 @@ from lambent_worker.light_bake.adapted_bundle import write_adapted
 from lambent_worker.light_bake.bundle_scene import bundle_scene, cache_of
 from lambent_worker.light_bake.judge import judged, transported
 from lambent_worker.reporter import Reporter
-from lambent_worker.run.context import Clock, StepContext
+from lambent_worker.run.context import TaskContext
 from lambent_worker.run.evaluation import trained_scene
-from lambent_worker.run.folder import begin_step, done_inputs, locked, step_folder
+from lambent_worker.run.folder import begin_task, done_inputs, locked, task_folder
 from lambent_worker.run.known_lights import resampled
-from lambent_worker.run.prepare import Run, open_run, step_context
-from lambent_worker.run.steps.training import drive, load_trained
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks.training import drive, load_trained
 
 MAP_ROWS = 256
 """Rows to which larger environments are reduced, each pixel the mean of those it covers."""
@@ -70,7 +71,9 @@ def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter
     """
     if out.exists():
         raise UsageError("bake.exists", f'"{out}" exists already; choose another folder with -o')
-    run = open_run(source, request.device) if (source / "run.json").is_file() else None
+    run = None
+    if (source / "run.json").is_file():
+        run = open_task(source, "joint", reporter, request.device)
     bundle = _bundle_of(source, run)
     environment = _environment(request)
     light = AdaptedLight(
@@ -83,8 +86,8 @@ def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter
     inputs = digest(_fingerprint(bundle), light.to_json(), asdict(request.config), request.seed, run is None)
     with locked(work):
         context = _context(run, source, work, request, reporter)
-        begin_step(work, STAGE, inputs)
-        scene = _scene(run, source, bundle, light, context)
+        begin_task(work, STAGE, inputs)
+        scene = _scene(run, bundle, light)
         image = light_image(environment)
         stage = LightBake(
             adaptable(cache_of(bundle, bundle.manifest.train_lights[0]), 0).to(context.device),
@@ -131,14 +134,14 @@ def mean_radiance(image: Float32[ndarray, "rows columns 3"]) -> float:
     return float((image.mean(axis=-1, keepdims=True) * weight).sum())
 
 
-def _bundle_of(source: Path, run: Run | None) -> Bundle:
+def _bundle_of(source: Path, run: TaskContext | None) -> Bundle:
     if run is not None and done_inputs(source, "export") is None:
         raise UsageError(
             "run.not_trained",
             f'the run in "{source}" is not finished; run lambent train with --resume first',
         )
     try:
-        bundle = load_bundle(step_folder(source, "export") if run is not None else source)
+        bundle = load_bundle(task_folder(source, "export") if run is not None else source)
     except RelightError as error:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
     if not bundle.has_networks:
@@ -172,30 +175,25 @@ def _fingerprint(bundle: Bundle) -> list[str]:
 
 
 def _context(
-    run: Run | None, source: Path, work: Path, request: BakeRequest, reporter: Reporter
-) -> StepContext:
-    """Return a context whose step folder is the work folder's, so that a run folder is only read."""
-    return StepContext(
+    run: TaskContext | None, source: Path, work: Path, request: BakeRequest, reporter: Reporter
+) -> TaskContext:
+    """Return a context whose task folder is the work folder's, so that a run folder is only read."""
+    config = run.spec.config if run is not None else preset_of("fast")
+    return TaskContext(
+        spec=RunSpec(scene=source, config=config, seed=request.seed),
         run_dir=work,
-        scene_dir=source,
-        config=run.config if run is not None else preset_of("fast"),
-        seed=request.seed,
         device=run.device if run is not None else "cpu",
         reporter=reporter,
-        stage=STAGE,
-        clock=Clock(before=0.0, share=1.0, job_started=0.0),
+        task=STAGE,
     )
 
 
-def _scene(
-    run: Run | None, source: Path, bundle: Bundle, light: AdaptedLight, context: StepContext
-) -> BakeScene:
+def _scene(run: TaskContext | None, bundle: Bundle, light: AdaptedLight) -> BakeScene:
     ratio = torch.tensor(light.albedo_ratio, dtype=torch.float32)
     frozen = bundle_scene(bundle, ratio, num_threads=torch.get_num_threads())
     if run is None:
         return frozen
-    trained = step_context(run, source, context.reporter, "joint")
-    model = load_trained(trained, trained_scene(trained), "joint").eval().requires_grad_(False)
+    model = load_trained(run, trained_scene(run), "joint").eval().requires_grad_(False)
     device = torch.device(run.device)
     low, high = frozen.box
     return ModelScene(

@@ -1,39 +1,40 @@
-"""What a step is given."""
+"""What a task is given."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flashcache.config import Config
-from lambent_proto.v1 import job_pb2
+from lambent_proto.v1.job_pb2 import Progress
 
+from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import Stopped
 from lambent_worker.reporter import Reporter
-from lambent_worker.run.folder import step_folder
+from lambent_worker.run.folder import task_folder
+from lambent_worker.run.spec import RunSpec
 
 
 @dataclass(kw_only=True, slots=True)
 class Clock:
-    """Turns the progress of one step into that of the job, and both into a time to go."""
+    """Turns the progress of one task into that of the job, and both into a time to go."""
 
     before: float
-    """Share of the job that lies before the step, 0..1."""
+    """Share of the job that lies before the task, 0..1."""
     share: float
-    """Share of the job that the step is, 0..1."""
+    """Share of the job that the task is, 0..1."""
     job_started: float
     """Share of the job that was done when this process began."""
     now: Callable[[], float] = time.monotonic
     began: float = field(default_factory=time.monotonic)
     """When this process began, on the clock `now`, seconds."""
 
-    def job_fraction(self, step_fraction: float) -> float:
-        """Return the share of the job that is done when `step_fraction` of the step is."""
-        return self.before + self.share * min(max(step_fraction, 0.0), 1.0)
+    def job_fraction(self, task_fraction: float) -> float:
+        """Return the share of the job that is done when `task_fraction` of the task is."""
+        return self.before + self.share * min(max(task_fraction, 0.0), 1.0)
 
-    def eta_s(self, step_fraction: float) -> float:
+    def eta_s(self, task_fraction: float) -> float:
         """Return the seconds the rest of the job will take at the speed seen so far (0 while unknown)."""
-        fraction = self.job_fraction(step_fraction)
+        fraction = self.job_fraction(task_fraction)
         gained = fraction - self.job_started
         if gained <= 0.0:
             return 0.0
@@ -41,40 +42,32 @@ class Clock:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StepContext:
-    """What a step gets: where to work, with which settings, and whom to tell."""
+class TaskContext:
+    """What a task gets: what the run is, where to work, and whom to tell."""
 
+    spec: RunSpec
     run_dir: Path
-    scene_dir: Path
-    config: Config
-    seed: int
     device: str
     reporter: Reporter
-    stage: str = ""
-    """Name of the step."""
-    lights: tuple[str, ...] = ()
-    """Training lights by name; empty for the scene's first."""
-    layout: str = ""
-    """Layout to read the scene as; empty to detect it."""
-    known_lights: Mapping[str, str] = field(default_factory=dict)
-    """Names of kept environment files by light; see `known_lights`."""
-    masks: str = ""
-    """Where masks come from; see `RunSettings.masks`."""
+    task: str = ""
+    """Name of the task."""
+    checked: CaptureCheck | None = None
+    """What a look at the capture has found and told already, without a layout or masks being given."""
     clock: Clock = field(default_factory=lambda: Clock(before=0.0, share=1.0, job_started=0.0))
 
     @property
     def folder(self) -> Path:
-        """Return the folder of this step; a checkpoint that lies there was made from the same inputs."""
-        return step_folder(self.run_dir, self.stage)
+        """Return the folder of this task; a checkpoint that lies there was made for the same run."""
+        return task_folder(self.run_dir, self.task)
 
     def progress(
         self, step: int, num_steps: int, *, steps_per_s: float = 0.0, loss: float = 0.0, psnr: float = 0.0
     ) -> None:
-        """Tell the reporter how far this step is; works out the job's fraction and time to go."""
+        """Tell the reporter how far this task is; works out the job's fraction and time to go."""
         fraction = step / max(num_steps, 1)
         self.reporter.progress(
-            job_pb2.Progress(
-                stage=self.stage,
+            Progress(
+                stage=self.task,
                 step=step,
                 num_steps=num_steps,
                 fraction=self.clock.job_fraction(fraction),
@@ -86,6 +79,6 @@ class StepContext:
         )
 
     def stop_if_asked(self) -> None:
-        """Raise `Stopped` where the run was asked to end; for steps that have nothing to save."""
+        """Raise `Stopped` where the run was asked to end; for tasks that have nothing to save."""
         if self.reporter.should_stop():
             raise Stopped

@@ -21,13 +21,13 @@ from lambent_worker.report import protocol
 from lambent_worker.report.evaluate import evaluate
 from lambent_worker.report.request import EvaluationRequest, Subject, rule_of
 from lambent_worker.reporter import Reporter
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.folder import done_inputs, stage_seconds
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import done_inputs, task_seconds
 from lambent_worker.run.hashes import scene_hash
-from lambent_worker.run.prepare import open_run, step_context
-from lambent_worker.run.steps.evaluate import evaluated_views, with_progress
-from lambent_worker.run.steps.ingest import read_manifest, use_own_masks
-from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.tasks.evaluate import evaluated_views, with_progress
+from lambent_worker.run.tasks.ingest import read_manifest, use_own_masks
+from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lights import select_lights
@@ -47,14 +47,13 @@ def evaluate_run(
     that is not trained, an environment folder without usable maps, or an `out` that holds something else, and
     `SceneRefusedError` for a scene that cannot be read.
     """
-    run = open_run(run_dir, device)
+    context = open_task(run_dir, "evaluate", reporter, device)
     trained = done_inputs(run_dir, "joint")
     if trained is None:
         raise UsageError(
             "run.not_trained",
             f'the run in "{run_dir}" is not finished; run lambent train with --resume first',
         )
-    context = step_context(run, run_dir, reporter, "evaluate")
     scene, manifest = _scene_to_compare(context, scene_dir, request)
     maps = read_maps(request.environments, tuple(manifest.relight_lights))
     # What is computed from pictures, or written beside them, does not make them others.
@@ -73,16 +72,16 @@ def evaluate_run(
         held_out=held_out,
         maps=maps,
         request=request,
-        seed=run.seed,
+        seed=context.spec.seed,
         out=out,
         advance=lambda: None,
-        rule=rule_of(run.config.stage_two, request.shadows),
+        rule=rule_of(context.spec.config.stage_two, request.shadows),
         dataset=manifest.layout,
         lpips=lpips,
         uncertainty=_uncertainty(context, model),
     )
     report = evaluate(
-        with_progress(subject, context), preset=run.config.preset, seconds=stage_seconds(run_dir)
+        with_progress(subject, context), preset=context.spec.config.preset, seconds=task_seconds(run_dir)
     )
     reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
     return report
@@ -116,10 +115,10 @@ def read_maps(folder: Path | None, lights: tuple[str, ...]) -> dict[str, Float32
 
 
 def _scene_to_compare(
-    context: StepContext, scene_dir: Path, request: EvaluationRequest
+    context: TaskContext, scene_dir: Path, request: EvaluationRequest
 ) -> tuple[Scene, scene_pb2.SceneManifest]:
     """Return the capture with the run's training lights, without the photographs that are not needed."""
-    full = describe_scene(scene_dir, context.layout or None)
+    full = describe_scene(scene_dir, context.spec.layout or None)
     trained = read_manifest(context)
     trained_lights = tuple(trained.lights)
     missing = [light for light in trained_lights if light not in full.lights]
@@ -139,17 +138,17 @@ def _scene_to_compare(
     return load_scene(scene_dir, manifest, max_side=request.max_side or ANY_SIZE), manifest
 
 
-def trained_scene(context: StepContext) -> Scene:
+def trained_scene(context: TaskContext) -> Scene:
     """Return the scene the model was trained in, without pictures: the space it lives in."""
     manifest = read_manifest(context)
     del manifest.frames[:]
-    return load_scene(context.scene_dir, manifest, max_side=ANY_SIZE)
+    return load_scene(context.spec.scene, manifest, max_side=ANY_SIZE)
 
 
-def _uncertainty(context: StepContext, model: InverseModel) -> UncertaintyGrid | None:
+def _uncertainty(context: TaskContext, model: InverseModel) -> UncertaintyGrid | None:
     """Return the uncertainty of the run's materials; None where it was not kept and its capture is gone."""
     kept = kept_uncertainty(context.run_dir)
-    if kept is not None or not context.scene_dir.is_dir():
+    if kept is not None or not context.spec.scene.is_dir():
         return kept
     return uncertainty_of_run(context, model, read_scene(context))
 

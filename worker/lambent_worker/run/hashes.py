@@ -1,15 +1,15 @@
-"""Hashes of everything that a step's result depends on."""
+"""Hashes of everything that a task's result depends on."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from flashcache.config import Config, to_dict
 
 from lambent_worker.files import digest, file_sha256
+from lambent_worker.run.spec import RunSpec
 
-STEPS = ("ingest", "cache", "joint", "evaluate", "export")
+TASKS = ("ingest", "cache", "joint", "evaluate", "export")
 
-# What a step's files depend on: the step before it, and the parts of the configuration it reads.
+# What a task's files depend on: the task before it, and the parts of the configuration it reads.
 PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
     "cache": ("max_side", "space", "model", "pixels", "stage_one"),
@@ -19,28 +19,20 @@ CONFIG_PARTS = {
 }
 
 
-def input_hashes(
-    scene_dir: Path,
-    config: Config,
-    seed: int,
-    lights: tuple[str, ...],
-    layout: str,
-    known_lights: Mapping[str, str] | None = None,
-    masks: str = "",
-) -> dict[str, str]:
-    """Return for every step the hash of everything its result depends on."""
-    given: list[object] = [dict(known_lights)] if known_lights else []
-    given += [{"masks": masks}] if masks else []
-    hashes = {"ingest": digest("ingest", scene_hash(scene_dir), list(lights), layout, *given)}
-    for name in STEPS[1:]:
-        hashes[name] = step_inputs(name, hashes[PREVIOUS[name]], config, seed)
+def input_hashes(spec: RunSpec) -> dict[str, str]:
+    """Return for every task the hash of everything its result depends on."""
+    given: list[object] = [dict(spec.known_lights)] if spec.known_lights else []
+    given += [{"masks": spec.masks}] if spec.masks else []
+    hashes = {"ingest": digest("ingest", scene_hash(spec.scene), list(spec.lights), spec.layout, *given)}
+    for name in TASKS[1:]:
+        hashes[name] = task_inputs(name, hashes[PREVIOUS[name]], spec.config, spec.seed)
     return hashes
 
 
-def step_inputs(step: str, previous: str, config: Config, seed: int) -> str:
-    """Return the hash of what a step depends on, given that of the step before it."""
+def task_inputs(task: str, previous: str, config: Config, seed: int) -> str:
+    """Return the hash of what a task depends on, given that of the task before it."""
     values = to_dict(config)
-    return digest(step, previous, seed, {part: values[part] for part in CONFIG_PARTS[step]})
+    return digest(task, previous, seed, {part: values[part] for part in CONFIG_PARTS[task]})
 
 
 def scene_hash(scene_dir: Path) -> str:

@@ -1,6 +1,5 @@
 """Environments that are given instead of learned: files of the user, kept in the run folder by their hash."""
 
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -40,17 +39,13 @@ def parse_known_lights(items: Sequence[str]) -> dict[str, Path]:
     return found
 
 
-def names_by_content(files: Mapping[str, Path]) -> dict[str, str]:
-    """Return the name under which each light's file is kept: its SHA-256 with its suffix."""
-    return {light: file_sha256(path) + path.suffix.lower() for light, path in files.items()}
+def kept_lights(files: Mapping[str, Path]) -> tuple[dict[str, str], dict[str, Path]]:
+    """Return the name under which a run keeps each light's file, and the files by their place in the run.
 
-
-def keep_known_lights(run_dir: Path, files: Mapping[str, Path]) -> None:
-    """Copy the files into a run folder, so that the run can go on without the originals."""
-    names = names_by_content(files)
-    for light, path in files.items():
-        (run_dir / FOLDER).mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, run_dir / FOLDER / names[light])
+    The name is the file's SHA-256 with its suffix: the run goes on without the original, and knows another.
+    """
+    names = {light: file_sha256(path) + path.suffix.lower() for light, path in files.items()}
+    return names, {f"{FOLDER}/{names[light]}": path for light, path in files.items()}
 
 
 def known_names(known: Mapping[str, str], lights: Sequence[str], *, rotated: bool) -> tuple[str, ...]:

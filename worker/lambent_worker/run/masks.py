@@ -1,6 +1,5 @@
 """Where a run has its masks from: given ones are kept with it, missing ones are estimated."""
 
-import shutil
 from pathlib import Path
 
 from lambent_worker.errors import UsageError
@@ -14,21 +13,15 @@ WHOLE_VIEW = "none"
 KEPT_FOLDER = "masks"
 
 
-def keep_masks(run_dir: Path, source: Path) -> None:
-    """Copy the masks in `source` into the run, so that it does not depend on the folder any more."""
-    for path in mask_files(source):
-        target = run_dir / KEPT_FOLDER / path.relative_to(source)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, target)
-
-
-def forget_masks(run_dir: Path) -> None:
-    """Remove the masks that `keep_masks` has copied."""
-    shutil.rmtree(run_dir / KEPT_FOLDER, ignore_errors=True)
+def kept_masks(source: Path | None) -> dict[str, Path]:
+    """Return the masks that were given by the place where the run keeps them; it does not need the folder."""
+    if source is None:
+        return {}
+    return {f"{KEPT_FOLDER}/{path.relative_to(source).as_posix()}": path for path in mask_files(source)}
 
 
 def masks_setting(source: Path | None, *, whole_view: bool) -> str:
-    """Return what `RunSettings.masks` says of `--masks` and `--no-masks`: given masks by their contents.
+    """Return what `RunSpec.masks` says of `--masks` and `--no-masks`: given masks by their contents.
 
     Raises `UsageError` where both are given, or the folder has no masks.
     """

@@ -1,4 +1,4 @@
-"""The uncertainty of a run's materials: measured once, in the evaluation step, and kept in the run folder."""
+"""The uncertainty of a run's materials: measured once, in the evaluation task, and kept in the run folder."""
 
 from pathlib import Path
 
@@ -9,15 +9,15 @@ from lambent_relight.bundle.uncertainty import CHANNELS, UncertaintyGrid
 
 from lambent_worker.report.request import rule_of
 from lambent_worker.report.uncertainty import measure_uncertainty
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.folder import done_inputs, step_folder
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import done_inputs, task_folder
 
 FILE = "uncertainty.npz"
 
 
 def kept_uncertainty(run_dir: Path) -> UncertaintyGrid | None:
-    """Return what the evaluation step measured for the trained model of a run, or None where it did not."""
-    path = step_folder(run_dir, "evaluate") / FILE
+    """Return what the evaluation task measured for the trained model of a run, or None where it did not."""
+    path = task_folder(run_dir, "evaluate") / FILE
     if not path.is_file():
         return None
     with np.load(path, allow_pickle=False) as found:
@@ -28,7 +28,7 @@ def kept_uncertainty(run_dir: Path) -> UncertaintyGrid | None:
 
 def keep_uncertainty(run_dir: Path, grid: UncertaintyGrid) -> None:
     """Write the grid beside the evaluation, with the hash of what it was measured on."""
-    path = step_folder(run_dir, "evaluate") / FILE
+    path = task_folder(run_dir, "evaluate") / FILE
     partial = path.with_suffix(".tmp")
     trained = done_inputs(run_dir, "joint") or ""
     with partial.open("wb") as file:
@@ -36,15 +36,19 @@ def keep_uncertainty(run_dir: Path, grid: UncertaintyGrid) -> None:
     partial.replace(path)
 
 
-def uncertainty_of_run(context: StepContext, model: InverseModel, scene: Scene) -> UncertaintyGrid | None:
+def uncertainty_of_run(context: TaskContext, model: InverseModel, scene: Scene) -> UncertaintyGrid | None:
     """Return the uncertainty of a run's materials, measured now unless it was; `scene` is the training scene.
 
     None where the configuration leaves it out, or the model has no surface.
     """
     kept = kept_uncertainty(context.run_dir)
-    num_points = context.config.evaluation.uncertainty_points
+    num_points = context.spec.config.evaluation.uncertainty_points
     if kept is not None or not num_points:
         return kept
     return measure_uncertainty(
-        model, scene, seed=context.seed, rule=rule_of(context.config.stage_two), num_points=num_points
+        model,
+        scene,
+        seed=context.spec.seed,
+        rule=rule_of(context.spec.config.stage_two),
+        num_points=num_points,
     )

@@ -105,8 +105,18 @@ def describe_scene(
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks)
-    if manifest is not None and problems.usable:
-        fit_to_silhouettes(manifest, training_silhouettes(folder, manifest, problems))
     if manifest is None or not problems.usable:
         raise SceneRefusedError.of(problems.findings(), layout or "")
+    fit_to_masks(folder, manifest)
     return manifest
+
+
+def fit_to_masks(folder: Path, manifest: scene_pb2.SceneManifest) -> None:
+    """Put the box around what the masks of the capture in `folder` show, where they show something.
+
+    Raises `SceneRefusedError` where one cannot be read.
+    """
+    problems = Problems()
+    fit_to_silhouettes(manifest, training_silhouettes(folder, manifest, problems))
+    if not problems.usable:
+        raise SceneRefusedError.of(problems.findings(), manifest.layout)

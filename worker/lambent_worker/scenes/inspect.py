@@ -35,7 +35,18 @@ def inspect_scene(
     announce: Callable[[str], None] = lambda path: None,
     masks: Path | None = None,
 ) -> scene_pb2.SceneReport:
-    """Return the report on the capture in `folder`, with every problem (at most 100 findings).
+    """Return the report on the capture in `folder`; see `inspect_capture`."""
+    return inspect_capture(folder, layout, skip, announce, masks)[0]
+
+
+def inspect_capture(
+    folder: Path,
+    layout: str | None,
+    skip: frozenset[str],
+    announce: Callable[[str], None],
+    masks: Path | None,
+) -> tuple[scene_pb2.SceneReport, scene_pb2.SceneManifest | None]:
+    """Return the report on the capture in `folder` (at most 100 findings), and the manifest it is about.
 
     `skip` names files that must not be opened because they have brought a reader down; each is reported as an
     error. `announce` is called with the path of each file before it is decoded. `masks` is a folder of masks
@@ -48,16 +59,18 @@ def inspect_scene(
         known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
         _find_unsupported(folder, known, problems)
     if manifest is None:
-        return scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
+        report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
+        return report, None
     _look_at_pictures(folder, manifest, skip, announce, problems)
     trained = sum(frame.split == scene_pb2.SPLIT_TRAIN for frame in manifest.frames)
-    return scene_pb2.SceneReport(
+    report = scene_pb2.SceneReport(
         usable=problems.usable,
         layout=manifest.layout,
         findings=problems.findings(),
         num_train_frames=trained,
         num_test_frames=len(manifest.frames) - trained,
     )
+    return report, manifest
 
 
 def _find_unsupported(folder: Path, known: set[Path], problems: Problems) -> None:

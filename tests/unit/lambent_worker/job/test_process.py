@@ -1,5 +1,6 @@
 """The working part of a run process, against the real worker service in memory."""
 
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -7,19 +8,23 @@ from pathlib import Path
 
 import pytest
 from flashcache.errors import ConfigError, TrainingError
-from flashcache.presets import PRESETS
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
+from lambent_worker.capture_qa import check
+from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256
+from lambent_worker.job import process
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError
-from lambent_worker.job.order import adjust, config_of, known_lights_of
 from lambent_worker.job.process import describe_failure, fetch_scene, restore_checkpoints
 from lambent_worker.job.server_reporter import MAX_PREVIEW_BYTES, ServerReporter, media_type
+from lambent_worker.run import pipeline
+from lambent_worker.run.spec import read_run
+from lambent_worker.run.tasks import ingest
+from lambent_worker.scenes.inspect import inspect_scene
+from support.captures import write_tensoir
 from support.recording_reporter import RecordingReporter
 from support.runs import SECRET, Stage, staged, token
-
-UNCHANGED = worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=1.0)
 
 
 @pytest.fixture
@@ -95,18 +100,6 @@ def test_a_checkpoint_that_is_broken_in_the_store_is_left_out(
     assert [path.parent.name for path in target.rglob("*.safetensors")] == ["step_000010"]
 
 
-def test_checkpoints_of_the_stage_that_failed_are_not_used_with_other_settings(
-    stage: Stage, job: str, connection: Connection, reporter: ServerReporter
-):
-    save(reporter, connection, "cache", 10, b"ten")
-    save(reporter, connection, "joint", 5, b"five")
-    start = stage.call("Start", job)
-    start.adjustments.CopyFrom(worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=0.3, stage="joint"))
-    target = connection.identity.work_dir.parent / "run-2"
-    restore_checkpoints(connection, RecordingReporter(), start, target)
-    assert [path.relative_to(target).parts[0] for path in target.rglob("*.safetensors")] == ["cache"]
-
-
 def test_the_scene_lies_in_a_folder_of_its_name(
     stage: Stage, job: str, connection: Connection, tmp_path: Path
 ):
@@ -123,7 +116,7 @@ def test_the_scene_lies_in_a_folder_of_its_name(
 
 def test_what_the_pipeline_tells_arrives_in_order(stage: Stage, job: str, reporter: ServerReporter):
     for step in range(1, 4):
-        reporter.progress(job_pb2.Progress(stage="cache", step=step, num_steps=3, fraction=0.1))
+        reporter.progress(job_pb2.Progress(stage="cache", step=step, num_steps=3))
     reporter.log("first", value=1)
     reporter.finding("scene.soft", "take sharper pictures", subject="r_0")
     reporter.preview("view", b"png")
@@ -222,30 +215,6 @@ def test_every_kind_of_failure_has_its_cause(error: Exception, cause: str, code:
     assert request.message
 
 
-def test_an_order_becomes_a_configuration():
-    params = {"stage_one.num_rays": "64", "lights": "sun, sky", "layout": "nerf_blender"}
-    spec = job_pb2.JobSpec(preset="tiny", params=params)
-    config, lights, layout = config_of(spec, UNCHANGED)
-    assert config.stage_one.num_rays == 64
-    assert (lights, layout) == (("sun", "sky"), "nerf_blender")
-    for wrong in (job_pb2.JobSpec(preset="huge"), job_pb2.JobSpec(preset="tiny", params={"no.such": "1"})):
-        with pytest.raises(ConfigError):
-            config_of(wrong, UNCHANGED)
-
-
-def test_an_adjustment_changes_the_stage_that_failed_and_no_other():
-    config = PRESETS["tiny"]()
-    assert adjust(config, UNCHANGED) == config
-    slower = adjust(config, worker_pb2.Adjustments(ray_chunk=0.5, learning_rate=0.5, stage="joint"))
-    assert slower.stage_one == config.stage_one
-    assert slower.stage_two.num_rays == config.stage_two.num_rays // 2
-    assert slower.stage_two.material_rates.grid == config.stage_two.material_rates.grid / 2
-    assert slower.stage_two.environment_rate == config.stage_two.environment_rate / 2
-    early = adjust(config, worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=0.5, stage="cache"))
-    assert early.stage_two == config.stage_two
-    assert early.stage_one.rates.network == config.stage_one.rates.network / 2
-
-
 def test_files_have_the_media_type_of_their_name():
     assert media_type("a/b.exr") == "image/x-exr"
     assert media_type("mesh/asset.glb") == "model/gltf-binary"
@@ -261,16 +230,31 @@ def test_a_wrong_secret_is_an_end_and_not_a_retry(stage: Stage, job: str):
     connection.close()
 
 
-def test_an_order_names_environments_among_the_files_of_its_capture(tmp_path):
-    spec = job_pb2.JobSpec(preset="tiny", params={"known_lights": "a=sky.exr, maps/b.hdr"})
-    expected = [f"a={tmp_path / 'sky.exr'}", str(tmp_path / "maps" / "b.hdr")]
-    assert known_lights_of(spec, tmp_path) == expected
-    assert config_of(spec, UNCHANGED)[0].preset == "tiny"
-    assert known_lights_of(job_pb2.JobSpec(preset="tiny"), tmp_path) == []
+@pytest.mark.parametrize(("params", "looks"), [({}, 1), ({"layout": "tensoir_synthetic"}, 2)])
+def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, params: dict[str, str], looks: int
+):
+    folder = write_tensoir(tmp_path / "capture")
+    shutil.copyfile(folder / "train_000" / "rgba_sunset.png", folder / "train_001" / "rgba_sunset.png")
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+    job = stage.start(scene_id=stage.api.scene(files), params=params)
+    asked = []
 
+    def look(folder: Path, *how: object) -> CaptureCheck:
+        asked.append(how)
+        return CaptureCheck(report=inspect_scene(folder))
 
-@pytest.mark.parametrize("name", ["../sky.exr", "a=/etc/sky.exr"])
-def test_an_environment_outside_the_capture_is_refused(tmp_path, name: str):
-    spec = job_pb2.JobSpec(preset="tiny", params={"known_lights": name})
-    with pytest.raises(ConfigError, match="outside the capture"):
-        known_lights_of(spec, tmp_path)
+    monkeypatch.setattr(check, "check_capture", look)
+    monkeypatch.setattr(ingest, "check_capture", look)
+    tasks = {"ingest": ingest.run}
+    monkeypatch.setattr(pipeline, "_task_function", lambda name: tasks.get(name, lambda context: None))
+    reporter = RecordingReporter()
+    reporter.broken = None
+    connection = connect(stage, job)
+    process._do(connection, reporter, stage.call("Start", job), process.perform, process.check)
+    connection.close()
+    assert len(asked) == looks
+    told = [(call["code"], call["subject"]) for call in reporter.named("finding")]
+    assert told == [("scene.image_duplicate", "train_001/rgba_sunset.png")]
+    assert read_run(connection.identity.work_dir)[0].layout == params.get("layout", "")

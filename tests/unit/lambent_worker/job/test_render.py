@@ -13,7 +13,7 @@ from lambent_relight.batch.manifest import DEFAULT_PATH, Cameras, Files, Quality
 from lambent_relight.batch.plan import make_plan
 from lambent_worker.errors import Stopped, UsageError
 from lambent_worker.job import render as render_job
-from lambent_worker.job.task import Task
+from lambent_worker.job.order import Order
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
@@ -58,10 +58,10 @@ def spec(**changes):
     return ParseDict({**document, **changes}, render_pb2.RenderSpec())
 
 
-def task(inputs, run_dir, reporter, order=None, shard=0, num_shards=1):
+def order_of(inputs, run_dir, reporter, order=None, shard=0, num_shards=1):
     """Return what a run is given."""
     run_dir.mkdir(parents=True, exist_ok=True)
-    return Task(
+    return Order(
         spec=job_pb2.JobSpec(kind="batch"),
         scene_dir=inputs,
         run_dir=run_dir,
@@ -109,7 +109,7 @@ def test_an_order_becomes_the_manifest_that_it_means(inputs):
 
 def test_pictures_table_sheet_and_records_are_artifacts(inputs, tmp_path):
     reporter = RecordingReporter()
-    assert render_job.render_pictures(task(inputs, tmp_path / "run", reporter)) is None
+    assert render_job.render_pictures(order_of(inputs, tmp_path / "run", reporter)) is None
     found = artifacts(reporter)
     assert set(found) == {
         *(f"ball/sky/quick/turntable_00{n}.{suffix}" for n in range(3) for suffix in ("png", "exr")),
@@ -130,11 +130,11 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
     (inputs / "environments" / "env_2.exr").write_bytes(b"no picture")
     order = spec(environments=[LIGHT, {**LIGHT, "name": "bad", "environment_id": "env_2"}])
     alone = RecordingReporter()
-    render_job.render_pictures(task(inputs, tmp_path / "alone", alone, order))
+    render_job.render_pictures(order_of(inputs, tmp_path / "alone", alone, order))
     failures = []
     for shard in range(2):
         part = RecordingReporter()
-        given = task(inputs, tmp_path / f"part-{shard}", part, order, shard, 2)
+        given = order_of(inputs, tmp_path / f"part-{shard}", part, order, shard, 2)
         if shard == 0:
             render_job.render_pictures(given)
         else:
@@ -154,7 +154,7 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
     for path in (inputs / "environments").iterdir():
         (tmp_path / "last" / "environments" / path.name).write_bytes(path.read_bytes())
     whole = RecordingReporter()
-    last = task(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
+    last = order_of(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
     last.render.failures.extend(failures)
     render_job.render_pictures(last)
     one, several = artifacts(alone), artifacts(whole)
@@ -182,7 +182,7 @@ def test_what_fails_is_a_finding_and_stops_no_other(inputs, tmp_path):
     (inputs / "environments" / "env_2.exr").write_bytes(b"no picture")
     order = spec(environments=[LIGHT, {**LIGHT, "name": "bad", "environment_id": "env_2"}])
     reporter = RecordingReporter()
-    render_job.render_pictures(task(inputs, tmp_path / "run", reporter, order))
+    render_job.render_pictures(order_of(inputs, tmp_path / "run", reporter, order))
     assert [fields["subject"] for fields in reporter.named("finding")] == [
         f"ball/bad/quick/turntable_00{n}" for n in range(3)
     ]
@@ -192,13 +192,13 @@ def test_what_fails_is_a_finding_and_stops_no_other(inputs, tmp_path):
 def test_an_order_of_which_nothing_can_be_made_fails(inputs, tmp_path):
     (inputs / "environments" / "env_1.exr").write_bytes(b"no picture")
     with pytest.raises(UsageError, match=r"render\.all_failed"):
-        render_job.render_pictures(task(inputs, tmp_path / "run", RecordingReporter()))
+        render_job.render_pictures(order_of(inputs, tmp_path / "run", RecordingReporter()))
 
 
 def test_an_order_that_no_manifest_may_hold_fails(inputs, tmp_path):
     order = spec(qualities=[{**QUALITY, "spp": 1}])
     with pytest.raises(UsageError, match=r"render\.spec_invalid"):
-        render_job.render_pictures(task(inputs, tmp_path / "run", RecordingReporter(), order))
+        render_job.render_pictures(order_of(inputs, tmp_path / "run", RecordingReporter(), order))
 
 
 def test_a_stopped_run_goes_on_from_its_checkpoints(inputs, tmp_path, monkeypatch):
@@ -215,7 +215,7 @@ def test_a_stopped_run_goes_on_from_its_checkpoints(inputs, tmp_path, monkeypatc
     first = RecordingReporter()
     first.should_stop = lambda: len(first.named("checkpoint")) >= 2
     with pytest.raises(Stopped):
-        render_job.render_pictures(task(inputs, tmp_path / "one", first))
+        render_job.render_pictures(order_of(inputs, tmp_path / "one", first))
     saved = first.named("checkpoint")
     assert len({fields["stage"] for fields in saved}) == len(saved) == 2
     assert not artifacts(first)
@@ -226,7 +226,7 @@ def test_a_stopped_run_goes_on_from_its_checkpoints(inputs, tmp_path, monkeypatc
             target.write_bytes(path.read_bytes())
     before = len(calls)
     second = RecordingReporter()
-    render_job.render_pictures(task(inputs, tmp_path / "two", second))
+    render_job.render_pictures(order_of(inputs, tmp_path / "two", second))
     assert len(calls) - before == 1, "two of three were there"
     assert len([name for name in artifacts(second) if name.endswith(".exr")]) == 3
     assert [fields["stage"] for fields in second.named("checkpoint")] == ["render-000003"]

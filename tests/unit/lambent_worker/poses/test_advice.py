@@ -189,7 +189,7 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path):
 
 
 def test_poses_are_auto_or_nothing(tmp_path):
-    assert capture_of(tmp_path, tmp_path / "run", "") == tmp_path
-    assert capture_of(tmp_path, tmp_path / "run", "auto") == tmp_path / "run" / "capture"
+    assert capture_of(tmp_path / "run", "") is None
+    assert capture_of(tmp_path / "run", "auto") == tmp_path / "run" / "capture"
     with pytest.raises(UsageError, match=r"config\.poses_unknown"):
-        capture_of(tmp_path, tmp_path / "run", "exif")
+        capture_of(tmp_path / "run", "exif")

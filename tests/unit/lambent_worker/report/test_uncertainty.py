@@ -18,7 +18,7 @@ from lambent_worker.report.uncertainty import (
     residual,
     uncertainty_map,
 )
-from lambent_worker.run.folder import finish_step
+from lambent_worker.run.folder import finish_task
 from lambent_worker.run.uncertainty import keep_uncertainty, kept_uncertainty
 from support.lit_sphere import camera, lit_sphere
 from support.sphere_model import RADIUS, sphere_model
@@ -161,11 +161,11 @@ def test_a_map_looks_up_the_surface_that_pixels_show(model, grid):
 def test_a_run_keeps_what_was_measured_until_it_is_trained_again(tmp_path, grid):
     (tmp_path / "evaluation").mkdir()
     (tmp_path / "steps").mkdir()
-    finish_step(tmp_path, "joint", "one")
+    finish_task(tmp_path, "joint", "one")
     assert kept_uncertainty(tmp_path) is None
     keep_uncertainty(tmp_path, grid)
     found = kept_uncertainty(tmp_path)
     assert found is not None
     np.testing.assert_array_equal(found.values, grid.values)
-    finish_step(tmp_path, "joint", "two")
+    finish_task(tmp_path, "joint", "two")
     assert kept_uncertainty(tmp_path) is None

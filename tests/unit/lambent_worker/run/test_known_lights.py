@@ -9,12 +9,11 @@ from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import UsageError
 from lambent_worker.run.known_lights import (
     give_known_lights,
-    keep_known_lights,
     known_names,
-    names_by_content,
     parse_known_lights,
     resampled,
 )
+from lambent_worker.run.spec import RunSpec, keep_run
 
 
 @pytest.fixture
@@ -60,10 +59,9 @@ def test_a_map_is_reduced_and_enlarged_by_means_over_areas():
 
 
 def test_the_run_keeps_the_file_and_the_model_sees_it(sky, tmp_path):
-    files = parse_known_lights([f"b={sky}"])
     run = tmp_path / "run"
-    keep_known_lights(run, files)
-    names = names_by_content(files)
+    spec = RunSpec.from_options(tmp_path, preset="tiny", known_lights=[f"b={sky}"])
+    keep_run(run, spec, "cpu")
     sky.unlink()
     corner = (1.0, 1.0, 1.0)
     domain = Domain(
@@ -76,7 +74,7 @@ def test_the_run_keeps_the_file_and_the_model_sees_it(sky, tmp_path):
         known_lights=("b",),
     )
     model = InverseModel(tiny().model, domain)
-    give_known_lights(model, run, names)
+    give_known_lights(model, run, spec.known_lights)
     up_and_down = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     found = model.environment(up_and_down, torch.ones(2, dtype=torch.long))
     torch.testing.assert_close(found, torch.tensor([[3.0] * 3, [1.0] * 3]))

@@ -1,11 +1,8 @@
 """Which masks a run has is part of what it is."""
 
 import pytest
-from flashcache.errors import ConfigError
-from lambent_proto.v1 import job_pb2
 from lambent_worker.errors import UsageError
-from lambent_worker.job.order import masks_of
-from lambent_worker.run.masks import AUTOMATIC, WHOLE_VIEW, given_masks, keep_masks, masks_setting
+from lambent_worker.run.masks import masks_setting
 from support.ball_photographs import write_masks
 from support.ball_views import ball_views
 
@@ -23,14 +20,6 @@ def test_the_setting_follows_contents_and_not_places(tmp_path, masks):
     assert masks_setting(tmp_path / "moved", whole_view=False) != setting
 
 
-def test_kept_masks_are_found_again(tmp_path, masks):
-    keep_masks(tmp_path / "run", masks)
-    kept = given_masks(tmp_path / "run", masks_setting(masks, whole_view=False))
-    assert sorted(path.name for path in kept.iterdir()) == ["v0.png", "v1.png", "v2.png"]
-    assert given_masks(tmp_path / "run", AUTOMATIC) is None
-    assert given_masks(tmp_path / "run", WHOLE_VIEW) is None
-
-
 def test_masks_and_no_masks_contradict_each_other(masks):
     with pytest.raises(UsageError, match=r"config\.masks_twice"):
         masks_setting(masks, whole_view=True)
@@ -41,14 +30,3 @@ def test_a_folder_without_masks_is_a_usage_error(tmp_path, name):
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match=r"config\.masks_missing"):
         masks_setting(tmp_path / name, whole_view=False)
-
-
-def test_an_order_names_a_folder_of_its_capture_or_none(tmp_path):
-    def order(**params):
-        return masks_of(job_pb2.JobSpec(preset="tiny", params=params), tmp_path)
-
-    assert order() == (None, False)
-    assert order(masks="none") == (None, True)
-    assert order(masks="cut") == (tmp_path / "cut", False)
-    with pytest.raises(ConfigError, match="outside the capture"):
-        order(masks="../cut")

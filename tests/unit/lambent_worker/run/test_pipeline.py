@@ -1,4 +1,4 @@
-"""A job's steps run once each, in order, and again only when what they depend on has changed."""
+"""A run's tasks run once each, in order, and again only when what they depend on has changed."""
 
 import dataclasses
 
@@ -7,9 +7,10 @@ from flashcache.presets import PRESETS
 from lambent_worker.errors import Stopped, UsageError, WorkerError
 from lambent_worker.run import pipeline
 from lambent_worker.run.context import Clock
-from lambent_worker.run.folder import done_inputs, locked, stage_seconds, step_folder
-from lambent_worker.run.hashes import STEPS, input_hashes, scene_hash
+from lambent_worker.run.folder import done_inputs, locked, task_folder, task_seconds
+from lambent_worker.run.hashes import TASKS, input_hashes, scene_hash
 from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.spec import RunSpec
 from support.captures import write_blender
 from support.recording_reporter import RecordingReporter
 
@@ -21,8 +22,8 @@ def scene(tmp_path):
     return write_blender(tmp_path / "scene", num_train=3, num_test=1)
 
 
-class Steps:
-    """Stands in for the steps: remembers the order, leaves a file, may fail."""
+class Tasks:
+    """Stands in for the tasks: remembers the order, leaves a file, may fail."""
 
     def __init__(self):
         self.ran = []
@@ -45,66 +46,72 @@ class Steps:
 
 
 @pytest.fixture
-def steps(monkeypatch):
-    fake = Steps()
-    monkeypatch.setattr(pipeline, "_step_function", fake.function)
+def tasks(monkeypatch):
+    fake = Tasks()
+    monkeypatch.setattr(pipeline, "_task_function", fake.function)
     return fake
 
 
-def run(tmp_path, scene, reporter=None, config=CONFIG, seed=0, **options):
+def run(tmp_path, scene, reporter=None, tasks=TASKS, **changes):
+    """Run the tasks; which ones are done is seen by their own marks, whatever `run.json` says."""
     reporter = reporter or RecordingReporter()
-    run_pipeline(scene, tmp_path / "run", config, seed, "cpu", reporter, **options)
+    (tmp_path / "run" / "run.json").unlink(missing_ok=True)
+    run_pipeline(spec_of(scene, **changes), tmp_path / "run", "cpu", reporter, tasks)
     return reporter
 
 
-def test_all_steps_run_in_order_and_only_once(tmp_path, scene, steps):
+def spec_of(scene, **changes):
+    return RunSpec(**{"scene": scene, "config": CONFIG, **changes})
+
+
+def test_all_tasks_run_in_order_and_only_once(tmp_path, scene, tasks):
     run(tmp_path, scene)
-    assert steps.names() == list(STEPS)
+    assert tasks.names() == list(TASKS)
     again = run(tmp_path, scene)
-    assert steps.names() == list(STEPS)
-    assert [fields["stage"] for fields in again.named("step.reused")] == list(STEPS)
+    assert tasks.names() == list(TASKS)
+    assert [fields["stage"] for fields in again.named("step.reused")] == list(TASKS)
 
 
-def test_a_failed_step_is_repeated_with_its_files_and_the_ones_before_are_kept(tmp_path, scene, steps):
-    steps.fails = "joint"
+def test_a_failed_task_is_repeated_with_its_files_and_the_ones_before_are_kept(tmp_path, scene, tasks):
+    tasks.fails = "joint"
     with pytest.raises(WorkerError):
         run(tmp_path, scene)
-    steps.fails = None
+    tasks.fails = None
     run(tmp_path, scene)
-    assert steps.names() == ["ingest", "cache", "joint", "joint", "evaluate", "export"]
-    assert steps.ran[3] == ("joint", ["result"])
+    assert tasks.names() == ["ingest", "cache", "joint", "joint", "evaluate", "export"]
+    assert tasks.ran[3] == ("joint", ["result"])
 
 
-def test_a_changed_setting_repeats_the_steps_that_read_it_and_those_after_from_scratch(
-    tmp_path, scene, steps
+def test_a_changed_setting_repeats_the_tasks_that_read_it_and_those_after_from_scratch(
+    tmp_path, scene, tasks
 ):
     run(tmp_path, scene)
     changed = dataclasses.replace(
         CONFIG, stage_two=dataclasses.replace(CONFIG.stage_two, smoothness_weight=0.5)
     )
     run(tmp_path, scene, config=changed)
-    assert steps.ran[5:] == [("joint", []), ("evaluate", []), ("export", [])]
+    assert tasks.ran[5:] == [("joint", []), ("evaluate", []), ("export", [])]
 
 
-def test_an_evaluation_setting_does_not_repeat_the_export(tmp_path, scene, steps):
+def test_an_evaluation_setting_does_not_repeat_the_export(tmp_path, scene, tasks):
     run(tmp_path, scene)
     changed = dataclasses.replace(CONFIG, evaluation=dataclasses.replace(CONFIG.evaluation, num_views=1))
     run(tmp_path, scene, config=changed)
-    assert steps.names()[5:] == ["evaluate"]
+    assert tasks.names()[5:] == ["evaluate"]
 
 
-def test_another_seed_reads_the_same_scene_but_trains_anew(tmp_path, scene, steps):
+def test_another_seed_reads_the_same_scene_but_trains_anew(tmp_path, scene, tasks):
     run(tmp_path, scene)
     run(tmp_path, scene, seed=1)
-    assert steps.names()[5:] == ["cache", "joint", "evaluate", "export"]
+    assert tasks.names()[5:] == ["cache", "joint", "evaluate", "export"]
 
 
-def test_a_changed_photograph_repeats_everything(tmp_path, scene, steps):
+def test_a_changed_photograph_repeats_everything(tmp_path, scene, tasks):
     run(tmp_path, scene)
     with (scene / "train" / "r_0.png").open("ab") as file:
         file.write(b"\0")
     run(tmp_path, scene)
-    assert steps.names()[5:] == list(STEPS)
+    assert tasks.names()[5:] == list(TASKS)
 
 
 def test_a_copy_of_the_scene_elsewhere_is_the_same_scene(tmp_path, scene):
@@ -113,57 +120,57 @@ def test_a_copy_of_the_scene_elsewhere_is_the_same_scene(tmp_path, scene):
     assert scene_hash(scene) == scene_hash(other)
 
 
-def test_checkpoints_brought_from_elsewhere_are_kept(tmp_path, scene, steps):
-    folder = step_folder(tmp_path / "run", "joint")
+def test_checkpoints_brought_from_elsewhere_are_kept(tmp_path, scene, tasks):
+    folder = task_folder(tmp_path / "run", "joint")
     folder.mkdir(parents=True)
     (folder / "step_0000010").mkdir()
     run(tmp_path, scene)
-    assert steps.ran[2] == ("joint", ["step_0000010"])
+    assert tasks.ran[2] == ("joint", ["step_0000010"])
 
 
-def test_some_steps_can_be_run_alone(tmp_path, scene, steps):
-    run(tmp_path, scene, steps=("ingest", "cache"))
-    assert steps.names() == ["ingest", "cache"]
+def test_some_tasks_can_be_run_alone(tmp_path, scene, tasks):
+    run(tmp_path, scene, tasks=("ingest", "cache"))
+    assert tasks.names() == ["ingest", "cache"]
     assert done_inputs(tmp_path / "run", "joint") is None
 
 
-def test_an_unknown_step_is_a_usage_error(tmp_path, scene):
+def test_an_unknown_task_is_a_usage_error(tmp_path, scene):
     with pytest.raises(UsageError, match="polish"):
-        run(tmp_path, scene, steps=("polish",))
+        run(tmp_path, scene, tasks=("polish",))
 
 
-def test_progress_of_the_job_only_grows_and_ends_at_one(tmp_path, scene, steps):
+def test_progress_of_the_job_only_grows_and_ends_at_one(tmp_path, scene, tasks):
     reporter = run(tmp_path, scene)
     fractions = [fields["fraction"] for fields in reporter.named("progress")]
     assert fractions == sorted(fractions)
     assert fractions[0] == 0.0
     assert fractions[-1] == pytest.approx(1.0)
-    assert {fields["stage"] for fields in reporter.named("progress")} == set(STEPS)
+    assert {fields["stage"] for fields in reporter.named("progress")} == set(TASKS)
 
 
-def test_a_stop_before_a_step_leaves_it_undone(tmp_path, scene, steps):
+def test_a_stop_before_a_task_leaves_it_undone(tmp_path, scene, tasks):
     with pytest.raises(Stopped):
         run(tmp_path, scene, RecordingReporter(stop_after=1))
-    assert steps.names() == ["ingest"]
+    assert tasks.names() == ["ingest"]
     run(tmp_path, scene)
-    assert steps.names() == list(STEPS)
+    assert tasks.names() == list(TASKS)
 
 
-def test_a_run_folder_belongs_to_one_process(tmp_path, scene, steps):
+def test_a_run_folder_belongs_to_one_process(tmp_path, scene, tasks):
     with locked(tmp_path / "run"), pytest.raises(WorkerError, match=r"run\.busy"):
         run(tmp_path, scene)
 
 
-def test_the_time_of_every_sitting_is_added_up(tmp_path, scene, steps, monkeypatch):
+def test_the_time_of_every_sitting_is_added_up(tmp_path, scene, tasks, monkeypatch):
     ticks = iter(range(1000))
     monkeypatch.setattr(pipeline.time, "monotonic", lambda: float(next(ticks)))
-    steps.fails = "cache"
+    tasks.fails = "cache"
     with pytest.raises(WorkerError):
         run(tmp_path, scene)
-    first = stage_seconds(tmp_path / "run")["cache"]
-    steps.fails = None
+    first = task_seconds(tmp_path / "run")["cache"]
+    tasks.fails = None
     run(tmp_path, scene)
-    assert stage_seconds(tmp_path / "run")["cache"] > first > 0.0
+    assert task_seconds(tmp_path / "run")["cache"] > first > 0.0
 
 
 def test_time_to_go_counts_only_what_this_process_did():
@@ -173,21 +180,20 @@ def test_time_to_go_counts_only_what_this_process_did():
     assert clock.eta_s(0.0) == 0.0
 
 
-def test_each_steps_hash_contains_the_one_before(scene):
-    one = input_hashes(scene, CONFIG, 0, (), "")
-    other = input_hashes(scene, CONFIG, 0, ("capture",), "")
+def test_each_tasks_hash_contains_the_one_before(scene):
+    one = input_hashes(spec_of(scene))
+    other = input_hashes(spec_of(scene, lights=("capture",)))
     assert not set(one.values()) & set(other.values())
-    assert len(set(one.values())) == len(STEPS)
+    assert len(set(one.values())) == len(TASKS)
 
 
-def test_a_given_environment_changes_every_step(scene):
-    learned = input_hashes(scene, CONFIG, 0, (), "")
-    given, other = (input_hashes(scene, CONFIG, 0, (), "", {"": name}) for name in ("a.hdr", "b.hdr"))
+def test_a_given_environment_changes_every_task(scene):
+    learned = input_hashes(spec_of(scene))
+    given, other = (input_hashes(spec_of(scene, known_lights={"": name})) for name in ("a.hdr", "b.hdr"))
     assert not set(given.values()) & (set(other.values()) | set(learned.values()))
-    assert input_hashes(scene, CONFIG, 0, (), "", {}) == learned
 
 
-def test_given_masks_change_every_step(scene):
-    own = input_hashes(scene, CONFIG, 0, (), "")
-    given, other = (input_hashes(scene, CONFIG, 0, (), "", None, masks) for masks in ("one", "other"))
-    assert all(len({own[step], given[step], other[step]}) == 3 for step in STEPS)
+def test_given_masks_change_every_task(scene):
+    own = input_hashes(spec_of(scene))
+    given, other = (input_hashes(spec_of(scene, masks=masks)) for masks in ("one", "other"))
+    assert all(len({own[task], given[task], other[task]}) == 3 for task in TASKS)

@@ -1,4 +1,4 @@
-"""Fifth step: the bundle, complete and compared with the model, or not there at all."""
+"""Fifth task: the bundle, complete and compared with the model, or not there at all."""
 
 import re
 import shutil
@@ -26,17 +26,17 @@ from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
 from lambent_worker.files import read_record
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.folder import step_folder
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import scene_hash
-from lambent_worker.run.steps.training import load_trained, read_scene
+from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import uncertainty_of_run
 
 NUM_PARTS = 8
 FOLDERS = ("models", "mesh", "env", "preview")
 
 
-def run(context: StepContext) -> None:
+def run(context: TaskContext) -> None:
     """Write `bundle/`: built beside its place and moved there when everything in it has been checked.
 
     Raises WorkerError with an `export.*` code when a graph differs from the model, or there is no surface.
@@ -56,9 +56,9 @@ def run(context: StepContext) -> None:
     context.reporter.artifact("asset.glb", context.folder / "mesh" / "asset.glb")
 
 
-def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder: Path) -> None:
+def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder: Path) -> None:
     """Fill `folder`, whose sub-folders exist, with everything a bundle has."""
-    settings = context.config.export
+    settings = context.spec.config.export
     box = occupied_box(model)
     _advance(context, 1)
 
@@ -67,8 +67,8 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
         model,
         box,
         name=scene.name,
-        preset=context.config.preset,
-        scene_id=scene_hash(context.scene_dir),
+        preset=context.spec.config.preset,
+        scene_id=scene_hash(context.spec.scene),
         train_step=_train_step(context),
     )
     manifest.train_lights.extend(light_names(model.domain.lights))
@@ -93,7 +93,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
             advance=lambda share: context.stop_if_asked(),
         )
         write_transport(model, written_caches(manifest, folder), surface, manifest, folder, bake)
-        compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.seed))
+        compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.spec.seed))
     _advance(context, 5)
 
     views = scene.test or scene.train
@@ -113,7 +113,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
             [relight_camera(view.name, view.camera) for view in views[:1]],
             recovered,
             num_samples=settings.judge_samples,
-            seed=context.seed,
+            seed=context.spec.seed,
             networks=settings.weights != "none",
         )
         manifest.metrics.update(judged)
@@ -134,7 +134,7 @@ def write_bundle(context: StepContext, scene: Scene, model: InverseModel, folder
 
 
 def _write_networks(
-    context: StepContext,
+    context: TaskContext,
     model: InverseModel,
     rule: GbufferRule,
     manifest: bundle_pb2.BundleManifest,
@@ -146,7 +146,7 @@ def _write_networks(
     With the setting "auto" they are float16 unless that moves an output by more than `MOST_ROUNDING`, which
     is logged as a warning.
     """
-    wanted = context.config.export.weights
+    wanted = context.spec.config.export.weights
     fits = fits_half(model)
     if wanted == "fp16" and not fits:
         raise WorkerError(
@@ -155,13 +155,13 @@ def _write_networks(
         )
     if wanted in ("fp16", "auto") and fits:
         rounded = with_half_tables(model)
-        write_graphs(rounded, rule, manifest, folder, trained=model, seed=context.seed, advance=compared)
+        write_graphs(rounded, rule, manifest, folder, trained=model, seed=context.spec.seed, advance=compared)
         worst = max((r.rms_error, g.path, r.output) for g in manifest.graphs for r in g.rounding)
         if wanted == "fp16" or worst[0] <= MOST_ROUNDING:
             return rounded
         context.reporter.log("export.full_precision", path=worst[1], output=worst[2], rms_error=worst[0])
         remove_networks(manifest, folder)
-    write_graphs(model, rule, manifest, folder, seed=context.seed, advance=compared)
+    write_graphs(model, rule, manifest, folder, seed=context.spec.seed, advance=compared)
     return model
 
 
@@ -173,7 +173,7 @@ def light_names(lights: tuple[str, ...]) -> list[str]:
     return [f"{name}_{index}" for index, name in enumerate(names)]
 
 
-def _advance(context: StepContext, done: int) -> None:
+def _advance(context: TaskContext, done: int) -> None:
     context.progress(done, NUM_PARTS)
     context.stop_if_asked()
 
@@ -182,7 +182,7 @@ def _cameras(views: tuple[View, ...]) -> str:
     return cameras_json([relight_camera(view.name, view.camera) for view in views])
 
 
-def _train_step(context: StepContext) -> int:
+def _train_step(context: TaskContext) -> int:
     """Return the number of stage two's steps behind the exported model."""
-    folder = latest_checkpoint(step_folder(context.run_dir, "joint"))
+    folder = latest_checkpoint(task_folder(context.run_dir, "joint"))
     return int(read_record(folder / "state.json").get("step", 0)) if folder is not None else 0

@@ -1,5 +1,6 @@
-"""What the two training steps share: the scene in memory, the model, and the loop around a stage."""
+"""What the two training tasks share: the scene in memory, the model, and the loop around a stage."""
 
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,11 +25,11 @@ from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 
 from lambent_worker.errors import Stopped
-from lambent_worker.files import digest
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.folder import STEP_FOLDERS
+from lambent_worker.files import digest, read_record
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import task_folder
 from lambent_worker.run.known_lights import give_known_lights, known_names
-from lambent_worker.run.steps.ingest import read_manifest
+from lambent_worker.run.tasks.ingest import read_manifest
 from lambent_worker.scenes.load import load_scene
 
 Stage = StageOne | StageTwo | LightBake
@@ -36,50 +37,50 @@ REPORT_INTERVAL_S = 0.5
 SKIPPED_SHARE_LIMIT = 0.05
 
 
-def read_scene(context: StepContext) -> Scene:
+def read_scene(context: TaskContext) -> Scene:
     """Return the capture of the run, loaded at the preset's size."""
-    scene = load_scene(context.scene_dir, read_manifest(context), max_side=context.config.max_side)
-    return placed(scene, context.config.space)
+    scene = load_scene(context.spec.scene, read_manifest(context), max_side=context.spec.config.max_side)
+    return placed(scene, context.spec.config.space)
 
 
-def domain_for(context: StepContext, scene: Scene) -> Domain:
+def domain_for(context: TaskContext, scene: Scene) -> Domain:
     """Return what the run's model must know of the scene's space and lights."""
-    environment = context.config.model.environment
+    environment = context.spec.config.model.environment
     rotated = environment.lights == "rotated"
-    known = known_names(context.known_lights, scene.lights, rotated=rotated)
-    return domain_of(scene, context.config.space, environment, known)
+    known = known_names(context.spec.known_lights, scene.lights, rotated=rotated)
+    return domain_of(scene, context.spec.config.space, environment, known)
 
 
-def new_model(context: StepContext, scene: Scene) -> InverseModel:
+def new_model(context: TaskContext, scene: Scene) -> InverseModel:
     """Return a model in its initial state, the same for the same seed, with the given environments in it."""
-    torch.manual_seed(context.seed)
-    model = InverseModel(context.config.model, domain_for(context, scene)).to(context.device)
-    give_known_lights(model, context.run_dir, context.known_lights)
+    torch.manual_seed(context.spec.seed)
+    model = InverseModel(context.spec.config.model, domain_for(context, scene)).to(context.device)
+    give_known_lights(model, context.run_dir, context.spec.known_lights)
     return model
 
 
-def load_trained(context: StepContext, scene: Scene, stage: str) -> InverseModel:
+def load_trained(context: TaskContext, scene: Scene, stage: str) -> InverseModel:
     """Return the model at the end of `stage` ("cache" or "joint")."""
     model = new_model(context, scene)
-    folder = latest_checkpoint(context.run_dir / STEP_FOLDERS[stage])
+    folder = latest_checkpoint(task_folder(context.run_dir, stage))
     if folder is None:
         raise TrainingError(f"the run has no checkpoint of stage {stage!r}; train it first")
     load_checkpoint(folder, model)
     return model
 
 
-def training_pixels(context: StepContext, scene: Scene) -> TrainingPixels:
+def training_pixels(context: TaskContext, scene: Scene) -> TrainingPixels:
     """Return the training photographs on the run's device."""
-    return TrainingPixels(scene, context.config.pixels, torch.device(context.device))
+    return TrainingPixels(scene, context.spec.config.pixels, torch.device(context.device))
 
 
-def drive(context: StepContext, stage: Stage) -> None:
+def drive(context: TaskContext, stage: Stage) -> None:
     """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
 
     Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too
     many steps had gradients that were not finite.
     """
-    config = context.config
+    config = context.spec.config
     fingerprint = digest(repr(config.model), repr(stage.config))
     seconds = _resume(context, stage, fingerprint)
     saved_at = reported_at = time.monotonic()
@@ -124,31 +125,34 @@ def matrix_precision(device: torch.device) -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
-def _resume(context: StepContext, stage: Stage, fingerprint: str) -> float:
-    """Continue from the newest checkpoint that can be read, and return the seconds trained before it."""
+def _resume(context: TaskContext, stage: Stage, fingerprint: str) -> float:
+    """Continue from the newest checkpoint that counts, and return the seconds trained before it.
+
+    One counts if it can be read and was made with the settings that the stage has now, whoever made it.
+    """
     while (folder := latest_checkpoint(context.folder)) is not None:
+        made = read_record(folder / "state.json")
+        if made and (made.get("config_sha256"), made.get("seed")) != (fingerprint, context.spec.seed):
+            context.reporter.log("checkpoint.other_settings", folder=folder.name)
+            _set_aside(folder, "other_settings")
+            continue
         try:
             state = load_checkpoint(folder, stage.model, stage.optimiser)
         except TrainingError as error:
             context.reporter.log("checkpoint.unreadable", folder=folder.name, reason=str(error))
-            _discard(folder)
+            _set_aside(folder, "unreadable")
             continue
-        if state.config_sha256 != fingerprint or state.seed != context.seed:
-            raise TrainingError(
-                f"the checkpoint in {folder} was made with other settings or another seed; "
-                f"use another output folder, or the settings it was made with"
-            )
         stage.steps_done, stage.num_skipped = state.step, state.num_skipped
-        context.reporter.log("checkpoint.resumed", stage=context.stage, step=state.step)
+        context.reporter.log("checkpoint.resumed", stage=context.task, step=state.step)
         return state.seconds
     return 0.0
 
 
-def _save(context: StepContext, stage: Stage, fingerprint: str, seconds: float) -> None:
+def _save(context: TaskContext, stage: Stage, fingerprint: str, seconds: float) -> None:
     state = CheckpointState(
-        stage=context.stage,
+        stage=context.task,
         step=stage.steps_done,
-        seed=context.seed,
+        seed=context.spec.seed,
         config_sha256=fingerprint,
         num_skipped=stage.num_skipped,
         seconds=seconds,
@@ -156,10 +160,12 @@ def _save(context: StepContext, stage: Stage, fingerprint: str, seconds: float) 
     folder = checkpoint_folder(context.folder, stage.steps_done)
     save_checkpoint(folder, stage.model, stage.optimiser, state)
     prune_checkpoints(context.folder, keep=2)
-    context.reporter.checkpoint(context.stage, stage.steps_done, folder)
+    context.reporter.checkpoint(context.task, stage.steps_done, folder)
     if isinstance(stage, StageTwo):
         context.reporter.log("scale.measured", step=stage.steps_done, **stage.scale())
 
 
-def _discard(folder: Path) -> None:
-    folder.rename(folder.with_name(f"unreadable_{folder.name}"))
+def _set_aside(folder: Path, why: str) -> None:
+    target = folder.with_name(f"{why}_{folder.name}")
+    shutil.rmtree(target, ignore_errors=True)
+    folder.rename(target)

@@ -1,4 +1,4 @@
-"""First step: make sure the capture can be used, and write down what it is."""
+"""First task: make sure the capture can be used, and write down what it is."""
 
 from pathlib import Path
 
@@ -6,15 +6,16 @@ import numpy as np
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.capture_qa.check import check_capture
+from lambent_worker.capture_qa.check_result import tell_findings
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.page import build_page
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import write_json
 from lambent_worker.messages import message_to_dict, read_message
-from lambent_worker.run.context import StepContext
-from lambent_worker.run.folder import step_folder
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import task_folder
 from lambent_worker.run.masks import AUTOMATIC, given_masks
-from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.detect import describe_scene, fit_to_masks
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.problems import Problems
@@ -22,46 +23,45 @@ from lambent_worker.scenes.problems import Problems
 ESTIMATED_FOLDER = "masks"
 
 
-def run(context: StepContext) -> None:
+def run(context: TaskContext) -> None:
     """Write `scene/manifest.json` with the chosen lights, `scene/report.json` with all findings, and a page.
 
     Where nothing says where the object is, `scene/masks/` is estimated, with thumbnails in `scene/masks.jpg`.
     Raises `SceneRefusedError` after reporting every finding when the capture cannot be used, and where the
     estimate is not to be believed.
     """
-    layout, given = context.layout or None, given_masks(context.run_dir, context.masks)
-    checked = check_capture(context.scene_dir, layout, given)
+    spec = context.spec
+    layout, given = spec.layout or None, given_masks(context.run_dir, spec.masks)
+    told = [] if context.checked is None else context.checked.report.findings
+    checked = context.checked
+    if checked is None or layout is not None or given is not None:
+        checked = check_capture(spec.scene, layout, given)
     report = checked.report
-    for finding in report.findings:
-        context.reporter.finding(
-            finding.code,
-            finding.message,
-            subject=finding.subject,
-            error=finding.severity == scene_pb2.SEVERITY_ERROR,
-        )
+    tell_findings(context.reporter, (finding for finding in report.findings if finding not in told))
     write_json(context.folder / "report.json", message_to_dict(report))
-    page = build_page(context.scene_dir.name, checked, CaptureLimits())
+    page = build_page(spec.scene.name, checked, CaptureLimits())
     (context.folder / "capture.html").write_text(page, encoding="utf-8")
     if not report.usable:
         raise SceneRefusedError(report)
-    manifest = describe_scene(context.scene_dir, layout, given)
-    if context.masks == AUTOMATIC and checked.figures is not None and not checked.figures.has_masks:
-        estimated = _estimate(context, select_lights(manifest, context.lights))
-        manifest = describe_scene(context.scene_dir, layout, estimated)
-    manifest = select_lights(manifest, context.lights)
+    manifest = describe_scene(spec.scene, layout, given)
+    if spec.masks == AUTOMATIC and checked.figures is not None and not checked.figures.has_masks:
+        estimated = _estimate(context, select_lights(manifest, spec.lights))
+        _attach_or_refuse(manifest, spec.scene, estimated)
+        fit_to_masks(spec.scene, manifest)
+    manifest = select_lights(manifest, spec.lights)
     _forget_own_masks(context, manifest)
     write_json(context.folder / "manifest.json", message_to_dict(manifest))
     context.progress(1, 1)
 
 
-def _estimate(context: StepContext, manifest: scene_pb2.SceneManifest) -> Path:
+def _estimate(context: TaskContext, manifest: scene_pb2.SceneManifest) -> Path:
     from lambent_worker.masks.folder import write_masks
 
     def progress(done: int, total: int) -> None:
         context.stop_if_asked()
         context.progress(done, total + 1)
 
-    written = write_masks(context.scene_dir, manifest, context.folder, progress=progress)
+    written = write_masks(context.spec.scene, manifest, context.folder, progress=progress)
     doubtful = f" (least sure of {', '.join(written.doubtful[:3])})" if written.doubtful else ""
     context.reporter.finding(
         "scene.mask_estimated",
@@ -73,14 +73,14 @@ def _estimate(context: StepContext, manifest: scene_pb2.SceneManifest) -> Path:
     return written.folder
 
 
-def own_masks(context: StepContext) -> Path | None:
+def own_masks(context: TaskContext) -> Path | None:
     """Return the folder of the run's own masks, given or estimated, or None where the capture's are used."""
-    estimated = step_folder(context.run_dir, "ingest") / ESTIMATED_FOLDER
-    given = given_masks(context.run_dir, context.masks)
+    estimated = task_folder(context.run_dir, "ingest") / ESTIMATED_FOLDER
+    given = given_masks(context.run_dir, context.spec.masks)
     return given if given is not None else estimated if estimated.is_dir() else None
 
 
-def _forget_own_masks(context: StepContext, manifest: scene_pb2.SceneManifest) -> None:
+def _forget_own_masks(context: TaskContext, manifest: scene_pb2.SceneManifest) -> None:
     """Leave the run's own masks out of the manifest: a run may be moved, and they are found by name."""
     if own_masks(context) is not None:
         for frame in manifest.frames:
@@ -88,7 +88,7 @@ def _forget_own_masks(context: StepContext, manifest: scene_pb2.SceneManifest) -
 
 
 def use_own_masks(
-    context: StepContext,
+    context: TaskContext,
     folder: Path,
     manifest: scene_pb2.SceneManifest,
     trained: scene_pb2.SceneManifest,
@@ -108,13 +108,13 @@ def use_own_masks(
     _attach_or_refuse(manifest, folder, masks)
 
 
-def read_manifest(context: StepContext) -> scene_pb2.SceneManifest:
+def read_manifest(context: TaskContext) -> scene_pb2.SceneManifest:
     """Return the manifest that `run` wrote into the run folder, with the run's own masks."""
-    path = step_folder(context.run_dir, "ingest") / "manifest.json"
+    path = task_folder(context.run_dir, "ingest") / "manifest.json"
     manifest = read_message(path, scene_pb2.SceneManifest())
     masks = own_masks(context)
     if masks is not None:
-        _attach_or_refuse(manifest, context.scene_dir, masks)
+        _attach_or_refuse(manifest, context.spec.scene, masks)
     return manifest
 
 

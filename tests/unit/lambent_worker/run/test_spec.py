@@ -1,0 +1,197 @@
+"""What a run was asked to do is the same from the command line, an order, and the folder it is kept in."""
+
+import json
+
+import numpy as np
+import pytest
+from flashcache.errors import ConfigError
+from flashcache.presets import PRESETS
+from lambent_proto.v1 import job_pb2, worker_pb2
+from lambent_relight.environment.maps import write_environment
+from lambent_worker.errors import UsageError
+from lambent_worker.files import write_json
+from lambent_worker.run.folder import begin_task, finish_task
+from lambent_worker.run.masks import WHOLE_VIEW, given_masks
+from lambent_worker.run.spec import RunSpec, adjust, keep_run, read_run
+from support.ball_photographs import write_masks
+from support.ball_views import ball_views
+
+UNCHANGED = worker_pb2.Adjustments()
+
+
+@pytest.fixture
+def sky(tmp_path):
+    write_environment(tmp_path / "scene" / "sky.exr", np.ones((4, 8, 3), np.float32))
+    return tmp_path / "scene" / "sky.exr"
+
+
+@pytest.fixture
+def cut(tmp_path):
+    """Return a folder of masks among the files of the capture."""
+    masks = {f"v{i}": view.mask for i, view in enumerate(ball_views(3))}
+    return write_masks(tmp_path / "scene" / "cut", masks)
+
+
+def options(tmp_path, **changes):
+    return RunSpec.from_options(tmp_path / "scene", **{"preset": "tiny", **changes})
+
+
+def ordered(tmp_path, **params):
+    return RunSpec.from_job(job_pb2.JobSpec(preset="tiny", params=params), UNCHANGED, tmp_path / "scene")
+
+
+def keep(tmp_path, **changes):
+    keep_run(tmp_path / "run", options(tmp_path, **changes), "cpu")
+
+
+def test_an_order_and_the_command_line_ask_for_the_same_run(tmp_path, sky, cut):
+    from_options = options(
+        tmp_path,
+        overrides={"stage_one.num_rays": "64"},
+        lights=("sun", "moon"),
+        layout="nerf_blender",
+        known_lights=[f"sun={sky}"],
+        masks=cut,
+    )
+    from_job = ordered(
+        tmp_path,
+        **{"stage_one.num_rays": "64", "lights": "sun, moon", "layout": "nerf_blender"},
+        known_lights="sun=sky.exr",
+        masks="cut",
+    )
+    assert from_job == from_options
+    assert from_job.given == from_options.given
+    assert from_job.config.stage_one.num_rays == 64
+    assert ordered(tmp_path, masks="none").masks == options(tmp_path, whole_view=True).masks == WHOLE_VIEW
+
+
+@pytest.mark.parametrize(
+    "params",
+    [{"known_lights": "../sky.exr"}, {"known_lights": "a=/etc/sky.exr"}, {"masks": "../cut"}],
+    ids=str,
+)
+def test_files_of_an_order_outside_its_capture_are_refused(tmp_path, params):
+    with pytest.raises(ConfigError, match="outside the capture"):
+        ordered(tmp_path, **params)
+
+
+def test_an_order_with_an_unknown_preset_or_setting_is_a_config_error(tmp_path):
+    for wrong in (job_pb2.JobSpec(preset="huge"), job_pb2.JobSpec(preset="tiny", params={"no.such": "1"})):
+        with pytest.raises(ConfigError):
+            RunSpec.from_job(wrong, UNCHANGED, tmp_path)
+
+
+def test_a_run_is_read_as_it_was_kept_with_its_files(tmp_path, sky, cut):
+    spec = options(
+        tmp_path, preset="paper_tensoir:hotdog", seed=3, lights=("a", "b"), known_lights=[str(sky)], masks=cut
+    )
+    keep_run(tmp_path / "run", spec, "cuda:1")
+    found, device = read_run(tmp_path / "run")
+    assert (found, found.scene, found.preset, device) == (
+        spec,
+        tmp_path / "scene",
+        "paper_tensoir:hotdog",
+        "cuda:1",
+    )
+    (name,) = found.known_lights.values()
+    assert (tmp_path / "run" / "known_lights" / name).read_bytes() == sky.read_bytes()
+    kept = given_masks(tmp_path / "run", found.masks)
+    assert sorted(path.name for path in kept.iterdir()) == ["v0.png", "v1.png", "v2.png"]
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["lambent"]
+
+
+def test_a_run_of_the_version_before_known_lights_and_masks_is_read(tmp_path):
+    keep(tmp_path)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    del record["known_lights"], record["masks"]
+    write_json(tmp_path / "run" / "run.json", record)
+    keep(tmp_path)
+    assert read_run(tmp_path / "run")[0] == options(tmp_path)
+
+
+def test_a_moved_scene_or_another_device_is_the_same_run(tmp_path):
+    keep(tmp_path)
+    moved = RunSpec.from_options(tmp_path / "moved", preset="tiny")
+    keep_run(tmp_path / "run", moved, "cuda")
+    assert moved == options(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [({"seed": 1}, "seed"), ({"lights": ("a",)}, "lights"), ({"overrides": {"max_side": "32"}}, "config")],
+)
+def test_other_settings_for_a_folder_in_use_are_refused_and_named(tmp_path, changes, named):
+    keep(tmp_path)
+    with pytest.raises(UsageError, match=rf"run\.other_settings.*another {named};"):
+        keep(tmp_path, **changes)
+
+
+def test_another_environment_is_another_run_and_the_same_one_elsewhere_is_not(tmp_path, sky):
+    keep(tmp_path, known_lights=[str(sky)])
+    keep(tmp_path, known_lights=[str(sky.rename(tmp_path / "moved.exr"))])
+    write_environment(sky, np.full((4, 8, 3), 2.0, np.float32))
+    with pytest.raises(UsageError, match=r"run\.other_settings.*another known_lights;"):
+        keep(tmp_path, known_lights=[str(sky)])
+
+
+def test_masks_may_be_others_until_a_capture_was_read_with_them(tmp_path, cut):
+    keep(tmp_path, masks=cut)
+    (cut / "v2.png").unlink()
+    keep(tmp_path, masks=cut)
+    kept = given_masks(tmp_path / "run", read_run(tmp_path / "run")[0].masks)
+    assert sorted(path.name for path in kept.iterdir()) == ["v0.png", "v1.png"]
+    begin_task(tmp_path / "run", "ingest", "inputs")
+    finish_task(tmp_path / "run", "ingest", "inputs")
+    with pytest.raises(UsageError, match=r"run\.other_settings.*another masks;"):
+        keep(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema_version": 1}', "{"])
+def test_a_folder_without_a_run_is_a_usage_error(tmp_path, text):
+    (tmp_path / "run.json").write_text(text)
+    with pytest.raises(UsageError, match=r"run\.not_found"):
+        read_run(tmp_path)
+
+
+def test_a_run_of_another_major_version_is_refused(tmp_path):
+    keep(tmp_path)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    write_json(tmp_path / "run" / "run.json", {**record, "schema_version": "2.0"})
+    with pytest.raises(UsageError, match=r"run\.version"):
+        read_run(tmp_path / "run")
+
+
+def test_settings_on_the_command_line_change_the_preset(tmp_path):
+    assert options(tmp_path, overrides={"stage_one.num_steps": "7"}).config.stage_one.num_steps == 7
+    assert options(tmp_path, preset="paper_tensoir:hotdog").config.stage_one.distortion_weight == 0.01
+    with pytest.raises(UsageError, match=r"config\.preset_unknown.*fast"):
+        options(tmp_path, preset="fastest")
+    with pytest.raises(UsageError, match=r"config\.preset_unknown.*armadillo"):
+        options(tmp_path, preset="paper_tensoir:cat")
+    with pytest.raises(ConfigError, match="wings"):
+        options(tmp_path, overrides={"stage_one.wings": "2"})
+
+
+def adjusted(**stages):
+    stages = {name: worker_pb2.StageAdjustments(**own) for name, own in stages.items()}
+    return adjust(PRESETS["tiny"](), worker_pb2.Adjustments(stages=stages))
+
+
+def test_an_adjustment_changes_its_own_stage_and_those_of_both_hold_together():
+    config = PRESETS["tiny"]()
+    assert adjusted() == adjusted(evaluate={"ray_chunk": 0.5}) == config
+    slower = adjusted(joint={"ray_chunk": 0.5, "learning_rate": 0.5})
+    assert slower.stage_one == config.stage_one
+    assert slower.stage_two.num_rays == config.stage_two.num_rays // 2
+    assert slower.stage_two.material_rates.grid == config.stage_two.material_rates.grid / 2
+    assert slower.stage_two.environment_rate == config.stage_two.environment_rate / 2
+    both = adjusted(cache={"ray_chunk": 0.5}, joint={"learning_rate": 0.5})
+    assert both.stage_one.num_rays == config.stage_one.num_rays // 2
+    assert both.stage_one.rates == config.stage_one.rates
+    assert both.stage_two.num_rays == config.stage_two.num_rays
+    assert both.stage_two.cache_rates.network == config.stage_two.cache_rates.network / 2
+
+
+def test_the_one_adjustment_that_a_server_of_the_version_before_sends_is_understood():
+    before = worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=0.5, stage="joint")
+    assert adjust(PRESETS["tiny"](), before) == adjusted(joint={"learning_rate": 0.5})

@@ -1,0 +1,255 @@
+"""What a run is asked to do: one specification, from the command line, a server's order, or `run.json`."""
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from flashcache.config import Config, Rates, from_dict, to_dict, with_overrides
+from flashcache.errors import ConfigError
+from flashcache.presets import preset as preset_of
+from lambent_proto.v1 import job_pb2, worker_pb2
+
+from lambent_worker.errors import UsageError
+from lambent_worker.files import write_json
+from lambent_worker.run.folder import done_inputs
+from lambent_worker.run.known_lights import kept_lights, parse_known_lights
+from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
+
+SCHEMA_VERSION = "1.0"
+# What may change between two starts of a run.
+_MAY_CHANGE = ("device", "scene")
+# Parameters of an order that are no settings of the method.
+LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS = "lights", "layout", "known_lights", "masks"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunSpec:
+    """What a run is asked to do. Two that are equal train the same; what does not count for that is said."""
+
+    scene: Path = field(compare=False)
+    """Folder of the capture, which may be moved between two starts."""
+    config: Config
+    preset: str = field(default="", compare=False)
+    """Name that the preset was asked for by; `config` has what came of it."""
+    seed: int = 0
+    lights: tuple[str, ...] = ()
+    """Training lights by name; empty for the scene's first."""
+    layout: str = ""
+    """Layout to read the scene as; empty to detect it."""
+    known_lights: Mapping[str, str] = field(default_factory=dict)
+    """Names of the kept files of given environments by light; see `known_lights`."""
+    masks: str = AUTOMATIC
+    """Where masks come from: the capture or an estimate (""), nowhere ("none"), or given ones by content."""
+    photographs: tuple[Path, Path | None] | None = field(default=None, compare=False)
+    """Photographs without cameras, and a folder of their masks: `scene` is made from them first."""
+    given: Mapping[str, Path] = field(default_factory=dict, compare=False)
+    """Files that the run keeps a copy of, by their path in the run folder."""
+
+    @classmethod
+    def from_options(
+        cls,
+        scene: Path,
+        *,
+        preset: str,
+        overrides: Mapping[str, str] | None = None,
+        lights: tuple[str, ...] = (),
+        layout: str = "",
+        known_lights: Sequence[str] = (),
+        masks: Path | None = None,
+        whole_view: bool = False,
+        capture: Path | None = None,
+        seed: int = 0,
+    ) -> "RunSpec":
+        """Return what options of the command line ask for.
+
+        `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
+        for the object where there are none. With `capture`, `scene` holds photographs without cameras, and
+        the capture made of them goes there. Raises `UsageError` for an unknown preset and files that cannot
+        be used, `ConfigError` for a wrong setting.
+        """
+        return cls(
+            scene=capture or scene,
+            config=config_for(preset, overrides or {}),
+            preset=preset,
+            seed=seed,
+            lights=lights,
+            layout=layout,
+            photographs=None if capture is None else (scene, masks),
+            **_given(known_lights, None if capture else masks, whole_view=whole_view),
+        )
+
+    @classmethod
+    def from_job(cls, job: job_pb2.JobSpec, adjustments: worker_pb2.Adjustments, scene: Path) -> "RunSpec":
+        """Return what an order asks for, with what its failures so far have changed.
+
+        `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
+        `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". Raises `ConfigError` for an unknown preset or
+        setting and for files outside the capture, `UsageError` for files that cannot be used.
+        """
+        settings = dict(job.params)
+        lights, layout, known_lights, masks = (
+            settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS)
+        )
+        config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
+        items = []
+        for item in _listed(known_lights):
+            light, equals, name = item.rpartition("=")
+            items.append(f"{light}{equals}{_inside(scene, KNOWN_LIGHTS, name, 'name a file of the capture')}")
+        folder = None
+        if masks not in (AUTOMATIC, WHOLE_VIEW):
+            folder = _inside(scene, MASKS, masks, f'name a folder of the capture, or "{WHOLE_VIEW}"')
+        return cls(
+            scene=scene,
+            config=config,
+            preset=job.preset,
+            seed=job.seed,
+            lights=tuple(_listed(lights)),
+            layout=layout,
+            **_given(items, folder, whole_view=masks == WHOLE_VIEW),
+        )
+
+
+def config_for(name: str, overrides: Mapping[str, str]) -> Config:
+    """Return a preset, or `PRESET:SCENE` for a published scene, with settings changed.
+
+    Raises `UsageError` for an unknown name and `ConfigError` for a wrong setting.
+    """
+    try:
+        base = preset_of(name)
+    except ConfigError as error:
+        raise UsageError("config.preset_unknown", f'--preset "{name}": {error}') from error
+    return with_overrides(base, overrides)
+
+
+def adjust(config: Config, adjustments: worker_pb2.Adjustments) -> Config:
+    """Return the configuration with fewer rays or lower rates in the stages that failed."""
+    stages = dict(adjustments.stages)
+    if not stages and adjustments.stage:  # from a server of the version before
+        stages[adjustments.stage] = worker_pb2.StageAdjustments(
+            ray_chunk=adjustments.ray_chunk, learning_rate=adjustments.learning_rate
+        )
+    for stage, own in stages.items():
+        rays, rate = own.ray_chunk or 1.0, own.learning_rate or 1.0
+        if stage == "cache":
+            one = config.stage_one
+            one = replace(one, num_rays=max(int(one.num_rays * rays), 1), rates=_slower(one.rates, rate))
+            config = replace(config, stage_one=one)
+        elif stage == "joint":
+            two = config.stage_two
+            two = replace(
+                two,
+                num_rays=max(int(two.num_rays * rays), 1),
+                material_rates=_slower(two.material_rates, rate),
+                cache_rates=_slower(two.cache_rates, rate),
+                fast_rates=_slower(two.fast_rates, rate),
+                environment_rate=two.environment_rate * rate,
+            )
+            config = replace(config, stage_two=two)
+    return config
+
+
+def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
+    """Make `run_dir` the folder of this run: `run.json` and the given files; one that it is already stays.
+
+    Raises `UsageError` where it is the folder of a run with other settings. Masks may be others as long as
+    the ones before were refused.
+    """
+    wanted = {
+        "preset": spec.preset,
+        "config": to_dict(spec.config),
+        "seed": spec.seed,
+        "device": device,
+        "lights": list(spec.lights),
+        "layout": spec.layout,
+        "known_lights": dict(spec.known_lights),
+        "masks": spec.masks,
+        "scene": str(spec.scene.resolve()),
+    }
+    if (run_dir / "run.json").exists():
+        found = run_record(run_dir)
+        differing = [
+            name for name, value in wanted.items() if name not in _MAY_CHANGE and found[name] != value
+        ]
+        if not differing:
+            return
+        if differing != ["masks"] or done_inputs(run_dir, "ingest") is not None:
+            raise UsageError(
+                "run.other_settings",
+                f'"{run_dir}" holds a run with another {", ".join(differing)}; choose another folder with '
+                "-o, or give --resume to go on with the settings it has",
+            )
+        shutil.rmtree(run_dir / KEPT_FOLDER, ignore_errors=True)
+    for place, source in spec.given.items():
+        (run_dir / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, run_dir / place)
+    run_dir.mkdir(parents=True, exist_ok=True)
+    record = {
+        "schema_version": SCHEMA_VERSION,
+        **wanted,
+        "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {name: version(name) for name in ("lambent", "torch", "numpy")},
+    }
+    write_json(run_dir / "run.json", record)
+
+
+def read_run(run_dir: Path) -> tuple[RunSpec, str]:
+    """Return what the run in `run_dir` was asked to do, and its device; `UsageError` where there is none."""
+    record = run_record(run_dir)
+    spec = RunSpec(
+        scene=Path(record["scene"]),
+        config=from_dict(Config, record["config"]),
+        preset=record["preset"],
+        seed=record["seed"],
+        lights=tuple(record["lights"]),
+        layout=record["layout"],
+        known_lights=record["known_lights"],
+        masks=record["masks"],
+    )
+    return spec, record["device"]
+
+
+def run_record(run_dir: Path) -> dict[str, Any]:
+    """Return what is in `run.json`; raises `UsageError` where the folder holds no run of this version."""
+    try:
+        record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC}
+        record |= json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
+        major = record["schema_version"].split(".")[0]
+        missing = {"preset", "config", "seed", "device", "lights", "layout", "scene"} - record.keys()
+        if missing:
+            raise KeyError(*missing)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(
+            "run.not_found", f'"{run_dir}" holds no readable run.json; give a folder made by lambent train'
+        ) from error
+    if major != SCHEMA_VERSION.split(".")[0]:
+        raise UsageError(
+            "run.version", f'"{run_dir}" was written by another version; train again with this one'
+        )
+    return record
+
+
+def _given(known_lights: Sequence[str], masks: Path | None, *, whole_view: bool) -> dict[str, Any]:
+    """Return the members of a specification that say which files of the user a run keeps."""
+    names, files = kept_lights(parse_known_lights(known_lights))
+    setting = masks_setting(masks, whole_view=whole_view)
+    return {"known_lights": names, "masks": setting, "given": {**files, **kept_masks(masks)}}
+
+
+def _listed(text: str) -> list[str]:
+    return [item.strip() for item in text.split(",") if item.strip()]
+
+
+def _inside(scene: Path, parameter: str, name: str, advice: str) -> Path:
+    path = (scene / name).resolve()
+    if not path.is_relative_to(scene.resolve()):
+        raise ConfigError(f'{parameter} "{name}" lies outside the capture; {advice}')
+    return path
+
+
+def _slower(rates: Rates, factor: float) -> Rates:
+    return replace(rates, grid=rates.grid * factor, network=rates.network * factor)

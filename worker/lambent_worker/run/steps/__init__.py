@@ -1,1 +1,0 @@
-"""The steps of a job, one file each: `run(context: StepContext) -> None`."""

@@ -1,0 +1,1 @@
+"""The tasks of a run, one file each: `run(context: TaskContext) -> None`."""

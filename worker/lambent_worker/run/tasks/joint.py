@@ -1,0 +1,15 @@
+"""Third task: stage two, materials, light and the fast cache learn jointly with the NeRF cache."""
+
+from flashcache.training.stage_two import StageTwo
+
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.tasks.training import drive, load_trained, read_scene, training_pixels
+
+
+def run(context: TaskContext) -> None:
+    """Train stage two into `joint/step_*` from the end of stage one; resumes from its last checkpoint."""
+    scene = read_scene(context)
+    # Materials, fast cache and sampler were not touched by stage one: they start fresh.
+    model = load_trained(context, scene, "cache")
+    pixels = training_pixels(context, scene)
+    drive(context, StageTwo(model, pixels, context.spec.config.stage_two, seed=context.spec.seed))
