@@ -1,5 +1,5 @@
 import torch
-from flashcache.physical.shading import Estimate, Guards, ShadingPoints
+from flashcache.physical.shading import Estimate, ShadingPoints
 from flashcache.training.joint_losses import consistency_terms, physical_loss
 from support.joint_stage import stage
 
@@ -16,13 +16,13 @@ def test_where_nothing_is_covered_the_physical_picture_does_not_count():
 
 
 def test_each_head_of_the_cache_is_taught_by_the_estimate_of_the_same_name():
-    model, zero = stage().model, torch.zeros(())
+    model = stage().model
     towards = torch.nn.functional.normalize(torch.randn(20, 3), dim=-1)
     points = ShadingPoints(0.5 * towards, towards, towards, torch.zeros(20, dtype=torch.long))
     hidden = model.nerf.density(points.positions).hidden.detach()
     heads = model.nerf.appearance(points.positions, hidden, points.normal, points.omega_o, points.light_index)
     own = {name: getattr(heads, name).detach() for name in ("diffuse", "specular", "irradiance")}
-    told = Estimate(**own, rgb=heads.radiance, variance=None, exact=None, guards=Guards(zero, zero, zero))
+    told = Estimate(**own, rgb=heads.radiance, variance=None, exact=None)
     agreed = consistency_terms(model, points, hidden, told, torch.ones(20), 1.0)
     assert [float(term.detach()) for term in agreed.values()] == [0.0, 0.0, 0.0]
     for name, values in own.items():
