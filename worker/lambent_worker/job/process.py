@@ -1,7 +1,5 @@
 """The part of a run process that works: fetch, check, resume, train, publish."""
 
-import ctypes
-import os
 import re
 import signal
 import sys
@@ -19,8 +17,7 @@ from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_worker.job.order import Check, Order, Pipeline
 from lambent_worker.job.server_reporter import ServerReporter, media_type
 from lambent_worker.reporter import Reporter
-
-_SIGKILL_ON_PARENT_DEATH = 1
+from lambent_worker.startup import end_with_parent
 
 
 def train(order: Order) -> Path:
@@ -59,7 +56,7 @@ def check(scene_dir: Path) -> CaptureCheck:
 
 def work(pipeline: Pipeline = perform, check: Check = check) -> int:
     """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
-    _die_with_parent()
+    end_with_parent(signal.SIGKILL)
     identity = Identity.from_environment()
     connection = Connection(identity)
     try:
@@ -242,13 +239,3 @@ def describe_failure(error: Exception) -> worker_pb2.FailRequest:
         cause, code = worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY, "run.out_of_memory"
         message = "the machine has too little memory for this preset"
     return worker_pb2.FailRequest(cause=cause, code=code, message=message)
-
-
-def _die_with_parent() -> None:
-    """Let the kernel end this process when its supervisor is killed (Linux)."""
-    if not sys.platform.startswith("linux"):
-        return
-    parent = os.getppid()
-    ctypes.CDLL(None).prctl(_SIGKILL_ON_PARENT_DEATH, signal.SIGKILL)
-    if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGKILL)
