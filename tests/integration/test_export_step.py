@@ -138,8 +138,9 @@ def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(exported):
 
 def test_a_usdz_file_is_written_where_it_is_asked_for(context):
     pytest.importorskip("pxr.Usd")
-    config = replace(context.config, export=replace(context.config.export, usdz=True))
-    export.run(replace(context, config=config))
+    config = context.spec.config
+    config = replace(config, export=replace(config.export, usdz=True))
+    export.run(replace(context, spec=replace(context.spec, config=config)))
     files = {file.path: file for file in load_bundle(context.folder).manifest.files}
     assert files["mesh/asset.usdz"].media_type == "model/vnd.usdz+zip"
     assert files["mesh/asset.usdz"].role == "mesh"

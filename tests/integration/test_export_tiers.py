@@ -26,8 +26,9 @@ def model():
 def exported(tmp_path, model, monkeypatch, **settings):
     """Return the bundle that an export with these settings writes, and what the export logged."""
     context = small_context(tmp_path, model, monkeypatch)
-    config = replace(context.config, export=replace(context.config.export, judge_samples=0, **settings))
-    context = replace(context, config=config)
+    config = context.spec.config
+    config = replace(config, export=replace(config.export, judge_samples=0, **settings))
+    context = replace(context, spec=replace(context.spec, config=config))
     export.run(context)
     return load_bundle(context.folder), context.reporter.events
 

@@ -5,6 +5,8 @@ import ctypes.util
 import os
 import sys
 
+_PR_SET_PDEATHSIG = 1
+
 
 def prepare() -> None:
     """Make waiting OpenMP threads sleep; call before torch is imported.
@@ -15,6 +17,15 @@ def prepare() -> None:
         raise RuntimeError("lambent_worker.startup.prepare must run before torch is imported")
     os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
     _keep_memory()
+
+
+def end_with_parent(number: int) -> None:
+    """Let this process get a signal when the one that started it is gone (Linux)."""
+    if sys.platform.startswith("linux"):
+        parent = os.getppid()
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+        if os.getppid() != parent:
+            os.kill(os.getpid(), number)
 
 
 def _keep_memory() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lambent_worker.benchmark.plan import Cell, EvaluationOrder, Variant, plan
 from lambent_worker.benchmark.results import average_rows, differences, finished, scene_rows
-from lambent_worker.benchmark.runner import Task, run_tasks, tasks_of
+from lambent_worker.benchmark.runner import Part, parts_of, run_parts
 from lambent_worker.benchmark.suite import Setting, SuiteScene
 from lambent_worker.benchmark.tables import ABLATION_COLUMNS, Content, as_csv, as_json, markdown
 from lambent_worker.console_reporter import format_duration
@@ -50,9 +50,9 @@ def run_benchmark(
     cells = plan(scenes, variants, seeds, settings, preset=preset, overrides=overrides, evaluation=evaluation)
     with locked(out):
         write_json(out / MARKER, {"preset": preset, "cells": [cell.name for cell in cells]})
-        tasks = tasks_of(cells, out)
-        failed = run_tasks(tasks, jobs=jobs, devices=devices, event=_narrator(tell, len(tasks)))
-        lines = tuple(f"{task.title}: see {task.folder / 'log.txt'}" for task in failed)
+        parts = parts_of(cells, out)
+        failed = run_parts(parts, jobs=jobs, devices=devices, event=_narrator(tell, len(parts)))
+        lines = tuple(f"{part.title}: see {part.folder / 'log.txt'}" for part in failed)
         text = write_tables(cells, out, preset, lines, evaluation)
     return Outcome(text, lines)
 
@@ -105,15 +105,15 @@ def _check_folder(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
 
 
-def _narrator(tell: Callable[[str], None], total: int) -> Callable[[str, Task, float], None]:
+def _narrator(tell: Callable[[str], None], total: int) -> Callable[[str, Part, float], None]:
     """Return a function that reports every process in one line, with the number of finished ones."""
     done = 0
 
-    def event(what: str, task: Task, seconds: float) -> None:
+    def event(what: str, part: Part, seconds: float) -> None:
         nonlocal done
         done += what in ("finished", "failed", "reused")
         took = f" after {format_duration(seconds)}" if what in ("finished", "failed") else ""
-        more = f"; see {task.folder / 'log.txt'}" if what == "failed" else ""
-        tell(f"[{done}/{total}] {task.title}: {what}{took}{more}")
+        more = f"; see {part.folder / 'log.txt'}" if what == "failed" else ""
+        tell(f"[{done}/{total}] {part.title}: {what}{took}{more}")
 
     return event

@@ -4,7 +4,6 @@ KIND is "stage-one" or "cell"; FOLDER holds cell.json, DEVICE is torch's, STAGE_
 stage one to start from. Everything it writes lies in FOLDER, and it goes on from what is there.
 """
 
-import ctypes
 import os
 import shutil
 import signal
@@ -12,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lambent_worker.startup import prepare
+from lambent_worker.startup import end_with_parent, prepare
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from lambent_worker.reporter import Reporter
     from lambent_worker.run.spec import RunSpec
 
-_PARENT_DIED = 1
 RUN, REPORT, RESULT, ORDER = "run", "report", "result.json", "cell.json"
 SHARED = ("scene", "cache")
 SHARED_TASKS = ("ingest", "cache")
@@ -30,7 +28,7 @@ SHARED_TASKS = ("ingest", "cache")
 def main(arguments: list[str]) -> int:
     """Return the exit code of the command line."""
     prepare()
-    _end_with_parent()
+    end_with_parent(signal.SIGTERM)
     from lambent_worker.benchmark.plan import cell_from_json
     from lambent_worker.console_reporter import ConsoleReporter
     from lambent_worker.errors import WorkerError
@@ -141,15 +139,6 @@ def _link(source: str, target: str) -> None:
         os.link(source, target)
     except OSError:
         shutil.copyfile(source, target)
-
-
-def _end_with_parent() -> None:
-    """Have the kernel terminate this process when its parent is gone (Linux)."""
-    if sys.platform.startswith("linux"):
-        parent = os.getppid()
-        ctypes.CDLL(None).prctl(_PARENT_DIED, signal.SIGTERM)
-        if os.getppid() != parent:
-            sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
-    """One process to run."""
+class Part:
+    """One part of a benchmark: a process to run."""
 
     kind: str
     """"stage-one" or "cell"."""
@@ -50,65 +50,65 @@ class Task:
 class Running:
     """A running process."""
 
-    task: Task
+    part: Part
     process: subprocess.Popen[bytes]
     started: float
     slot: int
 
 
-Event = Callable[[str, Task, float], None]
-"""Called with "reused", "started", "finished" or "failed", the task, and the seconds it took."""
+Event = Callable[[str, Part, float], None]
+"""Called with "reused", "started", "finished" or "failed", the part, and the seconds it took."""
 
 
-def tasks_of(cells: Sequence[Cell], out: Path) -> list[Task]:
+def parts_of(cells: Sequence[Cell], out: Path) -> list[Part]:
     """Return all processes of a benchmark: each stage one once, then the cells."""
-    tasks: dict[Path, Task] = {}
+    parts: dict[Path, Part] = {}
     for cell in cells:
         folder = out / "stage_one" / cell.stage_one_name
-        tasks.setdefault(folder, Task("stage-one", folder, cell, folder / RUN))
+        parts.setdefault(folder, Part("stage-one", folder, cell, folder / RUN))
     for cell in cells:
         shared = out / "stage_one" / cell.stage_one_name / RUN
-        tasks[out / "cells" / cell.name] = Task("cell", out / "cells" / cell.name, cell, shared)
-    return list(tasks.values())
+        parts[out / "cells" / cell.name] = Part("cell", out / "cells" / cell.name, cell, shared)
+    return list(parts.values())
 
 
-def run_tasks(tasks: Sequence[Task], *, jobs: int, devices: Sequence[str], event: Event) -> list[Task]:
-    """Run the unfinished tasks, at most `jobs` processes at a time, and return those that failed.
+def run_parts(parts: Sequence[Part], *, jobs: int, devices: Sequence[str], event: Event) -> list[Part]:
+    """Run the unfinished parts, at most `jobs` processes at a time, and return those that failed.
 
     A cell waits for its stage one. Ctrl-C or SIGTERM asks the processes to write their checkpoints and raises
     `Stopped`.
     """
     waiting = []
-    for task in tasks:
-        if task.done:
-            event("reused", task, 0.0)
+    for part in parts:
+        if part.done:
+            event("reused", part, 0.0)
         else:
-            waiting.append(task)
+            waiting.append(part)
     # A stage one whose cells are all there is not trained again.
-    needed = {task.stage_one for task in waiting if task.kind == "cell"}
-    waiting = [task for task in waiting if task.kind == "cell" or task.stage_one in needed]
+    needed = {part.stage_one for part in waiting if part.kind == "cell"}
+    waiting = [part for part in waiting if part.kind == "cell" or part.stage_one in needed]
     running: list[Running] = []
-    failed: list[Task] = []
+    failed: list[Part] = []
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         while waiting or running:
             running = _collect(running, failed, event)
-            broken = {task.stage_one for task in failed if task.kind == "stage-one"}
-            for task in [task for task in waiting if task.stage_one in broken]:
-                waiting.remove(task)
-                failed.append(task)
-            busy = {item.task.stage_one for item in running if item.task.kind == "stage-one"}
-            for task in list(waiting):
+            broken = {part.stage_one for part in failed if part.kind == "stage-one"}
+            for part in [part for part in waiting if part.stage_one in broken]:
+                waiting.remove(part)
+                failed.append(part)
+            busy = {item.part.stage_one for item in running if item.part.kind == "stage-one"}
+            for part in list(waiting):
                 if len(running) >= jobs:
                     break
-                if task.kind == "cell" and (task.stage_one in busy or not _is_trained(task)):
+                if part.kind == "cell" and (part.stage_one in busy or not _is_trained(part)):
                     continue
                 slot = min(set(range(jobs)) - {item.slot for item in running})
-                running.append(_start(task, slot, devices[slot % len(devices)], jobs))
-                event("started", task, 0.0)
-                waiting.remove(task)
-                if task.kind == "stage-one":
-                    busy.add(task.stage_one)
+                running.append(_start(part, slot, devices[slot % len(devices)], jobs))
+                event("started", part, 0.0)
+                waiting.remove(part)
+                if part.kind == "stage-one":
+                    busy.add(part.stage_one)
             time.sleep(POLL_S)
     except KeyboardInterrupt:
         raise Stopped from None
@@ -118,18 +118,18 @@ def run_tasks(tasks: Sequence[Task], *, jobs: int, devices: Sequence[str], event
     return failed
 
 
-def _is_trained(task: Task) -> bool:
-    return done_inputs(task.stage_one, "cache") == task.cell.stage_one
+def _is_trained(part: Part) -> bool:
+    return done_inputs(part.stage_one, "cache") == part.cell.stage_one
 
 
-def _start(task: Task, slot: int, device: str, jobs: int) -> Running:
-    task.folder.mkdir(parents=True, exist_ok=True)
-    (task.folder / ORDER).write_text(task.cell.to_json(), encoding="utf-8")
+def _start(part: Part, slot: int, device: str, jobs: int) -> Running:
+    part.folder.mkdir(parents=True, exist_ok=True)
+    (part.folder / ORDER).write_text(part.cell.to_json(), encoding="utf-8")
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {"OMP_NUM_THREADS": threads, **os.environ}
-    with (task.folder / "log.txt").open("ab") as log:
+    with (part.folder / "log.txt").open("ab") as log:
         process = subprocess.Popen(
-            [*COMMAND, task.kind, str(task.folder), device, str(task.stage_one)],
+            [*COMMAND, part.kind, str(part.folder), device, str(part.stage_one)],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
@@ -137,10 +137,10 @@ def _start(task: Task, slot: int, device: str, jobs: int) -> Running:
             # Ctrl-C at the terminal reaches this process only; it then asks the others to end.
             start_new_session=True,
         )
-    return Running(task, process, time.monotonic(), slot)
+    return Running(part, process, time.monotonic(), slot)
 
 
-def _collect(running: list[Running], failed: list[Task], event: Event) -> list[Running]:
+def _collect(running: list[Running], failed: list[Part], event: Event) -> list[Running]:
     """Return the processes still running, after recording how the others ended."""
     still = []
     for item in running:
@@ -149,11 +149,11 @@ def _collect(running: list[Running], failed: list[Task], event: Event) -> list[R
             still.append(item)
             continue
         seconds = time.monotonic() - item.started
-        if code == 0 and item.task.done:
-            event("finished", item.task, seconds)
+        if code == 0 and item.part.done:
+            event("finished", item.part, seconds)
         else:
-            failed.append(item.task)
-            event("failed", item.task, seconds)
+            failed.append(item.part)
+            event("failed", item.part, seconds)
     return still
 
 

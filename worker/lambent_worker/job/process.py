@@ -1,7 +1,5 @@
 """The part of a run process that works: fetch, check, resume, train, publish."""
 
-import ctypes
-import os
 import re
 import resource
 import signal
@@ -20,8 +18,8 @@ from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_worker.job.order import Check, Order, Pipeline
 from lambent_worker.job.server_reporter import ServerReporter, media_type
 from lambent_worker.reporter import Reporter
+from lambent_worker.startup import end_with_parent
 
-_SIGKILL_ON_PARENT_DEATH = 1
 # How libraries without Python's MemoryError say it: torch, onnxruntime, C++.
 _OUT_OF_MEMORY = ("Cannot allocate memory", "Failed to allocate memory", "std::bad_alloc")
 
@@ -62,7 +60,7 @@ def check(scene_dir: Path) -> CaptureCheck:
 
 def work(pipeline: Pipeline = perform, check: Check = check) -> int:
     """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
-    _die_with_parent()
+    end_with_parent(signal.SIGKILL)
     identity = Identity.from_environment()
     _limit_memory(identity.memory_bytes)
     connection = Connection(identity)
@@ -249,16 +247,6 @@ def describe_failure(error: Exception) -> worker_pb2.FailRequest:
             "take a smaller preset"
         )
     return worker_pb2.FailRequest(cause=cause, code=code, message=message)
-
-
-def _die_with_parent() -> None:
-    """Let the kernel end this process when its supervisor is killed (Linux)."""
-    if not sys.platform.startswith("linux"):
-        return
-    parent = os.getppid()
-    ctypes.CDLL(None).prctl(_SIGKILL_ON_PARENT_DEATH, signal.SIGKILL)
-    if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _limit_memory(limit_bytes: int) -> None:

@@ -29,7 +29,7 @@ from lambent_worker.light_bake.judge import judged, transported
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.evaluation import trained_scene
-from lambent_worker.run.folder import begin_task, done_inputs, locked, task_folder
+from lambent_worker.run.folder import begin_task, locked, require_done, task_folder
 from lambent_worker.run.known_lights import resampled
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.spec import RunSpec
@@ -135,11 +135,8 @@ def mean_radiance(image: Float32[ndarray, "rows columns 3"]) -> float:
 
 
 def _bundle_of(source: Path, run: TaskContext | None) -> Bundle:
-    if run is not None and done_inputs(source, "export") is None:
-        raise UsageError(
-            "run.not_trained",
-            f'the run in "{source}" is not finished; run lambent train with --resume first',
-        )
+    if run is not None:
+        require_done(source, "export")
     try:
         bundle = load_bundle(task_folder(source, "export") if run is not None else source)
     except RelightError as error:

@@ -22,7 +22,7 @@ from lambent_worker.report.evaluate import evaluate
 from lambent_worker.report.request import EvaluationRequest, Subject, rule_of
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
-from lambent_worker.run.folder import done_inputs, task_seconds
+from lambent_worker.run.folder import require_done, task_seconds
 from lambent_worker.run.hashes import scene_hash
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.tasks.evaluate import evaluated_views, with_progress
@@ -48,12 +48,7 @@ def evaluate_run(
     `SceneRefusedError` for a scene that cannot be read.
     """
     context = open_task(run_dir, "evaluate", reporter, device)
-    trained = done_inputs(run_dir, "joint")
-    if trained is None:
-        raise UsageError(
-            "run.not_trained",
-            f'the run in "{run_dir}" is not finished; run lambent train with --resume first',
-        )
+    trained = require_done(run_dir, "joint")
     scene, manifest = _scene_to_compare(context, scene_dir, request)
     maps = read_maps(request.environments, tuple(manifest.relight_lights))
     # What is computed from pictures, or written beside them, does not make them others.

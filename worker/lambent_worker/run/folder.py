@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from fcntl import LOCK_EX, LOCK_NB, flock
 from pathlib import Path
 
-from lambent_worker.errors import WorkerError
+from lambent_worker.errors import UsageError, WorkerError
 from lambent_worker.files import read_record, write_json
 
 TASK_FOLDERS = {
@@ -37,6 +37,17 @@ def task_folder(run_dir: Path, task: str) -> Path:
 def done_inputs(run_dir: Path, task: str) -> str | None:
     """Return the hash of the inputs that a task has finished with, or None where it has not."""
     return _read_hash(run_dir / "steps" / f"{task}.done.json")
+
+
+def require_done(run_dir: Path, task: str) -> str:
+    """Return the hash of the inputs that a task has finished with; raises `UsageError` where it has not."""
+    inputs = done_inputs(run_dir, task)
+    if inputs is None:
+        raise UsageError(
+            "run.not_trained",
+            f'the run in "{run_dir}" is not finished; run lambent train with --resume first',
+        )
+    return inputs
 
 
 def begin_task(run_dir: Path, task: str, inputs: str) -> None:

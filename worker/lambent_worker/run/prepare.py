@@ -9,7 +9,7 @@ from flashcache.config import with_overrides
 from lambent_worker.errors import UsageError
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
-from lambent_worker.run.folder import done_inputs, locked, task_folder
+from lambent_worker.run.folder import done_inputs, locked, require_done, task_folder
 from lambent_worker.run.hashes import task_inputs
 from lambent_worker.run.pipeline import run_task
 from lambent_worker.run.spec import read_run, run_record
@@ -69,13 +69,7 @@ def export_run(run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", 
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
-    trained = done_inputs(run_dir, "joint")
-    if trained is None:
-        raise UsageError(
-            "run.not_trained",
-            f'the run in "{run_dir}" is not finished; run lambent train with --resume first',
-        )
-    inputs = task_inputs("export", trained, spec.config, spec.seed)
+    inputs = task_inputs("export", require_done(run_dir, "joint"), spec.config, spec.seed)
     with locked(run_dir):
         if done_inputs(run_dir, "export") != inputs:
             run_task(replace(context, spec=spec), inputs)

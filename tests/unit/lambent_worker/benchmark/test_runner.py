@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from lambent_worker.benchmark import runner
-from lambent_worker.benchmark.runner import run_tasks, tasks_of
+from lambent_worker.benchmark.runner import parts_of, run_parts
 from lambent_worker.errors import Stopped
 from support.benchmark_cells import cell
 
@@ -25,14 +25,14 @@ def fake_processes(monkeypatch):
 def run(tmp_path, cells, *, jobs=1, devices=("cpu",)):
     """Return the events of a benchmark and the ablations that failed."""
     events = []
-    tasks = tasks_of(cells, tmp_path)
-    failed = run_tasks(
-        tasks,
+    parts = parts_of(cells, tmp_path)
+    failed = run_parts(
+        parts,
         jobs=jobs,
         devices=devices,
-        event=lambda what, task, _: events.append((what, task.kind, task.cell.ablation, task.cell.seed)),
+        event=lambda what, part, _: events.append((what, part.kind, part.cell.ablation, part.cell.seed)),
     )
-    return events, [(task.kind, task.cell.ablation) for task in failed]
+    return events, [(part.kind, part.cell.ablation) for part in failed]
 
 
 def starts(tmp_path) -> list[list[str]]:
