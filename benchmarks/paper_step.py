@@ -39,7 +39,7 @@ from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.steps.training import matrix_precision
 
-QUICK = "--preset tiny --share 8"
+QUICK = "--preset tiny --share 16 --steps 2"
 
 STAGES = ("one", "two")
 GIB = 2**30

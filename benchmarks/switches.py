@@ -23,7 +23,7 @@ from lambent_worker.training_run import Run, prepare_run
 from benchmarks.reference_scores import figures_of
 from benchmarks.stage_sharing import adopt_nerf_cache
 
-QUICK = "{sample} --preset tiny --only base no-clusters --views 1"
+QUICK = "{sample} --preset tiny --only no-clusters --views 1"
 
 PRIOR = "stage_two.environment_prior"
 SWITCHES: dict[str, dict[str, str]] = {

@@ -12,7 +12,7 @@ import pytest
 from flashcache.config import ExportConfig
 from lambent_relight.cameras import turntable
 from lambent_relight.images import linear_from_srgb
-from lambent_relight.raster import interpolate, nearest_texel, rasterise, rasterise_uv, sample_plane
+from lambent_relight.raster import interpolate, nearest_texel, rasterise, rasterise_uv
 from lambent_worker.bundle.glb import write_glb
 from lambent_worker.bundle.surface import build_surface
 from lambent_worker.bundle.textures import bake_materials
@@ -20,6 +20,7 @@ from scipy import ndimage
 from support.atlas_box import SIZES, atlas_box, coloured
 from support.chromium import program
 from support.sphere_model import sphere_model
+from support.texture_lookup import sample_plane
 from support.three_page import WEB, ThreePage, three_page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

@@ -12,12 +12,12 @@ from flashcache.export import reference
 from lambent_relight.bundle import load_bundle
 from lambent_relight.graphs import OnnxCaches
 from lambent_relight.images import srgb_from_linear
-from lambent_relight.raster import sample_plane
 from lambent_worker.bundle.half_tables import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.steps import export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import RADIUS, sphere_model
+from support.texture_lookup import sample_plane
 
 
 @pytest.fixture(scope="module")
