@@ -55,16 +55,13 @@ def machine() -> dict[str, Any]:
 
 
 def quick_options(text: str) -> list[str]:
-    """Return the options of a quick variant, with the run it needs trained on the sample scene."""
-    run, report = BUILD / "sample_run", BUILD / "sample_report"
-    maps = SAMPLE / "envmaps"
-    command = [sys.executable, "-m", "lambent"]
-    if any(name in text for name in ("{run}", "{bundle}", "{report}")) and not (run / "bundle").is_dir():
-        subprocess.run([*command, "train", SAMPLE, "--preset", "tiny", "-o", run], check=True)
-    if "{report}" in text and not (report / "report.json").is_file():
-        evaluate = [*command, "evaluate", run, SAMPLE, "--environments", maps, "--views", "2", "-o", report]
-        subprocess.run([*evaluate, "--repeats", "1"], check=True)
-    return text.format(sample=SAMPLE, maps=maps, run=run, bundle=run / "bundle", report=report).split()
+    """Return the options of a quick variant; the run some need is that of the quick `quality`."""
+    made = BUILD / "quality" / SAMPLE.name
+    run, report = Path(f"{made}_0", "run"), Path(f"{made}_0", "report")
+    if any(name in text for name in ("{run}", "{bundle}", "{report}")) and not (report / "pred").is_dir():
+        subprocess.run([sys.executable, "-m", "benchmarks", "quality", "--quick"], cwd=ROOT, check=True)
+    maps, bundle = SAMPLE / "envmaps", run / "bundle"
+    return text.format(sample=SAMPLE, maps=maps, run=run, bundle=bundle, report=report).split()
 
 
 class Tee(io.StringIO):

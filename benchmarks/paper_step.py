@@ -39,7 +39,7 @@ from lambent_worker.run.tasks.training import matrix_precision
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
 
-QUICK = "--preset tiny --share 8"
+QUICK = "--preset tiny --share 16 --steps 2"
 
 STAGES = ("one", "two")
 GIB = 2**30

@@ -25,7 +25,7 @@ from scipy import ndimage
 
 from benchmarks.pose_errors import pose_errors
 
-QUICK = "--views 8 --side 192 --spp 4"
+QUICK = "--views 16 --side 256 --spp 4"
 
 DISTANCE = 4.0
 FIELD_DEG = 40.0

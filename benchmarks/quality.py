@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.reference_scores import figures_of, reference_scores
 
-QUICK = "{sample} --environments {maps} --preset tiny --views 2"
+QUICK = "{sample} --environments {maps} --preset tiny --views 1"
 
 
 def run_one(scene: Path, seed: int, arguments: argparse.Namespace) -> dict[str, float]:

@@ -20,6 +20,7 @@ from scipy import ndimage
 from support.atlas_box import SIZES, atlas_box, coloured
 from support.chromium import program
 from support.sphere_model import sphere_model
+from support.texture_lookup import sample_plane
 from support.three_page import WEB, ThreePage, three_page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

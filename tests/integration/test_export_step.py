@@ -18,6 +18,7 @@ from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.run.tasks import export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import RADIUS, sphere_model
+from support.texture_lookup import sample_plane
 
 
 @pytest.fixture(scope="module")

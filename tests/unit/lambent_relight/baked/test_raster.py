@@ -8,7 +8,6 @@ from lambent_relight.baked.raster import (
     nearest_texel,
     rasterise,
     rasterise_uv,
-    sample_plane,
 )
 from lambent_relight.cameras import Camera, look_at, turntable
 from scipy import ndimage
@@ -123,12 +122,6 @@ def test_gutters_take_the_value_of_a_nearest_texel():
     exact = ndimage.distance_transform_edt(~covered)
     assert (distance <= exact + 1.0).all()
     assert (distance[exact <= 3.0] == exact[exact <= 3.0]).all()
-
-
-def test_a_plane_is_sampled_as_texture_units_do():
-    plane = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
-    uv = np.array([[0.125, 0.125], [0.25, 0.125], [0.125, 0.25], [1.0, 1.0], [0.0, 0.0]])
-    assert np.allclose(sample_plane(plane, uv)[:, 0], [0.0, 0.5, 2.0, 15.0, 0.0])
 
 
 def test_block_means_average_each_block():
