@@ -118,7 +118,7 @@ function faultNotice(job: Job): HTMLElement[] {
     h(
       "div",
       { class: "notice bad", role },
-      h("b", {}, job.state === "failed" ? "The job has failed. " : "The last run ended badly. "),
+      h("b", {}, job.state === "failed" ? "The job has failed. " : "The last run failed. "),
       `${job.error.message} `,
       h("code", { class: "faint" }, job.error.code),
     ),

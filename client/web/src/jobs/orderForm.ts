@@ -90,7 +90,7 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
         h(
           "label",
           { for: "settings" },
-          "Settings over the preset, one a line, such as stage_two.num_rays=512",
+          "Settings that override the preset, one per line, such as stage_two.num_rays=512",
         ),
         settings,
       ),

@@ -74,8 +74,8 @@ function verdict(errors: number, notes: number): string {
   if (errors > 0) {
     return `This capture cannot be used yet: fix ${plural(errors, "problem")} and upload it again.`;
   }
-  if (notes > 0) return `This capture can be used. ${plural(notes, "note")} on what would make it better:`;
-  return "This capture can be used, and nothing in it hurts.";
+  if (notes > 0) return `This capture can be used. ${plural(notes, "note")} on how to improve it:`;
+  return "This capture can be used; no problems were found.";
 }
 
 function table(rows: readonly [string, string][]): HTMLElement {

@@ -9,14 +9,14 @@ export type Opened = { readonly viewer: string } | { readonly message: string };
 export async function openShare(fragment: string, api: Pick<Api, "openShare">): Promise<Opened> {
   const [token = "", view] = fragment.replace(/^#/, "").split(/&(.*)/s);
   if (token === "")
-    return { message: "This address is not complete. Open the whole link that you were sent." };
+    return { message: "This address is incomplete. Open the complete link that you received." };
   try {
     const opened = await api.openShare(token);
     return { viewer: viewerAddress(opened.bundle_id, view) };
   } catch (error) {
     if (error instanceof Refused && error.status < 500) {
       return {
-        message: "This link is wrong, has ended, or was taken back. Ask whoever sent it for another one.",
+        message: "This link is invalid, has expired, or was taken back. Ask the sender for a new one.",
       };
     }
     return { message: "The server does not answer. Load this page again in a moment." };

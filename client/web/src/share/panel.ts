@@ -70,13 +70,13 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       "Take back",
       async () => {
         await api.revokeShare(share.id);
-        news.textContent = "The link does not work any more.";
+        news.textContent = "The link no longer works.";
         await load();
       },
       context,
     );
-    revoke.setAttribute("aria-label", `Take back the link that ends ${ends}`);
-    return h("li", {}, address, h("span", { class: "faint" }, `ends ${ends}`), copy, revoke);
+    revoke.setAttribute("aria-label", `Take back the link that expires ${ends}`);
+    return h("li", {}, address, h("span", { class: "faint" }, `expires ${ends}`), copy, revoke);
   }
 
   const make = button(
@@ -84,7 +84,9 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     async () => {
       const share = await api.createShare(bundleId, Number(lifetime.value));
       await load();
-      news.textContent = (await copied(linkOf(share))) ? "The link is made and copied." : "The link is made.";
+      news.textContent = (await copied(linkOf(share)))
+        ? "The link was created and copied."
+        : "The link was created.";
     },
     context,
   );
@@ -92,7 +94,11 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     "div",
     { id: "share" },
     h("h3", {}, "Show it to others"),
-    h("p", { class: "faint" }, "Whoever has the link sees this one object and nothing else, until it ends."),
+    h(
+      "p",
+      { class: "faint" },
+      "Anyone with the link can see this one object and nothing else until it expires.",
+    ),
     h("div", { class: "actions" }, h("label", { for: "lifetime" }, "It works for"), lifetime, make),
     news,
     list,

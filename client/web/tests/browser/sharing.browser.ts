@@ -57,7 +57,7 @@ it("a bundle of the server is shared by a link with the view, which ends and is 
   await page.click("summary:text-is('Share')");
   await page.selectOption("#lifetime", { label: "30 days" });
   await page.click("text=Make a link");
-  await page.waitForSelector("text=The link is made and copied.");
+  await page.waitForSelector("text=The link was created and copied.");
   expect(asked).toEqual([{ expires_in_s: 30 * 24 * 3600 }]);
   const copied = await page.evaluate(() => navigator.clipboard.readText());
   const parameters = await page.evaluate(() => document.querySelector("lambent-viewer")!.parameters);
@@ -73,7 +73,7 @@ it("a bundle of the server is shared by a link with the view, which ends and is 
   expect(guest.url()).not.toContain("secret");
   await guest.close();
   await page.click("text=Take back");
-  await page.waitForSelector("text=does not work any more");
+  await page.waitForSelector("text=no longer works");
   expect(links).toEqual([]);
 });
 

@@ -189,7 +189,7 @@ describe("a job", () => {
     for (const path of ["/v1/jobs", "/v1/bundles", bundle, `/v1/scenes/${scene}`])
       expect(await status(path)).toBe(401);
     await page.click("text=Take back");
-    await page.waitForSelector("text=does not work any more");
+    await page.waitForSelector("text=no longer works");
     expect(await status(`${bundle}/manifest`)).toBe(401);
     await guest.goto("about:blank");
     await guest.goto(link);
