@@ -60,7 +60,7 @@ def write_picture_exr(
     """Write a picture as linear EXR with channels R, G, B (times alpha) and A.
 
     With `passes` also every pass of `lambent_relight.aovs`, or those that are named, as layers. `attributes`
-    are written into the header beside what it says of colour, normals and depth.
+    are added to the header, after those about colour, normals and depth.
     """
     header = {**ATTRIBUTES, **(attributes or {})}
     write_exr(Path(path), exr_channels(picture, passes=passes), half=half, attributes=header)

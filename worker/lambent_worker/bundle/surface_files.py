@@ -39,7 +39,7 @@ def write_asset(
     box: tuple[Corner, Corner],
     views: tuple[View, ...],
 ) -> tuple[AtlasSurface, TextureSet]:
-    """Write mesh/asset.glb, and .usdz if asked, into `folder` with its graphs; note them in `manifest`.
+    """Write mesh/asset.glb, and .usdz if requested, into `folder` with its graphs; note them in `manifest`.
 
     `views` are the photographs, whose pixels say how much detail there can be. Raises WorkerError where there
     is no surface or the file is not read back as it was meant.

@@ -100,7 +100,7 @@ def _hits(
     texel = coarse[receiver]
     way = directions[seen.set_of_texel[texel], column]
     cosine = np.einsum("ni,ni->n", way, normals[texel])
-    # A wholly blocked texel asked half of its directions; each then stands for two.
+    # A fully blocked texel traced half of its directions; each then counts twice.
     stored = np.bincount(receiver, minlength=len(coarse))
     blocked = (seen.opacity[coarse] > 12).sum(axis=1)
     width = (CELL * np.maximum(blocked / np.maximum(stored, 1), 1.0))[receiver]

@@ -75,7 +75,7 @@ def write_page(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Our figures beside published ones: a table with one column per figure."""
+    """Our metrics next to published ones: a table with one column per figure."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[float | None, ...]], ...]

@@ -6,7 +6,7 @@ pred/<view>/roughness.npy             perceptual, [H, W, 1];  metallic.npy [H, W
 pred_cache/<view>/rgba_<light>.npy    the same picture from the NeRF cache alone
 pred_direct/<view>/rgba_<light>.npy   relit without the indirect bounce
 pred_unscaled/<view>/rgba_<light>.npy relit without the albedo ratio, a few views
-<name>_stderr.npy                     beside every Monte Carlo picture: its standard error, linear radiance
+<name>_stderr.npy                     for every Monte Carlo picture: its standard error, linear radiance
                                       [H, W, 3]
 <name>.exr                            on request: linear radiance times alpha, alpha, and the standard error
 pred/<view>/uncertainty.npy           how uncertain the materials are [H, W, 5]: docs/reference/protocol.md

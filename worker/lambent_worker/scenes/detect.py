@@ -101,7 +101,7 @@ def describe_scene(
 
     `masks` is a folder of masks that override those of the layout. Where there are masks they say where the
     object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
-    show; other pixels are looked at by `lambent_worker.capture_qa.check`.
+    show; other pixels are checked by `lambent_worker.capture_qa.check`.
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks)

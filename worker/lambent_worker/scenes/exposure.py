@@ -119,7 +119,7 @@ def _exposures_of(
     for image in frame.images:
         try:
             found[image.light] = exif_exposure(folder / image.path)
-        except PictureError:  # reported where pictures are looked at
+        except PictureError:  # reported where pictures are checked
             found[image.light] = None
     return found
 

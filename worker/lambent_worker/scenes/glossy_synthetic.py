@@ -188,7 +188,7 @@ def _read_frame(folder: Path, base: str, name: str, problems: Problems) -> scene
 
 
 def _check_middle(figures: LensFigures, picture: str, subject: str, problems: Problems) -> bool:
-    """Return whether the optical axis is near the middle: only so can a wrong size be told from a camera."""
+    """Return whether the optical axis is near the centre: only then can a wrong size be detected."""
     off = (
         abs(figures.centre_x - 0.5 * figures.width) / figures.width,
         abs(figures.centre_y - 0.5 * figures.height) / figures.height,

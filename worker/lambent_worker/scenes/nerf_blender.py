@@ -1,8 +1,8 @@
-"""Reads the NeRF-Blender layout: `transforms_{train,test,val}.json` beside the pictures they name.
+"""Reads the NeRF-Blender layout: `transforms_{train,test,val}.json` next to the pictures they name.
 
 Each frame has `file_path` (with or without a suffix) and `transform_matrix`, camera-to-world with camera axes
 x right, y up, looking along -z. The lens is `camera_angle_x`, or `fl_x` (`fl_y`, `cx`, `cy`), for the file or
-per frame, see `transforms_json`. Ground truth, where it exists, lies beside a picture as `<stem>_albedo.png`
+per frame, see `transforms_json`. Ground truth, where it exists, is next to a picture as `<stem>_albedo.png`
 and so on.
 """
 

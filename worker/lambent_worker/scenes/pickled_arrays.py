@@ -1,4 +1,4 @@
-"""Reads numpy arrays, lists and texts out of pickle files without running anything the file asks for.
+"""Reads numpy arrays, lists and strings from pickle files without executing anything in the file.
 
 A pickle is a program for a small stack machine, and the usual reader calls whatever function it names. This
 one steps through the instructions itself, knows only those that make up plain data, and where the program

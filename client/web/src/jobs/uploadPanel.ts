@@ -121,7 +121,7 @@ function uploadRow(one: Running): { element: HTMLElement; update: (one: Running)
   };
 }
 
-/** Send a candidate, have the scene looked at, and go to its page. */
+/** Upload a candidate, have the scene checked, and go to its page. */
 export async function send(context: Context, candidate: Candidate, sceneId: string | null): Promise<void> {
   const { api, store, uploads } = context;
   let result: Awaited<Running["done"]>;

@@ -105,7 +105,7 @@ export class LambentViewerElement extends HTMLElement {
     void this.#follow(this.update(fromParameters(new URLSearchParams(text), this.state)));
   }
 
-  /** Show what fails where nobody waits for the result. */
+  /** Show errors of calls whose result is not awaited. */
   async #follow(work: Promise<void>): Promise<void> {
     try {
       await work;

@@ -365,7 +365,7 @@ export class Viewer {
           const dominant = dominantFor(shadowBits !== null);
           const prepared = await (this.#early?.take(name, direct.bands, dominant) ??
             this.#lights.prepare(this.#origin(name), direct.bands, dominant));
-          // Someone may have asked for another light, or opened another bundle, in the meantime.
+          // Another light may have been chosen, or another bundle opened, in the meantime.
           if (this.#shown.get(slot) !== name || stage.bundle !== bundle) return;
           stage.setLight(slot, prepared);
           if (prepared.notes.length > 0) this.#tell("message", prepared.notes.join(" "), false);
