@@ -82,7 +82,7 @@ def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> Surface
 
 
 def pixel_size(views: tuple[View, ...], box: tuple[Corner, Corner]) -> float:
-    """Return what a pixel covers at the middle of `box`, scene units: the median over views, 0 without."""
+    """Return the footprint of a pixel at the centre of `box`, scene units: median over views, else 0."""
     middle = 0.5 * (np.array(box[0]) + np.array(box[1]))
     sizes = [
         float(np.linalg.norm(np.asarray(view.camera.camera_to_world)[:3, 3] - middle)) / view.camera.focal_x

@@ -119,7 +119,7 @@ def _specular(
     direct: Float[ndarray, "texels coefficients"],
     num_coarse: int,
 ) -> tuple[Float[ndarray, "coarse coefficients 3"], list[scipy.sparse.csr_array]]:
-    """Return what arrives by mirroring the environment, and, per channel, the surroundings' irradiance."""
+    """Return the mirrored light of the environment and, per channel, the surroundings' irradiance."""
     normal, roughness = normals[hits.texel], reflectors.perceptual_roughness[hits.texel]
     out = -hits.direction
     cosine = np.einsum("ni,ni->n", out, normal)

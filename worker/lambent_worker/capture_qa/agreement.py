@@ -52,7 +52,7 @@ class Agreement:
 def compare(
     hull: Hull, silhouettes: Sequence[Silhouette], *, tolerated: int, unexplained_limit: float
 ) -> list[Agreement]:
-    """Return how each silhouette agrees with the hull of the others.
+    """Return the agreement of each silhouette with the hull of the others.
 
     What is not explained is measured against a generous hull (`tolerated` views may contradict a cell), the
     rest against a strict one (none may, and views that are themselves in doubt do not vote).

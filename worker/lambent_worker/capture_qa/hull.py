@@ -40,7 +40,7 @@ class Hull:
     """Views that must show a cell inside before it can belong to the hull."""
 
     def against(self, trusted: Bool[ndarray, " views"] | None = None) -> Int[ndarray, " points"]:
-        """Return how many views contradict each cell; only those in `trusted` where it is given."""
+        """Return the number of views that contradict each cell; only those in `trusted` where it is given."""
         used = range(len(self.outside)) if trusted is None else np.flatnonzero(trusted)
         count = np.zeros(self.outside.shape[1], dtype=np.int32)
         for view in used:
@@ -62,7 +62,7 @@ class Hull:
 
 
 def tolerated_views(num_views: int, share: float) -> int:
-    """Return how many of the views may contradict a cell of a hull that single wrong views must not spoil."""
+    """Return the number of views that may contradict a cell of a hull robust to single wrong views."""
     return max(1, round(num_views * share))
 
 

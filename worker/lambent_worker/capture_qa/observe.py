@@ -69,7 +69,7 @@ def observe(
     limits: CaptureLimits,
     announce: Callable[[str], None] = lambda path: None,
 ) -> list[Observation]:
-    """Return what the frames with photographs in training lights show, in the order of `manifest`.
+    """Return the measurements of frames with photographs in training lights, in the order of `manifest`.
 
     `announce` is called with the path of each file before it is decoded. Raises `PictureError` for one that
     cannot be read.

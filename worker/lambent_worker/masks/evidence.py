@@ -41,7 +41,7 @@ def colour_cells(lab: Float[ndarray, "height width 3"]) -> Int[ndarray, "height 
 
 
 def border_distance(lab: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width"]:
-    """Return how many edges, weighted by their strength, lie between each pixel and the picture's border.
+    """Return the strength-weighted number of edges between each pixel and the picture's border.
 
     That is log(1 + cost) of the cheapest path that leaves the picture, a path's cost being the gradient along
     it. What a plain background surrounds is far away even where it has the background's colour.

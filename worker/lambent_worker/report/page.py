@@ -82,7 +82,7 @@ class Comparison:
 
 
 def comparison(report: evaluation_pb2.EvaluationReport) -> Comparison | None:
-    """Return what was published for this scene with our figures as the last line, or None for nothing."""
+    """Return the published results for this scene with ours as the last line, or None if there are none."""
     if not report.published:
         return None
     known = {name for result in report.published for name in result.values}

@@ -103,7 +103,7 @@ def predict_uncertainty(subject: Subject) -> None:
 
 
 def num_pictures(subject: Subject) -> int:
-    """Return how often the two functions above will call `advance`."""
+    """Return the number of calls of `advance` by the two functions above."""
     few = len(evenly_spaced(subject.views, UNSCALED_VIEWS))
     views, maps = len(subject.views), len(subject.maps)
     return views * (1 + len(subject.scene.lights) + 2 * maps) + few * maps

@@ -77,7 +77,7 @@ def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:
 
 
 def rule_of(settings: StageTwoConfig, shadows: Shadows = "fast") -> RenderRule:
-    """Return how a run trained with `settings` is rendered: with the estimator it learned with."""
+    """Return the estimator for rendering a run trained with `settings`: the one it was trained with."""
     return RenderRule(
         control_variate=settings.estimator.control_variate,
         sampler=settings.estimator.sampler,

@@ -42,7 +42,7 @@ def detect_layout(folder: Path) -> str | None:
 def collect_scene(
     folder: Path, layout: str | None, problems: Problems, masks: Path | None = None
 ) -> scene_pb2.SceneManifest | None:
-    """Return what could be understood of `folder`; everything that is wrong goes to `problems`.
+    """Return the manifest of `folder` as far as it is readable; all problems are added to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
     `masks` is a folder of masks that override those of the layout.

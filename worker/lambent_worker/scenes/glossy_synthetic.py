@@ -27,7 +27,7 @@ from lambent_worker.scenes.reading import pose_from_world_to_camera
 NAME = "glossy_synthetic"
 LOOKS_LIKE = "0-camera.pkl"
 LIGHT = "capture"
-"""This layout knows one light and has no name for it."""
+"""Name of the only light, for which the layout has none."""
 
 _CAMERA = re.compile(r"(\d+)-camera\.pkl$")
 _SPLIT = re.compile(r"synthetic_split_\d+\.pkl$")
@@ -51,7 +51,7 @@ def pickles_of(folder: Path) -> set[Path]:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT])
     places = _object_folders(folder)
     if len(places) != 1:

@@ -52,7 +52,7 @@ class _Array:
 
 
 def read_pickled_data(path: Path) -> Any:
-    """Return what is in a pickle: nested lists and tuples of numbers, texts, bytes and numpy arrays.
+    """Return the contents of a pickle: nested lists and tuples of numbers, texts, bytes and numpy arrays.
 
     Raises `PickleRefusedError` for a file above 1 MiB, one that is damaged, and one that holds anything else;
     nothing in the file is ever executed. Raises `OSError` where the file cannot be opened.
@@ -183,7 +183,7 @@ def _known_function(module: Any, name: Any) -> _Function:
 
 
 def _called(function: Any, arguments: Any) -> Any:
-    """Return what numpy's function would have stood for, from its arguments alone."""
+    """Return the result that numpy's function would have given, from its arguments alone."""
     name = function.name if isinstance(function, _Function) else ""
     if not isinstance(arguments, tuple):
         raise PickleRefusedError("calls a function without a list of arguments")

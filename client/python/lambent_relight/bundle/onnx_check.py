@@ -84,7 +84,7 @@ def _read_entry(entry: Field, tensor: ExternalTensor) -> None:
 
 
 def summarise_onnx(data: bytes, *, path: str) -> OnnxSummary:
-    """Return what the ONNX model in `data` refers to; raises BundleError when it is not one."""
+    """Return operators and external data of an ONNX model; raises BundleError if `data` is not one."""
     summary = OnnxSummary()
     try:
         _walk(memoryview(data), "model", summary, 0)

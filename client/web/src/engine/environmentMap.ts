@@ -106,7 +106,7 @@ export function resized(map: EnvironmentMap, height: number, width: number): Env
   return { height, width, radianceRgb };
 }
 
-/** Write what `lookup` gives at the centres of other pixels. */
+/** Write the values of `lookup` at the centres of other pixels. */
 function interpolate(map: EnvironmentMap, height: number, width: number, radianceRgb: Float64Array): void {
   const places = Float64Array.from(
     { length: width },

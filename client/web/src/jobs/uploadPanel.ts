@@ -16,7 +16,7 @@ const texts: Record<UploadStep["what"], string> = {
   commit: "finishing",
 };
 
-/** Return what an upload is doing, in a line. */
+/** Return the status of an upload in a line. */
 export function describe(step: UploadStep): string {
   const parts = [texts[step.what]];
   if (step.totalBytes > 0) parts.push(`${formatSize(step.doneBytes)} of ${formatSize(step.totalBytes)}`);

@@ -45,7 +45,7 @@ export class EarlyLight {
     }
   }
 
-  /** Return what was begun for a light, once, or null. */
+  /** Return the light whose preparation was started, once, or null. */
   take(name: string, bands: number, dominant: number): Promise<PreparedLight> | null {
     const fits = this.#name === name && this.#bands === bands && this.#dominant === dominant;
     const light = fits ? this.#light : null;
