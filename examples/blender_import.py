@@ -109,7 +109,7 @@ def main() -> None:
 
 
 def _light(bpy: object, scene: object, options: argparse.Namespace) -> None:
-    """Light the scene with the environment, turned as asked."""
+    """Light the scene with the environment, rotated as requested."""
     world = bpy.data.worlds.new("environment")
     scene.world = world
     world.use_nodes = True

@@ -81,7 +81,7 @@ def focal_length(resolution: int) -> float:
 
 
 def llvm_library() -> str | None:
-    """Return the LLVM library that Dr.Jit is to use: the one it was told, or Debian's newest from 16 on.
+    """Return the LLVM library for Dr.Jit: the configured one, or Debian's newest from version 16 on.
 
     With version 15, which some graphics drivers install, differentiating a picture crashed the process.
     """

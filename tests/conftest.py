@@ -1,4 +1,4 @@
-"""What every test relies on: thread settings, import paths, checked annotations, devices, honest skips."""
+"""Common setup of all tests: thread settings, import paths, checked annotations, devices, explicit skips."""
 
 import contextlib
 import importlib.util

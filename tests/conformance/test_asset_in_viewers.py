@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flashcache.config import ExportConfig
-from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise, rasterise_uv, sample_plane
+from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise, rasterise_uv
 from lambent_relight.cameras import turntable
 from lambent_relight.images import linear_from_srgb
 from lambent_worker.bundle.glb import write_glb

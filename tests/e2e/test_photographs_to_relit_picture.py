@@ -44,7 +44,7 @@ class Trained:
     """Steps that the second run reported."""
     log: str
     bundle: Path
-    """Where the bundle was fetched to."""
+    """The folder of the downloaded bundle."""
 
 
 @pytest.fixture(scope="module")

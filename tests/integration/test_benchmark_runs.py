@@ -31,7 +31,7 @@ SMALL = {
 
 @dataclass
 class Made:
-    """What two starts of the same benchmark left."""
+    """The results of starting the same benchmark twice."""
 
     out: Path
     first_results: dict[str, int]

@@ -9,7 +9,6 @@ import pytest
 import torch
 import trimesh
 from flashcache.export import reference
-from lambent_relight.baked.raster import sample_plane
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.images import srgb_from_linear

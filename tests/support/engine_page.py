@@ -49,7 +49,7 @@ class EnginePage:
 
     @property
     def console(self) -> list[str]:
-        """What the browser complained about."""
+        """Errors reported by the browser."""
         return self._page.console
 
     def open(self, name: str, path: str, provider: str, outputs: Sequence[str] | None = None) -> bool:

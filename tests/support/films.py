@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DecodedFilm:
-    """What is in a film."""
+    """Contents of a film."""
 
     size: tuple[int, int]
     """Width and height in pixels."""

@@ -1,4 +1,4 @@
-"""What tests of refused bundles share: a bundle's manifest, an archive of it, and why it is refused."""
+"""Helpers for tests of refused bundles: a bundle's manifest, an archive of it, and why it is refused."""
 
 import zipfile
 from pathlib import Path

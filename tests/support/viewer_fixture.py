@@ -1,4 +1,4 @@
-"""What the web viewer's browser tests need of Python: a bundle, maps, and the pictures that it must show.
+"""Python fixtures of the web viewer's browser tests: a bundle, maps, and the expected pictures.
 
 Run as a program with a folder; writes there
     bundle/, bundle.relight.zip, spots.exr, sunset.hdr, expected.json

@@ -1,6 +1,6 @@
 """The built web pages and their HTTP headers, for the server and for `lambent view`.
 
-The build of client/web writes them to the folder `dist` beside this module; wheels contain it.
+The build of client/web writes them to the folder `dist` next to this module; wheels contain it.
 """
 
 import hashlib

@@ -15,7 +15,7 @@ class RelitPicture:
     rgb: Image
     """[height, width, 3], not multiplied by `opacity`; zero where `opacity` is zero."""
     opacity: Image
-    """Coverage in [0, 1], [height, width, 1]; one everywhere when a background was asked for."""
+    """Coverage in [0, 1], [height, width, 1]; one everywhere if a background was requested."""
     standard_error: Image
     """Monte Carlo standard error of `rgb`, per channel, from independent passes, [height, width, 3]."""
     direct: Image
@@ -36,7 +36,7 @@ class RelitPicture:
     distance: Image
     """Distance from the camera, scene units, [height, width, 1]; zero on the background."""
     coverage: Image
-    """Coverage by the object in [0, 1], [height, width, 1], whatever the background."""
+    """Coverage by the object in [0, 1], [height, width, 1], independent of the background."""
     num_samples: int
     """Light directions behind every fully covered pixel; 0 where the light is not sampled."""
     bounces: str = ""

@@ -12,9 +12,9 @@ from lambent_relight.environment.probes import Ball, chrome_ball, lit_ball
 from lambent_relight.picture import RelitPicture
 
 _SHARE = 7
-"""A ball is this part of a picture's shorter side."""
+"""Width of a ball as a share of the picture's shorter side."""
 _GAP_SHARE = 8
-"""The space beside a ball is this part of the ball."""
+"""Space next to a ball as a share of its width."""
 
 
 class LightProbes:

@@ -151,7 +151,7 @@ describe("a share link", () => {
       viewer: viewerAddress("bundle_1", "rotate=40,0,0"),
     });
     expect(tokens).toEqual(["share_1.ab", "share_1.ab"]);
-    expect(await openShare("", api)).toMatchObject({ message: expect.stringContaining("not complete") });
+    expect(await openShare("", api)).toMatchObject({ message: expect.stringContaining("incomplete") });
     const fail = (error: Error) => ({ openShare: () => Promise.reject(error) });
     const ended = await openShare("#x", fail(new Refused(401, "share_invalid", "no", false)));
     expect(ended).toMatchObject({ message: expect.stringContaining("taken back") });

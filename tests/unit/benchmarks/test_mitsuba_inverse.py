@@ -1,4 +1,4 @@
-"""What Mitsuba gets: the bundle's mesh turned back, and cameras as it wants them."""
+"""Mitsuba receives the bundle's mesh in world axes, and cameras in its own convention."""
 
 from dataclasses import replace
 from pathlib import Path

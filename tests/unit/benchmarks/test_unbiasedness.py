@@ -1,4 +1,4 @@
-"""What z-scores of pixels say about an estimator."""
+"""Conclusions about an estimator from the z-scores of pixels."""
 
 import numpy as np
 import pytest

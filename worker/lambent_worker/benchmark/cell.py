@@ -1,7 +1,7 @@
 """`python -m lambent_worker.benchmark.cell KIND FOLDER DEVICE STAGE_ONE` computes a part of a benchmark.
 
 KIND is "stage-one" or "cell"; FOLDER holds cell.json, DEVICE is torch's, STAGE_ONE the run folder of the
-stage one to start from. Everything it writes lies in FOLDER, and it goes on from what is there.
+stage one to start from. All output is written to FOLDER, and an interrupted cell resumes from it.
 """
 
 import os

@@ -127,7 +127,7 @@ def _object_table(rows: Sequence[Row], averages: Sequence[Row]) -> str:
 
 
 def _ablation_table(content: Content) -> str:
-    """Return ablations with their difference to the full method, and the paper's figures beside."""
+    """Return ablations with their difference from the full method, next to the paper's figures."""
     paper = {row.method: row for row in published_rows("ablations")}
     rows = content.averages or content.rows
     settings = dict.fromkeys((row.layout, row.scene, row.group, row.setting) for row in rows)
@@ -158,7 +158,7 @@ def _ablation_table(content: Content) -> str:
 
 
 def _published() -> str:
-    """Return the tables of the supplement, whatever the suite holds."""
+    """Return the tables of the supplement, independent of the suite."""
     first = [
         [row.method, row.source, *_published_cells(row, ABLATION_COLUMNS[:3])]
         for row in published_rows("ablations")

@@ -39,7 +39,7 @@ def write_asset(
     box: tuple[Corner, Corner],
     views: tuple[View, ...],
 ) -> tuple[AtlasSurface, TextureSet]:
-    """Write mesh/asset.glb, and .usdz if asked, into `folder` with its graphs; note them in `manifest`.
+    """Write mesh/asset.glb, and .usdz if requested, into `folder` with its graphs; note them in `manifest`.
 
     `views` are the photographs, whose pixels say how much detail there can be. Raises WorkerError where there
     is no surface or the file is not read back as it was meant.
@@ -82,7 +82,7 @@ def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> Surface
 
 
 def pixel_size(views: tuple[View, ...], box: tuple[Corner, Corner]) -> float:
-    """Return what a pixel covers at the middle of `box`, scene units: the median over views, 0 without."""
+    """Return the footprint of a pixel at the centre of `box`, scene units: median over views, else 0."""
     middle = 0.5 * (np.array(box[0]) + np.array(box[1]))
     sizes = [
         float(np.linalg.norm(np.asarray(view.camera.camera_to_world)[:3, 3] - middle)) / view.camera.focal_x

@@ -31,7 +31,7 @@ def bake_occlusion(
     """Return for each covered texel the share of cosine-weighted directions in which it sees the open, 0..1.
 
     It is measured at `num_points` texels spread over the atlas and taken between them from neighbours in
-    space that face the same way. `secondary` answers rays as the trained model's secondary rays were asked:
+    space that face the same way. `secondary` evaluates rays like the trained model's secondary rays:
     from `origin_offset` (scene units) above the surface.
     """
     count = len(surface.texel_index)

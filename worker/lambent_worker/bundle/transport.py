@@ -131,7 +131,7 @@ def bake_transport(
 
 
 def _sets(surface: BakedSurface) -> Int[ndarray, " texels"]:
-    """Return the set of every texel: a 4 x 4 pattern over the atlas, far sets beside each other."""
+    """Return the set of every texel: a 4 x 4 pattern over the atlas, with distant sets next to each other."""
     row, column = np.divmod(surface.texel_index.astype(np.int64), surface.size)
     pattern = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
     return pattern[row % 4, column % 4]

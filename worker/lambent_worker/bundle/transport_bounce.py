@@ -100,7 +100,7 @@ def _hits(
     texel = coarse[receiver]
     way = directions[seen.set_of_texel[texel], column]
     cosine = np.einsum("ni,ni->n", way, normals[texel])
-    # A wholly blocked texel asked half of its directions; each then stands for two.
+    # A fully blocked texel traced half of its directions; each then counts twice.
     stored = np.bincount(receiver, minlength=len(coarse))
     blocked = (seen.opacity[coarse] > 12).sum(axis=1)
     width = (CELL * np.maximum(blocked / np.maximum(stored, 1), 1.0))[receiver]
@@ -119,7 +119,7 @@ def _specular(
     direct: Float[ndarray, "texels coefficients"],
     num_coarse: int,
 ) -> tuple[Float[ndarray, "coarse coefficients 3"], list[scipy.sparse.csr_array]]:
-    """Return what arrives by mirroring the environment, and, per channel, the surroundings' irradiance."""
+    """Return the mirrored light of the environment and, per channel, the surroundings' irradiance."""
     normal, roughness = normals[hits.texel], reflectors.perceptual_roughness[hits.texel]
     out = -hits.direction
     cosine = np.einsum("ni,ni->n", out, normal)

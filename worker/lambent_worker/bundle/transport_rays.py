@@ -53,12 +53,12 @@ class Occlusion:
     opacity: UInt8[ndarray, "texels directions"]
     """Times 255."""
     distance: Float[ndarray, "coarse directions"]
-    """For the texels that stand for a coarse one, scene units; NOT_STORED where nothing was asked or hit."""
+    """For the texels that stand for a coarse one, scene units; NOT_STORED where nothing was traced or hit."""
     set_of_texel: Int[ndarray, " texels"]
     num_rays: int
 
     def in_set(self, index: int) -> Int[ndarray, " some"]:
-        """Return the texels that asked the directions of one set."""
+        """Return the texels that use the directions of one set."""
         return np.flatnonzero(self.set_of_texel == index)
 
 

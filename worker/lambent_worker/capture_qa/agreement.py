@@ -34,8 +34,8 @@ class Agreement:
     unexplained_share: float
     """Pixels of the silhouette that no cell of the others' hull explains, of its area."""
     missed_share: float = 0.0
-    """Cells of the others' hull that are seen beside the silhouette, of those seen at all. Large without any
-    fault where views are few."""
+    """Cells of the others' hull that are visible outside the silhouette, of all visible ones. Large without
+    any fault where views are few."""
     carved_share: float = 0.0
     """Share of another view's silhouette that only this silhouette cuts away; the
     largest over all others. 0 where `missed_share` is too small to matter."""
@@ -52,10 +52,10 @@ class Agreement:
 def compare(
     hull: Hull, silhouettes: Sequence[Silhouette], *, tolerated: int, unexplained_limit: float
 ) -> list[Agreement]:
-    """Return how each silhouette agrees with the hull of the others.
+    """Return the agreement of each silhouette with the hull of the others.
 
     What is not explained is measured against a generous hull (`tolerated` views may contradict a cell), the
-    rest against a strict one (nobody may, and views that are themselves in doubt have no say).
+    rest against a strict one (none may, and views that are themselves in doubt do not vote).
     """
     views = range(len(silhouettes))
     against = hull.against()

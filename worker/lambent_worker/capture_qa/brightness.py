@@ -82,7 +82,7 @@ class Exposures:
 
 
 def relative_exposure(seen: Float[ndarray, "views points"]) -> Exposures:
-    """Return how the brightness of views differs where they show the same points.
+    """Return the differences in brightness between views at common points.
 
     `seen` is log2 of luminance, NaN where a view does not show a point. Each view gets one offset and each
     point one value; their sum is fitted with weights that forget outliers (iterated least squares).

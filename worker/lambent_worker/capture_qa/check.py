@@ -30,12 +30,12 @@ _BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
 
 def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneReport:
-    """Return what is wrong with the capture in `folder`: every problem, at most 100."""
+    """Return the report on the capture in `folder`: all problems, at most 100."""
     return check_capture(folder, layout).report
 
 
 def check_capture(folder: Path, layout: str | None = None, masks: Path | None = None) -> CaptureCheck:
-    """Return what is wrong with the capture in `folder`, and what was measured on it where it can be used.
+    """Return the report on the capture in `folder`, with measurements if it can be used.
 
     `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures; an
     unknown layout is a `UsageError`. Nothing a capture holds makes this function raise.
@@ -67,7 +67,7 @@ def check_capture(folder: Path, layout: str | None = None, masks: Path | None = 
 def _run_child(
     folder: Path, layout: str | None, masks: Path | None, killers: list[str]
 ) -> tuple[CaptureCheck | None, str | None]:
-    """Return what the child found, or None and the file it was reading when it died."""
+    """Return the child's result, or None and the file it was reading when it crashed."""
     order = {
         "folder": str(folder.resolve()),
         "layout": layout,

@@ -39,7 +39,7 @@ def examine_capture(
     limits: CaptureLimits,
     announce: Callable[[str], None] = lambda path: None,
 ) -> Examination:
-    """Return what can be measured on a capture that can be used.
+    """Return the measurements of a usable capture.
 
     `announce` is called with the path of each file before it is decoded, and with "" once none is. Raises
     `PictureError` for a picture that cannot be read; `inspect_scene` has found those.

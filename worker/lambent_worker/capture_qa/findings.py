@@ -163,7 +163,7 @@ def _of_pictures(
 
 
 def _blur(picture: capture_pb2.PictureFigures) -> float:
-    """Return how much sharpness is lacking, 0 where it could not be measured."""
+    """Return the lack of sharpness, 0 if it could not be measured."""
     return 1.0 - picture.sharpness if picture.sharpness > 0.0 else 0.0
 
 

@@ -40,7 +40,7 @@ class Hull:
     """Views that must show a cell inside before it can belong to the hull."""
 
     def against(self, trusted: Bool[ndarray, " views"] | None = None) -> Int[ndarray, " points"]:
-        """Return how many views contradict each cell; only those in `trusted` where it is given."""
+        """Return the number of views that contradict each cell; only those in `trusted` where it is given."""
         used = range(len(self.outside)) if trusted is None else np.flatnonzero(trusted)
         count = np.zeros(self.outside.shape[1], dtype=np.int32)
         for view in used:
@@ -62,7 +62,7 @@ class Hull:
 
 
 def tolerated_views(num_views: int, share: float) -> int:
-    """Return how many of the views may contradict a cell of a hull that single wrong views must not spoil."""
+    """Return the number of views that may contradict a cell of a hull robust to single wrong views."""
     return max(1, round(num_views * share))
 
 
@@ -77,7 +77,7 @@ def carve(
     """Return the hull of `silhouettes` on a grid of `cells` along the longest side of what they leave over.
 
     It is looked for in the box from `low` to `high` (scene units); None where nothing of that box is left.
-    A cell beside a picture is contradicted by it only where the whole silhouette is in the picture; a third
+    A picture contradicts a cell outside it only if the whole silhouette is in the picture; a third
     of the views must show a cell inside.
     """
     coarse = _votes(silhouettes, low, high, COARSE_CELLS, widened=True)
@@ -119,7 +119,7 @@ def _votes(
         covered = mask.ravel()[index]
         outside[view] = shown & ~covered
         if not touches_border(silhouette.mask):
-            # The whole object is in the picture, so what lies beside the picture is not the object.
+            # The whole object is in the picture, so anything outside the picture is not the object.
             outside[view] |= ~shown & (depth > 0.0)
         inside += shown & covered
     return Hull(
@@ -133,7 +133,7 @@ def _votes(
 
 
 def touches_border(mask: Bool[ndarray, "height width"]) -> bool:
-    """Return whether the mask reaches an edge of the picture, so that the object may go on beyond it."""
+    """Return whether the mask reaches an edge of the picture, so that the object may continue beyond it."""
     return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CaptureLimits:
-    """Limits of the findings, and the sizes at which pictures are looked at.
+    """Limits of the findings, and the sizes at which pictures are examined.
 
     "Clean" are the sample scene and the two benchmark scenes; docs/howto/capture.md has their figures.
     """
@@ -21,7 +21,7 @@ class CaptureLimits:
     """Cells of the visual hull along the longest side of the object. With `silhouette_side` one cell is about
     one and a half pixels of an object that fills the picture."""
     box_margin: float = 1.5
-    """The hull is looked for in the box of the scene times this, so that an object beside it is found."""
+    """The hull is searched in the scene's box scaled by this, so that an off-centre object is found."""
     min_views_for_hull: int = 6
     """Fewer silhouettes leave so large a hull that none of them contradicts it."""
     tolerated_share: float = 0.08
@@ -48,7 +48,7 @@ class CaptureLimits:
     max_holed_share: float = 0.1
     """Share of the views beyond which holes in masks are taken for holes in the object."""
     misplaced_share: float = 0.5
-    """A silhouette of which the others explain less than this stands elsewhere, whatever its shape."""
+    """A silhouette of which the others explain less than this is misplaced, whatever its shape."""
     mismatch_ev: float = 0.35
     """Median difference of the brightness of points from what other pictures show, in EV; twice the median
     over all views is needed as well. Points that are not where the pose says differ by as much as the texture

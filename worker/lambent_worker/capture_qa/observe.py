@@ -69,7 +69,7 @@ def observe(
     limits: CaptureLimits,
     announce: Callable[[str], None] = lambda path: None,
 ) -> list[Observation]:
-    """Return what the frames with photographs in training lights show, in the order of `manifest`.
+    """Return the measurements of frames with photographs in training lights, in the order of `manifest`.
 
     `announce` is called with the path of each file before it is decoded. Raises `PictureError` for one that
     cannot be read.
@@ -176,7 +176,7 @@ def read_small(
 
 
 def fine_contrast(values: Float[ndarray, "height width"], alpha: Float[ndarray, "height width"]) -> float:
-    """Return how much of the contrast on the object lies in its finest details, whatever it shows.
+    """Return the share of the object's contrast that is in its finest details, independent of its content.
 
     The standard deviation of details of about one pixel, over that of details of about three: blur takes the
     first away and leaves the second. 0 where the object is too small or has no contrast at all.

@@ -80,7 +80,7 @@ class PictureCamera:
         return shown, index, depth
 
     def pixels_per_unit(self, point: Float[ndarray, "3"]) -> float:
-        """Return how many pixels a scene unit at `point` covers (0 behind the camera)."""
+        """Return the number of pixels per scene unit at `point` (0 behind the camera)."""
         depth = float(-(point - self.position) @ self.camera_to_world[:3, :3][:, 2])
         return max(self.focal) / depth if depth > 0.0 else 0.0
 

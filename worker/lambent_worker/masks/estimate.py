@@ -131,7 +131,7 @@ def consistency_of(
     distance: float,
     settings: EstimateSettings,
 ) -> Consistency:
-    """Return how far each mask agrees with the hull of the others; zeros where they have none."""
+    """Return the agreement of each mask with the hull of the others; zeros where they have none."""
     half = np.full(3, ConsensusSettings().reach * distance)
     silhouettes = []
     for view, coverage in zip(views, coverages, strict=True):

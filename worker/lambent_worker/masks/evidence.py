@@ -23,7 +23,7 @@ _STEP = 1e-3
 _NOISE = 1.0
 """Gradient, in CIELAB units per pixel, that is noise and costs nothing."""
 _UNIFORM = 1.0 / 8000.0
-"""Density of colours nobody expects; about one over the cells that real colours fill."""
+"""Density of unexpected colours; about one over the number of cells that real colours fill."""
 MAX_COLOUR = 4.0
 """Limit of what a colour alone may say, log odds."""
 
@@ -41,7 +41,7 @@ def colour_cells(lab: Float[ndarray, "height width 3"]) -> Int[ndarray, "height 
 
 
 def border_distance(lab: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width"]:
-    """Return how many edges, weighted by their strength, lie between each pixel and the picture's border.
+    """Return the strength-weighted number of edges between each pixel and the picture's border.
 
     That is log(1 + cost) of the cheapest path that leaves the picture, a path's cost being the gradient along
     it. What a plain background surrounds is far away even where it has the background's colour.
@@ -116,7 +116,7 @@ def separation(
 
     That is the chance that a pixel inside of the view's mask has a colour that is more of the object's than
     one outside: 1 where they never look alike, 0.5 where the masks have nothing to do with the pictures. Even
-    views are judged by the odd ones and the other way round, so nothing is explained by itself. Distances
+    views are judged by the odd ones and vice versa, so no view is explained by itself. Distances
     are left out: the middle of a picture is far from its border whatever it shows.
     """
     cells = [colour_cells(lab).ravel() for lab in labs]

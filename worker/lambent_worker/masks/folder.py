@@ -51,7 +51,7 @@ def write_masks(
     segmenter: Segmenter | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> WrittenMasks:
-    """Write `out`/masks/<frame>.png for the capture in `folder`, and `out`/masks.jpg to look at.
+    """Write `out`/masks/<frame>.png for the capture in `folder`, and `out`/masks.jpg for checking.
 
     By the built-in estimate, or by `segmenter`. Raises `SceneRefusedError` with `scene.mask_missing` where
     the object was not found. `progress` is called with the number of frames done and of all.

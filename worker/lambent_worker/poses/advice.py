@@ -111,7 +111,7 @@ def widest_gap(camera_to_world: dict[str, Float[ndarray, "4 4"]]) -> tuple[float
 
 
 def _reason(solution: Solution, missing: list[str], limits: PoseLimits) -> str:
-    """Return what most of the missing photographs lack, and what to do about it."""
+    """Return the most common problem of the missing photographs, and what to do about it."""
     features = dict(zip(solution.names, solution.features, strict=True))
     plain = [name for name in missing if features[name] < limits.few_features]
     if 2 * len(plain) >= len(missing):

@@ -49,7 +49,7 @@ class Photographs:
 def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -> Photographs | None:
     """Return the photographs in `folder`, or in its `images/`, with masks; None after noting what is wrong.
 
-    Masks are the files in `masks_dir`, else those in `folder`/masks beside `images/`, else the photographs'
+    Masks are the files in `masks_dir`, else those in `folder`/masks next to `images/`, else the photographs'
     own alpha. All photographs have a mask, or none.
     """
     root = folder / IMAGES if (folder / IMAGES).is_dir() else folder

@@ -63,8 +63,9 @@ def solve(
 ) -> Solution:
     """Find cameras for `names` in `folder`/images; write the largest model to `folder`/sparse/0, if any.
 
-    With `masked`, only what `folder`/masks shows counts. `one_camera` gives all photographs the same lens.
-    `work` is an empty folder for COLMAP's own files. Raises `UsageError` where pycolmap is missing.
+    With `masked`, only areas inside the masks of `folder`/masks are used. `one_camera` gives all photographs
+    the same lens. `work` is an empty folder for COLMAP's own files. Raises `UsageError` where pycolmap is
+    missing.
     """
     colmap = load_colmap()
     database = work / "database.db"

@@ -1,1 +1,1 @@
-"""Evaluation of a trained run: predictions on disk, figures, and a page to look at."""
+"""Evaluation of a trained run: predictions on disk, metrics, and a report page."""

@@ -87,7 +87,7 @@ def png(values: Float[ndarray, "height width 3"], max_side: int = MAX_SIDE) -> b
 
 
 def data_uri(values: Float[ndarray, "height width 3"]) -> str:
-    """Return a picture as a data address that needs no file beside the page."""
+    """Return a picture as a data URI, which needs no separate file."""
     return "data:image/png;base64," + base64.b64encode(png(values)).decode()
 
 

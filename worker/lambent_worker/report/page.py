@@ -75,14 +75,14 @@ def write_page(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Our figures beside published ones: a table with one column per figure."""
+    """Our metrics next to published ones: a table with one column per figure."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[float | None, ...]], ...]
 
 
 def comparison(report: evaluation_pb2.EvaluationReport) -> Comparison | None:
-    """Return what was published for this scene with our figures as the last line, or None for nothing."""
+    """Return the published results for this scene with ours as the last line, or None if there are none."""
     if not report.published:
         return None
     known = {name for result in report.published for name in result.values}

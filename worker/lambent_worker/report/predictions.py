@@ -6,7 +6,7 @@ pred/<view>/roughness.npy             perceptual, [H, W, 1];  metallic.npy [H, W
 pred_cache/<view>/rgba_<light>.npy    the same picture from the NeRF cache alone
 pred_direct/<view>/rgba_<light>.npy   relit without the indirect bounce
 pred_unscaled/<view>/rgba_<light>.npy relit without the albedo ratio, a few views
-<name>_stderr.npy                     beside every Monte Carlo picture: its standard error, linear radiance
+<name>_stderr.npy                     for every Monte Carlo picture: its standard error, linear radiance
                                       [H, W, 3]
 <name>.exr                            on request: linear radiance times alpha, alpha, and the standard error
 pred/<view>/uncertainty.npy           how uncertain the materials are [H, W, 5]: docs/reference/protocol.md
@@ -103,7 +103,7 @@ def predict_uncertainty(subject: Subject) -> None:
 
 
 def num_pictures(subject: Subject) -> int:
-    """Return how often the two functions above will call `advance`."""
+    """Return the number of calls of `advance` by the two functions above."""
     few = len(evenly_spaced(subject.views, UNSCALED_VIEWS))
     views, maps = len(subject.views), len(subject.maps)
     return views * (1 + len(subject.scene.lights) + 2 * maps) + few * maps

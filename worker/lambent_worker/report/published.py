@@ -63,7 +63,7 @@ def dataset_of(layout: str) -> str:
 
 
 def published_scene(layout: str, scene: str) -> list[PublishedRow]:
-    """Return what was published about a scene, by layout and name; empty where nothing was.
+    """Return the published results for a scene, by layout and name; empty if there are none.
 
     A name matches by one of its words: `obj_05_bird` is `bird`. The layout must match too, since other data
     sets have scenes of the same name.

@@ -52,7 +52,7 @@ class Subject:
     model: InverseModel
     scene: Scene
     views: tuple[View, ...]
-    """The views to look at."""
+    """The views to evaluate."""
     held_out: bool
     """Whether the views were kept from training."""
     maps: Mapping[str, Float32[ndarray, "rows columns 3"]]
@@ -61,7 +61,7 @@ class Subject:
     seed: int
     out: Path
     advance: Callable[[], None]
-    """Called after every picture; raises `Stopped` when the run was asked to end."""
+    """Called after every picture; raises `Stopped` when the run is asked to stop."""
     rule: RenderRule = field(default_factory=RenderRule)
     """Estimator with which the model was trained and is rendered."""
     dataset: str = ""
@@ -77,7 +77,7 @@ def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:
 
 
 def rule_of(settings: StageTwoConfig, shadows: Shadows = "fast") -> RenderRule:
-    """Return how a run trained with `settings` is rendered: with the estimator it learned with."""
+    """Return the estimator for rendering a run trained with `settings`: the one it was trained with."""
     return RenderRule(
         control_variate=settings.estimator.control_variate,
         sampler=settings.estimator.sampler,

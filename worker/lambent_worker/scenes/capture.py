@@ -23,6 +23,6 @@ class Capture:
     up_is_z: bool = True
     """Whether z points up in the layout; otherwise the up direction is estimated from the cameras."""
     exposures: dict[str, Exposure] = field(default_factory=dict)
-    """By frame name, where the capture states them beside the pictures."""
+    """By frame name, where the capture gives them separately from the pictures."""
     other_files: set[str] = field(default_factory=set)
     """Pictures that belong to the layout although no frame uses them."""

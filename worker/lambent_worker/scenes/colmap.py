@@ -35,7 +35,7 @@ from lambent_worker.scenes.transforms_json import scaled
 NAME = "colmap"
 LOOKS_LIKE = "sparse/0/images.bin or .txt"
 LIGHT = "capture"
-"""This layout knows one light and has no name for it."""
+"""Name of the only light, for which the layout has none."""
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
 IMAGES, MASKS = "images", "masks"
@@ -47,7 +47,7 @@ def is_layout(folder: Path) -> bool:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
     model = _model_folder(folder)
     if model is None:

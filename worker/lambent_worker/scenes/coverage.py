@@ -20,7 +20,7 @@ def has_coverage(folder: Path, frame: scene_pb2.Frame) -> bool:
 
 
 def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
-    """Return how much of each pixel of the first photograph the object covers, or None where nothing says it.
+    """Return the object's coverage of each pixel of the first photograph, or None if it is not given.
 
     The size is that of the files, lens distortion included. Raises `PictureError`.
     """

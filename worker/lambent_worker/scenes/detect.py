@@ -42,7 +42,7 @@ def detect_layout(folder: Path) -> str | None:
 def collect_scene(
     folder: Path, layout: str | None, problems: Problems, masks: Path | None = None
 ) -> scene_pb2.SceneManifest | None:
-    """Return what could be understood of `folder`; everything that is wrong goes to `problems`.
+    """Return the manifest of `folder` as far as it is readable; all problems are added to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
     `masks` is a folder of masks that override those of the layout.
@@ -101,7 +101,7 @@ def describe_scene(
 
     `masks` is a folder of masks that override those of the layout. Where there are masks they say where the
     object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
-    show; other pixels are looked at by `lambent_worker.capture_qa.check`.
+    show; other pixels are checked by `lambent_worker.capture_qa.check`.
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks)

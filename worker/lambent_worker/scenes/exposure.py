@@ -33,7 +33,7 @@ class Exposure:
 
     @property
     def light(self) -> float:
-        """Return what a pixel's value is proportional to, settings that are not known left out."""
+        """Return the factor that pixel values are proportional to, without unknown settings."""
         return (self.time_s or 1.0) * (self.iso or 1.0) / (self.f_number or 1.0) ** 2
 
 
@@ -119,7 +119,7 @@ def _exposures_of(
     for image in frame.images:
         try:
             found[image.light] = exif_exposure(folder / image.path)
-        except PictureError:  # reported where pictures are looked at
+        except PictureError:  # reported where pictures are checked
             found[image.light] = None
     return found
 

@@ -64,7 +64,7 @@ def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_ca
     if rig <= 0.0:
         return
     reach = 0.5 * rig
-    # The contraction is centred on the origin, so an object beside it needs a larger uncontracted ball.
+    # The contraction is centred on the origin, so an off-centre object needs a larger uncontracted ball.
     manifest.contraction_radius = reach + float(np.linalg.norm(centre))
     low, high = capture.box or (tuple(centre - reach), tuple(centre + reach))
     if capture.box:

@@ -19,7 +19,7 @@ _RESOLUTION = re.compile(rb"\n\n[-+]Y (\d{1,7}) [-+]X (\d{1,7})\n")
 def float_picture_size(path: Path) -> tuple[int, int]:
     """Return width and height in pixels as the header says, without the libraries that decode.
 
-    They allocate what the header asks for, and a file of a few hundred bytes can ask for gigabytes.
+    They allocate what the header requests, and a file of a few hundred bytes can request gigabytes.
     """
     if not path.is_file():
         raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")

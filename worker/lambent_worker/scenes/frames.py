@@ -47,7 +47,7 @@ def check_sizes(frames: list[scene_pb2.Frame], problems: Problems) -> None:
 def report_extra_files(
     folder: Path, frames: list[scene_pb2.Frame], known: set[str], problems: Problems
 ) -> None:
-    """Note pictures beside those of the frames that belong to none of them."""
+    """Note pictures that belong to no frame."""
     used = {image.path for frame in frames for image in frame.images}
     used |= {path for frame in frames for path in frame.truth.values()}
     used |= {frame.mask for frame in frames if frame.mask}

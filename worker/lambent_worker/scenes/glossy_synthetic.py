@@ -27,7 +27,7 @@ from lambent_worker.scenes.reading import pose_from_world_to_camera
 NAME = "glossy_synthetic"
 LOOKS_LIKE = "0-camera.pkl"
 LIGHT = "capture"
-"""This layout knows one light and has no name for it."""
+"""Name of the only light, for which the layout has none."""
 
 _CAMERA = re.compile(r"(\d+)-camera\.pkl$")
 _SPLIT = re.compile(r"synthetic_split_\d+\.pkl$")
@@ -51,7 +51,7 @@ def pickles_of(folder: Path) -> set[Path]:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT])
     places = _object_folders(folder)
     if len(places) != 1:
@@ -188,7 +188,7 @@ def _read_frame(folder: Path, base: str, name: str, problems: Problems) -> scene
 
 
 def _check_middle(figures: LensFigures, picture: str, subject: str, problems: Problems) -> bool:
-    """Return whether the optical axis is near the middle: only so can a wrong size be told from a camera."""
+    """Return whether the optical axis is near the centre: only then can a wrong size be detected."""
     off = (
         abs(figures.centre_x - 0.5 * figures.width) / figures.width,
         abs(figures.centre_y - 0.5 * figures.height) / figures.height,

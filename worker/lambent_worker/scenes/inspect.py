@@ -50,7 +50,7 @@ def inspect_capture(
 
     `skip` names files that must not be opened because they have brought a reader down; each is reported as an
     error. `announce` is called with the path of each file before it is decoded. `masks` is a folder of masks
-    that go before those of the layout.
+    that override those of the layout.
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks)

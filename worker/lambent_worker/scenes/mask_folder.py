@@ -1,4 +1,4 @@
-"""Gives the frames of a capture masks from a folder beside it."""
+"""Assigns masks from a separate folder to the frames of a capture."""
 
 from collections import Counter
 from pathlib import Path, PurePosixPath

@@ -1,8 +1,8 @@
-"""Reads the NeRF-Blender layout: `transforms_{train,test,val}.json` beside the pictures they name.
+"""Reads the NeRF-Blender layout: `transforms_{train,test,val}.json` next to the pictures they name.
 
 Each frame has `file_path` (with or without a suffix) and `transform_matrix`, camera-to-world with camera axes
 x right, y up, looking along -z. The lens is `camera_angle_x`, or `fl_x` (`fl_y`, `cx`, `cy`), for the file or
-per frame, see `transforms_json`. Ground truth, where it exists, lies beside a picture as `<stem>_albedo.png`
+per frame, see `transforms_json`. Ground truth, where it exists, is next to a picture as `<stem>_albedo.png`
 and so on.
 """
 
@@ -22,7 +22,7 @@ from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame
 NAME = "nerf_blender"
 LOOKS_LIKE = "transforms_train.json"
 LIGHT = "capture"
-"""This layout knows one light and has no name for it."""
+"""Name of the only light, for which the layout has none."""
 
 TRUTH_SUFFIXES = {
     "albedo": "_albedo.png",
@@ -39,7 +39,7 @@ def is_layout(folder: Path) -> bool:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT])
     if not (folder / "transforms_train.json").is_file():
         problems.error(
@@ -63,7 +63,7 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
 
 
 def _pictures_named_in(folder: Path, name: str) -> set[str]:
-    """Return what a transforms file that is not used names, without judging it."""
+    """Return the pictures named in an unused transforms file, without checking it."""
     unheard = Problems()
     transforms = read_json_object(folder, name, unheard) or {}
     entries = frame_entries(name, transforms, unheard)

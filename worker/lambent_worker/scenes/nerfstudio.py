@@ -21,7 +21,7 @@ from lambent_worker.scenes.transforms_json import LENS_KEYS, posed_entries
 NAME = "nerfstudio"
 LOOKS_LIKE = "transforms.json"
 LIGHT = "capture"
-"""This layout knows one light and has no name for it."""
+"""Name of the only light, for which the layout has none."""
 
 FILE = "transforms.json"
 SPLITS = (
@@ -37,7 +37,7 @@ def is_layout(folder: Path) -> bool:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
     transforms = read_json_object(folder, FILE, problems)
     if transforms is None:

@@ -43,7 +43,7 @@ def is_layout(folder: Path) -> bool:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name)
     places = _object_folders(folder)
     if len(places) != 1:

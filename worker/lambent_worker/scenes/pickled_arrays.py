@@ -1,4 +1,4 @@
-"""Reads numpy arrays, lists and texts out of pickle files without running anything the file asks for.
+"""Reads numpy arrays, lists and strings from pickle files without executing anything in the file.
 
 A pickle is a program for a small stack machine. Python's reader runs it here with only those instructions
 that make up plain data, and every function a program may name is a stand-in that builds arrays of numbers.
@@ -37,7 +37,7 @@ class PickleRefusedError(Exception):
 
 
 def read_pickled_data(path: Path) -> Any:
-    """Return what is in a pickle: nested lists and tuples of numbers, texts, bytes and numpy arrays.
+    """Return the contents of a pickle: nested lists and tuples of numbers, texts, bytes and numpy arrays.
 
     Raises `PickleRefusedError` for a file above 1 MiB, one that is damaged, and one that holds anything else;
     nothing in the file is ever executed. Raises `OSError` where the file cannot be opened.

@@ -37,7 +37,7 @@ NERO_BACKGROUND = 14.5
 
 
 def encoding_of(path: str) -> str:
-    """Return how the colours of a picture are stored, as `Image.encoding` says it."""
+    """Return the encoding of a picture's colours, as in `Image.encoding`."""
     return "linear" if path.lower().endswith(FLOAT_SUFFIXES) else "srgb"
 
 
@@ -120,7 +120,7 @@ def has_alpha(path: Path) -> bool:
 
 
 def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height width"]:
-    """Return how much of each pixel the object covers, from 0 to 1, as a mask file says it.
+    """Return the object's coverage of each pixel, from 0 to 1, from a mask file.
 
     That is the grey level, or the alpha where any pixel of the file is transparent; with the encoding
     `NERO_DEPTH` it is 1 where something nearer than the background is. Raises `PictureError` as `read_pixels`

@@ -50,7 +50,7 @@ def resampled(
 def resampled_colour(
     values: Float32[ndarray, "height width 4"], camera: scene_pb2.Camera, size: tuple[int, int]
 ) -> Float32[ndarray, "rows columns 4"]:
-    """Return what `resampled` does, with three channels weighted by the fourth, which is coverage."""
+    """Return `resampled` with three channels weighted by the fourth, which is coverage."""
     if (values.shape[1], values.shape[0]) == size and not camera.HasField("lens"):
         return values
     premultiplied = np.concatenate([values[..., :3] * values[..., 3:], values[..., 3:]], axis=-1)
@@ -65,7 +65,7 @@ def resampled_weighted(
     camera: scene_pb2.Camera,
     size: tuple[int, int],
 ) -> Float32[ndarray, "rows columns 1"]:
-    """Return what `resampled` does for one channel weighted by `weight`; zero where the weight is."""
+    """Return `resampled` for one channel weighted by `weight`; zero where the weight is zero."""
     if (values.shape[1], values.shape[0]) == size and not camera.HasField("lens"):
         return values
     return resampled(values * weight, camera, size) / np.maximum(resampled(weight, camera, size), 1e-12)

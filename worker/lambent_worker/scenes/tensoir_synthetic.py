@@ -48,7 +48,7 @@ def is_layout(folder: Path) -> bool:
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; everything that is wrong goes to `problems`."""
+    """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name)
     views = sorted(p.name for p in folder.iterdir() if p.is_dir() and _VIEW.match(p.name))
     _check_numbers(views, problems)

@@ -97,7 +97,7 @@ def mirrored_sums(
 
 
 class NearestPoint:
-    """Finds a nearest point among many on a surface: exact beside the surface, nearly so far from it."""
+    """Finds a nearest point among many on a surface: exact near the surface, approximate far from it."""
 
     def __init__(self, points: NDArray[np.floating]) -> None:
         """Sort `points` [point, 3] into cubic cells; there must be one at least."""

@@ -215,7 +215,7 @@ def _check_graphs(bundle: Bundle) -> None:
             raise BundleError(
                 "bundle.file_missing", f'the graph "{graph.path}" is not in files', "export the bundle again"
             )
-        # External data is looked up beside the graph, so graphs may only lie beside weights.bin.
+        # External data is resolved relative to the graph, so graphs must be next to weights.bin.
         if not re.fullmatch(r"models/[\w.\-]+\.onnx", graph.path):
             raise BundleError(
                 "bundle.manifest_invalid", f'the graph "{graph.path}" is not in models/', "export it again"

@@ -70,10 +70,10 @@ class SurfaceCaches(Protocol):
     """"onnxruntime", "fused", or "none" if the bundle has no networks."""
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
-        """Return what camera rays [ray, 3] see."""
+        """Return the surfaces hit by camera rays [ray, 3]."""
 
     def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
-        """Return what rays [ray, 3] from offset surface points see."""
+        """Return the hits of rays [ray, 3] from offset surface points."""
 
     def material(self, position: Rows) -> PointMaterials:
         """Return the surface properties at points [point, 3]."""
@@ -110,7 +110,7 @@ def _no_networks() -> UnsupportedQuality:
 
 
 def available_threads() -> int:
-    """Return how many CPU threads this process may use."""
+    """Return the number of CPU threads this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -219,11 +219,11 @@ class OnnxCaches:
         return self._opened[key]
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
-        """Return what camera rays [ray, 3] see."""
+        """Return the surfaces hit by camera rays [ray, 3]."""
         return PrimaryHits(**self._graph("gbuffer", ("origin", "direction"), PrimaryHits)(origin, direction))
 
     def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
-        """Return what rays [ray, 3] from offset surface points see; all lights share that."""
+        """Return the hits of rays [ray, 3] from offset surface points, which all lights share."""
         return SecondaryHits(
             **self._graph("fast_cache", ("origin", "direction"), SecondaryHits)(origin, direction)
         )
@@ -233,6 +233,6 @@ class OnnxCaches:
         return PointMaterials(**self._graph("material", ("position",), PointMaterials)(position))
 
     def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
-        """Return what rays [ray, 3] see, and what arrives along them, from the cache adapted to `light`."""
+        """Return hits and radiance of rays [ray, 3] from the cache adapted to `light`."""
         graph = self._graph("fast_cache", ("origin", "direction"), AdaptedHits, light)
         return AdaptedHits(**graph(origin, direction))

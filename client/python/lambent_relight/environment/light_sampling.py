@@ -174,7 +174,7 @@ def _lobe_table(cell_mass: NDArray[np.float64], directions: NDArray[np.float64])
     tables += [np.exp(_SHARPNESS_TIMES_ALPHA_SQUARED / alpha**2 * (cosine - 1.0)) for alpha in LOBE_ALPHAS]
     rows = []
     for lobe in tables:
-        # A floor keeps every lit cell possible, whatever the axis' place inside its bin.
+        # A floor keeps every lit cell possible, wherever the axis is inside its bin.
         # The last term is for maps of a few pixels, whose cells may all lie outside a narrow lobe.
         weight = cell_mass * (lobe + _FLOOR_SHARE * lobe.mean(axis=1, keepdims=True) + 1e-12)
         rows.append(weight / weight.sum(axis=1, keepdims=True))

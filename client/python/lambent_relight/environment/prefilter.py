@@ -60,7 +60,7 @@ class Prefiltered:
 
 
 def level_width(alpha: float) -> int:
-    """Return how many columns the level of GGX width `alpha` > 0 has."""
+    """Return the number of columns of the level of GGX width `alpha` > 0."""
     return min(max(2 ** math.ceil(math.log2(16.0 / alpha)), _NARROWEST), _WIDEST)
 
 

@@ -69,14 +69,14 @@ class FusedFastCache:
             raise NotFused("the fast cache's heads have another shape")
 
     def __call__(self, origin: Rows, direction: Rows, out: SecondaryHits) -> None:
-        """Write what rays [row, 3] see."""
+        """Write the hits of rays [row, 3]."""
         for _ in self.placed(origin, direction, out):
             pass
 
     def placed(
         self, origin: Rows, direction: Rows, out: SecondaryHits
     ) -> Iterator[tuple[slice, int, Rows, Rows]]:
-        """Write what rays [row, 3] see, block by block, and yield where the samples of each block are.
+        """Write the hits of rays [row, 3] block by block, and yield the samples of each block.
 
         Yields its rows, their number, and distances and weights [sample, BLOCK], which are used again.
         """
@@ -125,7 +125,7 @@ class FusedAdaptedCache:
             raise NotFused("the adapted cache's head has another shape")
 
     def __call__(self, origin: Rows, direction: Rows, out: AdaptedHits) -> None:
-        """Write what rays [row, 3] see, and what arrives along them from there."""
+        """Write the hits and radiance of rays [row, 3]."""
         for part, count, places, weights in self._geometry.placed(origin, direction, out):
             origins, directions, points = np.zeros((3, 3, kernels.BLOCK), np.float32)
             origins[:, :count], directions[:, :count] = origin[part].T, direction[part].T
@@ -174,15 +174,15 @@ class FusedCaches:
         self._threads = num_threads or available_threads()
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
-        """Return what camera rays [ray, 3] see."""
+        """Return the surfaces hit by camera rays [ray, 3]."""
         return self._run(PrimaryHits, self._gbuffer, _CAMERA_RAYS_PER_TASK, origin, direction)
 
     def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
-        """Return what rays [ray, 3] from offset surface points see."""
+        """Return the hits of rays [ray, 3] from offset surface points."""
         return self._run(SecondaryHits, self._fast, _RAYS_PER_TASK, origin, direction)
 
     def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
-        """Return what rays [ray, 3] see, and what arrives along them, from the cache adapted to `light`."""
+        """Return hits and radiance of rays [ray, 3] from the cache adapted to `light`."""
         if light not in self._adapted:
             self._adapted[light] = FusedAdaptedCache(self._bundle, self._weights, light)
         return self._run(AdaptedHits, self._adapted[light], _RAYS_PER_TASK, origin, direction)

@@ -139,7 +139,7 @@ def network_constants(
 def graph_constants(
     bundle: Bundle, path: str, kind: str, names: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> dict:
-    """Return what `network_constants` does, of the graph at `path`."""
+    """Return `network_constants` of the graph at `path`."""
     graph = path.rpartition("/")[2]
     data = bundle.graph(path)
     try:

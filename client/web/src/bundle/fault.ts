@@ -4,7 +4,7 @@
 export class BundleFault extends Error {
   override readonly name = "BundleFault";
 
-  /** `code` starts with "bundle."; `advice` tells what to do. */
+  /** `code` starts with "bundle."; `advice` says what to do. */
   constructor(
     readonly code: string,
     what: string,

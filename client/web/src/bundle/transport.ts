@@ -55,7 +55,7 @@ function invalid(what: string): BundleFault {
   return exportAgain("bundle.transport_invalid", `the transport ${what}`);
 }
 
-/** Return how many rows a table of `count` texels has. */
+/** Return the number of rows of a table of `count` texels. */
 export function tableRows(count: number): number {
   return Math.max(1, Math.ceil(count / tableWidth));
 }

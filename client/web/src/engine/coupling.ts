@@ -103,7 +103,7 @@ function azimuthCosines(width: number): Float64Array {
   return Float64Array.from({ length: width / 2 + 1 }, (_, k) => Math.cos((2 * Math.PI * k) / width));
 }
 
-/** Return how many values of a transform are worth adding. */
+/** Return the number of significant values of a transform. */
 function numWaves(transform: Float64Array): number {
   const least = negligible * Math.abs(transform[0]!);
   let count = transform.length;

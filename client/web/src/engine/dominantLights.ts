@@ -112,7 +112,7 @@ function meanOver(image: Float32Array, { indices, solidAngles }: Patch): Rgb {
   return [mean[0] / weight, mean[1] / weight, mean[2] / weight];
 }
 
-/** Take what rises above `around` out of the image, unless its energy is below `least`; return the light. */
+/** Remove the excess over `around` from the image, unless its energy is below `least`; return the light. */
 function takeOut(
   image: Float32Array,
   { height, width }: EnvironmentMap,

@@ -1,6 +1,6 @@
 /**
  * The fast cache on graphics hardware, from the same weights.bin as the graphs: opacity and distance of secondary
- * rays, and what they see under a training light where that is asked for. Needs WebGPU. Answers equal the graph's
+ * rays, and on request their radiance under a training light. Needs WebGPU. Results equal the graph's
  * within 1e-5. Source: supplement 2.1; docs/reference/bundle-format.md (networks).
  */
 
@@ -40,7 +40,7 @@ const mapRead = 1;
 export type CacheAnswers = {
   readonly opacity: Float32Array;
   readonly distance: Float32Array;
-  /** Linear, multiplied by opacity; null where it was not asked for. */
+  /** Linear, multiplied by opacity; null if it was not requested. */
   readonly radianceRgb: Float32Array | null;
 };
 
@@ -108,7 +108,7 @@ export function packFastCache(
 }
 
 function packRadiance(tensors: FusedWeights, packer: Packer, light: string, bias: number): RadianceProgram {
-  // A cache that was adapted to a light has a radiance of its own.
+  // A cache that was adapted to a light has its own radiance.
   const adapted = `adapted.${light}`;
   const own = tensors.has(`${adapted}.decoder_head.weight`);
   const prefix = own ? adapted : "fast";

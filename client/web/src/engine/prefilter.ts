@@ -16,7 +16,7 @@ const widest = 512;
 /** Levels of an environment, from the sharpest to roughness 1. */
 export type Prefiltered = readonly EnvironmentMap[];
 
-/** Return how many columns the level of GGX width alpha > 0 has. */
+/** Return the number of columns of the level of GGX width alpha > 0. */
 export function levelWidth(alpha: number): number {
   return Math.min(Math.max(2 ** Math.ceil(Math.log2(16 / alpha)), narrowest), widest);
 }

@@ -25,12 +25,12 @@ const purposes: ReadonlyMap<string, string> = new Map([
   ["batch", "part of a batch of pictures"],
 ]);
 
-/** Return what a job does. */
+/** Return a description of a job's work. */
 export function purpose(job: Job): string {
   return purposes.get(job.kind) ?? `preset ${job.preset}`;
 }
 
-/** Return what a job is called in lists: by its scene, where it has one. */
+/** Return a job's name in lists: that of its scene, if it has one. */
 export function jobName(job: Job, sceneName: string | undefined): string {
   return sceneName ?? (job.scene_id || purpose(job));
 }

@@ -73,7 +73,7 @@ export function stageList(): Part {
   };
 }
 
-/** The pictures that a run has sent, the newest by itself, the others by a slider. */
+/** The pictures that a run has sent: the latest, and the others with a slider. */
 export function previews(): Part {
   const image = h("img", { alt: "" });
   const caption = h("figcaption", { class: "faint" });

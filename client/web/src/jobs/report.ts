@@ -47,7 +47,7 @@ export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
   const rows = measured(report);
   if (!report.checked && findings.length === 0) return h("div");
   const errors = findings.filter((finding) => finding.severity === "error").length;
-  const summary = report.checked ? verdict(errors, findings.length - errors) : "Not looked at yet.";
+  const summary = report.checked ? verdict(errors, findings.length - errors) : "Not checked yet.";
   return h(
     "section",
     { id: "report" },

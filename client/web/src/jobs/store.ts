@@ -7,10 +7,10 @@ import type { StreamMessage } from "./stream.js";
 export type Sample = { readonly atS: number; readonly stage: string; readonly value: number };
 export type Preview = { readonly sha256: string; readonly name: string };
 
-/** Everything a job's page shows. Only what a page asked for has a history. */
+/** Everything a job's page shows. Only jobs that a page has requested have a history. */
 export type JobRecord = {
   job: Job;
-  /** Number of the last event that the history holds; -1: it was not asked for. */
+  /** Number of the last event in the history; -1: it was not requested. */
   seq: number;
   psnr: Sample[];
   loss: Sample[];
@@ -126,7 +126,7 @@ export class JobStore {
   }
 
   #catchUp(jobId: string): void {
-    // A server that is away will be asked again with the next message.
+    // An unreachable server is asked again with the next message.
     this.loadHistory(jobId).catch(() => {});
   }
 

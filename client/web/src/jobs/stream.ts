@@ -42,8 +42,8 @@ export type Following = {
 };
 
 /**
- * Follow all jobs until `signal`; after a break it goes on behind the last message, without gap or repetition.
- *
+ * Follow all jobs until `signal`; after a break it continues after the last message, without gap or
+ * repetition.
  * A connection that a sleeping machine has lost is noticed by the clock and opened anew. Throws Refused with
  * status 401 where this browser is not logged in.
  */

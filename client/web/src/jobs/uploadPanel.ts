@@ -16,7 +16,7 @@ const texts: Record<UploadStep["what"], string> = {
   commit: "finishing",
 };
 
-/** Return what an upload is doing, in a line. */
+/** Return the status of an upload in a line. */
 export function describe(step: UploadStep): string {
   const parts = [texts[step.what]];
   if (step.totalBytes > 0) parts.push(`${formatSize(step.doneBytes)} of ${formatSize(step.totalBytes)}`);
@@ -121,7 +121,7 @@ function uploadRow(one: Running): { element: HTMLElement; update: (one: Running)
   };
 }
 
-/** Send a candidate, have the scene looked at, and go to its page. */
+/** Upload a candidate, have the scene checked, and go to its page. */
 export async function send(context: Context, candidate: Candidate, sceneId: string | null): Promise<void> {
   const { api, store, uploads } = context;
   let result: Awaited<Running["done"]>;

@@ -24,7 +24,7 @@ export async function readExr(data: Uint8Array<ArrayBuffer>, maxPixels: number):
   return readHalfLines(data, lines);
 }
 
-/** Return what three decodes of any kind of file. */
+/** Return the picture decoded by three, for any kind of file. */
 export function decodedByThree(data: Uint8Array<ArrayBuffer>): EnvironmentMap {
   let decoded: Decoded;
   try {

@@ -2,7 +2,7 @@
 export class MapFault extends Error {
   override readonly name = "MapFault";
 
-  /** `code` starts with "environment."; `advice` tells what to do. */
+  /** `code` starts with "environment."; `advice` says what to do. */
   constructor(
     readonly code: string,
     what: string,
@@ -12,7 +12,7 @@ export class MapFault extends Error {
   }
 }
 
-/** Return an error of preparing a map as its code and what to tell. */
+/** Return an error of preparing a map as code, message and advice. */
 export function toldOf(error: unknown): { readonly code: string; readonly message: string } {
   if (error instanceof MapFault) return { code: error.code, message: error.message };
   // Arrays that do not fit are range errors.

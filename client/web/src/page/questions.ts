@@ -6,7 +6,7 @@ type Waiting<Answer> = {
   readonly reject: (fault: Error) => void;
 };
 
-/** The page's side of a worker; one that cannot be started rejects what is asked, now and later. */
+/** The page's side of a worker; one that cannot be started rejects all questions, now and later. */
 export class Questions<Question extends { readonly id: number }, Answer extends { readonly id: number }> {
   readonly #waiting = new Map<number, Waiting<Answer>>();
   #fault: Error | null = null;
@@ -19,7 +19,7 @@ export class Questions<Question extends { readonly id: number }, Answer extends 
     });
     worker.addEventListener("error", (event) => {
       const fault = new Error(event.message || "a part of this page could not be started; reload the page");
-      // Only a script that did not come has no message; after any other error the worker goes on.
+      // Only a script that failed to load has no message; after any other error the worker continues.
       if (!event.message) this.#fault = fault;
       for (const { reject } of this.#waiting.values()) reject(fault);
       this.#waiting.clear();

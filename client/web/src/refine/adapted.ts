@@ -2,7 +2,7 @@
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 
-/** Return what to tell of a bundle's adapted caches; empty where it has none. */
+/** Return the notes about a bundle's adapted caches; empty if it has none. */
 export function adaptedNote({ graphs, trainLights }: Pick<BundleManifest, "graphs" | "trainLights">): string {
   const adapted = graphs.filter(({ name, light }) => name === "fast_cache" && !trainLights.includes(light));
   if (adapted.length === 0) return "";

@@ -98,7 +98,7 @@ export class Hits {
     }
   }
 
-  /** Return how much of the specular lobe about the mirror direction is free. */
+  /** Return the unoccluded share of the specular lobe about the mirror direction. */
   #freeShare(texel: number, perceptualRoughness: number): number {
     const { visibility } = this.scene.transport;
     const { bands, scales, offsets, steps, rows } = visibility;

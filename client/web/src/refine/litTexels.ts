@@ -82,7 +82,7 @@ function planeSums(
   return result;
 }
 
-/** Return how much of a light in a direction reaches every texel: a weighted mean of its nearest shadow bits. */
+/** Return the share of a light that reaches every texel: a weighted mean of its nearest shadow bits. */
 function freeShares(bits: Uint32Array, numTexels: number, direction: Direction): Float32Array {
   const { indices, weights } = shadowWeights(stored, direction);
   const result = new Float32Array(numTexels);

@@ -19,7 +19,7 @@ export type Tracer = {
   readonly slow: boolean;
   /** Rays that one call should have, so that none takes long. */
   readonly raysPerCall: number;
-  /** Return what rays see; `rays` holds origin and unit direction, six floats each. */
+  /** Return the hits of rays; `rays` holds origin and unit direction, six floats each. */
   readonly trace: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>;
   readonly close: () => Promise<void>;
 };

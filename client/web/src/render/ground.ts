@@ -204,7 +204,7 @@ export class Ground {
     screen.draw(this.#sharePass, into);
   }
 
-  /** Draw everything again when it is next asked for. */
+  /** Draw everything again on the next use. */
   forget(): void {
     this.#known = false;
   }

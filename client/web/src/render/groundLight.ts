@@ -70,7 +70,7 @@ function skyBasis(bands: number): Float64Array {
   return table;
 }
 
-/** Return what falls on open, level ground; harmonics below zero count as dark. */
+/** Return the irradiance of open, level ground; harmonics below zero count as dark. */
 export function groundLight({
   coefficientsRgb,
   bands,

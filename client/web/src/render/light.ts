@@ -1,4 +1,4 @@
-/** A prepared light on the graphics card, turned as asked. */
+/** A prepared light on the graphics card, rotated as set. */
 
 import type { DataTexture, WebGLRenderTarget } from "three";
 import type { Direction } from "../engine/environment.js";
@@ -64,7 +64,7 @@ export class StageLight {
     this.tables = new IrradianceTables(textures);
   }
 
-  /** Its shadow on the ground; there is none before it is asked for. */
+  /** Its shadow on the ground; created on first use. */
   get ground(): WebGLRenderTarget {
     this.#ground ??= groundTable();
     return this.#ground;

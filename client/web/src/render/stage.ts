@@ -45,7 +45,7 @@ type Scenery = {
   readonly surface: Surface;
   readonly shading: Shading;
   readonly scene: Scene;
-  /** Made when it is first asked for. */
+  /** Created on first use. */
   ground: Ground | null;
 };
 
@@ -55,7 +55,7 @@ const tileSide = 1024;
 export class GraphicsFault extends Error {
   override readonly name = "GraphicsFault";
 
-  /** `advice` tells what to do. */
+  /** `advice` says what to do. */
   constructor(
     what: string,
     advice = "update the browser, switch hardware acceleration on, or use another device",
@@ -302,7 +302,7 @@ export class Stage {
     this.#scissor(null, null, 0);
   }
 
-  /** Draw the shadow on the ground where one is asked for; returns where the ground is, or null. */
+  /** Draw the shadow on the ground if it is enabled; returns the ground, or null. */
   #ground({ look, method, turn }: Side, light: StageLight, still: boolean, scenery: Scenery) {
     const lit = look.channel === "final" || look.channel === "direct";
     if (!look.ground || !lit || method !== "baked") return null;

@@ -42,7 +42,7 @@ function numbers(data: Uint32Array<ArrayBuffer>, width: number): DataTexture {
   return ready(new DataTexture(data, width, data.length / width, format, UnsignedIntType), "R32UI");
 }
 
-/** Textures of one bundle, whatever the light. */
+/** Textures of one bundle, independent of the light. */
 export class BundleTextures {
   readonly direct: DataArrayTexture;
   readonly visibility: DataArrayTexture;

@@ -124,7 +124,7 @@ async function walk(entry: FileSystemEntry, found: Map<string, File>): Promise<v
   }
   const reader = (entry as FileSystemDirectoryEntry).createReader();
   for (;;) {
-    // A folder is told in portions; an empty one ends it.
+    // A folder is read in batches; an empty one ends it.
     const some = await new Promise<FileSystemEntry[]>((resolve, reject) =>
       reader.readEntries(resolve, reject),
     );

@@ -1,4 +1,4 @@
-/** The uploads of this tab: they go on while the visitor looks at other places of the page. */
+/** The uploads of this tab; they continue while the visitor is in other views. */
 
 import type { Api } from "../page/rest.js";
 import type { Candidate } from "./collect.js";

@@ -6,7 +6,7 @@ export type Dropped =
   | { readonly kind: "folder"; readonly files: ReadonlyMap<string, Blob> }
   | { readonly kind: "map"; readonly file: File };
 
-/** Return what a list of files is, or null where it is nothing of ours. */
+/** Return the kind of a list of files, or null if it is unknown. */
 export function droppedFiles(files: readonly File[]): Dropped | null {
   if (files.length > 1) {
     const paths = new Map(files.map((file) => [file.webkitRelativePath || file.name, file as Blob]));
@@ -19,7 +19,7 @@ export function droppedFiles(files: readonly File[]): Dropped | null {
   return null;
 }
 
-/** Return what a drop holds; folders are read through. */
+/** Return the dropped item; folders are read recursively. */
 export async function readDrop(transfer: DataTransfer): Promise<Dropped | null> {
   const entries = [...transfer.items]
     .map((item) => item.webkitGetAsEntry())

@@ -17,7 +17,7 @@ export function dominantFor(hasShadowBits: boolean): number {
 }
 
 type Host = {
-  /** The light that is asked for now. */
+  /** The light that is wanted now. */
   readonly wanted: () => string;
   /** Returns the source of a light that is not the bundle's; throws if there is none. */
   readonly originOf: (name: string) => MapOrigin;
@@ -45,7 +45,7 @@ export class EarlyLight {
     }
   }
 
-  /** Return what was begun for a light, once, or null. */
+  /** Return the light whose preparation was started, once, or null. */
   take(name: string, bands: number, dominant: number): Promise<PreparedLight> | null {
     const fits = this.#name === name && this.#bands === bands && this.#dominant === dominant;
     const light = fits ? this.#light : null;
@@ -58,10 +58,10 @@ export class EarlyLight {
     if (!(this.#bands >= 1 && this.#bands <= 9)) return;
     try {
       this.#light = this.host.prepare(origin(), this.#bands, this.#dominant);
-      // Whoever takes it hears of a failure.
+      // The caller that takes it handles a failure.
       this.#light.catch(() => {});
     } catch {
-      // Told when the light is asked for again.
+      // Reported when the light is requested again.
       this.#light = null;
     }
   }

@@ -54,7 +54,7 @@ export class LambentViewerElement extends HTMLElement {
     await viewer.update({ environment: name });
   }
 
-  /** Return what is seen, or what `camera` sees, as straight RGBA bytes, rows from the top. */
+  /** Return the view, or that of `camera`, as straight RGBA bytes, rows from the top. */
   picture(size: { width: number; height: number } | ViewCamera, samples = 2): ImageData {
     const viewer = this.#open();
     const pixels =
@@ -105,7 +105,7 @@ export class LambentViewerElement extends HTMLElement {
     void this.#follow(this.update(fromParameters(new URLSearchParams(text), this.state)));
   }
 
-  /** Show what fails where nobody waits for the result. */
+  /** Show errors of calls whose result is not awaited. */
   async #follow(work: Promise<void>): Promise<void> {
     try {
       await work;

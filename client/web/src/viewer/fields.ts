@@ -1,6 +1,6 @@
 /** Plain form fields with labels. */
 
-/** A field that shows a value and tells when a person changed it. */
+/** A field that shows a value and reports changes by the user. */
 export type Field<T> = { readonly element: HTMLElement; readonly show: (value: T) => void };
 
 /** Make an element with text or children. */
@@ -23,7 +23,7 @@ export type SliderSpec = {
   readonly change: (value: number) => void;
 };
 
-/** A slider with a number field beside it. */
+/** A slider with a number field. */
 export function slider({ label, range, step, unit = "", change }: SliderSpec): Field<number> {
   const [min, max] = [String(range[0]), String(range[1])];
   const name = unit === "" ? label : `${label} (${unit})`;

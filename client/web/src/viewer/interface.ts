@@ -87,7 +87,7 @@ export class Interface {
     this.viewer.canvas.ariaLabel = `${alt}. Arrow keys turn the camera, square brackets the light.`;
   }
 
-  /** Show how far a bundle is read while `work` goes on; a failure is thrown on, and not shown. */
+  /** Show the progress of reading a bundle during `work`; a failure is rethrown, and not shown. */
   async during(work: Promise<void>): Promise<void> {
     this.#progress.hidden = false;
     this.#progress.removeAttribute("value");

@@ -18,7 +18,7 @@ export function lightTexts(viewer: Viewer): [string, string][] {
   ];
 }
 
-/** Return what people read for a light of the state. */
+/** Return the display name of a light of the state. */
 export function lightText(viewer: Viewer, light: string): string {
   return lightTexts(viewer).find(([name]) => name === light)?.[1] ?? light;
 }

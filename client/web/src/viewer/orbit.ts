@@ -120,7 +120,7 @@ export function listenToOrbit(host: OrbitHost): () => void {
 
 type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "metaKey">;
 
-/** Return what a key changes, or null where it means nothing here. */
+/** Return the change of a key, or null if it has no function here. */
 export function afterKey(event: Key, { pose, turn }: Turned): Partial<Turned> | null {
   if (event.altKey || event.ctrlKey || event.metaKey) return null;
   const light = (degrees: number): Partial<Turned> => ({

@@ -1,4 +1,4 @@
-/** The controls, beside the picture. */
+/** The controls next to the picture. */
 
 import type { BackgroundKind, Channel, LightTurn, Look, MaterialEdit, ToneCurve } from "../render/looks.js";
 import { button, check, choice, type Field, make, section, slider } from "./fields.js";

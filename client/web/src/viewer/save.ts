@@ -4,7 +4,7 @@ import type { ViewerState } from "./state.js";
 import { wrapped } from "./state.js";
 import type { Viewer } from "./viewer.js";
 
-/** Return what is seen as PNG; no tone mapping is done twice, and alpha is straight. */
+/** Return the view as PNG; tone mapping is not applied twice, and alpha is straight. */
 export async function pngOf(viewer: Viewer, width: number, height: number): Promise<Blob> {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");

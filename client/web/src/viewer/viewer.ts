@@ -197,12 +197,12 @@ export class Viewer {
     return this.bundle?.cameras.find((camera) => camera.name === this.#state.photo) ?? null;
   }
 
-  /** Return what is seen as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
+  /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
     return this.#ready().readBytes(this.camera(width, height), this.#sides(), samples);
   }
 
-  /** Return what a camera sees as RGBA bytes; see `pixels`. */
+  /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
     return this.#ready().readBytes(camera, this.#sides(), samples);
   }
@@ -365,7 +365,7 @@ export class Viewer {
           const dominant = dominantFor(shadowBits !== null);
           const prepared = await (this.#early?.take(name, direct.bands, dominant) ??
             this.#lights.prepare(this.#origin(name), direct.bands, dominant));
-          // Someone may have asked for another light, or opened another bundle, in the meantime.
+          // Another light may have been chosen, or another bundle opened, in the meantime.
           if (this.#shown.get(slot) !== name || stage.bundle !== bundle) return;
           stage.setLight(slot, prepared);
           if (prepared.notes.length > 0) this.#tell("message", prepared.notes.join(" "), false);

@@ -1,4 +1,4 @@
-"""What the gbuffer function means, on a ball."""
+"""The gbuffer function's results on a ball."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""What float16 tables change, and how it is counted."""
+"""The error of float16 tables, and its measurement."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a single picture tells: sizes, masks, clipping, sharpness, thumbnails; in every kind of file."""
+"""Measurements of a single picture: sizes, masks, clipping, sharpness, thumbnails; in every kind of file."""
 
 import base64
 import io

@@ -1,4 +1,4 @@
-"""What of a picture is the object: alpha, mask file, or both."""
+"""Coverage of a picture by the object: alpha, mask file, or both."""
 
 import numpy as np
 import pytest
