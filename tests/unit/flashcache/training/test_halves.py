@@ -96,8 +96,8 @@ def test_the_halves_of_an_odd_batch_are_the_whole_of_it(threads):
     halves = Halves(model(), nerf_of)
     pixels = TrainingPixels(SCENE, tiny().pixels, torch.device("cpu"))
     batch = pixels.draw(7, torch.Generator().manual_seed(0))
-    parts = [halves.part_of(batch, half).pixel for half in range(halves.count)]
-    assert torch.equal(torch.cat(parts), batch.pixel)
+    parts = [halves.part_of(batch, half).rays.directions for half in range(halves.count)]
+    assert torch.equal(torch.cat(parts), batch.rays.directions)
 
 
 def test_two_threads_give_the_same_bits_every_time_and_use_every_ray(threads):

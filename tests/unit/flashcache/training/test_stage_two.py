@@ -63,8 +63,8 @@ class Radial(torch.nn.Module):
 @pytest.mark.slow
 def test_stage_two_finds_the_albedo_of_a_ball_under_a_known_light_to_eight_hundredths():
     base = tiny()
-    ball = small_config(own_normal_grid=False, softplus_beta=10.0, distance_layers=2).nerf.density
-    nerf = replace(base.model.nerf, proposals=(ball, ball), density=ball)
+    small = small_config(own_normal_grid=False, softplus_beta=10.0, distance_layers=2).nerf
+    nerf = replace(small, proposals=(small.density, small.density), secondary_colours=1)
     torch.manual_seed(0)
     domain = replace(lit_domain(SCENE), known_lights=SCENE.lights)
     model = InverseModel(replace(base.model, nerf=nerf), domain)
@@ -76,8 +76,9 @@ def test_stage_two_finds_the_albedo_of_a_ball_under_a_known_light_to_eight_hundr
     settings = replace(
         base.stage_two,
         num_steps=70,
+        num_rays=64,
         warmup_steps=0,
-        cache_weight=0.0,
+        normal_weight=0.0,
         smoothness_weight=0.0,
         metalness_prior=MetalnessPriorConfig(),
         distil=DistilConfig(),
