@@ -46,8 +46,6 @@ class Mutant:
     """Nearest tests: the ends of their files' paths, with `::test_name` where one test will do."""
     breaks: str
     """What is wrong then, in one sentence."""
-    needs: str = ""
-    """What is still missing to notice it."""
 
     def text(self) -> str:
         """Return the file with the mistake; raises ValueError where the passage is not there exactly once."""
@@ -132,7 +130,7 @@ class Copy:
         if code == 1 and failed:
             outcome, by = CAUGHT, failed[0]
         elif code == 0:
-            outcome, by = SURVIVED, mutant.needs
+            outcome, by = SURVIVED, ""
         else:
             outcome, by = UNDECIDED, " ".join(said.strip().splitlines()[-1:]) or f"pytest ended with {code}"
         return Verdict(name=mutant.name, outcome=outcome, by=by, seconds=time.monotonic() - start)
