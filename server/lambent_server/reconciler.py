@@ -6,20 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import structlog
-from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, select, update
+from sqlalchemy import and_, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.clock import now
 from lambent_server.database.schema import (
     api_keys,
-    artifacts,
     blobs,
-    bundle_files,
-    checkpoint_files,
-    environments,
     jobs,
-    scene_files,
-    scenes,
 )
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.services import Services
@@ -28,6 +22,8 @@ log = structlog.get_logger()
 
 TICK_S = 60.0
 _PREFIXES = tuple(f"{number:02x}" for number in range(256))
+_FEW = 16
+"""So many unknown blobs are always removed: a small store may consist of them."""
 
 
 class Reconciler:
@@ -38,7 +34,7 @@ class Reconciler:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="reconciler", daemon=True)
         self.num_missing = 0
-        """Files of scenes, bundles and jobs whose bytes are gone."""
+        """Blobs that rows name and whose bytes are gone or not whole."""
 
     def start(self) -> None:
         """Begin."""
@@ -77,48 +73,36 @@ def note_key_uses(services: Services) -> None:
 
 
 def reconcile(services: Services) -> int:
-    """Remove what nobody can reach any more, let go of bytes that are gone; return how many files lack them.
+    """Remove bytes and folders that nothing names any more; return how many blobs lack their bytes.
 
-    What is younger than `orphan_after_s` may be on its way and is left alone. A blob whose bytes are gone is
-    forgotten, so that the next upload sends it again; what refers to it stays.
+    What is younger than `orphan_after_s` may be on its way and is left alone. Rows stay when bytes are gone:
+    a store that was not mounted comes back, and the next upload writes what is missing. Nothing is removed
+    where the database knows less than half of the store: it is probably that of another store.
     """
     before = now() - services.settings.orphan_after_s
-    removed = sum(_compare(services, prefix, before) for prefix in _PREFIXES)
-    _remove_folders(services, before)
-    with services.database.read() as connection:
-        missing = _count_missing(connection)
-    if removed or missing:
-        log.warning("reconciled", blobs_removed=removed, files_missing=missing)
-    return missing
+    num_files, orphans, lost = 0, [], []
+    for prefix in _PREFIXES:
+        # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
+        rows, files = _sizes(services, prefix), services.store.listed(prefix)
+        num_files += len(files)
+        lost += [sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size]
+        orphans += [sha256 for sha256, (_, at) in files.items() if sha256 not in rows and at < before]
+    if len(orphans) > max(_FEW, num_files // 2):
+        log.error("reconcile_refused", blobs_unknown=len(orphans), blobs=num_files)
+    else:
+        for sha256 in orphans:
+            with services.store.lock:
+                if sha256 not in _sizes(services, sha256):
+                    services.store.delete(sha256)
+        _remove_folders(services, before)
+    if orphans or lost:
+        log.warning("reconciled", blobs_unknown=len(orphans), blobs_lost=len(lost), examples=lost[:10])
+    return len(lost)
 
 
-def _compare(services: Services, prefix: str, before: float) -> int:
-    """Compare rows and bytes of the blobs whose hashes begin with `prefix`; return how many bytes went."""
-    of_prefix = and_(blobs.c.sha256 >= prefix, blobs.c.sha256 < prefix + "g")
-    # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
-    rows = _sizes(services, of_prefix)
-    files = services.store.listed(prefix)
-    lost = [sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size]
-    orphans = [sha256 for sha256, (_, at) in files.items() if sha256 not in rows and at < before]
-    if not lost and not orphans:
-        return 0
-    with services.store.lock:
-        files, rows = services.store.listed(prefix), _sizes(services, of_prefix)
-        for sha256 in lost:
-            size = files.get(sha256, (-1, 0.0))[0]
-            if sha256 in rows and size != rows[sha256]:
-                log.error("blob_lost", sha256=sha256, expected_bytes=rows[sha256], found_bytes=max(size, 0))
-                with services.database.write() as connection:
-                    connection.execute(delete(blobs).where(blobs.c.sha256 == sha256))
-                orphans.append(sha256)
-                del rows[sha256]
-        unnamed = [sha256 for sha256 in orphans if sha256 in files and sha256 not in rows]
-        for sha256 in unnamed:
-            services.store.delete(sha256)
-    return len(unnamed)
-
-
-def _sizes(services: Services, condition: ColumnElement[bool]) -> dict[str, int]:
+def _sizes(services: Services, prefix: str) -> dict[str, int]:
+    """Return the sizes of the blobs that rows name, of hashes that begin with `prefix`."""
+    condition = and_(blobs.c.sha256 >= prefix, blobs.c.sha256 < prefix + "g")
     with services.database.read() as connection:
         found = connection.execute(across_tenants(blobs, blobs.c.sha256, blobs.c.size_bytes).where(condition))
         return {sha256: int(size) for sha256, size in found}
@@ -140,16 +124,3 @@ def _remove_folders(services: Services, before: float) -> None:
 
 def _older(paths: Iterable[Path], before: float) -> Iterable[Path]:
     return (path for path in paths if path.exists() and path.stat().st_mtime < before)
-
-
-def _count_missing(connection: Connection) -> int:
-    """Return how many files that were complete once have no blob."""
-    is_open = exists().where(scenes.c.id == scene_files.c.scene_id, scenes.c.state == "open")
-    count = 0
-    for table in (scene_files, checkpoint_files, artifacts, bundle_files, environments):
-        known = exists().where(blobs.c.tenant_id == table.c.tenant_id, blobs.c.sha256 == table.c.sha256)
-        statement = select(func.count()).select_from(table).where(~known)
-        if table is scene_files:
-            statement = statement.where(~is_open)
-        count += connection.execute(statement).scalar_one()
-    return count

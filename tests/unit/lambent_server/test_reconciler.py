@@ -52,11 +52,31 @@ def test_a_row_whose_bytes_are_gone_or_cut_is_counted_and_sent_again(api: Api, d
     api.scene()
     damage(blob(api, CONTENT))
     assert reconcile(api.services) == 1
-    # Still, although the blob is forgotten by now.
-    assert reconcile(api.services) == 1
     api.scene()
     assert blob(api, CONTENT).read_bytes() == CONTENT
     assert reconcile(api.services) == 0
+
+
+def test_a_store_that_was_away_has_lost_nothing_when_it_comes_back(api: Api):
+    api.scene()
+    path = blob(api, CONTENT)
+    away = path.with_name("away")
+    path.rename(away)
+    assert reconcile(api.services) == 1
+    away.rename(path)
+    os.utime(path, (OLD, OLD))
+    assert reconcile(api.services) == 0
+    assert path.read_bytes() == CONTENT
+
+
+def test_a_database_that_knows_little_of_the_store_removes_nothing(api: Api):
+    api.scene()
+    unknown = [put(api, b"%d" % number, OLD) for number in range(20)]
+    folder = api.services.settings.runs / "job_of_another_database"
+    folder.mkdir()
+    os.utime(folder, (OLD, OLD))
+    reconcile(api.services)
+    assert all(path.exists() for path in (*unknown, folder))
 
 
 def test_files_that_were_planned_and_never_sent_are_not_missing(api: Api):
