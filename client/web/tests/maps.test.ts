@@ -6,7 +6,8 @@ import { sumFactors } from "../src/engine/fallingLight.js";
 import { halfValue } from "../src/engine/half.js";
 import { cosineFactors } from "../src/engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../src/engine/lobes.js";
-import { shadowDirections, shadowWeights } from "../src/engine/shadows.js";
+import { evenDirections } from "../src/engine/environment.js";
+import { shadowWeights } from "../src/engine/shadows.js";
 import { decodedByThree, readExr } from "../src/light/exrInput.js";
 import { MapFault } from "../src/light/fault.js";
 import { toHalf } from "../src/light/half.js";
@@ -201,7 +202,7 @@ describe("a prepared light", () => {
     expect(worst).toBeLessThan(1e-3);
     expect(covered.every((count) => count <= 1)).toBe(true);
   });
-  it("mends unusable values and says so", async () => {
+  it("replaces unusable values and says so", async () => {
     const radianceRgb = new Float32Array(3 * 4 * 8).fill(1);
     radianceRgb.set([Number.NaN, -1, Number.POSITIVE_INFINITY]);
     const { map, notes } = usableMap({ height: 4, width: 8, radianceRgb });
@@ -237,7 +238,7 @@ describe("the lobe's factors", () => {
 });
 
 describe("shadow weights", () => {
-  const stored = shadowDirections(256);
+  const stored = evenDirections(256);
 
   it("sum to one and belong to the nearest directions", () => {
     const direction = [0.36, -0.48, 0.8] as const;

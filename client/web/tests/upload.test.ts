@@ -1,8 +1,9 @@
 import { createHash } from "node:crypto";
 import { describe, expect, it } from "vitest";
 import { sha256Hex } from "../src/bundle/sha256.js";
+import { droppedEntries, filesIn } from "../src/page/files.js";
 import { Refused, type Scene, Unreachable } from "../src/page/rest.js";
-import { type Candidate, collect, droppedFiles, NotAScene } from "../src/upload/collect.js";
+import { type Candidate, collect, NotAScene } from "../src/upload/collect.js";
 import { type UploadStep, upload } from "../src/upload/upload.js";
 import { zipOf } from "./support/bundle.js";
 
@@ -84,12 +85,12 @@ function entryOf(
   return { isFile: false, fullPath: path, createReader } as unknown as FileSystemEntry;
 }
 
-describe("droppedFiles", () => {
+describe("filesIn", () => {
   it("opens folders to the end, and takes single files", async () => {
     const many = Object.fromEntries(Array.from({ length: 5 }, (_, place) => [`${place}.png`, `${place}`]));
     const entries = [entryOf("bowl", many), entryOf("sky.exr", "x"), null];
     const items = entries.map((entry) => ({ webkitGetAsEntry: () => entry }) as DataTransferItem);
-    const found = await droppedFiles(items);
+    const found = await filesIn(droppedEntries(items));
     expect([...found.keys()]).toEqual([...Object.keys(many).map((name) => `bowl/${name}`), "sky.exr"]);
     expect(await found.get("bowl/4.png")!.text()).toBe("4");
   });

@@ -1,6 +1,6 @@
 /** Reads bundles in a worker: fetching, digests and packing do not block the main thread. */
 
-import { toldOf } from "./fault.js";
+import { bundleTold } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 
@@ -19,7 +19,7 @@ self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
     const bundle = await loadBundle(data, (news) => answer(news));
     answer({ kind: "loaded", bundle }, buffersOf(bundle));
   } catch (error) {
-    answer({ kind: "failed", ...toldOf(error) });
+    answer({ kind: "failed", ...bundleTold(error) });
   }
 };
 

@@ -3,7 +3,7 @@
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault } from "./fault.js";
 import { openBundle } from "./manifest.js";
-import { type AtlasMesh, meshFromGlb } from "./mesh.js";
+import { type AtlasMesh, boundsOf, meshFromGlb } from "./mesh.js";
 import { type BundleOrigin, openSource } from "./source.js";
 import { type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
@@ -106,7 +106,7 @@ export async function loadBundle(
     name: manifest.name,
     sceneId: manifest.sceneId,
     preset: manifest.preset,
-    ...boundsOf(mesh),
+    ...boundsOf(mesh.positionsXyz),
     albedoScaleRgb: manifest.albedoScaleRgb,
     metrics: manifest.metrics,
     trainLights: manifest.trainLights,
@@ -117,14 +117,4 @@ export async function loadBundle(
     trainedMaps,
     previews,
   };
-}
-
-function boundsOf({ positionsXyz }: AtlasMesh): { boundsMin: number[]; boundsMax: number[] } {
-  const boundsMin = [Infinity, Infinity, Infinity];
-  const boundsMax = [-Infinity, -Infinity, -Infinity];
-  positionsXyz.forEach((value, index) => {
-    boundsMin[index % 3] = Math.min(boundsMin[index % 3]!, value);
-    boundsMax[index % 3] = Math.max(boundsMax[index % 3]!, value);
-  });
-  return { boundsMin, boundsMax };
 }

@@ -20,7 +20,7 @@ export type BundleOrigin =
 
 /** Return the files behind an origin; throws BundleFault where there are none. */
 export async function openSource(origin: BundleOrigin): Promise<FileSource> {
-  if (origin.kind === "archive") return archiveSource(origin.file);
+  if (origin.kind === "archive") return zipSource(await ZipArchive.ofFile(origin.file));
   if (origin.kind === "files") return droppedSource(origin.files);
   const url = new URL(origin.url);
   if (url.pathname.endsWith(".zip")) return remoteArchive(url);
@@ -100,13 +100,7 @@ async function remoteArchive(url: URL): Promise<FileSource> {
       "check the address",
     );
   }
-  return archiveSource(await probe.blob());
-}
-
-async function archiveSource(file: Blob): Promise<FileSource> {
-  const read: RangeReader = async (start, length) =>
-    new Uint8Array(await file.slice(start, start + length).arrayBuffer());
-  return zipSource(await ZipArchive.open(read, file.size));
+  return zipSource(await ZipArchive.ofFile(await probe.blob()));
 }
 
 function zipSource(archive: ZipArchive): FileSource {

@@ -5,18 +5,11 @@
  * `coefficientsRgb[3 * index + channel]`. Source: docs/reference/conventions.md (spherical harmonics).
  */
 
-import type { Direction } from "./environment.js";
+import { type Direction, evenDirections } from "./environment.js";
 import type { EnvironmentMap, Rgb } from "./environmentMap.js";
+import { gaussLegendre } from "./lobes.js";
 
-/** Nodes and weights of Gauss-Legendre quadrature with eight points on [-1, 1]. */
-const gaussNodes = [
-  -0.9602898564975363, -0.7966664774136267, -0.525532409916329, -0.18343464249564978, 0.18343464249564978,
-  0.525532409916329, 0.7966664774136267, 0.9602898564975363,
-] as const;
-const gaussWeights = [
-  0.10122853629037626, 0.22238103445337448, 0.31370664587788727, 0.3626837833783622, 0.3626837833783622,
-  0.31370664587788727, 0.22238103445337448, 0.10122853629037626,
-] as const;
+const gauss = gaussLegendre(8);
 
 /** Return Q_lm(z) for l < bands and 0 <= m <= l, at [l * bands + m]; zero where m > l. */
 function legendre(z: number, bands: number): Float64Array {
@@ -136,13 +129,13 @@ function rowIntegrals(height: number, bands: number): Float64Array {
   const result = new Float64Array(height * size);
   const half = (0.5 * Math.PI) / height;
   for (let halfRow = 0; halfRow < 2 * height; halfRow++) {
-    gaussNodes.forEach((node, index) => {
+    gauss.nodes.forEach((node, index) => {
       const polar = half * (halfRow + 0.5 * (node + 1));
       const place = (polar / Math.PI) * height - 0.5;
       const row = Math.min(Math.max(Math.floor(place), 0), height - 1);
       const below = row === height - 1 ? 0 : Math.min(Math.max(place - row, 0), 1);
       const q = legendre(Math.cos(polar), bands);
-      const measure = 0.5 * half * gaussWeights[index]!;
+      const measure = 0.5 * half * gauss.weights[index]!;
       for (let l = 0; l < bands; l++) {
         for (let m = 0; m <= l; m++) {
           const value = measure * q[l * bands + m]! * Math.sin(polar) ** (m + 1);
@@ -206,11 +199,7 @@ function rotationBlock(l: number, matrix: Matrix3): Float64Array {
   const count = 4 * (l + 1) ** 2 + 8;
   const normal = new Float64Array(size * size);
   const right = new Float64Array(size * size);
-  for (let index = 0; index < count; index++) {
-    const z = 1 - (2 * index + 1) / count;
-    const radius = Math.sqrt(1 - z * z);
-    const azimuth = index * Math.PI * (3 - Math.sqrt(5));
-    const point: Direction = [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
+  for (const point of evenDirections(count)) {
     const straight = basis(point, l + 1).subarray(l * l);
     const turned = basis(transposedTimes(matrix, point), l + 1).subarray(l * l);
     for (let i = 0; i < size; i++) {
@@ -258,19 +247,17 @@ function solve(a: Float64Array, b: Float64Array, size: number): Float64Array {
 
 /** Return the factor per coefficient that turns radiance into irradiance. */
 export function cosineFactors(bands: number): Float64Array {
-  return perCoefficient(bands, (l) => {
-    if (l === 1) return (2 * Math.PI) / 3;
-    if (l % 2 === 1) return 0;
-    // l! / (2^l (l/2)!^2), as a product that stays small.
-    let ratio = 1;
-    for (let k = 1; k <= l / 2; k++) ratio *= (2 * k - 1) / (2 * k);
-    const sign = l % 4 === 0 ? -1 : 1;
-    return (sign * 2 * Math.PI * ratio) / ((l + 2) * (l - 1));
-  });
+  const factors = new Float64Array(bands * bands);
+  for (let l = 0; l < bands; l++) factors.fill(cosineFactor(l), l * l, (l + 1) ** 2);
+  return factors;
 }
 
-function perCoefficient(bands: number, ofBand: (l: number) => number): Float64Array {
-  const factors = new Float64Array(bands * bands);
-  for (let l = 0; l < bands; l++) factors.fill(ofBand(l), l * l, (l + 1) ** 2);
-  return factors;
+function cosineFactor(l: number): number {
+  if (l === 1) return (2 * Math.PI) / 3;
+  if (l % 2 === 1) return 0;
+  // l! / (2^l (l/2)!^2), as a product that stays small.
+  let ratio = 1;
+  for (let k = 1; k <= l / 2; k++) ratio *= (2 * k - 1) / (2 * k);
+  const sign = l % 4 === 0 ? -1 : 1;
+  return (sign * 2 * Math.PI * ratio) / ((l + 2) * (l - 1));
 }

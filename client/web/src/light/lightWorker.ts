@@ -2,7 +2,7 @@
 
 import { splitSumTable } from "../engine/splitSum.js";
 import { readExr } from "./exrInput.js";
-import { MapFault, toldOf } from "./fault.js";
+import { MapFault, mapTold } from "./fault.js";
 import { type PreparedLight, prepareLight } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { readRgbe } from "./rgbe.js";
@@ -45,7 +45,7 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
     const buffers = [light.coefficientsRgb.buffer, light.plainRgb.buffer, light.levels.halfRgba.buffer];
     answer({ id, kind: "light", light }, buffers);
   } catch (error) {
-    answer({ id, kind: "failed", ...toldOf(error) }, []);
+    answer({ id, kind: "failed", ...mapTold(error) }, []);
   }
 };
 

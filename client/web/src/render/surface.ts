@@ -51,7 +51,6 @@ export function sampleTarget(width: number, height: number): WebGLRenderTarget {
     type: UnsignedIntType,
     minFilter: NearestFilter,
     magFilter: NearestFilter,
-    generateMipmaps: false,
   });
   target.texture.internalFormat = "RG32UI";
   return target;

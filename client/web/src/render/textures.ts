@@ -2,7 +2,6 @@
 
 import {
   ByteType,
-  ClampToEdgeWrapping,
   Data3DTexture,
   DataArrayTexture,
   DataTexture,
@@ -105,10 +104,6 @@ function gridTexture(grid: UncertaintyGrid): Data3DTexture {
   texture.type = HalfFloatType;
   texture.minFilter = LinearFilter;
   texture.magFilter = LinearFilter;
-  texture.wrapS = ClampToEdgeWrapping;
-  texture.wrapT = ClampToEdgeWrapping;
-  texture.wrapR = ClampToEdgeWrapping;
-  texture.unpackAlignment = 1;
   return ready(texture, "R16F");
 }
 

@@ -1,7 +1,7 @@
 /** Dropped or chosen files as the files of one scene. */
 
 import { BundleFault } from "../bundle/fault.js";
-import { type RangeReader, ZipArchive } from "../bundle/zip.js";
+import { ZipArchive } from "../bundle/zip.js";
 
 /** A file of a scene whose bytes are read when they are needed. */
 export type SceneFile = {
@@ -55,11 +55,9 @@ export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candid
 
 /** Return the files of a zip archive, each of which is unpacked when it is read. */
 async function zipped(file: File): Promise<Candidate> {
-  const range: RangeReader = async (start, length) =>
-    new Uint8Array(await file.slice(start, start + length).arrayBuffer());
   let archive: ZipArchive;
   try {
-    archive = await ZipArchive.open(range, file.size);
+    archive = await ZipArchive.ofFile(file);
   } catch (error) {
     if (!(error instanceof BundleFault)) throw error;
     if (error.code === "bundle.encrypted" || error.code === "bundle.not_a_plain_file") {

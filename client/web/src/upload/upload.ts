@@ -1,5 +1,6 @@
 /** Uploads a scene: hashes it, asks which files the server lacks, sends them, and commits the upload. */
 
+import { pause } from "../page/pause.js";
 import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";
 import type { Hash } from "./hashing.js";
@@ -25,7 +26,7 @@ export type UploadTools = {
   readonly hash: Hash;
   readonly onStep: (step: UploadStep) => void;
   readonly signal: AbortSignal;
-  /** Wait so many milliseconds; rejects when `signal` does. */
+  /** Wait so many milliseconds, less when `signal` is aborted. */
   readonly wait?: (milliseconds: number, signal: AbortSignal) => Promise<void>;
 };
 
@@ -112,7 +113,7 @@ async function hashAll(
 
 /** Return a function that repeats what failed for want of a server, with growing pauses, until `signal`. */
 function patience(
-  { signal, wait = waitFor }: UploadTools,
+  { signal, wait = pause }: UploadTools,
   onWait: () => void = () => {},
 ): <T>(action: () => Promise<T>) => Promise<T> {
   return async (action) => {
@@ -121,8 +122,7 @@ function patience(
       try {
         return await action();
       } catch (error) {
-        const passing = error instanceof Unreachable || (error instanceof Refused && isPassing(error));
-        if (!passing) throw error;
+        if (!(error instanceof Unreachable || (error instanceof Refused && isPassing(error)))) throw error;
       }
       onWait();
       await wait(pauseMs, signal);
@@ -132,19 +132,4 @@ function patience(
 
 function isPassing(refused: Refused): boolean {
   return refused.retryable && [408, 502, 503, 504].includes(refused.status);
-}
-
-function waitFor(milliseconds: number, signal: AbortSignal): Promise<void> {
-  return new Promise((resolve, reject) => {
-    const over = new AbortController();
-    const timer = setTimeout(() => {
-      over.abort();
-      resolve();
-    }, milliseconds);
-    const stop = () => {
-      clearTimeout(timer);
-      reject(signal.reason);
-    };
-    signal.addEventListener("abort", stop, { once: true, signal: over.signal });
-  });
 }

@@ -1,7 +1,6 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
-import { BundleFault } from "../bundle/fault.js";
-import { MapFault } from "../light/fault.js";
+import { Fault } from "../page/fault.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { listenToOrbit, type OrbitHost } from "./orbit.js";
@@ -104,10 +103,9 @@ export class Interface {
   /** Show an error. */
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
-    const known = error instanceof BundleFault || error instanceof MapFault;
     let text = error instanceof Error ? error.message : String(error);
     if (error instanceof RangeError) text = `There is not enough memory for this (${text}).`;
-    this.#tell(known ? `${text} [${error.code}]` : text, true);
+    this.#tell(error instanceof Fault ? `${text} [${error.code}]` : text, true);
   }
 
   #tell(text: string, problem: boolean): void {
