@@ -271,9 +271,4 @@ export class FusedCache {
       radianceRgb: this.width === 5 ? columns(2, 3) : null,
     };
   }
-
-  /** Free the device's memory. */
-  close(): void {
-    for (const buffer of this.stored) buffer.destroy();
-  }
 }

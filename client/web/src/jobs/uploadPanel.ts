@@ -125,14 +125,13 @@ function uploadRow(one: Running): { element: HTMLElement; update: (one: Running)
 /** Upload a candidate, have the scene checked, and go to its page. */
 export async function send(context: Context, candidate: Candidate, sceneId: string | null): Promise<void> {
   const { api, store, uploads } = context;
-  let result: Awaited<Running["done"]>;
+  let scene: Scene;
   try {
-    result = await uploads.begin(candidate, sceneId).done;
+    scene = await uploads.begin(candidate, sceneId).done;
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") return;
     throw error;
   }
-  const { scene } = result;
   const job = await api.submit({ scene_id: scene.id, kind: "check" }, `check-${scene.id}`);
   store.put(job);
   location.hash = sceneAddress(scene.id);

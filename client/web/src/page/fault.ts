@@ -5,7 +5,7 @@ export class Fault extends Error {
   constructor(
     readonly code: string,
     what: string,
-    advice: string,
+    readonly advice: string,
   ) {
     super(`${what}; ${advice}`);
   }

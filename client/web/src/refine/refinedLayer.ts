@@ -94,7 +94,6 @@ export class RefinedLayer {
     return true;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.#direct.dispose();
     this.#rest.dispose();

@@ -64,7 +64,6 @@ export class FullScreen {
     this.renderer.compile(this.#scene, this.#camera);
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.#geometry.dispose();
   }

@@ -198,7 +198,6 @@ export class Ground {
     this.#known = false;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     for (const target of [this.#tiles, this.#lights, this.#sky]) target.dispose();
     for (const pass of [this.#skyPass, this.#sharePass, this.#cast]) pass.dispose();

@@ -153,7 +153,6 @@ export class IrradiancePasses {
     screen.draw(this.#indirect, into.indirect);
   }
 
-  /** Give the programs back. */
   dispose(): void {
     this.#direct.dispose();
     this.#indirect.dispose();
@@ -177,7 +176,6 @@ export class IrradianceTables {
     );
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.direct.dispose();
     this.indirect.dispose();

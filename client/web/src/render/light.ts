@@ -121,7 +121,6 @@ export class StageLight {
     return this.#tilted;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.levels.dispose();
     this.tables.dispose();

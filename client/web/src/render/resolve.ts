@@ -126,7 +126,6 @@ export class Resolve {
     });
   }
 
-  /** Give the program back. */
   dispose(): void {
     this.material.dispose();
   }

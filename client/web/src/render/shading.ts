@@ -211,7 +211,6 @@ export class Shading {
     setUniforms(this.material, values);
   }
 
-  /** Give the program back. */
   dispose(): void {
     this.material.dispose();
   }

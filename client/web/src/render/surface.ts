@@ -77,7 +77,6 @@ export class Surface {
     this.mesh.frustumCulled = false;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();

@@ -81,7 +81,6 @@ export class BundleTextures {
     return [...always, ...[this.shadowBits, this.uncertainty].filter((each) => each !== null)];
   }
 
-  /** Give the memory back. */
   dispose(): void {
     for (const texture of this.all) texture.dispose();
   }

@@ -13,14 +13,6 @@ export type UploadStep = {
   readonly numKnown: number;
 };
 
-export type UploadResult = {
-  readonly scene: Scene;
-  readonly numSent: number;
-  readonly numKnown: number;
-  /** Paths of files that have no place in a scene. */
-  readonly unsupported: readonly string[];
-};
-
 export type UploadTools = {
   readonly api: Pick<Api, "createScene" | "planFiles" | "putFile" | "putArchive" | "commit" | "scene">;
   readonly hash: Hash;
@@ -43,18 +35,16 @@ export async function upload(
   candidate: Candidate,
   tools: UploadTools,
   sceneId: string | null = null,
-): Promise<UploadResult> {
+): Promise<Scene> {
   const patient = patience(tools);
   const id = sceneId ?? (await patient(() => tools.api.createScene(candidate.name))).id;
   if (candidate.kind === "archive") {
     const { file, mediaType } = candidate;
     tools.onStep({ what: "send", doneBytes: 0, totalBytes: file.size, numKnown: 0 });
-    const scene = await patient(() => sendArchive(tools, id, file, mediaType));
-    return { scene, numSent: 1, numKnown: 0, unsupported: [] };
+    return patient(() => sendArchive(tools, id, file, mediaType));
   }
   const hashed = await hashAll(candidate.files, tools);
-  const plan = await patient(() => tools.api.planFiles(id, hashed.planned));
-  const missing = new Set(plan.missing);
+  const missing = new Set((await patient(() => tools.api.planFiles(id, hashed.planned))).missing);
   const unique = [...hashed.bySha256].filter(([sha256]) => missing.has(sha256));
   const numKnown = hashed.bySha256.size - unique.length;
   const totalBytes = unique.reduce((sum, [, file]) => sum + file.sizeBytes, 0);
@@ -76,8 +66,7 @@ export async function upload(
   };
   await Promise.all(Array.from({ length: parallel }, worker));
   tell("commit");
-  const scene = await patient(() => tools.api.commit(id));
-  return { scene, numSent: unique.length, numKnown, unsupported: plan.unsupported };
+  return patient(() => tools.api.commit(id));
 }
 
 async function sendArchive(tools: UploadTools, id: string, file: File, mediaType: string): Promise<Scene> {

@@ -75,7 +75,6 @@ export class Interface {
     this.#show();
   }
 
-  /** Stop listening. */
   dispose(): void {
     this.#stop.abort();
     if (this.#photo.src) URL.revokeObjectURL(this.#photo.src);

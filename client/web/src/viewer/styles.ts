@@ -41,7 +41,6 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .split { position: absolute; top: 0; bottom: 0; width: 0; left: 50%; pointer-events: none; }
 .split[hidden] { display: none; }
 .split::before { content: ""; position: absolute; top: 0; bottom: 0; left: -1px; width: 2px; background: #fff; box-shadow: 0 0 3px #000; }
-.split input { position: absolute; }
 .handle { position: absolute; top: 50%; left: -1.4rem; width: 2.8rem; height: 2.8rem; margin-top: -1.4rem; border-radius: 50%;
   background: #17191c; border: 2px solid #fff; pointer-events: auto; touch-action: none; cursor: ew-resize; display: grid; place-content: center; }
 .sides { position: absolute; top: 0.75rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
@@ -59,7 +58,6 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }
 .hint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
-.quiet { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 @container (min-width: 40rem) { .view:has(~ .panel[open]) { right: 20.5rem; } }
 @container (max-width: 40rem) {
   .panel { top: auto; bottom: 0; right: 0; left: 0; width: auto; max-height: 55%; border-radius: 0.8rem 0.8rem 0 0; }
