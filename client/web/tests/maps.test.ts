@@ -6,8 +6,7 @@ import { sumFactors } from "../src/engine/fallingLight.js";
 import { halfValue } from "../src/engine/half.js";
 import { cosineFactors } from "../src/engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../src/engine/lobes.js";
-import { evenDirections } from "../src/engine/environment.js";
-import { shadowWeights } from "../src/engine/shadows.js";
+import { shadowDirections, shadowWeights } from "../src/engine/shadows.js";
 import { decodedByThree, readExr } from "../src/light/exrInput.js";
 import { MapFault } from "../src/light/fault.js";
 import { toHalf } from "../src/light/half.js";
@@ -238,7 +237,7 @@ describe("the lobe's factors", () => {
 });
 
 describe("shadow weights", () => {
-  const stored = evenDirections(256);
+  const stored = shadowDirections(256);
 
   it("sum to one and belong to the nearest directions", () => {
     const direction = [0.36, -0.48, 0.8] as const;

@@ -1,5 +1,6 @@
 /** Reads bundles in a worker: fetching, digests and packing do not block the main thread. */
 
+import { buffersOf } from "../page/buffers.js";
 import { bundleTold } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
@@ -22,13 +23,3 @@ self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
     answer({ kind: "failed", ...bundleTold(error) });
   }
 };
-
-function buffersOf({ mesh, transport }: LoadedBundle): Transferable[] {
-  const { direct, visibility, indirect, material, texelPlane, coarseOfTexel, shadowBits } = transport;
-  const tables = [direct, visibility, indirect, material].map((table) => table.steps.buffer);
-  const shadows = shadowBits === null ? [] : [shadowBits.buffer];
-  return [mesh.positionsXyz.buffer, mesh.uv.buffer, mesh.indices.buffer, ...tables, ...shadows].concat([
-    texelPlane.buffer,
-    coarseOfTexel.buffer,
-  ]);
-}

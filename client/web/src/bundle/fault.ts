@@ -12,6 +12,16 @@ export function exportAgain(code: string, what: string): BundleFault {
   return new BundleFault(code, what, "export the bundle again");
 }
 
+/** Return the fault for a file that has come damaged or in part. */
+export function fetchAgain(code: string, what: string): BundleFault {
+  return new BundleFault(code, what, "fetch the bundle again");
+}
+
+/** Return the fault for a bundle that may be meant to do harm. */
+export function unsafe(code: string, what: string): BundleFault {
+  return new BundleFault(code, what, "do not use this bundle");
+}
+
 /** Return an error of reading a bundle as code and message. */
 export function bundleTold(error: unknown) {
   const advice = "close other pages, or use a bundle of the lite tier";

@@ -1,6 +1,6 @@
 /** Sources of a bundle's files: a web folder, our server, a zip archive, dropped files. */
 
-import { BundleFault } from "./fault.js";
+import { BundleFault, fetchAgain, unsafe } from "./fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
@@ -28,11 +28,7 @@ export async function openSource(origin: BundleOrigin): Promise<FileSource> {
 }
 
 function tooLarge(path: string, limitBytes: number): BundleFault {
-  return new BundleFault(
-    "bundle.too_large",
-    `"${path}" is above ${limitBytes} bytes`,
-    "do not use this bundle",
-  );
+  return unsafe("bundle.too_large", `"${path}" is above ${limitBytes} bytes`);
 }
 
 async function request(url: URL, headers: Record<string, string> = {}): Promise<Response> {
@@ -116,13 +112,9 @@ function zipSource(archive: ZipArchive): FileSource {
 }
 
 function missing(path: string): BundleFault {
-  return path === "manifest.json"
-    ? new BundleFault(
-        "bundle.manifest_missing",
-        "there is no manifest.json",
-        "drop the folder that holds it, or a .relight.zip",
-      )
-    : new BundleFault("bundle.file_missing", `"${path}" is not there`, "fetch the bundle again");
+  if (path !== "manifest.json") return fetchAgain("bundle.file_missing", `"${path}" is not there`);
+  const advice = "drop the folder that holds it, or a .relight.zip";
+  return new BundleFault("bundle.manifest_missing", "there is no manifest.json", advice);
 }
 
 /** Files of a folder that was dropped; the folder that holds manifest.json is the bundle. */

@@ -1,7 +1,7 @@
 /** Zip archives, read in parts: from a file that was dropped, or by ranges of an address. */
 
 import { inflated } from "../page/inflate.js";
-import { BundleFault } from "./fault.js";
+import { BundleFault, unsafe } from "./fault.js";
 
 /** Some bytes of a file; `start` may be negative, counted from the end. */
 export type RangeReader = (start: number, length: number) => Promise<Uint8Array<ArrayBuffer>>;
@@ -51,7 +51,7 @@ export class ZipArchive {
       throw damaged("is of the large kind or ends early");
     }
     if (count > maxFiles) {
-      throw new BundleFault("bundle.too_many_files", `more than ${maxFiles} files`, "do not use this bundle");
+      throw unsafe("bundle.too_many_files", `more than ${maxFiles} files`);
     }
     const directory = await read(start, length);
     return new ZipArchive(parseDirectory(directory, count), read);

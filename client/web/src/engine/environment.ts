@@ -21,13 +21,3 @@ export function directionOfUv([u, v]: readonly [u: number, v: number]): Directio
 export function directionOfPixel(row: number, column: number, height: number, width: number): Direction {
   return directionOfUv([(column + 0.5) / width, (row + 0.5) / height]);
 }
-
-/** Return even unit directions: z = 1 - (2 j + 1) / count, azimuth j pi (3 - sqrt 5). */
-export function evenDirections(count: number): Direction[] {
-  return Array.from({ length: count }, (_, j) => {
-    const z = 1 - (2 * j + 1) / count;
-    const azimuth = j * Math.PI * (3 - Math.sqrt(5));
-    const radius = Math.sqrt(1 - z * z);
-    return [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
-  });
-}

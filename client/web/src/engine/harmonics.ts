@@ -5,7 +5,7 @@
  * `coefficientsRgb[3 * index + channel]`. Source: docs/reference/conventions.md (spherical harmonics).
  */
 
-import { type Direction, evenDirections } from "./environment.js";
+import type { Direction } from "./environment.js";
 import type { EnvironmentMap, Rgb } from "./environmentMap.js";
 import { gaussLegendre } from "./lobes.js";
 
@@ -173,76 +173,33 @@ export type Matrix3 = readonly [Direction, Direction, Direction];
 /**
  * Return the coefficients of the function turned by any rotation: f'(d) = f(transpose(matrix) d).
  *
- * Band by band, B(transpose(matrix) d) = B(d) block is solved over directions spread over the sphere.
+ * The turned function is projected by a quadrature over the sphere that is exact for products of two such functions.
  */
 export function rotate(coefficientsRgb: ArrayLike<number>, bands: number, matrix: Matrix3): Float64Array {
   const result = new Float64Array(3 * bands * bands);
-  for (let l = 0; l < bands; l++) {
-    const block = rotationBlock(l, matrix);
-    const size = 2 * l + 1;
-    for (let i = 0; i < size; i++) {
-      for (let j = 0; j < size; j++) {
-        const weight = block[i * size + j]!;
-        for (let channel = 0; channel < 3; channel++) {
-          const index = 3 * (l * l + i) + channel;
-          result[index] = result[index]! + weight * coefficientsRgb[3 * (l * l + j) + channel]!;
-        }
-      }
+  const { nodes, weights } = gaussLegendre(bands);
+  nodes.forEach((z, row) => {
+    const radius = Math.sqrt(1 - z * z);
+    for (let column = 0; column < 2 * bands; column++) {
+      const azimuth = (Math.PI * column) / bands;
+      const point: Direction = [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
+      const value: Rgb = [0, 0, 0];
+      basis(transposedTimes(matrix, point), bands).forEach((at, k) => {
+        for (const channel of [0, 1, 2] as const) value[channel] += at * coefficientsRgb[3 * k + channel]!;
+      });
+      const weight = (weights[row]! * Math.PI) / bands;
+      basis(point, bands).forEach((at, k) => {
+        addScaled(result, 3 * k, weight * at, value);
+      });
     }
-  }
+  });
   return result;
-}
-
-/** Return the [2l + 1, 2l + 1] matrix of a rotation in band l, by least squares over directions. */
-function rotationBlock(l: number, matrix: Matrix3): Float64Array {
-  const size = 2 * l + 1;
-  const count = 4 * (l + 1) ** 2 + 8;
-  const normal = new Float64Array(size * size);
-  const right = new Float64Array(size * size);
-  for (const point of evenDirections(count)) {
-    const straight = basis(point, l + 1).subarray(l * l);
-    const turned = basis(transposedTimes(matrix, point), l + 1).subarray(l * l);
-    for (let i = 0; i < size; i++) {
-      for (let j = 0; j < size; j++) {
-        normal[i * size + j] = normal[i * size + j]! + straight[i]! * straight[j]!;
-        right[i * size + j] = right[i * size + j]! + straight[i]! * turned[j]!;
-      }
-    }
-  }
-  return solve(normal, right, size);
 }
 
 function transposedTimes(matrix: Matrix3, point: Direction): Direction {
   const column = (c: 0 | 1 | 2): number =>
     matrix[0][c] * point[0] + matrix[1][c] * point[1] + matrix[2][c] * point[2];
   return [column(0), column(1), column(2)];
-}
-
-/** Return X of A X = B for square matrices, by elimination with pivots; both arguments are used up. */
-function solve(a: Float64Array, b: Float64Array, size: number): Float64Array {
-  for (let pivot = 0; pivot < size; pivot++) {
-    let best = pivot;
-    for (let row = pivot + 1; row < size; row++) {
-      if (Math.abs(a[row * size + pivot]!) > Math.abs(a[best * size + pivot]!)) best = row;
-    }
-    for (let column = 0; column < size; column++) {
-      for (const values of [a, b]) {
-        const kept = values[pivot * size + column]!;
-        values[pivot * size + column] = values[best * size + column]!;
-        values[best * size + column] = kept;
-      }
-    }
-    const scale = a[pivot * size + pivot]!;
-    for (let row = 0; row < size; row++) {
-      if (row === pivot) continue;
-      const factor = a[row * size + pivot]! / scale;
-      for (let column = 0; column < size; column++) {
-        a[row * size + column] = a[row * size + column]! - factor * a[pivot * size + column]!;
-        b[row * size + column] = b[row * size + column]! - factor * b[pivot * size + column]!;
-      }
-    }
-  }
-  return b.map((value, index) => value / a[Math.floor(index / size) * (size + 1)]!);
 }
 
 /** Return the factor per coefficient that turns radiance into irradiance. */

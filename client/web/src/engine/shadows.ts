@@ -9,6 +9,16 @@ const numNeighbours = 6;
 /** Stored directions and their weights, which sum to one. */
 export type ShadowWeights = { readonly indices: readonly number[]; readonly weights: readonly number[] };
 
+/** Return even unit directions: z = 1 - (2 j + 1) / count, azimuth j pi (3 - sqrt 5). */
+export function shadowDirections(count: number): Direction[] {
+  return Array.from({ length: count }, (_, j) => {
+    const z = 1 - (2 * j + 1) / count;
+    const azimuth = j * Math.PI * (3 - Math.sqrt(5));
+    const radius = Math.sqrt(1 - z * z);
+    return [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
+  });
+}
+
 /** Return the six stored directions nearest to a unit direction, with weights; the last one's is zero. */
 export function shadowWeights(stored: readonly Direction[], direction: Direction): ShadowWeights {
   const indices: number[] = [];

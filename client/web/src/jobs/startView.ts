@@ -127,15 +127,11 @@ function nextPages<T>(
   context: Context,
 ) {
   let cursor: string | null = null;
-  const more = button(
-    text,
-    async () => {
-      const page = await ask(cursor);
-      after(page);
-      take(page.items);
-    },
-    context,
-  );
+  const more = button(text, context, async () => {
+    const page = await ask(cursor);
+    after(page);
+    take(page.items);
+  });
   more.hidden = true;
   function after(page: Page<T>): void {
     cursor = page.next_cursor;

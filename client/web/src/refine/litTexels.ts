@@ -7,11 +7,11 @@ import {
   tableRows,
   tableWidth,
 } from "../bundle/transport.js";
-import { type Direction, evenDirections } from "../engine/environment.js";
+import type { Direction } from "../engine/environment.js";
 import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
-import { shadowWeights } from "../engine/shadows.js";
+import { shadowDirections, shadowWeights } from "../engine/shadows.js";
 
-const stored = evenDirections(numShadowDirections);
+const stored = shadowDirections(numShadowDirections);
 
 /** Return the direct irradiance of every texel, triples, not below zero. */
 export function directIrradiance(

@@ -7,16 +7,15 @@
 
 import type { RawShaderMaterial, WebGLRenderTarget } from "three";
 import { numShadowDirections, tableWidth } from "../bundle/transport.js";
-import { evenDirections } from "../engine/environment.js";
 import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
-import { shadowWeights } from "../engine/shadows.js";
+import { shadowDirections, shadowWeights } from "../engine/shadows.js";
 import { maxDominant } from "../light/prepare.js";
 import { header } from "./glsl.js";
 import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
 import { halfFloatTarget } from "./targets.js";
 import type { BundleTextures } from "./textures.js";
 
-const storedDirections = evenDirections(numShadowDirections);
+const storedDirections = shadowDirections(numShadowDirections);
 
 function planeSum(layers: number): string {
   return `
