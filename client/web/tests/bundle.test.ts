@@ -1,8 +1,7 @@
-import { toldOf } from "../src/bundle/fault.js";
-import { MapFault, toldOf as toldOfMap } from "../src/light/fault.js";
+import { MapFault, mapTold } from "../src/light/fault.js";
 import { createHash } from "node:crypto";
 import { describe, expect, it } from "vitest";
-import { BundleFault } from "../src/bundle/fault.js";
+import { BundleFault, bundleTold } from "../src/bundle/fault.js";
 import { loadBundle } from "../src/bundle/load.js";
 import { checkPath, openBundle } from "../src/bundle/manifest.js";
 import { meshFromGlb } from "../src/bundle/mesh.js";
@@ -207,10 +206,10 @@ describe("what does not fit into memory", () => {
   };
 
   it("is told as that, of bundles and of maps", () => {
-    expect(toldOf(unfit()).code).toBe("bundle.memory");
-    expect(toldOf(unfit()).message).toContain("not enough memory");
-    expect(toldOfMap(unfit()).code).toBe("environment.memory");
-    expect(toldOf(new TypeError("x"))).toEqual({ code: "bundle.failed", message: "x" });
-    expect(toldOfMap(new MapFault("environment.x", "what", "advice")).message).toBe("what; advice");
+    expect(bundleTold(unfit()).code).toBe("bundle.memory");
+    expect(bundleTold(unfit()).message).toContain("not enough memory");
+    expect(mapTold(unfit()).code).toBe("environment.memory");
+    expect(bundleTold(new TypeError("x"))).toEqual({ code: "bundle.failed", message: "x" });
+    expect(mapTold(new MapFault("environment.x", "what", "advice")).message).toBe("what; advice");
   });
 });

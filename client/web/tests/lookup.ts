@@ -1,7 +1,21 @@
 /** Environment maps looked up in a direction, as shaders do it. */
 
-import { type Direction, uvOfDirection } from "../src/engine/environment.js";
+import type { Direction } from "../src/engine/environment.js";
 import type { EnvironmentMap, Rgb } from "../src/engine/environmentMap.js";
+
+/** Return where in the map a unit direction lies; u is 0.5 at the poles. */
+export function uvOfDirection([x, y, z]: Direction): readonly [u: number, v: number] {
+  const turns = 0.5 - Math.atan2(y, x) / (2 * Math.PI);
+  return [turns - Math.floor(turns), Math.acos(Math.min(1, Math.max(-1, z))) / Math.PI];
+}
+
+/** Return `direction` turned by +degrees about +z (counter-clockwise seen from above). */
+export function rotateAboutZ([x, y, z]: Direction, degrees: number): Direction {
+  const angle = (degrees * Math.PI) / 180;
+  const cos = Math.cos(angle);
+  const sin = Math.sin(angle);
+  return [cos * x - sin * y, sin * x + cos * y, z];
+}
 
 /** Return the radiance of an unturned map in a direction: bilinear, columns wrap, rows are held at the poles. */
 export function lookup(map: EnvironmentMap, direction: Direction): Rgb {

@@ -201,7 +201,7 @@ describe("a prepared light", () => {
     expect(worst).toBeLessThan(1e-3);
     expect(covered.every((count) => count <= 1)).toBe(true);
   });
-  it("mends unusable values and says so", async () => {
+  it("replaces unusable values and says so", async () => {
     const radianceRgb = new Float32Array(3 * 4 * 8).fill(1);
     radianceRgb.set([Number.NaN, -1, Number.POSITIVE_INFINITY]);
     const { map, notes } = usableMap({ height: 4, width: 8, radianceRgb });

@@ -6,7 +6,6 @@
 import { openBundle } from "../src/bundle/manifest.js";
 import { FusedCache, packFastCache } from "../src/engine/fusedCache.js";
 import { type OnnxGraph, openGraph, type Provider } from "../src/engine/onnxGraphs.js";
-import { loadWasm } from "../src/engine/onnxWasm.js";
 import { loadWebgpu, withoutHalves } from "./onnxWebgpu.js";
 
 type Arrays = Record<string, string>;
@@ -47,7 +46,7 @@ async function open(name: string, path: string, provider: Provider, outputs?: st
     name,
     await openGraph(stored.model, stored.weights, {
       provider,
-      runtime: await (provider === "webgpu" ? loadWebgpu() : loadWasm()),
+      runtime: await (provider === "webgpu" ? loadWebgpu() : import("onnxruntime-web/wasm")),
       wasmFolder: new URL("ort/", location.href).href,
       ...(outputs === undefined ? {} : { outputs }),
     }),

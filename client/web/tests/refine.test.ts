@@ -101,7 +101,6 @@ function evenTracer(opacity: number): Tracer {
       opacity: new Float32Array(rays.length / 6).fill(opacity),
       distance: new Float32Array(rays.length / 6).fill(2),
     }),
-    close: async () => undefined,
   };
 }
 

@@ -1,6 +1,7 @@
 /** Reads bundles in a worker: fetching, digests and packing do not block the main thread. */
 
-import { toldOf } from "./fault.js";
+import { buffersOf } from "../page/buffers.js";
+import { bundleTold } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 
@@ -19,16 +20,6 @@ self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
     const bundle = await loadBundle(data, (news) => answer(news));
     answer({ kind: "loaded", bundle }, buffersOf(bundle));
   } catch (error) {
-    answer({ kind: "failed", ...toldOf(error) });
+    answer({ kind: "failed", ...bundleTold(error) });
   }
 };
-
-function buffersOf({ mesh, transport }: LoadedBundle): Transferable[] {
-  const { direct, visibility, indirect, material, texelPlane, coarseOfTexel, shadowBits } = transport;
-  const tables = [direct, visibility, indirect, material].map((table) => table.steps.buffer);
-  const shadows = shadowBits === null ? [] : [shadowBits.buffer];
-  return [mesh.positionsXyz.buffer, mesh.uv.buffer, mesh.indices.buffer, ...tables, ...shadows].concat([
-    texelPlane.buffer,
-    coarseOfTexel.buffer,
-  ]);
-}

@@ -1,9 +1,10 @@
 /** Reads and checks the parts of a bundle that a viewer needs. */
 
+import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault } from "./fault.js";
 import { openBundle } from "./manifest.js";
-import { type AtlasMesh, meshFromGlb } from "./mesh.js";
+import { type AtlasMesh, boundsOf, meshFromGlb } from "./mesh.js";
 import { type BundleOrigin, openSource } from "./source.js";
 import { type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
@@ -12,10 +13,7 @@ import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
 export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };
 
 /** A bundle in memory; only typed arrays and plain values, so that a worker can send it. */
-export type LoadedBundle = {
-  readonly name: string;
-  readonly sceneId: string;
-  readonly preset: string;
+export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "preset">> & {
   /** The mesh's box, scene units. */
   readonly boundsMin: readonly number[];
   readonly boundsMax: readonly number[];
@@ -102,29 +100,9 @@ export async function loadBundle(
       pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
     ),
   ]);
+  const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
-    name: manifest.name,
-    sceneId: manifest.sceneId,
-    preset: manifest.preset,
-    ...boundsOf(mesh),
-    albedoScaleRgb: manifest.albedoScaleRgb,
-    metrics: manifest.metrics,
-    trainLights: manifest.trainLights,
-    mesh,
-    transport,
-    uncertainty: grid,
-    cameras,
-    trainedMaps,
-    previews,
+    ...{ name, sceneId, preset, albedoScaleRgb, metrics, trainLights },
+    ...{ ...boundsOf(mesh.positionsXyz), mesh, transport, uncertainty: grid, cameras, trainedMaps, previews },
   };
-}
-
-function boundsOf({ positionsXyz }: AtlasMesh): { boundsMin: number[]; boundsMax: number[] } {
-  const boundsMin = [Infinity, Infinity, Infinity];
-  const boundsMax = [-Infinity, -Infinity, -Infinity];
-  positionsXyz.forEach((value, index) => {
-    boundsMin[index % 3] = Math.min(boundsMin[index % 3]!, value);
-    boundsMax[index % 3] = Math.max(boundsMax[index % 3]!, value);
-  });
-  return { boundsMin, boundsMax };
 }

@@ -2,7 +2,7 @@
 
 import { fromJsonString } from "@bufbuild/protobuf";
 import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { BundleFault, exportAgain } from "./fault.js";
+import { BundleFault, exportAgain, fetchAgain, unsafe } from "./fault.js";
 import { sha256Hex } from "./sha256.js";
 import type { FileSource } from "./source.js";
 
@@ -34,11 +34,7 @@ export async function openBundle(source: FileSource): Promise<OpenBundle> {
     if (stated === undefined) throw exportAgain("bundle.file_missing", `"${path}" is not in files`);
     const data = await source.read(path, fileLimit);
     if (data.length !== stated.sizeBytes || (await sha256Hex(data)) !== stated.sha256) {
-      throw new BundleFault(
-        "bundle.digest_mismatch",
-        `"${path}" is not the file the manifest describes`,
-        "fetch the bundle again",
-      );
+      throw fetchAgain("bundle.digest_mismatch", `"${path}" is not the file the manifest describes`);
     }
     return data;
   };
@@ -51,11 +47,7 @@ function parseManifest(data: Uint8Array): BundleManifest {
     return fromJsonString(BundleManifestSchema, text, { ignoreUnknownFields: true });
   } catch (error) {
     const reason = error instanceof Error ? error.message.split("\n")[0]!.slice(0, 200) : "no text";
-    throw new BundleFault(
-      "bundle.manifest_unreadable",
-      `manifest.json cannot be read (${reason})`,
-      "fetch the bundle again",
-    );
+    throw fetchAgain("bundle.manifest_unreadable", `manifest.json cannot be read (${reason})`);
   }
 }
 
@@ -75,18 +67,14 @@ export function checkPath(path: string): void {
   const parts = path.split("/");
   const plain = parts.every((part) => part !== "" && part !== "." && part !== "..");
   if (!plain || /[\\:\0]/.test(path) || path.length > 1024) {
-    throw new BundleFault(
-      "bundle.path_unsafe",
-      `the path "${path.slice(0, 200)}" leaves the bundle`,
-      "do not use this bundle",
-    );
+    throw unsafe("bundle.path_unsafe", `the path "${path.slice(0, 200)}" leaves the bundle`);
   }
 }
 
 function checkFiles(manifest: BundleManifest, present: ReadonlySet<string> | null): void {
   const stated = new Set(manifest.files.map((file) => file.path));
   if (manifest.files.length > 4096) {
-    throw new BundleFault("bundle.too_many_files", "more than 4096 files", "do not use this bundle");
+    throw unsafe("bundle.too_many_files", "more than 4096 files");
   }
   for (const path of stated) checkPath(path);
   if (stated.size !== manifest.files.length)
@@ -96,11 +84,7 @@ function checkFiles(manifest: BundleManifest, present: ReadonlySet<string> | nul
   const missing = [...stated].filter((path) => !present.has(path));
   const extra = [...present].filter((path) => path !== "manifest.json" && !stated.has(path));
   if (missing.length > 0) {
-    throw new BundleFault(
-      "bundle.file_missing",
-      `${missing.slice(0, 4).join(", ")} are not there`,
-      "fetch the bundle again",
-    );
+    throw fetchAgain("bundle.file_missing", `${missing.slice(0, 4).join(", ")} are not there`);
   }
   if (extra.length > 0) {
     throw new BundleFault(

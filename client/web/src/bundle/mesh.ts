@@ -47,6 +47,17 @@ export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
   return { positionsXyz: new Float32Array(positions), uv, indices };
 }
 
+/** Return the box around points. */
+export function boundsOf(positionsXyz: Float32Array): { boundsMin: number[]; boundsMax: number[] } {
+  const boundsMin = [Infinity, Infinity, Infinity];
+  const boundsMax = [-Infinity, -Infinity, -Infinity];
+  positionsXyz.forEach((value, index) => {
+    boundsMin[index % 3] = Math.min(boundsMin[index % 3]!, value);
+    boundsMax[index % 3] = Math.max(boundsMax[index % 3]!, value);
+  });
+  return { boundsMin, boundsMax };
+}
+
 function object(value: unknown): Json {
   if (typeof value !== "object" || value === null || Array.isArray(value))
     throw invalid("cannot be read as glTF");

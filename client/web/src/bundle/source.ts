@@ -1,6 +1,6 @@
 /** Sources of a bundle's files: a web folder, our server, a zip archive, dropped files. */
 
-import { BundleFault } from "./fault.js";
+import { BundleFault, fetchAgain, unsafe } from "./fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
@@ -20,7 +20,7 @@ export type BundleOrigin =
 
 /** Return the files behind an origin; throws BundleFault where there are none. */
 export async function openSource(origin: BundleOrigin): Promise<FileSource> {
-  if (origin.kind === "archive") return archiveSource(origin.file);
+  if (origin.kind === "archive") return zipSource(await ZipArchive.ofFile(origin.file));
   if (origin.kind === "files") return droppedSource(origin.files);
   const url = new URL(origin.url);
   if (url.pathname.endsWith(".zip")) return remoteArchive(url);
@@ -28,11 +28,7 @@ export async function openSource(origin: BundleOrigin): Promise<FileSource> {
 }
 
 function tooLarge(path: string, limitBytes: number): BundleFault {
-  return new BundleFault(
-    "bundle.too_large",
-    `"${path}" is above ${limitBytes} bytes`,
-    "do not use this bundle",
-  );
+  return unsafe("bundle.too_large", `"${path}" is above ${limitBytes} bytes`);
 }
 
 async function request(url: URL, headers: Record<string, string> = {}): Promise<Response> {
@@ -100,13 +96,7 @@ async function remoteArchive(url: URL): Promise<FileSource> {
       "check the address",
     );
   }
-  return archiveSource(await probe.blob());
-}
-
-async function archiveSource(file: Blob): Promise<FileSource> {
-  const read: RangeReader = async (start, length) =>
-    new Uint8Array(await file.slice(start, start + length).arrayBuffer());
-  return zipSource(await ZipArchive.open(read, file.size));
+  return zipSource(await ZipArchive.ofFile(await probe.blob()));
 }
 
 function zipSource(archive: ZipArchive): FileSource {
@@ -122,13 +112,9 @@ function zipSource(archive: ZipArchive): FileSource {
 }
 
 function missing(path: string): BundleFault {
-  return path === "manifest.json"
-    ? new BundleFault(
-        "bundle.manifest_missing",
-        "there is no manifest.json",
-        "drop the folder that holds it, or a .relight.zip",
-      )
-    : new BundleFault("bundle.file_missing", `"${path}" is not there`, "fetch the bundle again");
+  if (path !== "manifest.json") return fetchAgain("bundle.file_missing", `"${path}" is not there`);
+  const advice = "drop the folder that holds it, or a .relight.zip";
+  return new BundleFault("bundle.manifest_missing", "there is no manifest.json", advice);
 }
 
 /** Files of a folder that was dropped; the folder that holds manifest.json is the bundle. */

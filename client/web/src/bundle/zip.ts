@@ -1,6 +1,7 @@
 /** Zip archives, read in parts: from a file that was dropped, or by ranges of an address. */
 
-import { BundleFault } from "./fault.js";
+import { inflated } from "../page/inflate.js";
+import { BundleFault, unsafe } from "./fault.js";
 
 /** Some bytes of a file; `start` may be negative, counted from the end. */
 export type RangeReader = (start: number, length: number) => Promise<Uint8Array<ArrayBuffer>>;
@@ -28,6 +29,13 @@ export class ZipArchive {
     private readonly read: RangeReader,
   ) {}
 
+  /** Read the directory of an archive in memory or on disk; throws BundleFault. */
+  static ofFile(file: Blob): Promise<ZipArchive> {
+    const read: RangeReader = async (start, length) =>
+      new Uint8Array(await file.slice(start, start + length).arrayBuffer());
+    return ZipArchive.open(read, file.size);
+  }
+
   /** Read the directory of an archive of `totalBytes`; throws BundleFault for anything but a plain zip. */
   static async open(read: RangeReader, totalBytes: number): Promise<ZipArchive> {
     const tailLength = Math.min(totalBytes, 65_557);
@@ -43,7 +51,7 @@ export class ZipArchive {
       throw damaged("is of the large kind or ends early");
     }
     if (count > maxFiles) {
-      throw new BundleFault("bundle.too_many_files", `more than ${maxFiles} files`, "do not use this bundle");
+      throw unsafe("bundle.too_many_files", `more than ${maxFiles} files`);
     }
     const directory = await read(start, length);
     return new ZipArchive(parseDirectory(directory, count), read);
@@ -60,33 +68,12 @@ export class ZipArchive {
     const packed = await this.read(start, entry.packedBytes);
     if (packed.length !== entry.packedBytes) throw damaged(`ends early in "${name}"`);
     if (entry.method === 0) return packed;
-    return inflated(packed, entry.sizeBytes, name);
+    const found = await inflated(packed, "deflate-raw", entry.sizeBytes);
+    if (found === null) throw damaged(`cannot be unpacked at "${name}"`);
+    if (found.length > entry.sizeBytes) throw damaged(`holds more in "${name}" than it states`);
+    if (found.length < entry.sizeBytes) throw damaged(`holds less in "${name}" than it states`);
+    return found.bytes;
   }
-}
-
-async function inflated(
-  packed: Uint8Array<ArrayBuffer>,
-  sizeBytes: number,
-  name: string,
-): Promise<Uint8Array<ArrayBuffer>> {
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
-  const reader = stream.getReader();
-  const whole = new Uint8Array(sizeBytes);
-  let filled = 0;
-  try {
-    for (;;) {
-      const { done, value } = await reader.read();
-      if (done) break;
-      if (filled + value.length > sizeBytes) throw damaged(`holds more in "${name}" than it states`);
-      whole.set(value, filled);
-      filled += value.length;
-    }
-  } catch (error) {
-    if (error instanceof BundleFault) throw error;
-    throw damaged(`cannot be unpacked at "${name}"`);
-  }
-  if (filled !== sizeBytes) throw damaged(`holds less in "${name}" than it states`);
-  return whole;
 }
 
 function parseDirectory(directory: Uint8Array, count: number): Map<string, Entry> {

@@ -25,12 +25,12 @@ export type DominantLights = {
 };
 
 /** Pixels of a map near one of them. */
-type Patch = {
-  readonly indices: number[];
-  readonly solidAngles: number[];
+type Patch = readonly {
+  readonly index: number;
+  readonly solidAngle: number;
   /** Between a pixel's direction and that of the one in the middle. */
-  readonly cosines: number[];
-};
+  readonly cosine: number;
+}[];
 
 /** Return up to `count` lights of an unturned map and what is left of it. */
 export function splitDominantLights(map: EnvironmentMap, count: number): DominantLights {
@@ -42,10 +42,9 @@ export function splitDominantLights(map: EnvironmentMap, count: number): Dominan
     const peak = peaks.largest();
     if (peak === null) break;
     const { disk, ring } = diskAndRing(map, peak);
-    if (ring.indices.length === 0) break;
+    if (ring.length === 0) break;
     const around = meanOver(image, ring);
-    peaks.strike(disk.indices);
-    peaks.strike(ring.indices);
+    peaks.strike([...disk, ...ring]);
     const light = takeOut(image, map, disk, around, minShare * total);
     if (light !== null) lights.push(light);
   }
@@ -78,11 +77,11 @@ class Peaks {
   }
 
   /** Take pixels out of the choice. */
-  strike(pixels: readonly number[]): void {
+  strike(pixels: Patch): void {
     const rows = new Set<number>();
-    for (const pixel of pixels) {
-      this.#values[pixel] = -1;
-      rows.add(Math.floor(pixel / this.#width));
+    for (const { index } of pixels) {
+      this.#values[index] = -1;
+      rows.add(Math.floor(index / this.#width));
     }
     for (const row of rows) this.#ofRow[row] = this.#largestOf(row);
   }
@@ -101,14 +100,13 @@ function sum([red, green, blue]: Rgb): number {
   return red + green + blue;
 }
 
-function meanOver(image: Float32Array, { indices, solidAngles }: Patch): Rgb {
+function meanOver(image: Float32Array, patch: Patch): Rgb {
   const mean: Rgb = [0, 0, 0];
   let weight = 0;
-  indices.forEach((index, place) => {
-    const solidAngle = solidAngles[place]!;
+  for (const { index, solidAngle } of patch) {
     weight += solidAngle;
     for (const channel of [0, 1, 2] as const) mean[channel] += solidAngle * image[3 * index + channel]!;
-  });
+  }
   return [mean[0] / weight, mean[1] / weight, mean[2] / weight];
 }
 
@@ -116,24 +114,24 @@ function meanOver(image: Float32Array, { indices, solidAngles }: Patch): Rgb {
 function takeOut(
   image: Float32Array,
   { height, width }: EnvironmentMap,
-  { indices, solidAngles }: Patch,
+  patch: Patch,
   around: Rgb,
   least: number,
 ): DirectionalLight | null {
   const above = (index: number, channel: 0 | 1 | 2): number =>
     Math.max(image[3 * index + channel]! - around[channel], 0);
   const flux: Rgb = [0, 0, 0];
-  indices.forEach((index, place) => {
-    for (const channel of [0, 1, 2] as const) flux[channel] += solidAngles[place]! * above(index, channel);
-  });
+  for (const { index, solidAngle } of patch) {
+    for (const channel of [0, 1, 2] as const) flux[channel] += solidAngle * above(index, channel);
+  }
   if (sum(flux) < least) return null;
   const centre: [number, number, number] = [0, 0, 0];
-  indices.forEach((index, place) => {
+  for (const { index, solidAngle } of patch) {
     const part = above(index, 0) + above(index, 1) + above(index, 2);
     const direction = directionOfPixel(Math.floor(index / width), index % width, height, width);
-    for (const axis of [0, 1, 2] as const) centre[axis] += solidAngles[place]! * part * direction[axis];
+    for (const axis of [0, 1, 2] as const) centre[axis] += solidAngle * part * direction[axis];
     for (const channel of [0, 1, 2] as const) image[3 * index + channel]! -= above(index, channel);
-  });
+  }
   const length = Math.hypot(...centre);
   const direction: Direction = [centre[0] / length, centre[1] / length, centre[2] / length];
   return { direction, radianceSolidAngle: flux };
@@ -143,28 +141,15 @@ function takeOut(
 function diskAndRing(map: EnvironmentMap, peak: number): { disk: Patch; ring: Patch } {
   const [inner, outer] = [Math.cos((radiusDeg * Math.PI) / 180), Math.cos((1.5 * radiusDeg * Math.PI) / 180)];
   const near = around(map, peak, outer);
-  const disk = chosen(near, (cosine, index) => cosine >= inner || index === peak);
-  let ring = chosen(near, (cosine, index) => cosine >= outer && cosine < inner && index !== peak);
-  if (ring.indices.length === 0) {
-    // Pixels are larger than the ring: the nearest ones outside take its place.
-    const taken = new Set(disk.indices);
-    const outside = chosen(around(map, peak, -1), (_, index) => !taken.has(index));
-    const nearest = [...outside.cosines].sort((a, b) => b - a);
-    const least = nearest[Math.min(3, nearest.length - 1)] ?? 0;
-    ring = chosen(outside, (cosine) => cosine >= least);
-  }
-  return { disk, ring };
-}
-
-function chosen(patch: Patch, wanted: (cosine: number, index: number) => boolean): Patch {
-  const found: Patch = { indices: [], solidAngles: [], cosines: [] };
-  patch.indices.forEach((index, place) => {
-    if (!wanted(patch.cosines[place]!, index)) return;
-    found.indices.push(index);
-    found.solidAngles.push(patch.solidAngles[place]!);
-    found.cosines.push(patch.cosines[place]!);
-  });
-  return found;
+  const disk = near.filter(({ cosine, index }) => cosine >= inner || index === peak);
+  const ring = near.filter(({ cosine, index }) => cosine >= outer && cosine < inner && index !== peak);
+  if (ring.length > 0) return { disk, ring };
+  // Pixels are larger than the ring: the nearest ones outside take its place.
+  const taken = new Set(disk.map(({ index }) => index));
+  const outside = around(map, peak, -1).filter(({ index }) => !taken.has(index));
+  const nearest = outside.map(({ cosine }) => cosine).sort((a, b) => b - a);
+  const least = nearest[Math.min(3, nearest.length - 1)] ?? 0;
+  return { disk, ring: outside.filter(({ cosine }) => cosine >= least) };
 }
 
 /** Return the pixels near a pixel's row whose directions have about this cosine with its own or more, and itself. */
@@ -175,7 +160,7 @@ function around(map: EnvironmentMap, peak: number, least: number): Patch {
   const centre = directionOfPixel(row, column, height, width);
   const reach = ((1.5 * radiusDeg) / 180) * height + 1;
   const level = Math.hypot(centre[0], centre[1]);
-  const found: Patch = { indices: [], solidAngles: [], cosines: [] };
+  const found: Patch[number][] = [];
   for (let r = Math.max(Math.floor(row - reach), 0); r < Math.min(row + reach + 1, height); r++) {
     const solidAngle = pixelSolidAngle(r, height, width);
     const polar = (Math.PI * (r + 0.5)) / height;
@@ -186,10 +171,9 @@ function around(map: EnvironmentMap, peak: number, least: number): Patch {
     const end = Math.min(away, width - 1 - away);
     for (let step = -away; step <= end; step++) {
       const c = (column + step + width) % width;
-      const direction = directionOfPixel(r, c, height, width);
-      found.indices.push(r * width + c);
-      found.solidAngles.push(solidAngle);
-      found.cosines.push(direction[0] * centre[0] + direction[1] * centre[1] + direction[2] * centre[2]);
+      const [x, y, z] = directionOfPixel(r, c, height, width);
+      const cosine = x * centre[0] + y * centre[1] + z * centre[2];
+      found.push({ index: r * width + c, solidAngle, cosine });
     }
   }
   return found;

@@ -1,5 +1,6 @@
 /** Light on an object, and its sums over baked planes: the same as `lambent_relight.baked.light`. */
 
+import type { PlaneTable } from "../bundle/transport.js";
 import type { Direction } from "./environment.js";
 import { basis } from "./harmonics.js";
 
@@ -11,14 +12,6 @@ export type FallingLight = {
   readonly directions: readonly Direction[];
   /** Of a surface that faces the light. */
   readonly irradianceRgb: readonly (readonly number[])[];
-};
-
-/** Quantisation of planes: plane p is offsets[p] + scales[p] times a signed byte. */
-export type PlaneScales = {
-  readonly bands: number;
-  readonly layers: number;
-  readonly scales: Float32Array;
-  readonly offsets: Float32Array;
 };
 
 /** Return harmonics of all of a light, `bands` of them: dominant lights bounce through their harmonics. */
@@ -38,7 +31,11 @@ export function bouncedCoefficients(light: FallingLight, bands: number): Float64
  * Return the factors of the planes' bytes, and what is there without them. Plane p holds coefficient p / channels of
  * channel p mod channels, or of all three where there is one channel.
  */
-export function sumFactors(table: PlaneScales, coefficientsRgb: ArrayLike<number>, channels: 1 | 3) {
+export function sumFactors(
+  table: Omit<PlaneTable, "rows" | "steps">,
+  coefficientsRgb: ArrayLike<number>,
+  channels: 1 | 3,
+) {
   const rgb = [0, 1, 2].map(() => new Float32Array(4 * table.layers));
   const base = [0, 0, 0];
   const count = table.bands ** 2 * channels;

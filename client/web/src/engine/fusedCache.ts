@@ -142,15 +142,14 @@ class Packer {
   private readonly biases: number[] = [];
   private numWords = 0;
 
-  grid(grid: FeatureGrid): PackedGrid {
+  grid({ table, ...grid }: FeatureGrid): PackedGrid {
     const firstWord = this.numWords;
-    const padded = new Uint8Array(Math.ceil(grid.table.length / 4) * 4);
-    padded.set(grid.table);
+    const padded = new Uint8Array(Math.ceil(table.length / 4) * 4);
+    padded.set(table);
     this.tables.push(padded);
     this.numWords += padded.length / 4;
     this.widest = Math.max(this.widest, grid.levels.length * grid.numFeatures);
-    const { halves, numFeatures, halfExtent, outputScale, levels } = grid;
-    return { firstWord, halves, numFeatures, halfExtent, outputScale, levels };
+    return { ...grid, firstWord };
   }
 
   /** Pack layers behind each other, in turn from array "a" to "b" and back; inputs join again before `skip`. */
@@ -215,10 +214,7 @@ export class FusedCache {
       compute: { module, entryPoint: "main" },
     });
     const stored = [packed.tables, packed.blocks, packed.biases].map((data) => {
-      const buffer = device.createBuffer({
-        size: data.byteLength,
-        usage: usage.storage | usage.copyTo,
-      });
+      const buffer = device.createBuffer({ size: data.byteLength, usage: usage.storage | usage.copyTo });
       device.queue.writeBuffer(buffer, 0, data);
       return buffer;
     });
@@ -235,10 +231,7 @@ export class FusedCache {
    * gets `answerWidth` floats each. At most 65535 x 64 rays.
    */
   encode(encoder: GPUCommandEncoder, rays: GPUBuffer, answers: GPUBuffer, count: number): void {
-    const size = this.device.createBuffer({
-      size: 16,
-      usage: usage.uniform | usage.copyTo,
-    });
+    const size = this.device.createBuffer({ size: 16, usage: usage.uniform | usage.copyTo });
     this.device.queue.writeBuffer(size, 0, Uint32Array.of(count, 0, 0, 0));
     const pass = encoder.beginComputePass();
     pass.setPipeline(this.pipeline);
@@ -246,10 +239,8 @@ export class FusedCache {
       binding,
       resource: { buffer },
     }));
-    pass.setBindGroup(
-      0,
-      this.device.createBindGroup({ layout: this.pipeline.getBindGroupLayout(0), entries }),
-    );
+    const layout = this.pipeline.getBindGroupLayout(0);
+    pass.setBindGroup(0, this.device.createBindGroup({ layout, entries }));
     pass.dispatchWorkgroups(Math.ceil(count / groupSize));
     pass.end();
   }
@@ -279,10 +270,5 @@ export class FusedCache {
       distance: columns(1, 1),
       radianceRgb: this.width === 5 ? columns(2, 3) : null,
     };
-  }
-
-  /** Free the device's memory. */
-  close(): void {
-    for (const buffer of this.stored) buffer.destroy();
   }
 }

@@ -1,17 +1,11 @@
 /** Looking feature grids up in a shader; formula in docs/reference/bundle-format.md (feature grids). */
 
-import type { Level } from "./fusedWeights.js";
+import type { FeatureGrid } from "./fusedWeights.js";
 
-/** A feature grid whose table lies in the shader's buffer `tables`. */
-export type PackedGrid = {
+/** A feature grid whose table lies in the shader's buffer `tables`; with `halves` two features share a word. */
+export type PackedGrid = Omit<FeatureGrid, "table"> & {
   /** First 32-bit word of the table. */
   readonly firstWord: number;
-  /** Whether two features share a word. */
-  readonly halves: boolean;
-  readonly numFeatures: number;
-  readonly halfExtent: number;
-  readonly outputScale: number;
-  readonly levels: readonly Level[];
 };
 
 type Chunk = { readonly first: number; readonly size: 1 | 2 | 4 };

@@ -207,9 +207,8 @@ export function element(array: string, index: number): string {
 }
 
 function layerFunction(name: string, layer: PackedLayer): string {
-  const [numOut, numIn] = [layer.numOut, layer.sources.map((source) => source.numIn)].map((value) =>
-    Array.isArray(value) ? value.map((n) => Math.ceil(n / 4)) : Math.ceil(value / 4),
-  ) as [number, number[]];
+  const numOut = Math.ceil(layer.numOut / 4);
+  const numIn = layer.sources.map((source) => Math.ceil(source.numIn / 4));
   const perRow = numIn.reduce((sum, n) => sum + n, 0);
   let before = 0;
   const sums = layer.sources.map((source, index) => {

@@ -3,7 +3,7 @@
  * graphics hardware. What shaders will index is checked here. The same as lambent_relight/fused/weights.py.
  */
 
-import type { BundleManifest, TensorEntry } from "../contract/lambent_proto/v1/bundle_pb.js";
+import type { BundleManifest, Grid, GridLevel, TensorEntry } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { exportAgain } from "../bundle/fault.js";
 import { halfValue } from "./half.js";
 import { modelMetadata } from "./onnxModel.js";
@@ -21,24 +21,13 @@ export type Layer = {
   readonly numOut: number;
 };
 
-/** One resolution of a feature grid; row = firstRow + (x + multiplierY y + multiplierZ z) mod numRows. */
-export type Level = {
-  readonly resolution: number;
-  readonly firstRow: number;
-  readonly numRows: number;
-  readonly multiplierY: number;
-  readonly multiplierZ: number;
-};
-
 /** A multi-resolution feature grid over [-halfExtent, halfExtent]^3 of contracted space. */
-export type FeatureGrid = {
+export type FeatureGrid = Readonly<Pick<Grid, "numFeatures" | "halfExtent" | "outputScale">> & {
+  /** Row = firstRow + (x + multiplierY y + multiplierZ z) mod numRows. */
+  readonly levels: readonly Omit<GridLevel, "$typeName" | "$unknown">[];
   /** Little-endian float32 or float16 numbers [row, numFeatures], as they lie in the file. */
   readonly table: Uint8Array;
   readonly halves: boolean;
-  readonly numFeatures: number;
-  readonly halfExtent: number;
-  readonly outputScale: number;
-  readonly levels: readonly Level[];
 };
 
 /** The named tensors of a bundle. */
@@ -92,14 +81,7 @@ export class FusedWeights {
     if (stated.levels.length === 0 || !inside || !small || !(stated.halfExtent > 0)) {
       throw exportAgain("bundle.grid_invalid", `grid ${name} names rows its table has not`);
     }
-    return {
-      table: bytes,
-      halves,
-      numFeatures: stated.numFeatures,
-      halfExtent: stated.halfExtent,
-      outputScale: stated.outputScale,
-      levels: stated.levels,
-    };
+    return { ...stated, table: bytes, halves };
   }
 
   private single(name: string): Layer {

@@ -7,16 +7,9 @@
 
 import type { Direction } from "./environment.js";
 import type { EnvironmentMap, Rgb } from "./environmentMap.js";
+import { gaussLegendre } from "./lobes.js";
 
-/** Nodes and weights of Gauss-Legendre quadrature with eight points on [-1, 1]. */
-const gaussNodes = [
-  -0.9602898564975363, -0.7966664774136267, -0.525532409916329, -0.18343464249564978, 0.18343464249564978,
-  0.525532409916329, 0.7966664774136267, 0.9602898564975363,
-] as const;
-const gaussWeights = [
-  0.10122853629037626, 0.22238103445337448, 0.31370664587788727, 0.3626837833783622, 0.3626837833783622,
-  0.31370664587788727, 0.22238103445337448, 0.10122853629037626,
-] as const;
+const gauss = gaussLegendre(8);
 
 /** Return Q_lm(z) for l < bands and 0 <= m <= l, at [l * bands + m]; zero where m > l. */
 function legendre(z: number, bands: number): Float64Array {
@@ -136,13 +129,13 @@ function rowIntegrals(height: number, bands: number): Float64Array {
   const result = new Float64Array(height * size);
   const half = (0.5 * Math.PI) / height;
   for (let halfRow = 0; halfRow < 2 * height; halfRow++) {
-    gaussNodes.forEach((node, index) => {
+    gauss.nodes.forEach((node, index) => {
       const polar = half * (halfRow + 0.5 * (node + 1));
       const place = (polar / Math.PI) * height - 0.5;
       const row = Math.min(Math.max(Math.floor(place), 0), height - 1);
       const below = row === height - 1 ? 0 : Math.min(Math.max(place - row, 0), 1);
       const q = legendre(Math.cos(polar), bands);
-      const measure = 0.5 * half * gaussWeights[index]!;
+      const measure = 0.5 * half * gauss.weights[index]!;
       for (let l = 0; l < bands; l++) {
         for (let m = 0; m <= l; m++) {
           const value = measure * q[l * bands + m]! * Math.sin(polar) ** (m + 1);
@@ -180,47 +173,27 @@ export type Matrix3 = readonly [Direction, Direction, Direction];
 /**
  * Return the coefficients of the function turned by any rotation: f'(d) = f(transpose(matrix) d).
  *
- * Band by band, B(transpose(matrix) d) = B(d) block is solved over directions spread over the sphere.
+ * The turned function is projected by a quadrature over the sphere that is exact for products of two such functions.
  */
 export function rotate(coefficientsRgb: ArrayLike<number>, bands: number, matrix: Matrix3): Float64Array {
   const result = new Float64Array(3 * bands * bands);
-  for (let l = 0; l < bands; l++) {
-    const block = rotationBlock(l, matrix);
-    const size = 2 * l + 1;
-    for (let i = 0; i < size; i++) {
-      for (let j = 0; j < size; j++) {
-        const weight = block[i * size + j]!;
-        for (let channel = 0; channel < 3; channel++) {
-          const index = 3 * (l * l + i) + channel;
-          result[index] = result[index]! + weight * coefficientsRgb[3 * (l * l + j) + channel]!;
-        }
-      }
-    }
-  }
-  return result;
-}
-
-/** Return the [2l + 1, 2l + 1] matrix of a rotation in band l, by least squares over directions. */
-function rotationBlock(l: number, matrix: Matrix3): Float64Array {
-  const size = 2 * l + 1;
-  const count = 4 * (l + 1) ** 2 + 8;
-  const normal = new Float64Array(size * size);
-  const right = new Float64Array(size * size);
-  for (let index = 0; index < count; index++) {
-    const z = 1 - (2 * index + 1) / count;
+  const { nodes, weights } = gaussLegendre(bands);
+  nodes.forEach((z, row) => {
     const radius = Math.sqrt(1 - z * z);
-    const azimuth = index * Math.PI * (3 - Math.sqrt(5));
-    const point: Direction = [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
-    const straight = basis(point, l + 1).subarray(l * l);
-    const turned = basis(transposedTimes(matrix, point), l + 1).subarray(l * l);
-    for (let i = 0; i < size; i++) {
-      for (let j = 0; j < size; j++) {
-        normal[i * size + j] = normal[i * size + j]! + straight[i]! * straight[j]!;
-        right[i * size + j] = right[i * size + j]! + straight[i]! * turned[j]!;
-      }
+    for (let column = 0; column < 2 * bands; column++) {
+      const azimuth = (Math.PI * column) / bands;
+      const point: Direction = [radius * Math.cos(azimuth), radius * Math.sin(azimuth), z];
+      const value: Rgb = [0, 0, 0];
+      basis(transposedTimes(matrix, point), bands).forEach((at, k) => {
+        for (const channel of [0, 1, 2] as const) value[channel] += at * coefficientsRgb[3 * k + channel]!;
+      });
+      const weight = (weights[row]! * Math.PI) / bands;
+      basis(point, bands).forEach((at, k) => {
+        addScaled(result, 3 * k, weight * at, value);
+      });
     }
-  }
-  return solve(normal, right, size);
+  });
+  return result;
 }
 
 function transposedTimes(matrix: Matrix3, point: Direction): Direction {
@@ -229,48 +202,19 @@ function transposedTimes(matrix: Matrix3, point: Direction): Direction {
   return [column(0), column(1), column(2)];
 }
 
-/** Return X of A X = B for square matrices, by elimination with pivots; both arguments are used up. */
-function solve(a: Float64Array, b: Float64Array, size: number): Float64Array {
-  for (let pivot = 0; pivot < size; pivot++) {
-    let best = pivot;
-    for (let row = pivot + 1; row < size; row++) {
-      if (Math.abs(a[row * size + pivot]!) > Math.abs(a[best * size + pivot]!)) best = row;
-    }
-    for (let column = 0; column < size; column++) {
-      for (const values of [a, b]) {
-        const kept = values[pivot * size + column]!;
-        values[pivot * size + column] = values[best * size + column]!;
-        values[best * size + column] = kept;
-      }
-    }
-    const scale = a[pivot * size + pivot]!;
-    for (let row = 0; row < size; row++) {
-      if (row === pivot) continue;
-      const factor = a[row * size + pivot]! / scale;
-      for (let column = 0; column < size; column++) {
-        a[row * size + column] = a[row * size + column]! - factor * a[pivot * size + column]!;
-        b[row * size + column] = b[row * size + column]! - factor * b[pivot * size + column]!;
-      }
-    }
-  }
-  return b.map((value, index) => value / a[Math.floor(index / size) * (size + 1)]!);
-}
-
 /** Return the factor per coefficient that turns radiance into irradiance. */
 export function cosineFactors(bands: number): Float64Array {
-  return perCoefficient(bands, (l) => {
-    if (l === 1) return (2 * Math.PI) / 3;
-    if (l % 2 === 1) return 0;
-    // l! / (2^l (l/2)!^2), as a product that stays small.
-    let ratio = 1;
-    for (let k = 1; k <= l / 2; k++) ratio *= (2 * k - 1) / (2 * k);
-    const sign = l % 4 === 0 ? -1 : 1;
-    return (sign * 2 * Math.PI * ratio) / ((l + 2) * (l - 1));
-  });
+  const factors = new Float64Array(bands * bands);
+  for (let l = 0; l < bands; l++) factors.fill(cosineFactor(l), l * l, (l + 1) ** 2);
+  return factors;
 }
 
-function perCoefficient(bands: number, ofBand: (l: number) => number): Float64Array {
-  const factors = new Float64Array(bands * bands);
-  for (let l = 0; l < bands; l++) factors.fill(ofBand(l), l * l, (l + 1) ** 2);
-  return factors;
+function cosineFactor(l: number): number {
+  if (l === 1) return (2 * Math.PI) / 3;
+  if (l % 2 === 1) return 0;
+  // l! / (2^l (l/2)!^2), as a product that stays small.
+  let ratio = 1;
+  for (let k = 1; k <= l / 2; k++) ratio *= (2 * k - 1) / (2 * k);
+  const sign = l % 4 === 0 ? -1 : 1;
+  return (sign * 2 * Math.PI * ratio) / ((l + 2) * (l - 1));
 }

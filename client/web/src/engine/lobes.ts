@@ -34,7 +34,7 @@ export function ggxBands(bands: number): Float32Array<ArrayBuffer> {
 }
 
 /** Return nodes and weights of Gauss-Legendre quadrature on [-1, 1]. */
-function gaussLegendre(count: number): { nodes: Float64Array; weights: Float64Array } {
+export function gaussLegendre(count: number): { nodes: Float64Array; weights: Float64Array } {
   const nodes = new Float64Array(count);
   const weights = new Float64Array(count);
   // Nodes lie symmetrically; half of them are looked for.

@@ -1,7 +1,7 @@
 /**
  * A bundle's graphs run by onnxruntime-web. Answers equal those of onnxruntime on a processor within 1e-5.
  *
- * The runtime is given, by `onnxWasm.ts`: a page that needs another kind does not carry that one.
+ * The runtime is given: a page that needs another kind does not carry that one.
  */
 
 import type { InferenceSession, Tensor } from "onnxruntime-web";
@@ -47,11 +47,6 @@ export class OnnxGraph {
       tensor.dispose();
     }
     return answers;
-  }
-
-  /** Free what the runtime holds. */
-  async close(): Promise<void> {
-    await this.session.release();
   }
 }
 

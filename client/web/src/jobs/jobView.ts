@@ -30,16 +30,12 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   const [stages, pictures, plots] = parts;
   const results = h("div");
   const log = logView(context, jobId);
-  const cancel = button("Cancel", async () => store.put(await api.cancel(jobId)), context);
-  const retry = button(
-    "Run again",
-    async () => {
-      const fresh = await api.retry(jobId);
-      store.put(fresh);
-      location.hash = jobAddress(fresh.id);
-    },
-    context,
-  );
+  const cancel = button("Cancel", context, async () => store.put(await api.cancel(jobId)));
+  const retry = button("Run again", context, async () => {
+    const fresh = await api.retry(jobId);
+    store.put(fresh);
+    location.hash = jobAddress(fresh.id);
+  });
 
   function draw(): void {
     const record = store.get(jobId)!;

@@ -37,27 +37,24 @@ export function stageSeconds(record: JobRecord, stage: string): number | null {
 export function stageList(): Part {
   const rows = [...stageNames].map(([stage, name]) => {
     const mark = h("span", { "aria-hidden": "true" });
-    const text = h("span", {}, name);
+    const hidden = h("span", { class: "sr" });
+    const text = h("span", {}, name, hidden);
     const time = h("span", { class: "figures" });
     const bar = h("progress", { max: 1, value: 0, "aria-label": `progress of ${name}` });
-    return { stage, name, mark, text, time, bar, element: h("li", {}, mark, text, time, bar) };
+    return { stage, mark, hidden, time, bar, element: h("li", {}, mark, text, time, bar) };
   });
   const marks: Record<StageState, string> = { done: "✓", now: "▸", waiting: "·" };
   const words: Record<StageState, string> = { done: " (done)", now: "", waiting: " (to come)" };
-  const hidden = rows.map(() => h("span", { class: "sr" }));
-  rows.forEach((row, place) => {
-    row.text.append(hidden[place]!);
-  });
   return {
     element: h("ol", { class: "stages", "aria-label": "Stages" }, ...rows.map((row) => row.element)),
     update: (record) => {
       const states = new Map(stageStates(record.job));
-      rows.forEach((row, place) => {
+      const { progress } = record.job;
+      for (const row of rows) {
         const state = states.get(row.stage) ?? "waiting";
-        const { progress } = record.job;
         row.element.dataset.state = state;
         setText(row.mark, marks[state]);
-        setText(hidden[place]!, words[state]);
+        setText(row.hidden, words[state]);
         row.bar.hidden = state !== "now";
         if (state === "now" && progress !== null) {
           row.bar.value = progress.num_steps > 0 ? progress.step / progress.num_steps : 0;
@@ -68,7 +65,7 @@ export function stageList(): Part {
           const seconds = stageSeconds(record, row.stage);
           setText(row.time, state === "done" && seconds !== null ? formatDuration(seconds) : "");
         }
-      });
+      }
     },
   };
 }

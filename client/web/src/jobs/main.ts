@@ -70,14 +70,10 @@ async function logIn(): Promise<void> {
 }
 
 let wasAway = false;
-const logOut = button(
-  "Log out",
-  async () => {
-    await api.logOut();
-    location.reload();
-  },
-  context,
-);
+const logOut = button("Log out", context, async () => {
+  await api.logOut();
+  location.reload();
+});
 
 function showConnection(connected: boolean): void {
   if (connected) connection.after(logOut);

@@ -41,25 +41,20 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
   const queue = h("p", { class: "faint" });
   const seed = h("input", { type: "number", id: "seed", min: 0, max: 2 ** 31 - 1, step: 1, value: 0 });
   const settings = h("textarea", { id: "settings", rows: 3, spellcheck: "false" });
-  const start = button(
-    "Start the job",
-    async () => {
-      const preset = options.querySelector<HTMLInputElement>("input:checked")?.value;
-      if (preset === undefined) throw new BadSetting("Choose a preset first.");
-      const order = {
-        scene_id: sceneId,
-        preset,
-        seed: Number(seed.value),
-        params: parseSettings(settings.value),
-      };
-      const job = await api.submit(order, key);
-      key = newKey();
-      store.put(job);
-      location.hash = jobAddress(job.id);
-    },
-    context,
-    "first",
-  );
+  const start = button("Start the job", { ...context, className: "first" }, async () => {
+    const preset = options.querySelector<HTMLInputElement>("input:checked")?.value;
+    if (preset === undefined) throw new BadSetting("Choose a preset first.");
+    const order = {
+      scene_id: sceneId,
+      preset,
+      seed: Number(seed.value),
+      params: parseSettings(settings.value),
+    };
+    const job = await api.submit(order, key);
+    key = newKey();
+    store.put(job);
+    location.hash = jobAddress(job.id);
+  });
 
   async function load(): Promise<void> {
     const [presets, limits] = await Promise.all([api.presets(), api.limits()]);

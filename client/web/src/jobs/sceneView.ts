@@ -20,13 +20,13 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
   const figures = h("p", { class: "faint" });
   const panel = scene.state === "open" ? uploadPanel(context, scene) : null;
   const checking = h("p", { class: "notice", role: "status", hidden: true });
-  const check = button("Check the capture", () => startCheck(context, sceneId), context);
+  const check = button("Check the capture", context, () => startCheck(context, sceneId));
   const checkRow = h("div", { class: "actions" }, check);
   const findings = h("div");
   const order = h("div");
   const jobs = jobList("Jobs of this scene, the newest first", purpose);
   const jobsSection = h("section", {}, h("h2", {}, "Jobs"), jobs.element);
-  const remove = button("Delete the scene", () => deleteScene(context, scene), context);
+  const remove = button("Delete the scene", context, () => deleteScene(context, scene));
 
   const seen = new Map<string, string>();
   const mine = () => store.all().filter(({ job }) => job.scene_id === sceneId);

@@ -28,27 +28,18 @@ export function startView(context: Context): View {
     noJobs.hidden = found.length > 0;
   };
 
-  let cursor: string | null = null;
-  const older = button(
-    "Show older jobs",
-    async () => {
-      const page = await api.jobs(cursor);
-      cursor = page.next_cursor;
-      older.hidden = cursor === null;
-      for (const job of page.items) store.put(job);
-    },
-    context,
-  );
-  older.hidden = true;
+  const putAll = (jobs: readonly Job[]) => {
+    for (const job of jobs) store.put(job);
+  };
+  const older = nextPages("Show older jobs", api.jobs, putAll, context);
 
   async function load(): Promise<void> {
     // The names first: a job is shown by that of its scene.
     const found = await scenes.load();
     for (const scene of found) names.set(scene.id, scene.name);
     const [page] = await Promise.all([api.jobs(), bundles.load()]);
-    cursor = page.next_cursor;
-    older.hidden = cursor === null;
-    for (const job of page.items) store.put(job);
+    older.after(page);
+    putAll(page.items);
     drawJobs();
   }
   load().catch(fail);
@@ -62,7 +53,14 @@ export function startView(context: Context): View {
       {},
       h("h1", { tabindex: -1 }, "Relight your photographs"),
       h("section", { "aria-label": "New scene" }, panel.element),
-      h("section", {}, h("h2", {}, "Jobs"), noJobs, jobs.element, h("div", { class: "actions" }, older)),
+      h(
+        "section",
+        {},
+        h("h2", {}, "Jobs"),
+        noJobs,
+        jobs.element,
+        h("div", { class: "actions" }, older.button),
+      ),
       h(
         "div",
         { class: "columns" },
@@ -121,6 +119,27 @@ function bundleLine(bundle: Bundle): HTMLLIElement {
   );
 }
 
+/** Return the button that fetches the page after the last one; `after` tells which that was. */
+function nextPages<T>(
+  text: string,
+  ask: (cursor: string | null) => Promise<Page<T>>,
+  take: (items: readonly T[]) => void,
+  context: Context,
+) {
+  let cursor: string | null = null;
+  const more = button(text, context, async () => {
+    const page = await ask(cursor);
+    after(page);
+    take(page.items);
+  });
+  more.hidden = true;
+  function after(page: Page<T>): void {
+    cursor = page.next_cursor;
+    more.hidden = cursor === null;
+  }
+  return { button: more, after };
+}
+
 /** Return a list that is loaded page by page. */
 function pagedList<T>(
   label: string,
@@ -130,21 +149,10 @@ function pagedList<T>(
 ) {
   const list = h("ol", { class: "list", "aria-label": label });
   const empty = h("p", { class: "faint", hidden: true }, "None yet.");
-  let cursor: string | null = null;
-  const more = button(
-    "Show older ones",
-    async () => {
-      const page = await ask(cursor);
-      list.append(...page.items.map(line));
-      cursor = page.next_cursor;
-      more.hidden = cursor === null;
-    },
-    context,
-  );
-  more.hidden = true;
+  const more = nextPages("Show older ones", ask, (items) => list.append(...items.map(line)), context);
   let shown = "";
   return {
-    element: h("div", {}, empty, list, h("div", { class: "actions" }, more)),
+    element: h("div", {}, empty, list, h("div", { class: "actions" }, more.button)),
     /** Fetch the first page again. */
     load: async (): Promise<readonly T[]> => {
       const page = await ask(null);
@@ -152,8 +160,7 @@ function pagedList<T>(
       if (text !== shown) {
         shown = text;
         list.replaceChildren(...page.items.map(line));
-        cursor = page.next_cursor;
-        more.hidden = cursor === null;
+        more.after(page);
         empty.hidden = page.items.length > 0;
         list.hidden = page.items.length === 0;
       }

@@ -1,5 +1,6 @@
 /** Server-sent events by a fetch reader: unlike EventSource it says why it failed, and continues by header. */
 
+import { pause } from "../page/pause.js";
 import { type Api, Refused } from "../page/rest.js";
 
 /** One message of the stream. */
@@ -123,20 +124,4 @@ class Connection {
     clearInterval(this.#timer);
     this.#controller.abort();
   }
-}
-
-/** Wait, but not when the network comes back or `signal` ends it. */
-function pause(milliseconds: number, signal: AbortSignal): Promise<void> {
-  return new Promise((resolve) => {
-    // Takes the listeners away when one of them was called.
-    const over = new AbortController();
-    const end = () => {
-      clearTimeout(timer);
-      over.abort();
-      resolve();
-    };
-    const timer = setTimeout(end, milliseconds);
-    signal.addEventListener("abort", end, { signal: over.signal });
-    globalThis.addEventListener?.("online", end, { signal: over.signal });
-  });
 }

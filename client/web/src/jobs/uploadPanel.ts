@@ -2,9 +2,10 @@
 
 import { sceneAddress } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
+import { chosenFiles, droppedEntries, filesIn } from "../page/files.js";
 import { formatSize, plural } from "../page/format.js";
 import type { Scene } from "../page/rest.js";
-import { type Candidate, chosenFiles, collect, droppedFiles } from "../upload/collect.js";
+import { type Candidate, collect } from "../upload/collect.js";
 import type { UploadStep } from "../upload/upload.js";
 import type { Running } from "../upload/uploads.js";
 import type { Context } from "./view.js";
@@ -79,7 +80,7 @@ export function uploadPanel(
   area.addEventListener("drop", (event) => {
     event.preventDefault();
     area.classList.remove("over");
-    take(droppedFiles(event.dataTransfer?.items ?? [])).catch(fail);
+    take(filesIn(droppedEntries(event.dataTransfer?.items ?? []))).catch(fail);
   });
 
   const list = h("ul", { class: "list", "aria-label": "Uploads" });
@@ -124,14 +125,13 @@ function uploadRow(one: Running): { element: HTMLElement; update: (one: Running)
 /** Upload a candidate, have the scene checked, and go to its page. */
 export async function send(context: Context, candidate: Candidate, sceneId: string | null): Promise<void> {
   const { api, store, uploads } = context;
-  let result: Awaited<Running["done"]>;
+  let scene: Scene;
   try {
-    result = await uploads.begin(candidate, sceneId).done;
+    scene = await uploads.begin(candidate, sceneId).done;
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") return;
     throw error;
   }
-  const { scene } = result;
   const job = await api.submit({ scene_id: scene.id, kind: "check" }, `check-${scene.id}`);
   store.put(job);
   location.hash = sceneAddress(scene.id);

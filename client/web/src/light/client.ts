@@ -25,7 +25,6 @@ export class LightClient {
     return answer.table;
   }
 
-  /** End the worker. */
   dispose(): void {
     this.#questions.close();
   }

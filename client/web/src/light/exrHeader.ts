@@ -1,9 +1,10 @@
 /** Reads and checks the header of an OpenEXR file, like `lambent_relight.environment.exr`. */
 
-import { MapFault } from "./fault.js";
+import { MapFault, tooLarge } from "./fault.js";
 
 const rec709 = [0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329];
-const primaries = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
+/** The numbers of the chromaticities of a header, in the order of its bytes. */
+export const primaries = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
 
 type Box = { readonly xMin: number; readonly yMin: number; readonly xMax: number; readonly yMax: number };
 /** The parts of a header that decide whether a map can be used. */
@@ -63,7 +64,9 @@ export function statedBy(data: Uint8Array<ArrayBuffer>, maxPixels: number): Stat
       if (name === "dataWindow" && type === "box2i" && size === 16) {
         known = true;
         const [x0, y0, x1, y1] = [0, 4, 8, 12].map((at) => view.getInt32(place + at, true));
-        checkSize(x1! - x0! + 1, y1! - y0! + 1, maxPixels);
+        const [width, height] = [x1! - x0! + 1, y1! - y0! + 1];
+        if (width <= 0 || height <= 0) throw damaged();
+        if (width * height > maxPixels) throw tooLarge(width, height, maxPixels);
       }
       if (first) attributes.set(name, new DataView(data.buffer, data.byteOffset + place, size));
       place += size;
@@ -73,17 +76,6 @@ export function statedBy(data: Uint8Array<ArrayBuffer>, maxPixels: number): Stat
   }
   if (!known) throw damaged();
   return { flags, attributes, end: place };
-}
-
-function checkSize(width: number, height: number, maxPixels: number): void {
-  if (width <= 0 || height <= 0) throw damaged();
-  if (width * height > maxPixels) {
-    throw new MapFault(
-      "environment.too_large",
-      `the map has ${width} x ${height} pixels, the limit is ${maxPixels}`,
-      "reduce the map (8192 x 4096 is plenty for lighting)",
-    );
-  }
 }
 
 /** Throw for a picture that is not a whole one of red, green and blue in linear Rec. 709. */

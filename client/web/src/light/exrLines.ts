@@ -6,8 +6,9 @@
  */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
+import { inflated } from "../page/inflate.js";
 import { halfTable } from "../engine/half.js";
-import { damaged, type Header, type Stated } from "./exrHeader.js";
+import { damaged, type Header, primaries, type Stated } from "./exrHeader.js";
 
 /** The layout of the lines in such a file. */
 export type HalfLines = {
@@ -22,7 +23,6 @@ export type HalfLines = {
   readonly rgb: readonly number[];
 };
 
-const chromaticityNames = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
 const half = 1;
 
 /** Return the layout of a file's lines, or null if it is of another kind. */
@@ -39,7 +39,7 @@ export function halfLinesOf({ flags, attributes, end }: Stated): HalfLines | nul
   const stated = attributes.get("chromaticities");
   const chromaticities =
     stated?.byteLength === 32
-      ? Object.fromEntries(chromaticityNames.map((name, at) => [name, stated.getFloat32(4 * at, true)]))
+      ? Object.fromEntries(primaries.map((name, at) => [name, stated.getFloat32(4 * at, true)]))
       : undefined;
   return {
     header: {
@@ -75,7 +75,7 @@ export async function readHalfLines(
     const stored = data.subarray(start + 8, start + 8 + size);
     const numBytes = 2 * numLines * width * lines.numChannels;
     if (size > numBytes || (linesPerChunk === 1 && size !== numBytes)) throw damaged();
-    const bytes = size === numBytes ? stored.slice() : undone(await inflated(stored, numBytes));
+    const bytes = size === numBytes ? stored.slice() : undone(await unpacked(stored, numBytes));
     writeLines(new Uint16Array(bytes.buffer), lines, row, numLines, radianceRgb);
   };
   await Promise.all(Array.from(seen, (_, chunk) => readChunk(chunk)));
@@ -101,23 +101,10 @@ function writeLines(
   }
 }
 
-/** Return exactly as many bytes as are expected; more are not unpacked. */
-async function inflated(packed: Uint8Array<ArrayBuffer>, numBytes: number): Promise<Uint8Array<ArrayBuffer>> {
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const reader = stream.getReader();
-  const bytes = new Uint8Array(numBytes);
-  let length = 0;
-  try {
-    for (let part = await reader.read(); !part.done; part = await reader.read()) {
-      bytes.set(part.value, length);
-      length += part.value.length;
-    }
-  } catch {
-    await reader.cancel().catch(() => {});
-    throw damaged();
-  }
-  if (length !== numBytes) throw damaged();
-  return bytes;
+async function unpacked(stored: Uint8Array<ArrayBuffer>, numBytes: number): Promise<Uint8Array> {
+  const found = await inflated(stored, "deflate", numBytes);
+  if (found?.length !== numBytes) throw damaged();
+  return found.bytes;
 }
 
 /** Return bytes put back from their differences, even and odd places from the two halves. */

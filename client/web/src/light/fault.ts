@@ -1,24 +1,23 @@
 /** An environment map that cannot be used; codes are those of `lambent_relight`. */
-export class MapFault extends Error {
-  override readonly name = "MapFault";
 
-  /** `code` starts with "environment."; `advice` says what to do. */
-  constructor(
-    readonly code: string,
-    what: string,
-    readonly advice: string,
-  ) {
-    super(`${what}; ${advice}`);
-  }
+import { Fault, toldOf } from "../page/fault.js";
+
+/** A problem with a map; `code` starts with "environment.". */
+export class MapFault extends Fault {
+  override readonly name = "MapFault";
 }
 
-/** Return an error of preparing a map as code, message and advice. */
-export function toldOf(error: unknown): { readonly code: string; readonly message: string } {
-  if (error instanceof MapFault) return { code: error.code, message: error.message };
-  // Arrays that do not fit are range errors.
-  if (error instanceof RangeError) {
-    const message = "there is not enough memory for this map; close other pages, or reduce it";
-    return { code: "environment.memory", message };
-  }
-  return { code: "environment.failed", message: error instanceof Error ? error.message : String(error) };
+/** Return an error of preparing a map as code and message. */
+export function mapTold(error: unknown) {
+  const outOfMemory = "there is not enough memory for this map; close other pages, or reduce it";
+  return toldOf(error, "environment", outOfMemory);
+}
+
+/** Return the fault of a map that has more pixels than can be read. */
+export function tooLarge(width: number, height: number, maxPixels: number): MapFault {
+  return new MapFault(
+    "environment.too_large",
+    `the map has ${width} x ${height} pixels, the limit is ${maxPixels}`,
+    "reduce the map (8192 x 4096 is plenty for lighting)",
+  );
 }

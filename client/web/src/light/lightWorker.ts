@@ -1,8 +1,9 @@
 /** Decodes and prepares environment maps in a worker. */
 
+import { buffersOf } from "../page/buffers.js";
 import { splitSumTable } from "../engine/splitSum.js";
 import { readExr } from "./exrInput.js";
-import { MapFault, toldOf } from "./fault.js";
+import { MapFault, mapTold } from "./fault.js";
 import { type PreparedLight, prepareLight } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { readRgbe } from "./rgbe.js";
@@ -42,10 +43,9 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
       return;
     }
     const light = prepareLight(await openMap(question.origin), question.bands, question.dominant);
-    const buffers = [light.coefficientsRgb.buffer, light.plainRgb.buffer, light.levels.halfRgba.buffer];
-    answer({ id, kind: "light", light }, buffers);
+    answer({ id, kind: "light", light }, buffersOf(light));
   } catch (error) {
-    answer({ id, kind: "failed", ...toldOf(error) }, []);
+    answer({ id, kind: "failed", ...mapTold(error) }, []);
   }
 };
 

@@ -5,7 +5,7 @@
  */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { MapFault } from "./fault.js";
+import { MapFault, tooLarge } from "./fault.js";
 
 const resolutionLine = /^([-+])Y (\d{1,7}) ([-+])X (\d{1,7})$/;
 
@@ -22,13 +22,7 @@ export function readRgbe(data: Uint8Array, maxPixels: number): EnvironmentMap {
   if (match === null) throw damaged("has no resolution line of the form -Y <height> +X <width>");
   const [height, width] = [Number(match[2]), Number(match[4])];
   if (height === 0 || width === 0) throw damaged("has no pixels");
-  if (height * width > maxPixels) {
-    throw new MapFault(
-      "environment.too_large",
-      `the map has ${width} x ${height} pixels, the limit is ${maxPixels}`,
-      "reduce the map (8192 x 4096 is plenty for lighting)",
-    );
-  }
+  if (height * width > maxPixels) throw tooLarge(width, height, maxPixels);
   const pixels = decode(data.subarray(end + 1), height, width);
   const radianceRgb = new Float32Array(3 * height * width);
   for (let row = 0; row < height; row++) {

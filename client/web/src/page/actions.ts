@@ -21,11 +21,10 @@ export function explain(error: unknown): string {
 /** Return a button that is disabled while its action is running. */
 export function button(
   text: string,
+  { fail, className = null }: { readonly fail: (error: unknown) => void; readonly className?: string | null },
   action: () => Promise<void>,
-  { fail }: { readonly fail: (error: unknown) => void },
-  className = "",
 ): HTMLButtonElement {
-  const element = h("button", { type: "button", class: className === "" ? null : className }, text);
+  const element = h("button", { type: "button", class: className }, text);
   element.addEventListener("click", () => {
     element.disabled = true;
     action()

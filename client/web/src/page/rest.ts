@@ -26,7 +26,6 @@ export class Refused extends Error {
     readonly code: string,
     detail: string,
     readonly retryable: boolean,
-    readonly findings: readonly Finding[] = [],
     readonly errors: readonly Schemas["ProblemDetail"][] = [],
   ) {
     super(detail);
@@ -52,7 +51,6 @@ export async function requireOk(response: Response): Promise<Response> {
     problem.code ?? `http_${response.status}`,
     problem.detail ?? `the server answered ${response.status}`,
     problem.retryable ?? response.status >= 500,
-    problem.findings ?? [],
     problem.errors ?? [],
   );
 }

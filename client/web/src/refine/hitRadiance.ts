@@ -14,7 +14,7 @@ import { bouncedIrradiance, directIrradiance } from "./litTexels.js";
 import { NearestPoint } from "./nearestPoint.js";
 import { dielectricF0 } from "./reflection.js";
 import type { SkyLight } from "./skyLight.js";
-import { type RefineEdit, TexelMaterials } from "./surfacePoints.js";
+import { edited, type RefineEdit, type TexelMaterials, texelMaterials } from "./surfacePoints.js";
 import { texelPositions } from "./texelPositions.js";
 import { type Vector, vector } from "./vectors.js";
 
@@ -34,7 +34,7 @@ export class HitScene {
     readonly transport: PackedTransport,
     mesh: AtlasMesh,
   ) {
-    this.materials = new TexelMaterials(transport);
+    this.materials = texelMaterials(transport);
     this.nearest = new NearestPoint(texelPositions(mesh, transport));
     this.lobes = ggxBands(transport.visibility.bands);
     const { steps, scales, offsets } = transport.direct;
@@ -48,7 +48,7 @@ export class HitScene {
 
 /** The radiance of hit points under one light. */
 export class Hits {
-  readonly #materials: Omit<TexelMaterials, "edited">;
+  readonly #materials: TexelMaterials;
   /** Diffuse radiance, and mean radiance around, per texel. */
   readonly #diffuse: Float32Array;
   readonly #around: Float32Array;
@@ -62,7 +62,7 @@ export class Hits {
     edit: RefineEdit,
   ) {
     const { transport, surroundings } = scene;
-    this.#materials = scene.materials.edited(edit);
+    this.#materials = edited(scene.materials, edit);
     const gain = edit.albedoGain.map((value, channel) => value * edit.albedoScaleRgb[channel]!);
     const bounced = bouncedIrradiance(transport, falling, gain);
     const straight = directIrradiance(transport, this.#materials.normal, falling);

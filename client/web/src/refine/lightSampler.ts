@@ -10,6 +10,7 @@
 
 import { directionOfUv } from "../engine/environment.js";
 import { pixelSolidAngle } from "../engine/environmentMap.js";
+import { grouped } from "./grouped.js";
 import type { Vector } from "./vectors.js";
 
 export const cosineLobe = 0;
@@ -79,19 +80,10 @@ export class LightSampler {
     this.#cell = cell;
     this.#numCells = numCells;
     const cellMass = new Float64Array(numCells);
-    this.#cellFirst = new Uint32Array(numCells + 1);
     cell.forEach((number, pixel) => {
-      cellMass[number] = cellMass[number]! + mass[pixel]!;
-      this.#cellFirst[number + 1] = this.#cellFirst[number + 1]! + 1;
+      cellMass[number]! += mass[pixel]!;
     });
-    for (let number = 0; number < numCells; number++) {
-      this.#cellFirst[number + 1] = this.#cellFirst[number + 1]! + this.#cellFirst[number]!;
-    }
-    this.#order = new Uint32Array(mass.length);
-    const next = this.#cellFirst.slice();
-    cell.forEach((number, pixel) => {
-      this.#order[next[number]!++] = pixel;
-    });
+    ({ order: this.#order, first: this.#cellFirst } = grouped(cell, numCells));
     this.#ends = new Float64Array(mass.length);
     let sum = 0;
     this.#order.forEach((pixel, place) => {

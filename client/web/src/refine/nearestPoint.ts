@@ -1,5 +1,8 @@
 /** Finds a nearest point among many on a surface: `NearestPoint` of `lambent_relight.baked.transport_kernels`. */
 
+import { boundsOf } from "../bundle/mesh.js";
+import { grouped } from "./grouped.js";
+
 /** Exact beside the surface, nearly so far from it. */
 export class NearestPoint {
   readonly #low: readonly [number, number, number];
@@ -15,12 +18,7 @@ export class NearestPoint {
   /** `points` are triples; there must be one at least. */
   constructor(points: Float32Array) {
     const numPoints = points.length / 3;
-    const low = [Infinity, Infinity, Infinity];
-    const high = [-Infinity, -Infinity, -Infinity];
-    points.forEach((value, index) => {
-      low[index % 3] = Math.min(low[index % 3]!, value);
-      high[index % 3] = Math.max(high[index % 3]!, value);
-    });
+    const { boundsMin: low, boundsMax: high } = boundsOf(points);
     const extent = low.map((value, axis) => Math.max(high[axis]! - value, 1e-6));
     // About as many cells along a side as give a surface's points two or three to a cell.
     const count = Math.min(Math.max(Math.sqrt(numPoints / 6), 1), 96);
@@ -32,21 +30,15 @@ export class NearestPoint {
     this.#shape = [side(0), side(1), side(2)];
     const numCells = this.#shape[0] * this.#shape[1] * this.#shape[2];
     const number = new Uint32Array(numPoints);
-    this.#first = new Uint32Array(numCells + 1);
     for (let point = 0; point < numPoints; point++) {
       const [i, j, k] = [0, 1, 2].map((axis) =>
         Math.min(Math.floor((points[3 * point + axis]! - this.#low[axis]!) / cell), this.#shape[axis]! - 2),
       );
       number[point] = (i! * this.#shape[1] + j!) * this.#shape[2] + k!;
-      this.#first[number[point]! + 1]!++;
     }
-    for (let index = 0; index < numCells; index++) this.#first[index + 1]! += this.#first[index]!;
-    this.#order = new Uint32Array(numPoints);
+    ({ order: this.#order, first: this.#first } = grouped(number, numCells));
     this.#sorted = new Float32Array(3 * numPoints);
-    const next = this.#first.slice();
-    number.forEach((index, point) => {
-      const place = next[index]!++;
-      this.#order[place] = point;
+    this.#order.forEach((point, place) => {
       this.#sorted.set(points.subarray(3 * point, 3 * point + 3), 3 * place);
     });
     this.#home = this.#spread(numCells);

@@ -3,6 +3,7 @@
 import { BundleFault } from "../bundle/fault.js";
 import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
+import { buffersOf } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { adaptedNote } from "./adapted.js";
 import { Accumulation } from "./accumulation.js";
@@ -11,7 +12,7 @@ import { LightSampler } from "./lightSampler.js";
 import type { OpenQuestion, RefineAnswer, RefineQuestion, StartQuestion } from "./messages.js";
 import { onePass } from "./passes.js";
 import { brightness, SkyLight } from "./skyLight.js";
-import { surfacePoints } from "./surfacePoints.js";
+import { edited, surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openTracer, RefineFault, type Tracer } from "./tracer.js";
 
 /** Directions of a point in one pass. */
@@ -86,7 +87,7 @@ async function refine(question: StartQuestion): Promise<void> {
   if (light === null) throw new Error("a picture without light was asked for");
   const { tracer, scene, originOffset } = opened;
   const sky = new SkyLight(light.levels, question.turn, question.intensity);
-  const points = surfacePoints(seen, scene.materials.edited(question.edit));
+  const points = surfacePoints(seen, edited(scene.materials, question.edit));
   const hits = question.indirect ? new Hits(scene, sky, question.falling, question.edit) : null;
   const sums = new Accumulation(points, seen.camera, seen.samples);
   let sentAt = Number.NEGATIVE_INFINITY;
@@ -108,11 +109,7 @@ async function refine(question: StartQuestion): Promise<void> {
     if (!enough && performance.now() - sentAt < sendEveryMs) continue;
     const picture = sums.picture(perPass);
     const quiet = sums.numPasses >= leastPasses && picture.relativeError <= options.relativeError;
-    const { directRgb, indirectRgb, standardErrorRgb, visibility, coverage } = picture;
-    const buffers = [directRgb, indirectRgb, standardErrorRgb, visibility, coverage].map(
-      (each) => each.buffer,
-    );
-    answer({ kind: "picture", id, picture, done: enough || quiet }, buffers);
+    answer({ kind: "picture", id, picture, done: enough || quiet }, buffersOf(picture));
     if (enough || quiet) return;
     sentAt = performance.now();
   }

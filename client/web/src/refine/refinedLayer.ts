@@ -1,7 +1,7 @@
 /** Lays a refined picture in place of the baked one, before background, exposure and tone curve. */
 
-import { DataTexture, FloatType, NearestFilter, RGBAFormat, type WebGLRenderTarget } from "three";
-import { type FullScreen, screenProgram } from "../render/fullScreen.js";
+import { DataTexture, FloatType, RGBAFormat, type WebGLRenderTarget } from "three";
+import { type FullScreen, screenProgram, setUniforms } from "../render/fullScreen.js";
 import { header } from "../render/glsl.js";
 import { channels, type Look, type ViewCamera } from "../render/looks.js";
 import type { RefinedPicture } from "./accumulation.js";
@@ -26,6 +26,8 @@ void main() {
   result = vec4(shown, straight.a);
 }`;
 
+const uniformNames = ["direct", "rest", "corner", "shownSize", "height", "channel"] as const;
+
 /** Channels of which there is a refined picture; the others are not about light. */
 export const refinedChannels: ReadonlySet<string> = new Set(["final", "direct", "indirect", "visibility"]);
 
@@ -33,14 +35,7 @@ export const refinedChannels: ReadonlySet<string> = new Set(["final", "direct", 
 export class RefinedLayer {
   readonly #direct: DataTexture;
   readonly #rest: DataTexture;
-  readonly #material = screenProgram(fragment, [
-    "direct",
-    "rest",
-    "corner",
-    "shownSize",
-    "height",
-    "channel",
-  ]);
+  readonly #material = screenProgram(fragment, uniformNames);
 
   /** `shown` is the camera of the picture on the canvas, of which `picture` may be a coarser one. */
   constructor(
@@ -48,16 +43,9 @@ export class RefinedLayer {
     { width, height }: { readonly width: number; readonly height: number },
   ) {
     const table = (): DataTexture => {
-      const texture = new DataTexture(
-        new Float32Array(4 * width * height),
-        width,
-        height,
-        RGBAFormat,
-        FloatType,
-      );
+      const data = new Float32Array(4 * width * height);
+      const texture = new DataTexture(data, width, height, RGBAFormat, FloatType);
       texture.internalFormat = "RGBA32F";
-      texture.minFilter = NearestFilter;
-      texture.magFilter = NearestFilter;
       return texture;
     };
     this.#direct = table();
@@ -94,20 +82,18 @@ export class RefinedLayer {
       camera.focalY === shown.focalY &&
       camera.cameraToWorld.every((value, index) => value === shown.cameraToWorld[index]);
     if (!inside || !same || !refinedChannels.has(look.channel)) return false;
-    const values: Record<string, unknown> = {
+    setUniforms(this.#material, {
       direct: this.#direct,
       rest: this.#rest,
       corner,
       shownSize: [shown.width, shown.height],
       height: camera.height,
       channel: channels[look.channel],
-    };
-    for (const [name, value] of Object.entries(values)) this.#material.uniforms[name]!.value = value;
+    });
     screen.draw(this.#material, target);
     return true;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.#direct.dispose();
     this.#rest.dispose();

@@ -56,11 +56,6 @@ export class Refinement {
 
   constructor(private readonly host: RefineHost) {}
 
-  /** The current status. */
-  get status(): RefineStatus {
-    return this.#status;
-  }
-
   /** The picture that is shown in place of the baked one, and the camera that saw it; null where none is. */
   get shown(): { readonly picture: RefinedPicture; readonly camera: ViewCamera } | null {
     const [picture, camera] = [this.#picture, this.#layer?.shown];
@@ -85,7 +80,6 @@ export class Refinement {
     this.#rest = setTimeout(() => this.#begin(), restMs) as unknown as number;
   }
 
-  /** Give everything back. */
   dispose(): void {
     this.#stop();
     this.#worker?.terminate();

@@ -2,6 +2,7 @@
 
 import { halfTable } from "../engine/half.js";
 import type { PreparedLight } from "../light/prepare.js";
+import type { Brightness } from "./lightSampler.js";
 import { type Rotation, rotated, type Vector, vector } from "./vectors.js";
 
 const halves = halfTable();
@@ -66,11 +67,7 @@ export class SkyLight {
 }
 
 /** Return the sum of a map's channels per pixel, rows from the top: the sharpest level. */
-export function brightness({ halfRgba, width: stride, places }: PreparedLight["levels"]): {
-  readonly width: number;
-  readonly height: number;
-  readonly values: Float64Array;
-} {
+export function brightness({ halfRgba, width: stride, places }: PreparedLight["levels"]): Brightness {
   const [left, top, width, height] = places[0]!;
   const values = new Float64Array(width * height);
   for (let row = 0; row < height; row++) {

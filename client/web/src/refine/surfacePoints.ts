@@ -1,7 +1,6 @@
 /** The surface behind the samples of a picture, from the mesh that the viewer draws and the bundle's texels. */
 
-import type { PackedTransport } from "../bundle/transport.js";
-import { tableWidth } from "../bundle/transport.js";
+import { type PackedTransport, tableWidth } from "../bundle/transport.js";
 import type { MaterialEdit, ViewCamera } from "../render/looks.js";
 import { alphaOf } from "./reflection.js";
 
@@ -33,52 +32,48 @@ export type SurfaceSamples = {
 export type RefineEdit = MaterialEdit & { readonly albedoScaleRgb: readonly number[] };
 
 /** Texels' materials as numbers. */
-export class TexelMaterials {
-  readonly numTexels: number;
+export type TexelMaterials = {
   readonly albedo: Float32Array;
   readonly perceptualRoughness: Float32Array;
   readonly metalness: Float32Array;
   readonly normal: Float32Array;
+};
 
-  constructor({ material, numTexels }: PackedTransport) {
-    this.numTexels = numTexels;
-    this.albedo = new Float32Array(3 * numTexels);
-    this.perceptualRoughness = new Float32Array(numTexels);
-    this.metalness = new Float32Array(numTexels);
-    this.normal = new Float32Array(3 * numTexels);
-    const layer = 4 * material.rows * tableWidth;
-    const clip = (value: number): number => Math.min(Math.max(value, 0), 1);
-    for (let texel = 0; texel < numTexels; texel++) {
-      const at = (plane: number): number =>
-        material.offsets[plane]! +
-        material.scales[plane]! * material.steps[(plane >> 2) * layer + 4 * texel + (plane & 3)]!;
-      for (let axis = 0; axis < 3; axis++) this.albedo[3 * texel + axis] = clip(at(axis));
-      this.perceptualRoughness[texel] = clip(at(3));
-      this.metalness[texel] = clip(at(4));
-      const length = Math.max(Math.hypot(at(5), at(6), at(7)), 1e-10);
-      for (let axis = 0; axis < 3; axis++) this.normal[3 * texel + axis] = at(5 + axis) / length;
-    }
-  }
+const clip = (value: number): number => Math.min(Math.max(value, 0), 1);
 
-  /** Return the materials with an edit applied, as `lambent_relight.edits` does. */
-  edited(edit: RefineEdit): Omit<TexelMaterials, "edited"> {
-    const clip = (value: number): number => Math.min(Math.max(value, 0), 1);
-    const gain = edit.albedoGain.map((value, channel) => value * edit.albedoScaleRgb[channel]!);
-    return {
-      numTexels: this.numTexels,
-      albedo: this.albedo.map((value, index) => clip(value * gain[index % 3]!)),
-      perceptualRoughness: this.perceptualRoughness.map((value) => clip(value * edit.roughnessScale)),
-      metalness: this.metalness.map((value) => clip(value + edit.metalnessShift)),
-      normal: this.normal,
-    };
+/** Return the materials of a bundle's texels. */
+export function texelMaterials({ material, numTexels }: PackedTransport): TexelMaterials {
+  const albedo = new Float32Array(3 * numTexels);
+  const perceptualRoughness = new Float32Array(numTexels);
+  const metalness = new Float32Array(numTexels);
+  const normal = new Float32Array(3 * numTexels);
+  const layer = 4 * material.rows * tableWidth;
+  for (let texel = 0; texel < numTexels; texel++) {
+    const at = (plane: number): number =>
+      material.offsets[plane]! +
+      material.scales[plane]! * material.steps[(plane >> 2) * layer + 4 * texel + (plane & 3)]!;
+    for (let axis = 0; axis < 3; axis++) albedo[3 * texel + axis] = clip(at(axis));
+    perceptualRoughness[texel] = clip(at(3));
+    metalness[texel] = clip(at(4));
+    const length = Math.max(Math.hypot(at(5), at(6), at(7)), 1e-10);
+    for (let axis = 0; axis < 3; axis++) normal[3 * texel + axis] = at(5 + axis) / length;
   }
+  return { albedo, perceptualRoughness, metalness, normal };
+}
+
+/** Return materials with an edit applied, as `lambent_relight.edits` does. */
+export function edited(materials: TexelMaterials, edit: RefineEdit): TexelMaterials {
+  const gain = edit.albedoGain.map((value, channel) => value * edit.albedoScaleRgb[channel]!);
+  return {
+    albedo: materials.albedo.map((value, index) => clip(value * gain[index % 3]!)),
+    perceptualRoughness: materials.perceptualRoughness.map((value) => clip(value * edit.roughnessScale)),
+    metalness: materials.metalness.map((value) => clip(value + edit.metalnessShift)),
+    normal: materials.normal,
+  };
 }
 
 /** Return the points of the samples of a picture. */
-export function surfacePoints(
-  seen: SurfaceSamples,
-  materials: Omit<TexelMaterials, "edited">,
-): SurfacePoints {
+export function surfacePoints(seen: SurfaceSamples, materials: TexelMaterials): SurfacePoints {
   const { camera, samples, place, texel, distance } = seen;
   const count = place.length;
   const pose = camera.cameraToWorld;

@@ -6,7 +6,6 @@ import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { FusedCache, packFastCache } from "../engine/fusedCache.js";
 import { NotFused } from "../engine/fusedWeights.js";
 import { openGraph } from "../engine/onnxGraphs.js";
-import { loadWasm } from "../engine/onnxWasm.js";
 import type { Backend } from "./status.js";
 
 /** Opacity and distance of rays, one number each. */
@@ -21,7 +20,6 @@ export type Tracer = {
   readonly raysPerCall: number;
   /** Return the hits of rays; `rays` holds origin and unit direction, six floats each. */
   readonly trace: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>;
-  readonly close: () => Promise<void>;
 };
 
 /** No backend works for the fast cache; the message says why, for display. */
@@ -84,24 +82,16 @@ async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Trace
     void opened.lost.then(({ message }) => {
       trouble = message || "the graphics hardware went away";
     });
-    return new PacedTracer(
-      "wgsl",
-      adapter.info.isFallbackAdapter,
-      async (rays) => {
-        const answers = await cache.run(rays).catch((error: unknown) => {
-          trouble ||= firstLine(error);
-          return null;
-        });
-        if (answers === null || trouble !== "") {
-          throw new RefineFault(`WebGPU failed (${trouble}); switch refining off and on again`);
-        }
-        return answers;
-      },
-      async () => {
-        cache.close();
-        opened.destroy();
-      },
-    );
+    return new PacedTracer("wgsl", adapter.info.isFallbackAdapter, async (rays) => {
+      const answers = await cache.run(rays).catch((error: unknown) => {
+        trouble ||= firstLine(error);
+        return null;
+      });
+      if (answers === null || trouble !== "") {
+        throw new RefineFault(`WebGPU failed (${trouble}); switch refining off and on again`);
+      }
+      return answers;
+    });
   } catch (error) {
     device?.destroy();
     if (error instanceof NotFused) return `the bundle's fast cache has another form (${error.message})`;
@@ -121,7 +111,8 @@ function firstLine(error: unknown): string {
 async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
   const graph = await openGraph(model, weights, {
     provider: "wasm",
-    runtime: await loadWasm(),
+    // 4 MB to fetch, which no page should carry that does not refine.
+    runtime: await import("onnxruntime-web/wasm"),
     outputs: ["opacity", "distance"],
   });
   const run = async (rays: Float32Array): Promise<Traced> => {
@@ -136,7 +127,7 @@ async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
     await new Promise((resolve) => setTimeout(resolve));
     return { opacity: found.opacity!, distance: found.distance! };
   };
-  return new PacedTracer("wasm", true, run, () => graph.close());
+  return new PacedTracer("wasm", true, run);
 }
 
 /** Finds out how many rays a call may have: longer calls waste less, but nothing can be stopped during one. */
@@ -147,7 +138,6 @@ class PacedTracer implements Tracer {
     readonly backend: Backend,
     readonly slow: boolean,
     private readonly run: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>,
-    readonly close: () => Promise<void>,
   ) {}
 
   async trace(rays: Float32Array<ArrayBuffer>): Promise<Traced> {

@@ -27,6 +27,14 @@ export function screenProgram(fragmentShader: string, names: readonly string[]):
   });
 }
 
+/** Give uniforms of a program their values; those it does not have are left out. */
+export function setUniforms(program: RawShaderMaterial, values: Readonly<Record<string, unknown>>): void {
+  for (const [name, value] of Object.entries(values)) {
+    const uniform = program.uniforms[name];
+    if (uniform !== undefined) uniform.value = value;
+  }
+}
+
 /** One triangle that covers everything. */
 export class FullScreen {
   readonly #geometry = new BufferGeometry();
@@ -56,7 +64,6 @@ export class FullScreen {
     this.renderer.compile(this.#scene, this.#camera);
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.#geometry.dispose();
   }

@@ -31,7 +31,7 @@ import {
 import type { Direction } from "../engine/environment.js";
 import { maxDominant } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
-import { type FullScreen, screenProgram } from "./fullScreen.js";
+import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
 import { header } from "./glsl.js";
 import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
 import { halfFloatTarget } from "./targets.js";
@@ -55,11 +55,7 @@ export type GroundPlace = {
 /** Return the ground under a box: the plane of its lowest points. */
 export function groundUnder(low: readonly number[], high: readonly number[]): GroundPlace {
   const { centre, radius } = ballOf(low, high);
-  return {
-    centre: [centre[0]!, centre[1]!],
-    height: low[2]!,
-    reach: reachInRadii * radius,
-  };
+  return { centre: [centre[0]!, centre[1]!], height: low[2]!, reach: reachInRadii * radius };
 }
 
 const castVertex = `${header}
@@ -121,7 +117,6 @@ function bytes(side: number, depthBuffer: boolean): WebGLRenderTarget {
     minFilter: LinearFilter,
     magFilter: LinearFilter,
     depthBuffer,
-    generateMipmaps: false,
   });
 }
 
@@ -171,10 +166,8 @@ export class Ground {
     mesh.frustumCulled = false;
     this.#scene.add(mesh);
     this.#scene.matrixWorldAutoUpdate = false;
-    this.#skyPass.uniforms.tiles!.value = this.#tiles.texture;
-    this.#skyPass.uniforms.skyLight!.value = this.#skyLight;
-    this.#sharePass.uniforms.sky!.value = this.#sky.texture;
-    this.#sharePass.uniforms.lights!.value = this.#lights.texture;
+    setUniforms(this.#skyPass, { tiles: this.#tiles.texture, skyLight: this.#skyLight });
+    setUniforms(this.#sharePass, { sky: this.#sky.texture, lights: this.#lights.texture });
   }
 
   /** Draw the shares that a light loses into a table; `still` draws discs finely. */
@@ -195,12 +188,8 @@ export class Ground {
     light.lightsRgb.slice(0, maxDominant).forEach((value, index) => {
       rgb.set(value, 3 * index);
     });
-    const values = {
-      lightsRgb: rgb,
-      numLights: Math.min(light.lightsRgb.length, maxDominant),
-      whole: light.wholeRgb,
-    };
-    for (const [name, value] of Object.entries(values)) this.#sharePass.uniforms[name]!.value = value;
+    const numLights = Math.min(light.lightsRgb.length, maxDominant);
+    setUniforms(this.#sharePass, { lightsRgb: rgb, numLights, whole: light.wholeRgb });
     screen.draw(this.#sharePass, into);
   }
 
@@ -209,7 +198,6 @@ export class Ground {
     this.#known = false;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     for (const target of [this.#tiles, this.#lights, this.#sky]) target.dispose();
     for (const pass of [this.#skyPass, this.#sharePass, this.#cast]) pass.dispose();
@@ -244,10 +232,7 @@ export class Ground {
     share: number,
     target: WebGLRenderTarget,
   ): void {
-    const { uniforms } = this.#cast;
-    uniforms.slope!.value = [x / z, y / z];
-    uniforms.layer!.value = layer;
-    uniforms.share!.value = share;
+    setUniforms(this.#cast, { slope: [x / z, y / z], layer, share });
     this.#cast.uniformsNeedUpdate = true;
     renderer.setRenderTarget(target);
     renderer.render(this.#scene, this.#camera);

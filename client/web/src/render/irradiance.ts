@@ -6,17 +6,16 @@
  */
 
 import type { RawShaderMaterial, WebGLRenderTarget } from "three";
-import type { PlaneTable } from "../bundle/transport.js";
-import { tableWidth } from "../bundle/transport.js";
+import { numShadowDirections, tableWidth } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
-import { type ShadowWeights, shadowDirections, shadowWeights } from "../engine/shadows.js";
+import { shadowDirections, shadowWeights } from "../engine/shadows.js";
 import { maxDominant } from "../light/prepare.js";
 import { header } from "./glsl.js";
-import { type FullScreen, screenProgram } from "./fullScreen.js";
+import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
 import { halfFloatTarget } from "./targets.js";
 import type { BundleTextures } from "./textures.js";
 
-const storedDirections = shadowDirections(256);
+const storedDirections = shadowDirections(numShadowDirections);
 
 function planeSum(layers: number): string {
   return `
@@ -124,7 +123,7 @@ export class IrradiancePasses {
     for (const pass of [this.#direct, this.#shares]) {
       if (pass === null || !lights) continue;
       const values = { material: textures.material, shadowBits: textures.shadowBits };
-      set(pass, { ...values, materialScales: material.scales, materialOffsets: material.offsets });
+      setUniforms(pass, { ...values, materialScales: material.scales, materialOffsets: material.offsets });
     }
   }
 
@@ -136,20 +135,23 @@ export class IrradiancePasses {
   /** Draw all tables for a light. */
   draw(screen: FullScreen, light: FallingLight, into: IrradianceTables): void {
     const { direct, indirect } = this.textures.transport;
-    setSums(this.#direct, direct, light.coefficientsRgb, 1);
+    setUniforms(this.#direct, sumFactors(direct, light.coefficientsRgb, 1));
     if (this.#shares !== null) {
       const lights = lightUniforms(light);
-      set(this.#shares, lights.shadows);
+      setUniforms(this.#shares, lights.shadows);
       screen.draw(this.#shares, into.shares);
       const { irradiance } = lights;
-      set(this.#direct, { ...lights.shadows, lightIrradiance: irradiance, shares: into.shares.texture });
+      setUniforms(this.#direct, {
+        ...lights.shadows,
+        lightIrradiance: irradiance,
+        shares: into.shares.texture,
+      });
     }
-    setSums(this.#indirect, indirect, bouncedCoefficients(light, indirect.bands), 3);
+    setUniforms(this.#indirect, sumFactors(indirect, bouncedCoefficients(light, indirect.bands), 3));
     screen.draw(this.#direct, into.direct);
     screen.draw(this.#indirect, into.indirect);
   }
 
-  /** Give the programs back. */
   dispose(): void {
     this.#direct.dispose();
     this.#indirect.dispose();
@@ -173,28 +175,11 @@ export class IrradianceTables {
     );
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.direct.dispose();
     this.indirect.dispose();
     this.shares.dispose();
   }
-}
-
-function set(pass: RawShaderMaterial, values: Readonly<Record<string, unknown>>): void {
-  for (const [name, value] of Object.entries(values)) {
-    const uniform = pass.uniforms[name];
-    if (uniform !== undefined) uniform.value = value;
-  }
-}
-
-function setSums(
-  pass: RawShaderMaterial,
-  table: PlaneTable,
-  coefficients: ArrayLike<number>,
-  channels: 1 | 3,
-): void {
-  set(pass, sumFactors(table, coefficients, channels));
 }
 
 /** Return the uniforms of dominant lights: those of their shadows, and their irradiance. */
@@ -203,7 +188,7 @@ function lightUniforms(light: FallingLight) {
   const neighbours = new Int32Array(6 * maxDominant);
   const weights = new Float32Array(6 * maxDominant);
   for (let index = 0; index < numLights; index++) {
-    const near: ShadowWeights = shadowWeights(storedDirections, light.directions[index]!);
+    const near = shadowWeights(storedDirections, light.directions[index]!);
     neighbours.set(near.indices, 6 * index);
     weights.set(near.weights, 6 * index);
   }

@@ -1,6 +1,6 @@
 /** A prepared light on the graphics card, rotated as set. */
 
-import type { DataTexture, WebGLRenderTarget } from "three";
+import { type DataTexture, Euler, MathUtils, Matrix4, type WebGLRenderTarget } from "three";
 import type { Direction } from "../engine/environment.js";
 import type { FallingLight } from "../engine/fallingLight.js";
 import { cosineFactors, type Matrix3, rotate, rotateZ } from "../engine/harmonics.js";
@@ -16,30 +16,14 @@ type Tilted = {
   readonly plainRgb: Float64Array;
 };
 
-const radians = Math.PI / 180;
-
 /** Return rows of the matrix of a turn: about +x by roll, then about +y by pitch, then about +z by yaw. */
 export function turnMatrix({ yawDeg, pitchDeg, rollDeg }: LightTurn): Matrix3 {
-  const [cy, sy] = [Math.cos(yawDeg * radians), Math.sin(yawDeg * radians)];
-  const tilt = tiltMatrix(pitchDeg, rollDeg);
+  const [x, y, z] = [rollDeg, pitchDeg, yawDeg].map(MathUtils.degToRad);
+  const { elements: e } = new Matrix4().makeRotationFromEuler(new Euler(x, y, z, "ZYX"));
   return [
-    row((c) => cy * tilt[0][c] - sy * tilt[1][c]),
-    row((c) => sy * tilt[0][c] + cy * tilt[1][c]),
-    tilt[2],
-  ];
-}
-
-function row(at: (column: 0 | 1 | 2) => number): Direction {
-  return [at(0), at(1), at(2)];
-}
-
-function tiltMatrix(pitchDeg: number, rollDeg: number): Matrix3 {
-  const [cp, sp] = [Math.cos(pitchDeg * radians), Math.sin(pitchDeg * radians)];
-  const [cr, sr] = [Math.cos(rollDeg * radians), Math.sin(rollDeg * radians)];
-  return [
-    [cp, sp * sr, sp * cr],
-    [0, cr, -sr],
-    [-sp, cp * sr, cp * cr],
+    [e[0], e[4], e[8]],
+    [e[1], e[5], e[9]],
+    [e[2], e[6], e[10]],
   ];
 }
 
@@ -106,12 +90,13 @@ export class StageLight {
   }
 
   /** Tilting costs more than turning about +z, so that its result is kept. */
-  #tilt({ pitchDeg, rollDeg }: LightTurn): Tilted {
+  #tilt(turn: LightTurn): Tilted {
+    const { pitchDeg, rollDeg } = turn;
     const key = `${pitchDeg} ${rollDeg}`;
     if (this.#tilted?.key !== key) {
       const { coefficientsRgb, plainRgb, bands } = this.prepared;
       const level = pitchDeg === 0 && rollDeg === 0;
-      const matrix = tiltMatrix(pitchDeg, rollDeg);
+      const matrix = turnMatrix({ ...turn, yawDeg: 0 });
       this.#tilted = {
         key,
         coefficientsRgb: level ? coefficientsRgb : rotate(coefficientsRgb, bands, matrix),
@@ -121,7 +106,6 @@ export class StageLight {
     return this.#tilted;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.levels.dispose();
     this.tables.dispose();

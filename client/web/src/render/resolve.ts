@@ -1,7 +1,7 @@
 /** From radiance to a picture: background, exposure, tone curve, encoding. */
 
 import { ShaderChunk, type Texture } from "three";
-import { screenProgram } from "./fullScreen.js";
+import { screenProgram, setUniforms } from "./fullScreen.js";
 import * as glsl from "./glsl.js";
 import { cameraUniforms, lightUniforms } from "./shading.js";
 import type { GroundPlace } from "./ground.js";
@@ -110,8 +110,7 @@ export class Resolve {
     target: keyof typeof outputs,
     ground: GroundPlace | null,
   ): void {
-    const pose = camera.cameraToWorld;
-    const values: Record<string, unknown> = {
+    setUniforms(this.material, {
       ...lightUniforms(light, turn),
       toneMappingExposure: 2 ** look.exposureEv,
       picture,
@@ -124,12 +123,9 @@ export class Resolve {
       hasGround: ground !== null,
       ground: ground === null ? null : light.ground.texture,
       groundPlace: ground === null ? [0, 0, 0, 1] : [...ground.centre, ground.height, ground.reach],
-      eye: [pose[3]!, pose[7]!, pose[11]!],
-    };
-    for (const [name, value] of Object.entries(values)) this.material.uniforms[name]!.value = value;
+    });
   }
 
-  /** Give the program back. */
   dispose(): void {
     this.material.dispose();
   }

@@ -7,9 +7,10 @@
  * Materials, visibility and irradiance are means over the samples of a pixel; the rest is computed once.
  */
 
-import { type DataTexture, GLSL3, NoBlending, RawShaderMaterial, type Texture } from "three";
+import type { DataTexture, RawShaderMaterial, Texture } from "three";
 import type { LoadedBundle } from "../bundle/load.js";
 import * as glsl from "./glsl.js";
+import { screenProgram, setUniforms } from "./fullScreen.js";
 import { dominantUniforms } from "./irradiance.js";
 import { type StageLight, turnMatrix } from "./light.js";
 import { channels, type LightTurn, type Look, type Method, type ViewCamera } from "./looks.js";
@@ -144,16 +145,9 @@ void main() {
 const uniformNames = [
   ...["seen", "samples", "size", "lens", "cameraTurn", "eye"],
   ...["coarseOfTexel", "material", "materialScales", "materialOffsets", "direct", "directConstant"],
-  ...[
-    "visibility",
-    "visibilityScales",
-    "visibilityOffsets",
-    "lobeTable",
-    "splitSumTable",
-    "levels",
-    "levelPlaces",
-  ],
-  ...["toMap", "lightScale", "irradiance", "bounced", "plainIrradiance", "channel", "plain", "indirect"],
+  ...["visibility", "visibilityScales", "visibilityOffsets", "lobeTable", "splitSumTable"],
+  ...["levels", "levelPlaces", "toMap", "lightScale"],
+  ...["irradiance", "bounced", "plainIrradiance", "channel", "plain", "indirect"],
   ...["numLights", "lightDirections", "lightIrradiance", "shares"],
   ...["albedoGain", "roughnessScale", "metalnessShift", "depthRange"],
   ...["uncertainty", "gridLow", "gridSize"],
@@ -170,15 +164,7 @@ export class Shading {
   ) {
     const { transport } = textures;
     const grid = bundle.uncertainty;
-    this.material = new RawShaderMaterial({
-      glslVersion: GLSL3,
-      vertexShader: glsl.coverVertex,
-      fragmentShader: fragment(transport.visibility.bands, grid !== null),
-      uniforms: Object.fromEntries(uniformNames.map((name) => [name, { value: null }])),
-      depthTest: false,
-      depthWrite: false,
-      blending: NoBlending,
-    });
+    this.material = screenProgram(fragment(transport.visibility.bands, grid !== null), uniformNames);
     this.#set({
       coarseOfTexel: textures.coarseOfTexel,
       material: textures.material,
@@ -199,8 +185,7 @@ export class Shading {
 
   /** Set which samples are shaded, and for which camera. */
   aim(seen: Texture, samples: number, camera: ViewCamera, depthRange: readonly number[]): void {
-    const pose = camera.cameraToWorld;
-    this.#set({ seen, samples, depthRange, ...cameraUniforms(camera), eye: [pose[3]!, pose[7]!, pose[11]!] });
+    this.#set({ seen, samples, depthRange, ...cameraUniforms(camera) });
   }
 
   /** Set how they are lit. */
@@ -223,10 +208,9 @@ export class Shading {
   }
 
   #set(values: Partial<Record<(typeof uniformNames)[number], unknown>>): void {
-    for (const [name, value] of Object.entries(values)) this.material.uniforms[name]!.value = value;
+    setUniforms(this.material, values);
   }
 
-  /** Give the program back. */
   dispose(): void {
     this.material.dispose();
   }
@@ -243,12 +227,13 @@ export function lightUniforms(light: StageLight, turn: LightTurn): Record<string
   };
 }
 
-/** Return the uniforms that give the ray of a pixel. */
+/** Return the uniforms that give where the camera is, and the ray of a pixel. */
 export function cameraUniforms(camera: ViewCamera): Record<string, unknown> {
   const pose = camera.cameraToWorld;
   return {
     size: [camera.width, camera.height],
     lens: [camera.focalX, camera.focalY, camera.centreX, camera.centreY],
     cameraTurn: [0, 4, 8, 1, 5, 9, 2, 6, 10].map((index) => pose[index]!),
+    eye: [pose[3]!, pose[7]!, pose[11]!],
   };
 }

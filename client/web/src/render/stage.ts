@@ -207,7 +207,6 @@ export class Stage {
     return result;
   }
 
-  /** Give all memory back. */
   dispose(): void {
     this.#clear();
     this.#radiance?.dispose();

@@ -51,7 +51,6 @@ export function sampleTarget(width: number, height: number): WebGLRenderTarget {
     type: UnsignedIntType,
     minFilter: NearestFilter,
     magFilter: NearestFilter,
-    generateMipmaps: false,
   });
   target.texture.internalFormat = "RG32UI";
   return target;
@@ -78,7 +77,6 @@ export class Surface {
     this.mesh.frustumCulled = false;
   }
 
-  /** Give the memory back. */
   dispose(): void {
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();

@@ -16,6 +16,6 @@ export function halfFloatTarget(
 ): WebGLRenderTarget {
   return new WebGLRenderTarget(width, height, {
     ...{ format: RGBAFormat, type: HalfFloatType, minFilter: filter, magFilter: filter },
-    ...{ depthBuffer: false, generateMipmaps: false },
+    depthBuffer: false,
   });
 }

@@ -2,7 +2,6 @@
 
 import {
   ByteType,
-  ClampToEdgeWrapping,
   Data3DTexture,
   DataArrayTexture,
   DataTexture,
@@ -82,7 +81,6 @@ export class BundleTextures {
     return [...always, ...[this.shadowBits, this.uncertainty].filter((each) => each !== null)];
   }
 
-  /** Give the memory back. */
   dispose(): void {
     for (const texture of this.all) texture.dispose();
   }
@@ -105,10 +103,6 @@ function gridTexture(grid: UncertaintyGrid): Data3DTexture {
   texture.type = HalfFloatType;
   texture.minFilter = LinearFilter;
   texture.magFilter = LinearFilter;
-  texture.wrapS = ClampToEdgeWrapping;
-  texture.wrapT = ClampToEdgeWrapping;
-  texture.wrapR = ClampToEdgeWrapping;
-  texture.unpackAlignment = 1;
   return ready(texture, "R16F");
 }
 

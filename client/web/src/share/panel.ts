@@ -54,42 +54,30 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       "aria-label": `Link that ends ${ends}`,
     });
     address.addEventListener("focus", () => address.select());
-    const copy = button(
-      "Copy",
-      async () => {
-        address.value = linkOf(share);
-        address.select();
-        // Pages that came over plain HTTP have no clipboard; the selection is then what can be offered.
-        if (navigator.clipboard === undefined) throw new Error("Press Ctrl-C to copy the link.");
-        await navigator.clipboard.writeText(address.value);
-        news.textContent = "The link is copied.";
-      },
-      context,
-    );
-    const revoke = button(
-      "Take back",
-      async () => {
-        await api.revokeShare(share.id);
-        news.textContent = "The link no longer works.";
-        await load();
-      },
-      context,
-    );
+    const copy = button("Copy", context, async () => {
+      address.value = linkOf(share);
+      address.select();
+      // Pages that came over plain HTTP have no clipboard; the selection is then what can be offered.
+      if (navigator.clipboard === undefined) throw new Error("Press Ctrl-C to copy the link.");
+      await navigator.clipboard.writeText(address.value);
+      news.textContent = "The link is copied.";
+    });
+    const revoke = button("Take back", context, async () => {
+      await api.revokeShare(share.id);
+      news.textContent = "The link no longer works.";
+      await load();
+    });
     revoke.setAttribute("aria-label", `Take back the link that expires ${ends}`);
     return h("li", {}, address, h("span", { class: "faint" }, `expires ${ends}`), copy, revoke);
   }
 
-  const make = button(
-    "Make a link",
-    async () => {
-      const share = await api.createShare(bundleId, Number(lifetime.value));
-      await load();
-      news.textContent = (await copied(linkOf(share)))
-        ? "The link was created and copied."
-        : "The link was created.";
-    },
-    context,
-  );
+  const make = button("Make a link", context, async () => {
+    const share = await api.createShare(bundleId, Number(lifetime.value));
+    await load();
+    news.textContent = (await copied(linkOf(share)))
+      ? "The link was created and copied."
+      : "The link was created.";
+  });
   return h(
     "div",
     { id: "share" },

@@ -1,7 +1,7 @@
 /** Dropped or chosen files as the files of one scene. */
 
 import { BundleFault } from "../bundle/fault.js";
-import { type RangeReader, ZipArchive } from "../bundle/zip.js";
+import { ZipArchive } from "../bundle/zip.js";
 
 /** A file of a scene whose bytes are read when they are needed. */
 export type SceneFile = {
@@ -55,11 +55,9 @@ export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candid
 
 /** Return the files of a zip archive, each of which is unpacked when it is read. */
 async function zipped(file: File): Promise<Candidate> {
-  const range: RangeReader = async (start, length) =>
-    new Uint8Array(await file.slice(start, start + length).arrayBuffer());
   let archive: ZipArchive;
   try {
-    archive = await ZipArchive.open(range, file.size);
+    archive = await ZipArchive.ofFile(file);
   } catch (error) {
     if (!(error instanceof BundleFault)) throw error;
     if (error.code === "bundle.encrypted" || error.code === "bundle.not_a_plain_file") {
@@ -98,37 +96,4 @@ function plainName(name: string): string {
 
 function sorted(files: readonly SceneFile[]): SceneFile[] {
   return [...files].sort((a, b) => (a.path < b.path ? -1 : 1));
-}
-
-/** Return the files of a folder chooser, or of one for single files, by their paths. */
-export function chosenFiles(list: Iterable<File>): Map<string, File> {
-  return new Map([...list].map((file) => [file.webkitRelativePath || file.name, file]));
-}
-
-/** Return the files that were dropped, folders opened. Must be called while the drop is handled. */
-export async function droppedFiles(items: Iterable<DataTransferItem>): Promise<Map<string, File>> {
-  // The entries are gone as soon as this waits for anything.
-  const entries = [...items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
-  const found = new Map<string, File>();
-  for (const entry of entries) await walk(entry, found);
-  return found;
-}
-
-async function walk(entry: FileSystemEntry, found: Map<string, File>): Promise<void> {
-  if (entry.isFile) {
-    const file = await new Promise<File>((resolve, reject) =>
-      (entry as FileSystemFileEntry).file(resolve, reject),
-    );
-    found.set(entry.fullPath.replace(/^\//, ""), file);
-    return;
-  }
-  const reader = (entry as FileSystemDirectoryEntry).createReader();
-  for (;;) {
-    // A folder is read in batches; an empty one ends it.
-    const some = await new Promise<FileSystemEntry[]>((resolve, reject) =>
-      reader.readEntries(resolve, reject),
-    );
-    if (some.length === 0) return;
-    for (const each of some) await walk(each, found);
-  }
 }

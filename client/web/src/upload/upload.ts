@@ -1,5 +1,6 @@
 /** Uploads a scene: hashes it, asks which files the server lacks, sends them, and commits the upload. */
 
+import { pause } from "../page/pause.js";
 import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";
 import type { Hash } from "./hashing.js";
@@ -12,20 +13,12 @@ export type UploadStep = {
   readonly numKnown: number;
 };
 
-export type UploadResult = {
-  readonly scene: Scene;
-  readonly numSent: number;
-  readonly numKnown: number;
-  /** Paths of files that have no place in a scene. */
-  readonly unsupported: readonly string[];
-};
-
 export type UploadTools = {
   readonly api: Pick<Api, "createScene" | "planFiles" | "putFile" | "putArchive" | "commit" | "scene">;
   readonly hash: Hash;
   readonly onStep: (step: UploadStep) => void;
   readonly signal: AbortSignal;
-  /** Wait so many milliseconds; rejects when `signal` does. */
+  /** Wait so many milliseconds, less when `signal` is aborted. */
   readonly wait?: (milliseconds: number, signal: AbortSignal) => Promise<void>;
 };
 
@@ -42,18 +35,16 @@ export async function upload(
   candidate: Candidate,
   tools: UploadTools,
   sceneId: string | null = null,
-): Promise<UploadResult> {
+): Promise<Scene> {
   const patient = patience(tools);
   const id = sceneId ?? (await patient(() => tools.api.createScene(candidate.name))).id;
   if (candidate.kind === "archive") {
     const { file, mediaType } = candidate;
     tools.onStep({ what: "send", doneBytes: 0, totalBytes: file.size, numKnown: 0 });
-    const scene = await patient(() => sendArchive(tools, id, file, mediaType));
-    return { scene, numSent: 1, numKnown: 0, unsupported: [] };
+    return patient(() => sendArchive(tools, id, file, mediaType));
   }
   const hashed = await hashAll(candidate.files, tools);
-  const plan = await patient(() => tools.api.planFiles(id, hashed.planned));
-  const missing = new Set(plan.missing);
+  const missing = new Set((await patient(() => tools.api.planFiles(id, hashed.planned))).missing);
   const unique = [...hashed.bySha256].filter(([sha256]) => missing.has(sha256));
   const numKnown = hashed.bySha256.size - unique.length;
   const totalBytes = unique.reduce((sum, [, file]) => sum + file.sizeBytes, 0);
@@ -75,8 +66,7 @@ export async function upload(
   };
   await Promise.all(Array.from({ length: parallel }, worker));
   tell("commit");
-  const scene = await patient(() => tools.api.commit(id));
-  return { scene, numSent: unique.length, numKnown, unsupported: plan.unsupported };
+  return patient(() => tools.api.commit(id));
 }
 
 async function sendArchive(tools: UploadTools, id: string, file: File, mediaType: string): Promise<Scene> {
@@ -112,7 +102,7 @@ async function hashAll(
 
 /** Return a function that repeats what failed for want of a server, with growing pauses, until `signal`. */
 function patience(
-  { signal, wait = waitFor }: UploadTools,
+  { signal, wait = pause }: UploadTools,
   onWait: () => void = () => {},
 ): <T>(action: () => Promise<T>) => Promise<T> {
   return async (action) => {
@@ -121,8 +111,7 @@ function patience(
       try {
         return await action();
       } catch (error) {
-        const passing = error instanceof Unreachable || (error instanceof Refused && isPassing(error));
-        if (!passing) throw error;
+        if (!(error instanceof Unreachable || (error instanceof Refused && isPassing(error)))) throw error;
       }
       onWait();
       await wait(pauseMs, signal);
@@ -132,19 +121,4 @@ function patience(
 
 function isPassing(refused: Refused): boolean {
   return refused.retryable && [408, 502, 503, 504].includes(refused.status);
-}
-
-function waitFor(milliseconds: number, signal: AbortSignal): Promise<void> {
-  return new Promise((resolve, reject) => {
-    const over = new AbortController();
-    const timer = setTimeout(() => {
-      over.abort();
-      resolve();
-    }, milliseconds);
-    const stop = () => {
-      clearTimeout(timer);
-      reject(signal.reason);
-    };
-    signal.addEventListener("abort", stop, { once: true, signal: over.signal });
-  });
 }

@@ -1,9 +1,9 @@
 /** The uploads of this tab; they continue while the visitor is in other views. */
 
-import type { Api } from "../page/rest.js";
+import type { Api, Scene } from "../page/rest.js";
 import type { Candidate } from "./collect.js";
 import { startHashing } from "./hashing.js";
-import { type UploadResult, type UploadStep, upload } from "./upload.js";
+import { type UploadStep, upload } from "./upload.js";
 
 /** One upload and how far it is. */
 export type Running = {
@@ -11,7 +11,7 @@ export type Running = {
   /** The scene it continues; null: a new one. */
   readonly sceneId: string | null;
   readonly step: UploadStep;
-  readonly done: Promise<UploadResult>;
+  readonly done: Promise<Scene>;
   readonly stop: () => void;
 };
 

@@ -8,20 +8,21 @@ import type { OrbitPose } from "./state.js";
 /** Vertical field of view on a square canvas. */
 export const fieldOfViewDeg = 35;
 
+/** Return the directions to the right, up and back of the camera of an orbit. */
+export function axesOf(pose: OrbitPose) {
+  const [azimuth, elevation] = [(pose.azimuthDeg * Math.PI) / 180, (pose.elevationDeg * Math.PI) / 180];
+  const [cosA, sinA] = [Math.cos(azimuth), Math.sin(azimuth)];
+  const [cosE, sinE] = [Math.cos(elevation), Math.sin(elevation)];
+  return {
+    right: [-sinA, cosA, 0],
+    up: [-cosA * sinE, -sinA * sinE, cosE],
+    back: [cosA * cosE, sinA * cosE, sinE],
+  } as const;
+}
+
 /** Return the camera of an orbit; the field of view fits into the shorter side. */
 export function orbitCamera(pose: OrbitPose, ball: Ball, width: number, height: number): ViewCamera {
-  const [azimuth, elevation] = [(pose.azimuthDeg * Math.PI) / 180, (pose.elevationDeg * Math.PI) / 180];
-  const back = [
-    Math.cos(azimuth) * Math.cos(elevation),
-    Math.sin(azimuth) * Math.cos(elevation),
-    Math.sin(elevation),
-  ];
-  const right = [-Math.sin(azimuth), Math.cos(azimuth), 0];
-  const up = [
-    -Math.cos(azimuth) * Math.sin(elevation),
-    -Math.sin(azimuth) * Math.sin(elevation),
-    Math.cos(elevation),
-  ];
+  const { right, up, back } = axesOf(pose);
   const eye = ball.centre.map(
     (value, axis) => value + ball.radius * (pose.target[axis]! + pose.distance * back[axis]!),
   );
@@ -33,13 +34,9 @@ export function orbitCamera(pose: OrbitPose, ball: Ball, width: number, height: 
     focalY: focal,
     centreX: width / 2,
     centreY: height / 2,
-    cameraToWorld: [
-      ...[0, 1, 2].flatMap((axis) => [right[axis]!, up[axis]!, back[axis]!, eye[axis]!]),
-      0,
-      0,
-      0,
-      1,
-    ],
+    cameraToWorld: [0, 1, 2]
+      .flatMap((axis) => [right[axis]!, up[axis]!, back[axis]!, eye[axis]!])
+      .concat([0, 0, 0, 1]),
   };
 }
 

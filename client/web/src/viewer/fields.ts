@@ -14,27 +14,27 @@ export function make<K extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-/** Definition of a slider. */
-export type SliderSpec = {
-  readonly label: string;
-  readonly range: readonly [number, number];
-  readonly step: number;
-  readonly unit?: string;
-  readonly change: (value: number) => void;
-};
+/** Return a function that adds listeners to elements until `signal`. */
+export function listening(signal: AbortSignal) {
+  return <K extends keyof HTMLElementEventMap>(
+    element: HTMLElement,
+    name: K,
+    hear: (event: HTMLElementEventMap[K]) => void,
+  ): void => element.addEventListener(name, hear, { signal });
+}
 
 /** A slider with a number field. */
-export function slider({ label, range, step, unit = "", change }: SliderSpec): Field<number> {
-  const [min, max] = [String(range[0]), String(range[1])];
+export function slider(
+  label: string,
+  range: readonly [number, number],
+  step: number,
+  change: (value: number) => void,
+  unit = "",
+): Field<number> {
+  const limits = { min: String(range[0]), max: String(range[1]), step: String(step) };
   const name = unit === "" ? label : `${label} (${unit})`;
-  const track = make("input", { type: "range", min, max, step: String(step), ariaLabel: name });
-  const entry = make("input", {
-    type: "number",
-    min,
-    max,
-    step: String(step),
-    ariaLabel: `${name}, as a number`,
-  });
+  const track = make("input", { type: "range", ...limits, ariaLabel: name });
+  const entry = make("input", { type: "number", ...limits, ariaLabel: `${name}, as a number` });
   const changed = (source: HTMLInputElement) => () => {
     const value = source.valueAsNumber;
     if (!Number.isFinite(value)) return;
@@ -56,7 +56,6 @@ export function slider({ label, range, step, unit = "", change }: SliderSpec): F
   };
 }
 
-/** A list to choose from. */
 export function choice<T extends string>(
   label: string,
   options: () => readonly (readonly [value: T, text: string])[],
@@ -79,7 +78,6 @@ export function choice<T extends string>(
   };
 }
 
-/** A box to tick. */
 export function check(label: string, change: (on: boolean) => void): Field<boolean> {
   const box = make("input", { type: "checkbox" });
   box.addEventListener("change", () => change(box.checked));
@@ -91,7 +89,6 @@ export function check(label: string, change: (on: boolean) => void): Field<boole
   };
 }
 
-/** A button. */
 export function button(text: string, press: () => void): HTMLButtonElement {
   const element = make("button", { type: "button", textContent: text });
   element.addEventListener("click", press);

@@ -1,10 +1,9 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
-import { BundleFault } from "../bundle/fault.js";
-import { MapFault } from "../light/fault.js";
+import { Fault } from "../page/fault.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
-import { make } from "./fields.js";
-import { listenToOrbit } from "./orbit.js";
+import { listening, make } from "./fields.js";
+import { listenToOrbit, type OrbitHost } from "./orbit.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, type FilmKind, filmOf, pngOf } from "./save.js";
 import { lightText } from "./lightTexts.js";
@@ -22,7 +21,10 @@ export class Interface {
   readonly #progress = make("progress", { max: 1, hidden: true, ariaLabel: "Reading the bundle" });
   readonly #welcome: HTMLElement;
   readonly #split: HTMLElement;
-  readonly #handle = make("div", { className: "handle", tabIndex: 0, role: "slider", textContent: "⇔" });
+  readonly #handle = make("div", {
+    ...{ className: "handle", tabIndex: 0, role: "slider", textContent: "⇔" },
+    ...{ ariaLabel: "Divide the comparison", ariaValueMin: "0", ariaValueMax: "100" },
+  });
   readonly #sides = make("div", { className: "sides", hidden: true });
   readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
   readonly #panel: { element: HTMLElement; show: () => void };
@@ -73,7 +75,6 @@ export class Interface {
     this.#show();
   }
 
-  /** Stop listening. */
   dispose(): void {
     this.#stop.abort();
     if (this.#photo.src) URL.revokeObjectURL(this.#photo.src);
@@ -101,10 +102,9 @@ export class Interface {
   /** Show an error. */
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
-    const known = error instanceof BundleFault || error instanceof MapFault;
     let text = error instanceof Error ? error.message : String(error);
     if (error instanceof RangeError) text = `There is not enough memory for this (${text}).`;
-    this.#tell(known ? `${text} [${error.code}]` : text, true);
+    this.#tell(error instanceof Fault ? `${text} [${error.code}]` : text, true);
   }
 
   #tell(text: string, problem: boolean): void {
@@ -116,15 +116,16 @@ export class Interface {
 
   #listen(canvas: HTMLCanvasElement): void {
     const { signal } = this.#stop;
-    const stopOrbit = listenToOrbit({
+    const on = listening(signal);
+    const orbit: OrbitHost = {
       element: canvas,
       state: () => this.viewer.state,
       change: (next) => this.#change(next),
-      moving: (on) => {
-        this.viewer.moving = on;
+      moving: (moving) => {
+        this.viewer.moving = moving;
       },
-    });
-    signal.addEventListener("abort", stopOrbit);
+    };
+    listenToOrbit(orbit, signal);
     const size = new ResizeObserver(() => {
       this.viewer.invalidate();
       this.#show();
@@ -145,38 +146,24 @@ export class Interface {
       this.#tell("", false);
       this.describe();
     });
-    this.host.addEventListener("dragover", (event) => this.#drag(event, true), { signal });
-    this.host.addEventListener("dragleave", (event) => this.#drag(event, false), { signal });
-    this.host.addEventListener(
-      "drop",
-      (event) => {
-        this.#drag(event, false);
-        if (event.dataTransfer) void this.#take(readDrop(event.dataTransfer));
-      },
-      { signal },
-    );
-    this.#handle.addEventListener(
-      "pointermove",
-      (event) => {
-        if (!this.#handle.hasPointerCapture(event.pointerId)) return;
-        const box = this.#view.getBoundingClientRect();
-        this.#divide((event.clientX - box.left) / box.width);
-      },
-      { signal },
-    );
-    this.#handle.addEventListener("pointerdown", (event) => this.#handle.setPointerCapture(event.pointerId), {
-      signal,
+    on(this.host, "dragover", (event) => this.#drag(event, true));
+    on(this.host, "dragleave", (event) => this.#drag(event, false));
+    on(this.host, "drop", (event) => {
+      this.#drag(event, false);
+      if (event.dataTransfer) void this.#take(readDrop(event.dataTransfer));
     });
-    this.#handle.addEventListener(
-      "keydown",
-      (event) => {
-        const step = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 }[event.key];
-        if (step === undefined) return;
-        event.preventDefault();
-        this.#divide(this.viewer.state.split + step);
-      },
-      { signal },
-    );
+    on(this.#handle, "pointermove", (event) => {
+      if (!this.#handle.hasPointerCapture(event.pointerId)) return;
+      const box = this.#view.getBoundingClientRect();
+      this.#divide((event.clientX - box.left) / box.width);
+    });
+    on(this.#handle, "pointerdown", (event) => this.#handle.setPointerCapture(event.pointerId));
+    on(this.#handle, "keydown", (event) => {
+      const step = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 }[event.key];
+      if (step === undefined) return;
+      event.preventDefault();
+      this.#divide(this.viewer.state.split + step);
+    });
   }
 
   #divide(split: number): void {
@@ -209,13 +196,7 @@ export class Interface {
         await this.viewer.update({ environment: this.viewer.addMap(dropped.file.name, data) });
         this.#tell(`Lit by ${dropped.file.name}.`, false);
       } else {
-        await this.during(
-          this.viewer.open(
-            dropped.kind === "archive"
-              ? { kind: "archive", file: dropped.file }
-              : { kind: "files", files: dropped.files },
-          ),
-        );
+        await this.during(this.viewer.open(dropped));
       }
     } catch (error) {
       this.problem(error);
@@ -263,16 +244,9 @@ export class Interface {
     this.host.setAttribute("data-background", state.look.background);
     const photo = this.#showPhoto();
     const comparing = state.compare === "photo" ? photo : state.compare !== "off";
-    const percent = Math.round(100 * state.split);
     this.#split.hidden = !comparing;
     this.#split.style.left = `${100 * state.split}%`;
-    const values = {
-      ariaLabel: "Divide the comparison",
-      ariaValueMin: "0",
-      ariaValueMax: "100",
-      ariaValueNow: `${percent}`,
-    };
-    Object.assign(this.#handle, values);
+    this.#handle.ariaValueNow = `${Math.round(100 * state.split)}`;
     const right = {
       off: "",
       environment: lightText(this.viewer, state.environmentB),

@@ -1,6 +1,8 @@
 /** Turning the camera and the light with pointer, touch and keyboard. */
 
 import type { LightTurn } from "../render/looks.js";
+import { axesOf } from "./camera.js";
+import { listening } from "./fields.js";
 import { limits, type OrbitPose, within, wrapped } from "./state.js";
 
 /** The thing being rotated. */
@@ -34,88 +36,65 @@ export function zoomed(pose: OrbitPose, factor: number): OrbitPose {
 
 /** Return a pose whose target moved in the picture's plane, in shares of the distance. */
 export function panned(pose: OrbitPose, right: number, up: number): OrbitPose {
-  const [azimuth, elevation] = [(pose.azimuthDeg * Math.PI) / 180, (pose.elevationDeg * Math.PI) / 180];
-  const scale = pose.distance;
-  const move = [
-    -Math.sin(azimuth) * right - Math.cos(azimuth) * Math.sin(elevation) * up,
-    Math.cos(azimuth) * right - Math.sin(azimuth) * Math.sin(elevation) * up,
-    Math.cos(elevation) * up,
-  ];
-  const [x, y, z] = pose.target.map((value, axis) => within(value + scale * move[axis]!, [-5, 5], 0));
+  const axes = axesOf(pose);
+  const move = [0, 1, 2].map((axis) => axes.right[axis]! * right + axes.up[axis]! * up);
+  const [x, y, z] = pose.target.map((value, axis) => within(value + pose.distance * move[axis]!, [-5, 5], 0));
   return { ...pose, target: [x!, y!, z!] };
 }
 
-/** Listen to an element; returns what stops it. */
-export function listenToOrbit(host: OrbitHost): () => void {
-  const { element, state, change } = host;
-  const stop = new AbortController();
-  const options = { signal: stop.signal };
+/** Listen to an element until `signal`. */
+export function listenToOrbit({ element, state, change, moving }: OrbitHost, signal: AbortSignal): void {
+  const on = listening(signal);
   const pointers = new Map<number, { x: number; y: number }>();
 
-  element.addEventListener(
-    "pointerdown",
-    (event) => {
-      if (event.button > 2) return;
-      element.setPointerCapture(event.pointerId);
-      pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-      host.moving(true);
-    },
-    options,
-  );
-  element.addEventListener(
-    "pointermove",
-    (event) => {
-      const before = pointers.get(event.pointerId);
-      if (before === undefined) return;
-      const [dx, dy] = [event.clientX - before.x, event.clientY - before.y];
-      const gap = (): number => {
-        const [a, b] = [...pointers.values()];
-        return a && b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
-      };
-      const gapBefore = gap();
-      pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-      const { pose, turn } = state();
-      const share = 1 / Math.max(element.clientHeight, 1);
-      if (pointers.size > 1) {
-        const closer = gapBefore > 0 && gap() > 0 ? zoomed(pose, gapBefore / gap()) : pose;
-        change({ pose: panned(closer, -0.3 * dx * share, 0.3 * dy * share) });
-      } else if (event.shiftKey) {
-        change({ turn: { ...turn, yawDeg: wrapped(turn.yawDeg + degreesPerPixel * dx) } });
-      } else if (event.ctrlKey || (event.buttons & 6) !== 0) {
-        change({ pose: panned(pose, -0.6 * dx * share, 0.6 * dy * share) });
-      } else {
-        change({ pose: orbited(pose, -degreesPerPixel * dx, degreesPerPixel * dy) });
-      }
-    },
-    options,
-  );
-  const lift = (event: PointerEvent): void => {
-    pointers.delete(event.pointerId);
-    if (pointers.size === 0) host.moving(false);
+  on(element, "pointerdown", (event) => {
+    if (event.button > 2) return;
+    element.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    moving(true);
+  });
+  on(element, "pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (before === undefined) return;
+    const [dx, dy] = [event.clientX - before.x, event.clientY - before.y];
+    const gap = (): number => {
+      const [a, b] = [...pointers.values()];
+      return a && b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
+    };
+    const gapBefore = gap();
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    const { pose, turn } = state();
+    const share = 1 / Math.max(element.clientHeight, 1);
+    if (pointers.size > 1) {
+      const closer = gapBefore > 0 && gap() > 0 ? zoomed(pose, gapBefore / gap()) : pose;
+      change({ pose: panned(closer, -0.3 * dx * share, 0.3 * dy * share) });
+    } else if (event.shiftKey) {
+      change({ turn: { ...turn, yawDeg: wrapped(turn.yawDeg + degreesPerPixel * dx) } });
+    } else if (event.ctrlKey || (event.buttons & 6) !== 0) {
+      change({ pose: panned(pose, -0.6 * dx * share, 0.6 * dy * share) });
+    } else {
+      change({ pose: orbited(pose, -degreesPerPixel * dx, degreesPerPixel * dy) });
+    }
+  });
+  for (const lifted of ["pointerup", "pointercancel"] as const) {
+    on(element, lifted, (event) => {
+      pointers.delete(event.pointerId);
+      if (pointers.size === 0) moving(false);
+    });
+  }
+  on(element, "contextmenu", (event) => event.preventDefault());
+  const wheel = (event: WheelEvent): void => {
+    event.preventDefault();
+    const unit = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
+    change({ pose: zoomed(state().pose, Math.exp(0.0012 * unit * event.deltaY)) });
   };
-  element.addEventListener("pointerup", lift, options);
-  element.addEventListener("pointercancel", lift, options);
-  element.addEventListener("contextmenu", (event) => event.preventDefault(), options);
-  element.addEventListener(
-    "wheel",
-    (event) => {
-      event.preventDefault();
-      const unit = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
-      change({ pose: zoomed(state().pose, Math.exp(0.0012 * unit * event.deltaY)) });
-    },
-    { ...options, passive: false },
-  );
-  element.addEventListener(
-    "keydown",
-    (event) => {
-      const next = afterKey(event, state());
-      if (next === null) return;
-      event.preventDefault();
-      change(next);
-    },
-    options,
-  );
-  return () => stop.abort();
+  element.addEventListener("wheel", wheel, { signal, passive: false });
+  on(element, "keydown", (event) => {
+    const next = afterKey(event, state());
+    if (next === null) return;
+    event.preventDefault();
+    change(next);
+  });
 }
 
 type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "metaKey">;
@@ -123,28 +102,17 @@ type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "meta
 /** Return the change of a key, or null if it has no function here. */
 export function afterKey(event: Key, { pose, turn }: Turned): Partial<Turned> | null {
   if (event.altKey || event.ctrlKey || event.metaKey) return null;
-  const light = (degrees: number): Partial<Turned> => ({
-    turn: { ...turn, yawDeg: wrapped(turn.yawDeg + degrees) },
-  });
-  switch (event.key) {
-    case "ArrowLeft":
-      return event.shiftKey ? light(-keyDegrees) : { pose: orbited(pose, -keyDegrees, 0) };
-    case "ArrowRight":
-      return event.shiftKey ? light(keyDegrees) : { pose: orbited(pose, keyDegrees, 0) };
-    case "ArrowUp":
-      return { pose: event.shiftKey ? panned(pose, 0, 0.03) : orbited(pose, 0, keyDegrees) };
-    case "ArrowDown":
-      return { pose: event.shiftKey ? panned(pose, 0, -0.03) : orbited(pose, 0, -keyDegrees) };
-    case "[":
-      return light(-keyDegrees);
-    case "]":
-      return light(keyDegrees);
-    case "+":
-    case "=":
-      return { pose: zoomed(pose, 1 / 1.1) };
-    case "-":
-      return { pose: zoomed(pose, 1.1) };
-    default:
-      return null;
+  const { key, shiftKey } = event;
+  const light = (degrees: number) => ({ turn: { ...turn, yawDeg: wrapped(turn.yawDeg + degrees) } });
+  const across = { ArrowLeft: -1, ArrowRight: 1 }[key];
+  if (across !== undefined) {
+    return shiftKey ? light(across * keyDegrees) : { pose: orbited(pose, across * keyDegrees, 0) };
   }
+  const up = { ArrowUp: 1, ArrowDown: -1 }[key];
+  if (up !== undefined) {
+    return { pose: shiftKey ? panned(pose, 0, up * 0.03) : orbited(pose, 0, up * keyDegrees) };
+  }
+  if (key === "[" || key === "]") return light(key === "[" ? -keyDegrees : keyDegrees);
+  const nearer = { "+": 1 / 1.1, "=": 1 / 1.1, "-": 1.1 }[key];
+  return nearer === undefined ? null : { pose: zoomed(pose, nearer) };
 }

@@ -58,16 +58,21 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
   const edit = (part: Partial<MaterialEdit>): void => look({ edit: { ...viewer.state.look.edit, ...part } });
   const turn = (part: Partial<LightTurn>): void => act.change({ turn: { ...viewer.state.turn, ...part } });
 
-  const lights = choice(
-    "Environment",
-    () => lightTexts(viewer),
-    (environment) => act.change({ environment }),
-  );
-  const lightsB = choice(
-    "On the right",
-    () => lightTexts(viewer),
-    (environmentB) => act.change({ environmentB }),
-  );
+  /** Return what makes fields of a part of the state, by their name in it. */
+  const fieldsOf =
+    <T>(part: (state: ViewerState) => T, change: (part: Partial<T>) => void) =>
+    <K extends keyof T>(name: K, field: (change: (value: T[K]) => void) => Field<T[K]>): HTMLElement => {
+      const made = field((value) => change({ [name]: value } as unknown as Partial<T>));
+      return follow(made, (state) => part(state)[name]);
+    };
+  const ofState = fieldsOf((state) => state, act.change);
+  const ofLook = fieldsOf((state) => state.look, look);
+  const ofEdit = fieldsOf((state) => state.look.edit, edit);
+  const ofTurn = fieldsOf((state) => state.turn, turn);
+
+  const environments = () => lightTexts(viewer);
+  const lights = choice("Environment", environments, (environment) => act.change({ environment }));
+  const lightsB = choice("On the right", environments, (environmentB) => act.change({ environmentB }));
   const address = make("input", {
     type: "url",
     placeholder: "https://…/map.exr",
@@ -80,10 +85,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     if (event.key === "Enter") useAddress();
   });
   const angle = (label: string, part: "yawDeg" | "pitchDeg" | "rollDeg"): HTMLElement =>
-    follow(
-      slider({ label, range: limits.angle, step: 1, unit: "°", change: (value) => turn({ [part]: value }) }),
-      (state) => state.turn[part],
-    );
+    ofTurn(part, (change) => slider(label, limits.angle, 1, change, "°"));
   const photos = choice(
     "Photograph",
     () => photoNames(viewer).map((name) => [name, name] as const),
@@ -107,12 +109,9 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     share.show();
     for (const list of [lights, lightsB, compare, photos]) list.refill();
   });
-  const size = [
-    make("input", { type: "number", value: "1600", min: "16", max: "8192", ariaLabel: "Width in pixels" }),
-  ];
-  size.push(
-    make("input", { type: "number", value: "1200", min: "16", max: "8192", ariaLabel: "Height in pixels" }),
-  );
+  const pixels = (value: string, ariaLabel: string): HTMLInputElement =>
+    make("input", { type: "number", value, min: "16", max: "8192", ariaLabel });
+  const size = [pixels("1600", "Width in pixels"), pixels("1200", "Height in pixels")];
   const inSize = (save: (width: number, height: number) => void) => () => {
     const [width, height] = size.map((field) =>
       Math.min(Math.max(Math.round(field.valueAsNumber), 16), 8192),
@@ -137,104 +136,36 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       true,
       follow(lights, (state) => state.environment),
       make("div", { className: "row" }, button("Use address", useAddress), address),
-      make("div", { className: "buttons" }, button("Open map…", act.openMap), button("Reset", act.reset)),
+      buttons(button("Open map…", act.openMap), button("Reset", act.reset)),
       angle("Rotate", "yawDeg"),
-      follow(
-        slider({
-          label: "Intensity",
-          range: limits.intensity,
-          step: 0.05,
-          change: (intensity) => turn({ intensity }),
-        }),
-        (state) => state.turn.intensity,
-      ),
+      ofTurn("intensity", (change) => slider("Intensity", limits.intensity, 0.05, change)),
     ),
     section("Tilt of the light", false, angle("About y", "pitchDeg"), angle("About x", "rollDeg")),
     section(
       "Picture",
       true,
-      follow(
-        choice(
-          "Show",
-          () => channelTexts,
-          (channel) => look({ channel }),
-        ),
-        (state) => state.look.channel,
-      ),
-      follow(
-        slider({
-          label: "Exposure",
-          range: limits.exposure,
-          step: 0.1,
-          unit: "EV",
-          change: (exposureEv) => look({ exposureEv }),
-        }),
-        (state) => state.look.exposureEv,
-      ),
-      follow(
-        choice(
-          "Tone curve",
-          () => toneTexts,
-          (tone) => look({ tone }),
-        ),
-        (state) => state.look.tone,
-      ),
-      follow(
-        choice(
-          "Background",
-          () => backgroundTexts,
-          (background) => look({ background }),
-        ),
-        (state) => state.look.background,
-      ),
+      ofLook("channel", (change) => choice("Show", () => channelTexts, change)),
+      ofLook("exposureEv", (change) => slider("Exposure", limits.exposure, 0.1, change, "EV")),
+      ofLook("tone", (change) => choice("Tone curve", () => toneTexts, change)),
+      ofLook("background", (change) => choice("Background", () => backgroundTexts, change)),
       follow(
         colourField((backgroundSrgb) => look({ backgroundSrgb, background: "colour" })),
         (state) => state.look.backgroundSrgb,
       ),
-      follow(
-        check("Light from other parts of the object", (indirect) => look({ indirect })),
-        (state) => state.look.indirect,
-      ),
-      follow(
-        check("Refine while nothing moves", (refine) => act.change({ refine })),
-        (state) => state.refine,
-      ),
+      ofLook("indirect", (change) => check("Light from other parts of the object", change)),
+      ofState("refine", (change) => check("Refine while nothing moves", change)),
       refining,
-      follow(
-        check("Shadow on the ground", (ground) => look({ ground })),
-        (state) => state.look.ground,
-      ),
+      ofLook("ground", (change) => check("Shadow on the ground", change)),
     ),
     section(
       "Material",
       false,
       follow(
-        slider({
-          label: "Albedo ×",
-          range: limits.gain,
-          step: 0.05,
-          change: (gain) => edit({ albedoGain: [gain, gain, gain] }),
-        }),
+        slider("Albedo ×", limits.gain, 0.05, (gain) => edit({ albedoGain: [gain, gain, gain] })),
         (state) => state.look.edit.albedoGain[1],
       ),
-      follow(
-        slider({
-          label: "Roughness ×",
-          range: limits.roughness,
-          step: 0.05,
-          change: (roughnessScale) => edit({ roughnessScale }),
-        }),
-        (state) => state.look.edit.roughnessScale,
-      ),
-      follow(
-        slider({
-          label: "Metalness +",
-          range: limits.metalness,
-          step: 0.05,
-          change: (metalnessShift) => edit({ metalnessShift }),
-        }),
-        (state) => state.look.edit.metalnessShift,
-      ),
+      ofEdit("roughnessScale", (change) => slider("Roughness ×", limits.roughness, 0.05, change)),
+      ofEdit("metalnessShift", (change) => slider("Metalness +", limits.metalness, 0.05, change)),
     ),
     section(
       "Compare",
@@ -242,24 +173,14 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       follow(compare, (state) => state.compare),
       follow(lightsB, (state) => state.environmentB),
       follow(photos, (state) => state.photo),
-      follow(
-        slider({ label: "Divide at", range: [0, 1], step: 0.01, change: (split) => act.change({ split }) }),
-        (state) => state.split,
-      ),
+      ofState("split", (change) => slider("Divide at", [0, 1], 0.01, change)),
     ),
     section(
       "Save",
       false,
-      make("div", { className: "buttons" }, ...size),
-      make(
-        "div",
-        { className: "buttons" },
-        button("Save PNG", inSize(act.savePng)),
-        button("Save EXR", inSize(act.saveExr)),
-      ),
-      make(
-        "div",
-        { className: "buttons" },
+      buttons(...size),
+      buttons(button("Save PNG", inSize(act.savePng)), button("Save EXR", inSize(act.saveExr))),
+      buttons(
         button("Film: turntable", () => act.film("turntable")),
         button("Film: turn light", () => act.film("light")),
       ),
@@ -269,12 +190,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     section(
       "Open and help",
       false,
-      make(
-        "div",
-        { className: "buttons" },
-        button("Open bundle…", act.openBundle),
-        button("Open folder…", act.openFolder),
-      ),
+      buttons(button("Open bundle…", act.openBundle), button("Open folder…", act.openFolder)),
       make("p", {
         className: "hint",
         textContent:
@@ -297,6 +213,10 @@ export function photoNames(viewer: Viewer): string[] {
   return cameras
     .map(({ name }) => name)
     .filter((name) => previews.some((each) => each.name === `photo_${name}.png`));
+}
+
+function buttons(...fields: Node[]): HTMLElement {
+  return make("div", { className: "buttons" }, ...fields);
 }
 
 function colourField(change: (rgb: readonly [number, number, number]) => void): Field<readonly number[]> {

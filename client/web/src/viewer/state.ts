@@ -17,11 +17,6 @@ import {
 export const comparisons = ["off", "environment", "plain", "photo"] as const;
 export type Comparison = (typeof comparisons)[number];
 
-/**
- * The source of the light: "trained:NAME", "preset:NAME", "url:ADDRESS", or "file:NAME" of a dropped file.
- */
-export type EnvironmentName = string;
-
 /** A camera that turns about a point; angles in degrees, azimuth from +x towards +y. */
 export type OrbitPose = {
   readonly azimuthDeg: number;
@@ -34,13 +29,14 @@ export type OrbitPose = {
 
 /** The state of a viewer. */
 export type ViewerState = {
-  readonly environment: EnvironmentName;
+  /** The source of the light: "trained:NAME", "preset:NAME", "url:ADDRESS", or "file:NAME" of a dropped file. */
+  readonly environment: string;
   readonly turn: LightTurn;
   readonly look: Look;
   readonly pose: OrbitPose;
   readonly compare: Comparison;
   /** The light on the right of a comparison of two. */
-  readonly environmentB: EnvironmentName;
+  readonly environmentB: string;
   /** Position of the divider, 0 to 1. */
   readonly split: number;
   /** The photograph on the right of a comparison with one. */
@@ -110,19 +106,10 @@ export function toParameters(state: ViewerState): URLSearchParams {
   return found;
 }
 
-function flat({
-  environment,
-  turn,
-  look,
-  pose,
-  compare,
-  environmentB,
-  split,
-  photo,
-  refine,
-}: ViewerState): Record<string, string> {
+function flat(state: ViewerState): Record<string, string> {
+  const { turn, look, pose } = state;
   return {
-    env: environment,
+    env: state.environment,
     rotate: [turn.yawDeg, turn.pitchDeg, turn.rollDeg].map(round).join(","),
     intensity: round(turn.intensity),
     channel: look.channel,
@@ -136,11 +123,11 @@ function flat({
     indirect: look.indirect ? "1" : "0",
     ground: look.ground ? "1" : "0",
     camera: [pose.azimuthDeg, pose.elevationDeg, pose.distance, ...pose.target].map(round).join(","),
-    compare,
-    envB: environmentB,
-    split: round(split),
-    photo,
-    refine: refine ? "1" : "0",
+    compare: state.compare,
+    envB: state.environmentB,
+    split: round(state.split),
+    photo: state.photo,
+    refine: state.refine ? "1" : "0",
   };
 }
 
@@ -156,6 +143,8 @@ export function fromParameters(parameters: URLSearchParams, from: ViewerState = 
     within(numbers(name, [fallback])[0]!, range, fallback);
   const choice = <T extends string>(name: string, all: readonly T[], fallback: T): T =>
     all.find((each) => each === parameters.get(name)) ?? fallback;
+  const flag = (name: string, fallback: boolean): boolean =>
+    choice(name, ["0", "1"], fallback ? "1" : "0") === "1";
   const { look, turn, pose } = from;
   const [yaw, pitch, roll] = numbers("rotate", [turn.yawDeg, turn.pitchDeg, turn.rollDeg]);
   const camera = numbers("camera", [pose.azimuthDeg, pose.elevationDeg, pose.distance, ...pose.target]);
@@ -178,8 +167,8 @@ export function fromParameters(parameters: URLSearchParams, from: ViewerState = 
         roughnessScale: one("roughness", look.edit.roughnessScale, limits.roughness),
         metalnessShift: one("metalness", look.edit.metalnessShift, limits.metalness),
       },
-      indirect: choice("indirect", ["0", "1"], look.indirect ? "1" : "0") === "1",
-      ground: choice("ground", ["0", "1"], look.ground ? "1" : "0") === "1",
+      indirect: flag("indirect", look.indirect),
+      ground: flag("ground", look.ground),
     },
     pose: {
       azimuthDeg: wrapped(camera[0]!),
@@ -191,7 +180,7 @@ export function fromParameters(parameters: URLSearchParams, from: ViewerState = 
     environmentB: parameters.get("envB") ?? from.environmentB,
     split: one("split", from.split, [0, 1]),
     photo: parameters.get("photo") ?? from.photo,
-    refine: choice("refine", ["0", "1"], from.refine ? "1" : "0") === "1",
+    refine: flag("refine", from.refine),
   };
 }
 

@@ -32,25 +32,20 @@ button:hover { background: #394049; }
 .message:empty { display: none; }
 .message[data-problem] { border-color: #ff9b8f; border-left-width: 6px; }
 .welcome { position: absolute; inset: 0; display: grid; place-content: center; text-align: center; padding: 1rem; gap: 0.6rem; }
-.welcome[hidden] { display: none; }
 .welcome h1 { font-size: 1.3rem; margin: 0; }
 .welcome p { margin: 0; max-width: 32rem; }
 progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff; }
 .dropping::after { content: "Drop a bundle, its folder, or a .hdr or .exr map"; position: absolute; inset: 0.5rem; display: grid;
   place-content: center; border: 3px dashed #8ec7ff; border-radius: 0.8rem; background: rgb(23 25 28 / 80%); pointer-events: none; }
 .split { position: absolute; top: 0; bottom: 0; width: 0; left: 50%; pointer-events: none; }
-.split[hidden] { display: none; }
 .split::before { content: ""; position: absolute; top: 0; bottom: 0; left: -1px; width: 2px; background: #fff; box-shadow: 0 0 3px #000; }
-.split input { position: absolute; }
 .handle { position: absolute; top: 50%; left: -1.4rem; width: 2.8rem; height: 2.8rem; margin-top: -1.4rem; border-radius: 50%;
   background: #17191c; border: 2px solid #fff; pointer-events: auto; touch-action: none; cursor: ew-resize; display: grid; place-content: center; }
 .sides { position: absolute; top: 0.75rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
-.sides[hidden] { display: none; }
 .sides span { background: rgb(24 27 31 / 94%); border-radius: 0.3rem; padding: 0.15rem 0.5rem; }
 .photo { position: absolute; object-fit: fill; pointer-events: none; }
-.photo[hidden] { display: none; }
 .fields h3 { font-size: 1rem; margin: 0; }
-.faint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
+.hint, .faint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
 .hint:empty, .faint:empty { display: none; }
 .actions { display: grid; grid-template-columns: auto 1fr; gap: 0.45rem; align-items: center; }
 .actions label { display: contents; }
@@ -58,8 +53,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .shares { list-style: none; margin: 0; padding: 0; display: grid; gap: 0.6rem; }
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }
-.hint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
-.quiet { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+[hidden] { display: none; }
 @container (min-width: 40rem) { .view:has(~ .panel[open]) { right: 20.5rem; } }
 @container (max-width: 40rem) {
   .panel { top: auto; bottom: 0; right: 0; left: 0; width: auto; max-height: 55%; border-radius: 0.8rem 0.8rem 0 0; }

@@ -235,7 +235,6 @@ export class Viewer {
     return { ...memory, programs: programs?.length ?? 0 };
   }
 
-  /** Give everything back. */
   dispose(): void {
     this.#closed = true;
     this.#refinement?.dispose();

@@ -1,6 +1,7 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { directionOfPixel, type Direction, rotateAboutZ } from "../../src/engine/environment.js";
+import { directionOfPixel, type Direction } from "../../src/engine/environment.js";
+import { rotateAboutZ } from "../lookup.js";
 import { type EnvironmentMap, pixelSolidAngle } from "../../src/engine/environmentMap.js";
 import { readExr } from "../../src/light/exrInput.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
