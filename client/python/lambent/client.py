@@ -2,16 +2,16 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
-from uuid import uuid4
 
 import httpx2
 
 from lambent import fetch as fetching
 from lambent import pictures, scenes
-from lambent.connection import Connection
+from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
 from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport
 from lambent.settings import find_server
@@ -73,7 +73,7 @@ class Client:
         source: str | Path,
         *,
         name: str = "",
-        progress: scenes.UploadProgress = scenes.ignore_progress,
+        progress: TransferProgress = ignore_progress,
     ) -> Scene:
         """Upload a scene folder or archive and return the committed scene; a repeat sends nothing twice."""
         return scenes.push(self._connection, Path(source), name=name, progress=progress)
@@ -132,22 +132,17 @@ class Client:
             "priority": priority,
             "labels": dict(labels or {}),
         }
-        # A key even where the caller gave none: the request may be repeated after a lost answer.
-        headers = {"Idempotency-Key": idempotency_key or f"submit-{uuid4().hex}"}
-        return Job.from_json(self._connection.json("POST", "/v1/jobs", json=body, headers=headers))
+        return Job.from_json(pictures.post(self._connection, "/v1/jobs", body, idempotency_key))
 
     def jobs(self, *, state: str = "", label: str = "", limit: int = 0) -> Iterator[Job]:
-        """Yield jobs, newest first; `label` is "name=value", `limit` 0 means all."""
+        """Return jobs, newest first; `label` is "name=value", `limit` 0 means all."""
         params = {key: value for key, value in (("state", state), ("label", label)) if value}
-        num_left = limit or None
+        return map(Job.from_json, islice(self._pages("/v1/jobs", params), limit or None))
+
+    def _pages(self, path: str, params: dict[str, str]) -> Iterator[Any]:
         while True:
-            page = self._connection.json("GET", "/v1/jobs", params=params)
-            for item in page["items"]:
-                yield Job.from_json(item)
-                if num_left is not None:
-                    num_left -= 1
-                    if num_left == 0:
-                        return
+            page = self._connection.json("GET", path, params=params)
+            yield from page["items"]
             if not page.get("next_cursor"):
                 return
             params["cursor"] = page["next_cursor"]
@@ -259,24 +254,24 @@ class Client:
 
     def submit_batch(self, order: Mapping[str, Any], *, idempotency_key: str = "") -> Batch:
         """Queue a batch (the body of `POST /v1/batches`); the same `idempotency_key` makes one only."""
-        return pictures.batch_of(pictures.post(self._connection, "/v1/batches", order, idempotency_key))
+        return Batch.from_json(pictures.post(self._connection, "/v1/batches", order, idempotency_key))
 
     def batch(self, batch_id: str) -> Batch:
         """Return a batch."""
-        return pictures.batch_of(self._connection.json("GET", f"/v1/batches/{batch_id}"))
+        return Batch.from_json(self._connection.json("GET", f"/v1/batches/{batch_id}"))
 
     def batches(self) -> Iterator[Batch]:
-        """Yield batches, newest first."""
-        return pictures.batches(self._connection)
+        """Return batches, newest first."""
+        return map(Batch.from_json, self._pages("/v1/batches", {}))
 
     def cancel_batch(self, batch_id: str) -> Batch:
         """Ask for every job of a batch to be stopped."""
         path = f"/v1/batches/{batch_id}:cancel"
-        return pictures.batch_of(self._connection.json("POST", path, repeatable=True))
+        return Batch.from_json(self._connection.json("POST", path, repeatable=True))
 
     def retry_batch(self, batch_id: str) -> Batch:
         """Queue the parts of a batch that failed or were cancelled again; the batch keeps its id."""
-        return pictures.batch_of(self._connection.json("POST", f"/v1/batches/{batch_id}:retry"))
+        return Batch.from_json(self._connection.json("POST", f"/v1/batches/{batch_id}:retry"))
 
     def batch_artifacts(self, batch_id: str) -> list[Artifact]:
         """Return the files that the jobs of a batch have published."""
@@ -305,7 +300,7 @@ class Client:
         job_or_bundle_id: str,
         target: str | Path,
         *,
-        progress: fetching.FetchProgress = fetching.ignore_progress,
+        progress: TransferProgress = ignore_progress,
     ) -> fetching.FetchedBundle:
         """Download the bundle of a finished job (or a bundle by its id) into the folder `target`.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, PrimaryHits, SurfaceCaches
+from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, SurfaceCaches
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
@@ -69,10 +69,6 @@ class Renderer:
         self._views: dict[tuple[bytes, int], View] = {}
         self._light: tuple[Environment, Light] | None = None
         self._baked: BakedRenderer | None = None
-
-    def gbuffer(self, camera: Camera) -> PrimaryHits:
-        """Return what the rays through the middles of `camera`'s pixels see, [height * width, n] each."""
-        return self.caches.gbuffer(*camera.rays())
 
     def view(self, camera: Camera, antialias: int) -> View:
         """Return what `camera` sees; the last few cameras are remembered."""

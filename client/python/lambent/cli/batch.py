@@ -2,8 +2,6 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -113,11 +111,13 @@ def _render(
     began = time.monotonic()
     results: list[Result] = []
     files = replace(manifest.files, linear=True)
-    with open_journal(folder) as journal, _table_at_the_end(folder, results):
-        # One by one: what there is when Ctrl-C comes is in the table.
-        for result in shown_batch(plan, files, journal, output, num_jobs=num_jobs):
-            results.append(result)  # noqa: PERF402
-        write_table(folder / TABLE, results)
+    with open_journal(folder) as journal:
+        try:
+            # One by one: what there is when Ctrl-C comes is in the table.
+            for result in shown_batch(plan, files, journal, output, num_jobs=num_jobs):
+                results.append(result)  # noqa: PERF402
+        finally:
+            write_table(folder / TABLE, results)
         sheets = write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
     counts = Counter(result.state for result in results)
     failures = [result.failure for result in results if result.failure is not None]
@@ -138,15 +138,3 @@ def _render(
     }
     output.result(text, shown)
     return 1 if failures else 0
-
-
-@contextmanager
-def _table_at_the_end(folder: Path, results: Sequence[Any]) -> Iterator[None]:
-    """Write the table also where the work is stopped, with what there is until then."""
-    from lambent_relight.batch.summary import TABLE, write_table
-
-    try:
-        yield
-    except KeyboardInterrupt:
-        write_table(folder / TABLE, results)
-        raise

@@ -9,14 +9,14 @@ CLIENT = "client"
 class Entry:
     """A sub-command: where it is listed, what it does, and where its function lives.
 
-    `target` is "module:function" in lambent.cli for the client's own, and empty for a command of the
-    entry-point group "lambent.commands", which the extra `extra` brings.
+    `module` of lambent.cli holds the function of that name; it is empty for a command of the entry-point
+    group "lambent.commands", which the extra `extra` brings.
     """
 
     name: str
     panel: str
     summary: str
-    target: str = ""
+    module: str = ""
     extra: str = CLIENT
 
 
@@ -32,54 +32,46 @@ ENTRIES = (
         "demo",
         _START,
         "From the bundled sample to relit pictures, in a few minutes.",
-        "demo:demo",
+        "demo",
         extra="client,server,worker",
     ),
-    Entry("doctor", _START, "Check this machine and the server, and say what to fix.", "doctor:doctor"),
+    Entry("doctor", _START, "Check this machine and the server, and say what to fix.", "doctor"),
     Entry(
         "serve", _SERVER, "Run the server: API, pages, queue, and workers on this machine.", extra="server"
     ),
     Entry(
-        "keys",
-        _SERVER,
-        "Make, list, revoke and replace keys of the server on this machine.",
-        extra="server",
+        "keys", _SERVER, "Make, list, revoke and replace keys of the server on this machine.", extra="server"
     ),
-    Entry("push", _SERVER, "Upload a scene folder or archive; sends only what is missing.", "transfer:push"),
-    Entry("submit", _SERVER, "Queue a training job on an uploaded scene.", "jobs:submit"),
-    Entry("watch", _SERVER, "Follow jobs until they end.", "jobs:watch"),
-    Entry("jobs", _SERVER, "List jobs.", "jobs:jobs"),
-    Entry("cancel", _SERVER, "Stop jobs.", "jobs:cancel"),
-    Entry("retry", _SERVER, "Queue failed or cancelled jobs again, as new jobs.", "jobs:retry"),
-    Entry("delete", _SERVER, "Delete scenes, jobs, bundles and environments on the server.", "jobs:delete"),
-    Entry("logs", _SERVER, "Print the log of a job.", "jobs:logs"),
+    Entry("push", _SERVER, "Upload a scene folder or archive; sends only what is missing.", "transfer"),
+    Entry("submit", _SERVER, "Queue a training job on an uploaded scene.", "jobs"),
+    Entry("watch", _SERVER, "Follow jobs until they end.", "jobs"),
+    Entry("jobs", _SERVER, "List jobs.", "jobs"),
+    Entry("cancel", _SERVER, "Stop jobs.", "jobs"),
+    Entry("retry", _SERVER, "Queue failed or cancelled jobs again, as new jobs.", "jobs"),
+    Entry("delete", _SERVER, "Delete scenes, jobs, bundles and environments on the server.", "jobs"),
+    Entry("logs", _SERVER, "Print the log of a job.", "jobs"),
+    Entry("fetch", _SERVER, "Download the bundle of a finished job; verified and resumable.", "transfer"),
     Entry(
-        "fetch", _SERVER, "Download the bundle of a finished job; verified and resumable.", "transfer:fetch"
-    ),
-    Entry(
-        "relight",
-        _PICTURES,
-        "Render a bundle under other environments, as PNG and linear EXR.",
-        "relight:relight",
+        "relight", _PICTURES, "Render a bundle under other environments, as PNG and linear EXR.", "relight"
     ),
     Entry(
         "batch",
         _PICTURES,
         "Render assets x environments x cameras from a manifest; resumable, here or on a server.",
-        "batch:batch",
+        "batch",
     ),
     Entry(
         "turntable",
         _PICTURES,
         "Render a turn around the object, or of the light around it, as a film.",
-        "turntable:turntable",
+        "turntable",
     ),
-    Entry("view", _PICTURES, "Look at a bundle from all sides and in any light.", "view:view"),
+    Entry("view", _PICTURES, "Look at a bundle from all sides and in any light.", "view"),
     Entry(
         "probe",
         _PICTURES,
         "Look at an environment map: chrome ball, grey ball, brightest lights, energy.",
-        "probe:probe",
+        "probe",
     ),
     Entry(
         "check", _LOCAL, "Look at a scene folder before any training, and say what to fix.", extra="worker"

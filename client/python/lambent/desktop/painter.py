@@ -49,18 +49,6 @@ class Painted:
     """Whether this is full quality; otherwise outlines are those of the mesh, without antialiasing."""
 
 
-@dataclass(frozen=True, slots=True)
-class _PictureKey:
-    camera: bytes
-    light: int
-    rotate_deg: float
-    object_rotate_deg: float
-    albedo_gain: float
-    roughness_scale: float
-    indirect: bool
-    full: bool
-
-
 class Painter:
     """Paints states. One thread at a time may use it."""
 
@@ -78,7 +66,7 @@ class Painter:
             renderer.caches.is_superseded = lambda: self.is_superseded()
         renderer.baked()
         self._grid = renderer.bundle.uncertainty()
-        self._pictures: dict[_PictureKey, RelitPicture] = {}
+        self._pictures: dict[tuple[object, ...], RelitPicture] = {}
         self._full_views: list[tuple[bytes, float]] = []
 
     def knows_view(self, state: ViewerState) -> bool:
@@ -94,16 +82,8 @@ class Painter:
     def picture(self, state: ViewerState, light: int, *, full: bool = True) -> RelitPicture:
         """Return the relit picture of `state` under the environment `light`, without background."""
         camera = self.camera(state)
-        key = _PictureKey(
-            camera.key(),
-            light,
-            state.rotate_deg,
-            state.object_rotate_deg,
-            state.albedo_gain,
-            state.roughness_scale,
-            state.indirect,
-            full,
-        )
+        turned = (state.rotate_deg, state.object_rotate_deg)
+        key = (camera.key(), light, *turned, state.edit, state.indirect, full)
         if key not in self._pictures:
             made = self.renderer.render(
                 camera,

@@ -95,7 +95,8 @@ def open_model(bundle: Bundle, options: DesktopOptions) -> ViewerModel:
         channel=options.channel,
         backdrop=options.backdrop,
     )
-    state = state.resized(*options.size).with_exposure(options.exposure_ev).with_split(options.split)
+    state = state.resized(*options.size).with_number("exposure_ev", options.exposure_ev)
+    state = state.with_number("split", options.split)
     model = ViewerModel(state, lights, photographs, channels, choose_file=choose_file)
     model.message = "press h for help"
     model.show_help = options.help

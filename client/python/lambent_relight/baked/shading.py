@@ -105,12 +105,10 @@ def shade(
     preview: bool,
     indirect: bool,
     bounce_gain: NDArray[np.float32],
-    compiled: bool = True,
 ) -> BakedRadiance:
     """Return the radiance of the pixels of `view` under `light`; `lit` are its used texels.
 
-    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before. `compiled`
-    False keeps to numpy, with the same result but for rounding.
+    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before.
     """
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
     seen = seen_lights(lit, light)
@@ -128,19 +126,11 @@ def shade(
             (light.directions, light.irradiance, shares),
             prefiltered,
         )
-    if compiled:
-        parts = baked_kernels.shade_pixels(
-            (view.pixel, view.texel, view.share, view.first, lit.coarse),
-            (straight, bounced, prefiltered, glint),
-            (lobes.diffuse, lobes.free, lobes.surrounded),
-            view.camera.height * view.camera.width,
-        )
-        shape = (view.camera.height, view.camera.width, 3)
-        return BakedRadiance(*(part.reshape(shape) for part in parts))
-    arriving = np.maximum(view.mean(straight), 0.0)
-    bounce = np.maximum(view.mean(bounced[lit.coarse]), 0.0)
-    mirrored, around = lobes.free * prefiltered + glint, lobes.surrounded * bounce
-    direct = view.image(lobes.diffuse * arriving + mirrored)
-    indirect_part = view.image(lobes.diffuse * bounce + around)
-    rgb, specular = direct + indirect_part, view.image(mirrored + around)
-    return BakedRadiance(rgb, direct, indirect_part, rgb - specular, specular)
+    parts = baked_kernels.shade_pixels(
+        (view.pixel, view.texel, view.share, view.first, lit.coarse),
+        (straight, bounced, prefiltered, glint),
+        (lobes.diffuse, lobes.free, lobes.surrounded),
+        view.camera.height * view.camera.width,
+    )
+    shape = (view.camera.height, view.camera.width, 3)
+    return BakedRadiance(*(part.reshape(shape) for part in parts))

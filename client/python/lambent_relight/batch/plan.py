@@ -27,7 +27,7 @@ from lambent_relight.bundle.bundle import Bundle, load_bundle
 from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import Camera, load_cameras
 from lambent_relight.errors import CameraError, RelightError, SettingError
-from lambent_relight.file_hash import file_sha256
+from lambent_relight.files import file_sha256
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")
 
@@ -108,7 +108,7 @@ def make_plan(
     """
     rows: list[Row] = []
     failures: list[Failure] = []
-    digests = _light_digests(manifest.environments, known_lights)
+    digests = light_digests(manifest.environments, known_lights)
     known: dict[Path | None, _Opened] = {}
     for asset in manifest.assets:
         if asset.path is None or asset.path not in known:
@@ -176,7 +176,9 @@ def bundle_digest(bundle: Bundle) -> str:
         return hashlib.sha256(file.read()).hexdigest()
 
 
-def _light_digests(lights: Sequence[Light], known: Mapping[str, str]) -> dict[str, str | Exception]:
+def light_digests(
+    lights: Sequence[Light], known: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, str | Exception]:
     """Return the hash of every environment's map by its name; a map is read once, however it is turned."""
     found: dict[Path | None, str | Exception] = {}
     for light in lights:

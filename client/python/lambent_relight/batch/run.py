@@ -1,6 +1,5 @@
 """A batch from its plan to a folder of pictures: what is there already is kept."""
 
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Failure, Plan, Row
 from lambent_relight.batch.pool import Progress, Task, run_tasks
 from lambent_relight.batch.studio import remove_partials
+from lambent_relight.files import whole_file
 from lambent_relight.settings import BACKGROUNDS
 
 State = Literal["made", "kept", "copied", "failed"]
@@ -151,12 +151,6 @@ def _as_row(source: Record, row: Row, files: dict[str, MadeFile]) -> Record:
 
 def _copied(folder: Path, row: Row, suffix: str, made: MadeFile) -> MadeFile:
     relative = place(row.path, suffix)
-    target = folder / relative
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".partial-{os.getpid()}-{target.name}")
-    try:
+    with whole_file(folder / relative) as partial:
         shutil.copyfile(folder / made.path, partial)
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
     return replace(made, path=relative)

@@ -1,6 +1,5 @@
 """Makes single pictures of a batch. It keeps one bundle and one map open, whatever the number of pictures."""
 
-import os
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields
@@ -17,7 +16,7 @@ from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
-from lambent_relight.file_hash import file_sha256
+from lambent_relight.files import file_sha256, whole_file
 from lambent_relight.images import encode_png, write_picture_exr, write_png
 from lambent_relight.picture import Image, RelitPicture
 from lambent_relight.renderer import Renderer, with_background
@@ -180,8 +179,7 @@ class Studio:
     ) -> MadeFile:
         relative = place(row.path, suffix)
         path = self._folder / relative
-        partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
-        try:
+        with whole_file(path) as partial:
             if suffix == "png":
                 write_png(partial, self._shown(row, picture), tone_mapping=row.quality.tone_mapping)
             elif suffix == LINEAR:
@@ -197,9 +195,6 @@ class Studio:
                 )
             digest = file_sha256(partial)
             size_bytes = partial.stat().st_size
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
         key = row.key(suffix, self._files)
         return MadeFile(path=relative, key=key, sha256=digest, size_bytes=size_bytes)
 
@@ -208,7 +203,6 @@ def _write_linear(path: Path, picture: RelitPicture, notes: Sequence[str]) -> No
     """Keep what backgrounds, exposures and curves are applied to, exactly; the empty pixels are left out."""
     planes = {name: getattr(picture, name) for name in _KEPT}
     seen = np.any([plane.any(axis=-1) for plane in planes.values()], axis=0)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
         np.savez(
             file,

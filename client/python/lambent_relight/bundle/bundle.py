@@ -66,6 +66,12 @@ class Bundle:
         """Return the bytes of an ONNX graph."""
         return read_checked(self.source, path, limit_bytes=_MAX_GRAPH_BYTES)
 
+    def read(self, path: str, limit_bytes: int) -> bytes:
+        """Return the bytes of a file that the manifest has to list."""
+        if all(file.path != path for file in self.manifest.files):
+            raise BundleError("bundle.file_missing", f'"{path[:200]}" is not in files', "export it again")
+        return read_checked(self.source, path, limit_bytes=limit_bytes)
+
     @cached_property
     def weights(self) -> bytes:
         """The bytes of models/weights.bin; empty when the graphs carry their own weights."""
@@ -91,11 +97,7 @@ class Bundle:
         if not self.manifest.HasField("uncertainty"):
             return None
         stated = self.manifest.uncertainty
-        if all(file.path != stated.path for file in self.manifest.files):
-            raise BundleError(
-                "bundle.file_missing", f'"{stated.path[:200]}" is not in files', "export the bundle again"
-            )
-        data = read_checked(self.source, stated.path, limit_bytes=_MAX_PICTURE_BYTES)
+        data = self.read(stated.path, _MAX_PICTURE_BYTES)
         box = stated.box
         return read_uncertainty(data, list(box.minimum), list(box.maximum), list(stated.channels))
 

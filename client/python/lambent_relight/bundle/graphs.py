@@ -7,7 +7,7 @@ Source: docs/reference/bundle-format.md.
 
 import os
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 import onnxruntime
@@ -84,29 +84,15 @@ class NoCaches:
 
     name = "none"
 
-    def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
+    def gbuffer(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise UnsupportedQuality, as the other functions do."""
+        raise UnsupportedQuality(
+            "relight.networks_missing",
+            "the bundle carries baked light transport and no networks",
+            'use the quality "baked" or "preview", or a bundle of the full tier',
+        )
 
-    def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
-
-    def material(self, position: Rows) -> PointMaterials:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
-
-    def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
-
-
-def _no_networks() -> UnsupportedQuality:
-    return UnsupportedQuality(
-        "relight.networks_missing",
-        "the bundle carries baked light transport and no networks",
-        'use the quality "baked" or "preview", or a bundle of the full tier',
-    )
+    secondary = material = adapted = gbuffer
 
 
 def available_threads() -> int:
