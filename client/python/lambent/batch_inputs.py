@@ -1,4 +1,4 @@
-"""Bundles of a server: for a batch on this machine, and for a look at what a batch there would make."""
+"""Bundles of a server: fetched for a batch on this machine, or peeked at to plan a batch over there."""
 
 import tempfile
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from lambent.errors import RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 
 INPUTS = "inputs"
-"""Folder inside the output for what was fetched."""
+"""Folder inside the output for fetched bundles."""
 
 
 def with_local_bundles(
@@ -83,7 +83,7 @@ def _with_bundles(manifest: Manifest, bring: Callable[[str], Path], note: Callab
 
 @dataclass(frozen=True, kw_only=True)
 class ServerPlan:
-    """What a server would be asked for."""
+    """The order that a server would get."""
 
     plan: Plan
     to_send: tuple[Path, ...]
@@ -118,7 +118,7 @@ def plan_on_server(manifest: Manifest, client: Client, note: Callable[[str], Non
 
 
 def bundle_here(asset: Asset) -> UsageProblemError:
-    """Return what is said about an asset that only this machine has."""
+    """Return the error for an asset that only this machine has."""
     return UsageProblemError(
         "batch.bundle_here",
         f"the asset {asset.name} is the file {asset.path}, which the server does not have",

@@ -18,7 +18,7 @@ from lambent.settings import find_server
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 
 DELETABLE = {"scene": "scenes", "job": "jobs", "bundle": "bundles", "env": "environments"}
-"""What can be deleted: how its ids begin, and where it is."""
+"""Prefixes of the ids that can be deleted, and the path of each kind."""
 
 
 class Client:
@@ -83,7 +83,7 @@ class Client:
         return Scene.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}"))
 
     def scene_report(self, scene_id: str) -> SceneReport:
-        """Return what was found out about a scene, with what to mend."""
+        """Return the findings about a scene, each with what to fix."""
         return SceneReport.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}/report"))
 
     def delete_scene(self, scene_id: str) -> None:

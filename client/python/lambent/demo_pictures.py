@@ -1,4 +1,4 @@
-"""The demo's pictures and figures: everything comes out of the bundle, and stands beside the truth."""
+"""The demo's pictures and figures: rendered from the bundle and compared with the truth."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Figure:
-    """One line of the table: what was reached, and what a trivial answer reaches (see `floors`)."""
+    """One line of the table: a score, and that of a trivial answer (the floor; see `format_table`)."""
 
     name: str
     unit: str
@@ -63,7 +63,7 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """What the bundle shows at one held-out view; colours over white, sRGB-encoded unless it says linear."""
+    """Renderings of one held-out view; colours over white, sRGB-encoded unless the name says linear."""
 
     view: TrueView
     reconstruction: RelitPicture

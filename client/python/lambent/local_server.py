@@ -68,7 +68,7 @@ def local_server(data: Path) -> Iterator[LocalServer]:
 def _running(data: Path) -> str | None:
     """Return the address of a server that already serves this folder."""
     with contextlib.suppress(LambentError):
-        # What server.json says, whatever LAMBENT_URL says.
+        # The address in server.json counts here, not LAMBENT_URL.
         if url := local_url(data):
             with Client(data=data, url=url) as client:
                 client.version()

@@ -1,4 +1,4 @@
-"""What the server's JSON becomes: frozen dataclasses, field for field.
+"""The server's JSON as frozen dataclasses, field for field.
 
 Unknown fields are ignored and unknown states are not final, so that an older client reads a newer server.
 Times are RFC 3339 strings in UTC, sizes bytes, durations seconds.
@@ -169,7 +169,7 @@ class Finding(_Message):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SceneReport(_Message):
-    """What a look at a scene found; nothing yet where `checked` is false."""
+    """The findings about a scene; none yet while `checked` is false."""
 
     scene_id: str
     state: str = ""
@@ -215,4 +215,4 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "findings": lambda items: tuple(map(Finding.from_json, items)),
     "job_ids": tuple,
 }
-"""What makes the values of these fields of JSON's, in whichever message they stand."""
+"""How the values of these fields are read, in every message."""

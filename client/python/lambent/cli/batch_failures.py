@@ -1,4 +1,4 @@
-"""What a batch could not make, as its last lines tell it."""
+"""The failures at the end of a batch's output."""
 
 from collections.abc import Sequence
 

@@ -39,7 +39,7 @@ def doctor(
     data: Annotated[Path | None, typer.Option(help="Data folder of the server on this machine.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check this machine and the server; exit code 1 when something must be mended."""
+    """Check this machine and the server; exit code 1 when something must be fixed."""
     output = Output(as_json)
     failed = False
     for check in examine(url, data or data_folder()):

@@ -15,7 +15,7 @@ PLAIN_INTERVAL_S = 10.0
 
 
 class Live:
-    """What a command shows while it works; bars are drawn between `with` and its end, if there are any."""
+    """Progress of a command, in a `with` statement; draws its bars, if it has any."""
 
     _bars: Any = None
 
@@ -32,7 +32,7 @@ class Live:
 
 
 def bars(*columns: Any) -> Any:
-    """Return bars of rich on standard error: what is done, its bar, and `columns` right of them."""
+    """Return rich bars on standard error: a description, the bar, then `columns`."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
@@ -96,7 +96,7 @@ class PlainView(Live):
 
 
 def event_note(event: Event) -> str:
-    """Return what is worth a line of its own in an event, or nothing."""
+    """Return the line that an event is worth, or an empty string."""
     if event.type == "state":
         run = f" (run {event.run})" if event.run > 1 else ""
         return f"{event.state}{run}" + (f": {event.message}" if event.message else "")
@@ -150,7 +150,7 @@ class BarView(Live):
 
 
 def open_view(as_json: bool) -> JsonView | BarView | PlainView:
-    """Return the view of jobs that fits where the words go."""
+    """Return the view of jobs that suits standard error: JSON, bars or plain lines."""
     if as_json:
         return JsonView()
     return BarView() if sys.stderr.isatty() else PlainView()

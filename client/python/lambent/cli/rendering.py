@@ -1,4 +1,4 @@
-"""What relight and turntable share: a batch of one bundle's pictures, and how its making is shown."""
+"""Shared by relight and turntable: a batch of one bundle's pictures, with its progress."""
 
 import json
 import sys
@@ -114,7 +114,7 @@ def shown_batch(
 def make_pictures(rows: Sequence[Row], files: Files, folder: Path, output: Output) -> None:
     """Make every picture that is not there yet, and list those of `folder` in its pictures.json.
 
-    What is there is known as in a batch, by the hash of everything that it is made from.
+    Pictures that exist are recognised as in a batch, by the hash of everything they depend on.
     """
     told: set[str] = set()
     began, num_made = time.monotonic(), 0
@@ -139,7 +139,7 @@ def make_pictures(rows: Sequence[Row], files: Files, folder: Path, output: Outpu
 
 
 def _notes(record: Record) -> Iterator[str]:
-    """Yield what a user should know about the light of a picture."""
+    """Yield notes for the user about the light of a picture."""
     yield from record.notes
     if record.quality == "refined":
         yield f"{record.environment}: {_BOUNCES[record.bounces.partition(':')[0]]}"

@@ -1,4 +1,4 @@
-"""What a viewer can show of a relit picture, as colours for the screen.
+"""Channels of a relit picture as colours for the screen.
 
 Radiance goes through exposure, tone curve and sRGB encoding, and albedo through sRGB encoding. Everything
 else shows numbers: black is 0 and white is 1, normals are 0.5 n + 0.5.
@@ -19,7 +19,7 @@ Image = NDArray[np.float32]
 RADIANCE = ("final", "direct", "indirect", "diffuse", "specular")
 SURFACE = ("visibility", "albedo", "roughness", "metalness", "normal", "depth")
 UNCERTAIN = "uncertainty: "
-"""Begins the names of what the bundle says about its doubts; the rest is a channel of the grid."""
+"""Prefix of the channels of the bundle's uncertainty grid."""
 _HEAT = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]) / 255.0
 _FIELDS = {"visibility": "visibility", "roughness": "perceptual_roughness", "metalness": "metalness"}
 
@@ -31,7 +31,7 @@ class Shown:
     image: Image
     """sRGB-encoded, [height, width, 3]; meaningless where the object is not."""
     legend: str
-    """What dark and light stand for, where that depends on the view."""
+    """Meaning of dark and light, where it depends on the view."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,7 +48,7 @@ class Grade:
 
 
 def channel_names(bundle: Bundle) -> tuple[str, ...]:
-    """Return the names of all channels of a bundle; doubts only where the bundle has them."""
+    """Return the names of all channels of a bundle; those of its uncertainty only if it has a grid."""
     grid = bundle.uncertainty()
     doubts = () if grid is None else grid.channels
     return (*RADIANCE, *SURFACE, *(f"{UNCERTAIN}{name.replace('_', ' ')}" for name in doubts))
@@ -63,7 +63,7 @@ def shown_channel(
     """Return a channel of `picture` that is not radiance.
 
     `positions` gives the surface points in the object's own frame, [height, width, 3], and is only called for
-    the bundle's doubts, which are in `grid`.
+    the bundle's uncertainty, which is in `grid`.
     """
     covered = picture.coverage[..., 0] > 0.0
     if name == "albedo":

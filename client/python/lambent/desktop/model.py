@@ -1,4 +1,4 @@
-"""What happens in a viewer when a key is pressed, the mouse is moved or a slider is set. Knows no window."""
+"""How keys, the mouse and sliders change a viewer. Knows no window."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,9 +19,9 @@ ORBIT_STEP_DEG = 5.0
 ZOOM_STEP = 1.1
 _DEGREES_PER_WIDTH = 180.0
 SLIDERS = {"exposure": "exposure_ev", "albedo": "albedo_gain", "roughness": "roughness_scale"}
-"""What sliders set within limits, besides the angles of light and object."""
+"""The fields that sliders set within limits; two more sliders turn the light and the object."""
 _GRIP_PX = 8
-"""How near to a comparison's border the mouse must be to take it."""
+"""How near the mouse must be to a comparison's border to grab it."""
 
 
 class ViewerModel:
@@ -42,15 +42,15 @@ class ViewerModel:
         self.show_help = False
         self.show_panel = True
         self.wants_save = False
-        """Set when the picture is to be saved; whoever saves it clears it."""
+        """Set when the picture is to be saved, and cleared by whoever saves it."""
         self.wants_quit = False
         self.message = ""
-        """The last thing that a user should know."""
+        """The latest message for the user."""
         self._first = state
         self._drag: tuple[str, int, int] | None = None
 
     def press_key(self, symbol: str) -> bool:
-        """Do what a key stands for; returns whether it stands for anything. `symbol` as X11 names keys."""
+        """Handle a key by its X11 name; returns whether it is bound to anything."""
         binding = _BY_SYMBOL.get(symbol)
         if binding is None:
             return False
@@ -143,7 +143,7 @@ class ViewerModel:
         self.state = self._first.resized(self.state.width, self.state.height)
 
     def status(self, *, legend: str = "", full: bool = True) -> str:
-        """Return the lines that say what is shown."""
+        """Return the lines that describe the picture."""
         state = self.state
         light = self.lights.name(state.light)
         if state.comparison == "environment":
@@ -162,7 +162,7 @@ class ViewerModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Binding:
-    """Keys that do one thing: their X11 symbols, how they are written, and what they do."""
+    """Keys with one effect: their X11 symbols, how they are written, and the effect."""
 
     symbols: tuple[str, ...]
     written: str

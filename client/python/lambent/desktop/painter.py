@@ -44,7 +44,7 @@ class Painted:
     image: NDArray[np.uint8]
     """sRGB, [height, width, 3], rows from the top."""
     legend: str
-    """What dark and light stand for, where the channel says."""
+    """Meaning of dark and light, for channels that have one."""
     full: bool
     """Whether this is full quality; otherwise outlines are those of the mesh, without antialiasing."""
 

@@ -1,4 +1,4 @@
-"""Everything that decides what a viewer shows, and how it may be changed. No windows, no files."""
+"""The complete state of a viewer and the ways to change it. No windows, no files."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -39,7 +39,7 @@ LIGHT_STEP_DEG = 5.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewerState:
-    """What is looked at, in which light, and how it is shown."""
+    """The view, its light, and how it is displayed."""
 
     orbit: Orbit
     width: int

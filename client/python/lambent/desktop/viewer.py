@@ -1,4 +1,4 @@
-"""`lambent view --desktop`: opens what is to be seen, and shows it in a window or as one picture."""
+"""`lambent view --desktop`: opens bundle, maps and photographs for a window or a screenshot."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ print(tkinter.filedialog.askopenfilename(title="Environment map", filetypes=type
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DesktopOptions:
-    """What `lambent view --desktop` was asked for; angles in degrees, sizes in pixels."""
+    """Options of `lambent view --desktop`; angles in degrees, sizes in pixels."""
 
     environments: tuple[Path, ...] = ()
     light: EnvironmentInput = field(default_factory=EnvironmentInput)

@@ -1,6 +1,6 @@
-"""What a folder of pictures already holds: one JSON line for every picture, written when it is whole.
+"""The pictures that a folder holds: one JSON line each, written once the picture is complete.
 
-A line that a crash cut off is the last one and is left out; the picture it was about is made again.
+A crash can only cut off the last line, which is then ignored; its picture is made again.
 """
 
 import contextlib
@@ -49,7 +49,7 @@ class Record:
     bounces: str = ""
     """Where bounced light came from, as the picture says."""
     notes: tuple[str, ...] = ()
-    """What a user should know about the map."""
+    """Notes for the user about the map."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""The pictures of a batch, one by one, and what makes each of them what it is."""
+"""The pictures of a batch, one by one, and the hash of everything each depends on."""
 
 import hashlib
 import json
@@ -87,7 +87,7 @@ class Failure:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Everything to make, in the order that keeps bundles and maps open longest, and what cannot be made."""
+    """The pictures to make, in the order that keeps bundles and maps open longest, and the failures."""
 
     rows: tuple[Row, ...]
     failures: tuple[Failure, ...]
@@ -146,7 +146,7 @@ def make_plan(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Opened:
-    """What a batch needs to know of a bundle, and what cannot be made of it: errors and their places."""
+    """A bundle's digest and cameras, and the errors met on the way with their places in the manifest."""
 
     digest: str = ""
     cameras: tuple[Camera, ...] = ()

@@ -1,4 +1,4 @@
-"""A batch from its plan to a folder of pictures: what is there already is kept."""
+"""A batch from its plan to a folder of pictures; existing ones are kept."""
 
 import shutil
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ State = Literal["made", "kept", "copied", "failed"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Result:
-    """What became of one picture; `record` is there unless it failed."""
+    """The outcome of one picture; `record` is set unless it failed."""
 
     path: str
     state: State
@@ -29,7 +29,7 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Sorted:
-    """What a folder lacks of a plan."""
+    """A plan, split by what its folder already holds."""
 
     done: tuple[Result, ...]
     """Pictures that are there, under their name or copied from another."""

@@ -1,4 +1,4 @@
-"""Makes single pictures of a batch. It keeps one bundle and one map open, whatever the number of pictures."""
+"""Makes single pictures of a batch, with one bundle and one map open at a time."""
 
 import time
 from collections.abc import Callable, Collection, Sequence
@@ -83,13 +83,13 @@ class Studio:
         return encode_png(shown, tone_mapping=row.quality.tone_mapping)
 
     def notes(self, row: Row) -> tuple[str, ...]:
-        """Return what a user should know about the map of a picture."""
+        """Return notes for the user about the map of a picture."""
         return tuple(self._open_light(row).notes(row.light.name))
 
     def _render(
         self, row: Row, progress: Callable[[float], None] | None
     ) -> tuple[RelitPicture, tuple[str, ...]]:
-        """Return the picture before no background, and what a user should know about its map."""
+        """Return the picture without background, and notes for the user about its map."""
         renderer, opened = self._open_bundle(row), self._open_light(row)
         picture = renderer.render(
             row.camera,
@@ -122,7 +122,7 @@ class Studio:
         return picture.exposed(row.quality.exposure_ev)
 
     def _read_linear(self, row: Row) -> tuple[RelitPicture, tuple[str, ...]]:
-        """Return what `_write` kept of a picture: its passes are those of its EXR and left out."""
+        """Return the kept linear picture; its passes are left out, its EXR has them."""
         with np.load(self._folder / place(row.path, LINEAR)) as kept:
             planes = {}
             for name in _KEPT:
