@@ -26,8 +26,7 @@ from lambent_relight.baked.light import (
     texel_irradiance,
 )
 from lambent_relight.baked.split_sum import split_sum
-from lambent_relight.baked.transport_kernels import basis_rows
-from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
+from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.baked.view import BakedView
 from lambent_relight.brdf import DIELECTRIC_F0, MIN_ALPHA
 from lambent_relight.directions import dot
@@ -76,13 +75,7 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
     alpha = np.maximum(roughness[:, 0] ** 2, MIN_ALPHA).astype(np.float32)
     f0 = view.metalness * albedo + (1.0 - view.metalness) * np.float32(DIELECTRIC_F0)
     reflectance = f0 * scale[:, None] + bias[:, None]
-    if preview:
-        free = view.openness
-    else:
-        bands = round(view.visibility.shape[1] ** 0.5)
-        lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
-        basis = basis_rows(mirror, bands) * lobe
-        free = np.clip(np.einsum("nk,nk->n", basis, view.visibility), 0.0, 1.0)[:, None]
+    free = view.openness if preview else open_share(mirror, roughness[:, 0], view.visibility)
     return Lobes(
         albedo,
         roughness,

@@ -63,10 +63,10 @@ class Transport:
         return coarse_blocks(self.size, self.texel_index)[1]
 
 
-def shadow_directions(count: int = NUM_SHADOW_DIRECTIONS) -> NDArray[np.float64]:
-    """Return even unit directions [count, 3]: z = 1 - (2j + 1) / count, azimuth j pi (3 - sqrt 5)."""
-    j = np.arange(count)
-    z = 1.0 - (2.0 * j + 1.0) / count
+def shadow_directions() -> NDArray[np.float64]:
+    """Return 256 even unit directions [j, 3]: z = 1 - (2j + 1) / 256, azimuth j pi (3 - sqrt 5)."""
+    j = np.arange(NUM_SHADOW_DIRECTIONS)
+    z = 1.0 - (2.0 * j + 1.0) / NUM_SHADOW_DIRECTIONS
     azimuth = j * (np.pi * (3.0 - np.sqrt(5.0)))
     radius = np.sqrt(1.0 - z * z)
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
