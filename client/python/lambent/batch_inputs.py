@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from lambent_relight.batch.manifest import Asset, Manifest
@@ -81,17 +81,10 @@ def _with_bundles(manifest: Manifest, bring: Callable[[str], Path], note: Callab
     return replace(manifest, assets=assets)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ServerPlan:
-    """The order that a server would get."""
-
-    plan: Plan
-    to_send: tuple[Path, ...]
-    """Maps that the server does not have yet."""
-
-
-def plan_on_server(manifest: Manifest, client: Client, note: Callable[[str], None]) -> ServerPlan:
-    """Return the pictures that a server would make of a manifest; nothing is sent there.
+def plan_on_server(
+    manifest: Manifest, client: Client, note: Callable[[str], None]
+) -> tuple[Plan, tuple[Path, ...]]:
+    """Return the pictures that a server would make of a manifest, and the maps to send; nothing is sent.
 
     Of bundles only manifest and cameras are fetched. Raises `batch.bundle_here` for an asset that is no
     bundle of a server, as the order itself does, and `batch.map_unknown` for a map that is not there.
@@ -114,7 +107,7 @@ def plan_on_server(manifest: Manifest, client: Client, note: Callable[[str], Non
     with tempfile.TemporaryDirectory(prefix="lambent-") as folder:
         peeked = _with_bundles(manifest, lambda each: client.peek(each, Path(folder) / each), note)
         plan = make_plan(peeked, opening=peek_bundle, known_lights=digests)
-    return ServerPlan(plan=plan, to_send=to_send)
+    return plan, to_send
 
 
 def bundle_here(asset: Asset) -> UsageProblemError:

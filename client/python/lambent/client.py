@@ -184,8 +184,8 @@ class Client:
         up, and where no stream comes through events are asked for every `poll_s`.
         """
         watcher = Watcher(
-            self._connection,
-            job_ids,
+            connection=self._connection,
+            job_ids=job_ids,
             after=after,
             silence_s=silence_s,
             patience_s=patience_s,

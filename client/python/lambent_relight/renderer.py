@@ -162,17 +162,17 @@ class Renderer:
             return plain, ""
         if settings.bounces in ("auto", "adapted"):
             insists = settings.bounces == "adapted"
-            chosen = choose(self.bundle, environment, edit, although_worse=insists)
-            if chosen.light is not None:
-                adapted = functools.partial(self._networks.adapted, chosen.light.name)
-                return replace(plain, adapted=adapted), f"adapted:{chosen.light.name}"
+            light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
+            if light is not None:
+                adapted = functools.partial(self._networks.adapted, light.name)
+                return replace(plain, adapted=adapted), f"adapted:{light.name}"
             if insists:
-                found = chosen.why_not or "the bundle has no adapted caches"
+                found = why_not or "the bundle has no adapted caches"
                 advice = "run lambent bake-light for this light, or leave the bounces to auto"
                 raise SettingError("relight.light_not_adapted", found, advice)
-            if chosen.why_not and chosen.why_not != self._told:
-                _LOG.warning("no adapted fast cache fits this picture: %s", chosen.why_not)
-                self._told = chosen.why_not
+            if why_not and why_not != self._told:
+                _LOG.warning("no adapted fast cache fits this picture: %s", why_not)
+                self._told = why_not
         if settings.bounces == "one":
             return plain, "one"
         if self.bundle.manifest.HasField("transport"):

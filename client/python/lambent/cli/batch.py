@@ -74,10 +74,10 @@ def _list_server_work(manifest: Manifest, document: Document, folder: Path, outp
     from lambent.client import Client
 
     with Client(url) as client, relight_errors():
-        found = plan_on_server(manifest, client, output.note)
-        for path in found.to_send:
+        plan, to_send = plan_on_server(manifest, client, output.note)
+        for path in to_send:
             output.note(f"to send: {path}")
-        return _list_work(found.plan, manifest, document, folder, output)
+        return _list_work(plan, manifest, document, folder, output)
 
 
 def _list_work(plan: Plan, manifest: Manifest, document: Document, folder: Path, output: Output) -> int:
@@ -85,15 +85,15 @@ def _list_work(plan: Plan, manifest: Manifest, document: Document, folder: Path,
     from lambent_relight.batch.journal import peek_journal
     from lambent_relight.batch.run import sort_plan
 
-    parts = sort_plan(plan, manifest.files, peek_journal(folder), copy=False)
-    todo = {row.path: suffixes for row, suffixes in parts.tasks}
+    done, tasks = sort_plan(plan, manifest.files, peek_journal(folder), copy=False)
+    todo = {row.path: suffixes for row, suffixes in tasks}
     for row in plan.rows:
         state = f"make {','.join(todo[row.path])}" if row.path in todo else "keep"
         pixels = f"{row.camera.width}x{row.camera.height}"
         text = f"{state:13} {row.path}  {pixels} {row.quality.quality}"
         output.result(text, {"picture": row.path, "files": list(todo.get(row.path, ()))})
     list_failures(plan.failures, document, output)
-    counts = {"to_make": len(todo), "to_keep": len(parts.done), "failed": len(plan.failures)}
+    counts = {"to_make": len(todo), "to_keep": len(done), "failed": len(plan.failures)}
     text = f"{counts['to_make']} to make, {counts['to_keep']} to keep, {counts['failed']} cannot be made"
     output.result(text, {"path": str(folder), **counts})
     return 1 if plan.failures else 0

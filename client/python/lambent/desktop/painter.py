@@ -5,6 +5,7 @@ Pictures that only differ in how they are shown (exposure, tone curve, channel, 
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from lambent_relight.images import srgb_from_linear
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from lambent.desktop.channels import RADIANCE, UNCERTAIN, Grade, object_positions, shown_channel
+from lambent.desktop.channels import RADIANCE, UNCERTAIN, graded, object_positions, shown_channel
 from lambent.desktop.lights import Lights
 from lambent.desktop.photographs import Photograph, fitted, resampled
 from lambent.desktop.state import BACKDROPS, ViewerState
@@ -137,7 +138,7 @@ class Painter:
             radiance = picture.rgb if state.channel == "final" else getattr(picture, state.channel)
             return self._over_backdrop(state, light, picture, radiance), ""
         camera = self.camera(state)
-        shown = shown_channel(
+        image, legend = shown_channel(
             picture,
             state.channel,
             lambda: object_positions(
@@ -146,13 +147,13 @@ class Painter:
             self._grid if state.channel.startswith(UNCERTAIN) else None,
         )
         backdrop = srgb_from_linear(np.array(BACKDROPS[state.backdrop] or BACKDROPS["grey"], np.float32))
-        return shown.image * picture.coverage + backdrop * (1.0 - picture.coverage), shown.legend
+        return image * picture.coverage + backdrop * (1.0 - picture.coverage), legend
 
     def _over_backdrop(
         self, state: ViewerState, light: int, picture: RelitPicture, radiance: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Return graded radiance; it is mixed with a colour as shown, and with the light as radiance."""
-        grade = Grade(exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
+        grade = partial(graded, exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
         colour = BACKDROPS[state.backdrop]
         if colour is not None:
             return _mixed(grade(radiance), srgb_from_linear(np.array(colour, np.float32)), picture.coverage)
@@ -168,7 +169,7 @@ class Painter:
         _, (rows, columns) = fitted(photograph.camera, state.width, state.height)
         size = (columns.stop - columns.start, rows.stop - rows.start)
         pixels = resampled(photograph.pixels(), *size)
-        grade = Grade(exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
+        grade = partial(graded, exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
         colour = srgb_from_linear(np.array(BACKDROPS[state.backdrop] or BACKDROPS["grey"], np.float32))
         result = np.broadcast_to(colour, (state.height, state.width, 3)).astype(np.float32)
         result[rows, columns] = _mixed(grade(pixels[..., :3]), colour, pixels[..., 3:])

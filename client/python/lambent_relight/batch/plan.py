@@ -70,6 +70,16 @@ class Row:
             parts |= {"passes": sorted(files.passes), "half": files.half}
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
+    def names(self) -> dict[str, Any]:
+        """Return the fields of a record that say which picture it is."""
+        return {
+            "path": self.path,
+            "asset": self.asset.name,
+            "environment": self.light.name,
+            "quality": self.quality.name,
+            "camera": self.camera.name,
+        }
+
     def before(self, background: str) -> "Row":
         """Return the same picture before another background."""
         return replace(self, quality=self.quality.model_copy(update={"background": background}))

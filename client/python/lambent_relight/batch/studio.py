@@ -59,11 +59,7 @@ class Studio:
             made[suffix] = self._write(row, suffix, picture if suffix != LINEAR else linear, notes, kept=kept)
         noise, mean = float(picture.standard_error.mean()), float(picture.rgb.mean())
         return Record(
-            path=row.path,
-            asset=row.asset.name,
-            environment=row.light.name,
-            quality=row.quality.name,
-            camera=row.camera.name,
+            **row.names(),
             files=made,
             width=row.camera.width,
             height=row.camera.height,

@@ -103,7 +103,7 @@ def available_threads() -> int:
 
 
 def in_threads(task: Callable[[int], None], starts: range, num_threads: int) -> None:
-    """Call `task`, which should release the interpreter lock, with each of `starts` in `num_threads` threads."""
+    """Call `task` (it should release the interpreter lock) with each of `starts` in `num_threads` threads."""
     if num_threads == 1 or len(starts) < 2:
         for start in starts:
             task(start)
