@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import httpx2
@@ -48,9 +47,7 @@ class Client:
         """Return the client itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the connection."""
         self.close()
 
@@ -60,13 +57,11 @@ class Client:
 
     def version(self) -> Mapping[str, Any]:
         """Return the server's name, version and schema version."""
-        answer: Mapping[str, Any] = self._connection.json("GET", "/v1/version")
-        return answer
+        return dict(self._connection.json("GET", "/v1/version"))
 
     def presets(self) -> Mapping[str, Any]:
         """Return the presets that jobs may name."""
-        answer: Mapping[str, Any] = self._connection.json("GET", "/v1/presets")
-        return answer
+        return dict(self._connection.json("GET", "/v1/presets"))
 
     def push(
         self,

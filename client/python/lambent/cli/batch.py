@@ -1,10 +1,9 @@
 """batch: assets x environments x cameras x qualities into files, on this machine or on a server."""
 
 import time
-from collections import Counter
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from lambent_relight.batch.manifest import Manifest
@@ -12,7 +11,7 @@ from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
 from lambent_relight.bundle.graphs import available_threads
 
-from lambent.cli.batch_failures import list_failures
+from lambent.cli.batch_report import list_failures, report
 from lambent.cli.output import JsonOption, Output, UrlOption, format_duration
 from lambent.cli.rendering import relight_errors, shown_batch
 from lambent.errors import UsageProblemError
@@ -119,9 +118,8 @@ def _render(
         finally:
             write_table(folder / TABLE, results)
         sheets = write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
-    counts = Counter(result.state for result in results)
-    failures = [result.failure for result in results if result.failure is not None]
-    list_failures(failures, document, output)
+    shown = report(results, folder, sheets, document, output)
+    counts = shown["states"]
     notes = sorted({note for each in results if each.record is not None for note in each.record.notes})
     for note in notes:
         output.note(note)
@@ -129,12 +127,5 @@ def _render(
         f"{folder}  ({counts['made']} made, {counts['kept'] + counts['copied']} kept, "
         f"{counts['failed']} failed, {format_duration(time.monotonic() - began)})"
     )
-    shown: dict[str, Any] = {
-        "path": str(folder),
-        "states": dict(counts),
-        "failures": [asdict(failure) for failure in failures],
-        "contact_sheets": [path.name for path in sheets],
-        "notes": notes,
-    }
-    output.result(text, shown)
-    return 1 if failures else 0
+    output.result(text, {**shown, "notes": notes})
+    return 1 if shown["failures"] else 0
