@@ -71,10 +71,7 @@ def speed(renderer: Renderer, size: int) -> None:
         "transport product (direct and indirect, the texels in view)": milliseconds(
             lambda: (texel_irradiance(lit, light, bands), coarse_bounce(lit, light))
         ),
-        "whole picture, turned light, numpy": milliseconds(
-            lambda: baked.render(camera, environment.rotated(next(turned)), **arguments, compiled=False)
-        ),
-        "whole picture, turned light, compiled": milliseconds(
+        "whole picture, turned light": milliseconds(
             lambda: baked.render(camera, environment.rotated(next(turned)), **arguments)
         ),
         "a new 1k map: harmonics, lights, prefiltered levels": milliseconds(

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from lambent.desktop.painter import Painter
 from lambent.desktop.state import ViewerState
 from lambent.desktop.viewer import DesktopOptions, open_model
@@ -53,7 +54,8 @@ def main(arguments: argparse.Namespace) -> None:
         return replace(start, orbit=start.orbit.turned(7.0 * number + 3.0, 0.0))
 
     def new_map(number: int) -> None:
-        opened = load_environment(arguments.env).scaled(1.0 + 0.1 * number)
+        opened = load_environment(arguments.env)
+        opened = replace(opened, radiance=opened.radiance * np.float32(1.0 + 0.1 * number))
         model.lights._open[0] = opened
         painter.paint(replace(start, rotate_deg=0.01 * number))
 

@@ -16,7 +16,7 @@ import numpy as np
 from lambent_relight.baked.split_sum import split_sum, table
 from lambent_relight.directions import normalise
 from lambent_relight.environment.dominant_lights import split
-from lambent_relight.environment.harmonics import project, rotate_z, rotation
+from lambent_relight.environment.harmonics import project, rotate_z
 from lambent_relight.environment.maps import environment_from_array, load_environment, write_environment
 from lambent_relight.environment.prefilter import prefilter
 from lambent_relight.environment.sun_clamp import clamp_sun
@@ -55,8 +55,6 @@ def rows(heights: list[int], folder: Path) -> list[tuple[str, str, Callable[[], 
             ("sun clamp with report", size, lambda e=environment: clamp_sun(e, 5.0)),
         ]
     coefficients = rng.normal(size=(49, 3))
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    turn *= np.sign(np.linalg.det(turn))
     levels = prefilter(environment_from_array(rng.random((256, 512, 3))))
     directions = normalise(rng.normal(size=(COVERED_PIXELS, 3))).astype(np.float32)
     roughness, cosine = rng.random((2, COVERED_PIXELS)).astype(np.float32)
@@ -64,7 +62,6 @@ def rows(heights: list[int], folder: Path) -> list[tuple[str, str, Callable[[], 
     return [
         *found,
         ("turn coefficients about z", "7 bands", lambda: rotate_z(coefficients, 33.0)),
-        ("turn coefficients in any way", "7 bands", lambda: rotation(7, turn).apply(coefficients)),
         ("look up prefiltered radiance", pixels, lambda: levels.lookup(directions, roughness)),
         ("split sum", pixels, lambda: split_sum(cosine, roughness)),
         ("make the split-sum table, once", "32 x 32", lambda: (table.cache_clear(), table())),

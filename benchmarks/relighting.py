@@ -68,7 +68,7 @@ def albedo_ratio(renderer: Renderer, views: list[View]) -> np.ndarray:
     for view in views:
         truth = view.truth["albedo"].reshape(-1, 4)
         inside = truth[:, 3] > 0.5
-        pairs.append((truth[inside, :3], renderer.gbuffer(camera_of(view)).albedo[inside]))
+        pairs.append((truth[inside, :3], renderer.caches.gbuffer(*camera_of(view).rays()).albedo[inside]))
     return median_albedo_ratio(*(np.concatenate(part) for part in zip(*pairs, strict=True)))
 
 

@@ -45,7 +45,7 @@ def some_directions(count: int, seed: int) -> np.ndarray:
 
 
 def harmonics_numbers() -> dict[str, Any]:
-    """Return basis values, a projection, its turned forms, window and cosine factors."""
+    """Return basis values, a projection, its turned forms, and cosine factors."""
     light = Environment(sample_map(8, 16))
     directions = normalise(some_directions(6, 1))
     angle, tilt = 0.7, -1.1
@@ -53,6 +53,10 @@ def harmonics_numbers() -> dict[str, Any]:
     about_x = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     matrix = about_x @ about_z
     coefficients = harmonics.project(light, 7)
+    # Turned in any way: the harmonics whose values are those of the straight ones at directions turned back.
+    points = some_directions(400, 3)
+    values = harmonics.basis(points @ matrix, 7) @ coefficients
+    rotated = np.linalg.lstsq(harmonics.basis(points, 7), values, rcond=None)[0]
     return {
         "about": "Real orthonormal harmonics, index l(l+1)+m, 7 bands; a map and its coefficients.",
         "directions": rounded(directions, 12),
@@ -62,9 +66,7 @@ def harmonics_numbers() -> dict[str, Any]:
         "rotate_deg": 33.0,
         "coefficients_turned": rounded(harmonics.project(light.rotated(33.0), 7)),
         "matrix": rounded(matrix, 12),
-        "coefficients_rotated": rounded(harmonics.rotation(7, matrix).apply(coefficients)),
-        "window_width": 7.0,
-        "window": rounded(harmonics.window(7, 7.0)),
+        "coefficients_rotated": rounded(rotated),
         "cosine_factors": rounded(harmonics.cosine_factors(7)),
     }
 

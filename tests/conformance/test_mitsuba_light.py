@@ -11,8 +11,8 @@ from lambent_relight import load_bundle, turntable
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.brdf import base_reflectance, materials_from_roughness
 from lambent_relight.directions import dot, normalise, pixel_directions
-from lambent_relight.environment.axes import to_axes
-from lambent_relight.environment.harmonics import cosine_factors, evaluate, project
+from lambent_relight.environment.axes import from_axes
+from lambent_relight.environment.harmonics import basis, cosine_factors, project
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.environment.prefilter import prefilter
 from lambent_relight.renderer import Renderer
@@ -123,6 +123,11 @@ def whole_pixels():
     return (b * b - dot(origin, origin)[:, 0] + 1.0 > 0.08).reshape(SIZE, SIZE)
 
 
+def in_mitsuba(light):
+    """Return our map in Mitsuba's layout: turned the other way, which is how skylibs' becomes ours."""
+    return from_axes(light, "skylibs")
+
+
 def baked_picture(surface, environment):
     """Return the diffuse and the specular part of the same ball, from harmonics, levels and the split sum."""
     origin, direction = CAMERA.rays()
@@ -135,7 +140,7 @@ def baked_picture(surface, environment):
         np.full((len(normal), 1), surface.perceptual_roughness),
         np.full((len(normal), 1), surface.metalness),
     )
-    irradiance = evaluate(project(environment, 7) * cosine_factors(7)[:, None], normal)
+    irradiance = basis(normal, 7) @ (project(environment, 7) * cosine_factors(7)[:, None])
     diffuse = (1.0 - surface.metalness) * materials.albedo * irradiance / np.pi
     mirror = 2.0 * dot(normal, -direction) * normal + direction
     rough = np.full(len(normal), surface.perceptual_roughness)
@@ -158,7 +163,7 @@ def test_mitsuba_sees_the_same_ball_in_the_same_light(tmp_path, kind):
     renderer = Renderer(load_bundle(folder), num_threads=1, reader="onnx")
 
     def pictures(light):
-        theirs = mitsuba_picture(tmp_path, tmp_path / "ball.glb", to_axes(light, "mitsuba"))
+        theirs = mitsuba_picture(tmp_path, tmp_path / "ball.glb", in_mitsuba(light))
         refined = renderer.render(CAMERA, light, spp=384, antialias=1).rgb
         return {"mitsuba": theirs, "refined": refined, "baked": sum(baked_picture(surface, light))}
 
@@ -178,7 +183,7 @@ def test_mitsuba_sees_the_same_ball_in_the_same_light(tmp_path, kind):
 def test_mitsuba_and_harmonics_agree_on_the_brightness_of_a_diffuse_ball(tmp_path):
     surface, light, inside = SURFACES["matt"], lopsided_light(), whole_pixels()
     write_ball(tmp_path / "ball.glb", surface)
-    theirs = mitsuba_picture(tmp_path, tmp_path / "ball.glb", to_axes(light, "mitsuba"), lambert=True)
+    theirs = mitsuba_picture(tmp_path, tmp_path / "ball.glb", in_mitsuba(light), lambert=True)
     ours, _ = baked_picture(surface, light)
     np.testing.assert_allclose(ours[inside].mean(axis=0) / theirs[inside].mean(axis=0), 1.0, atol=0.01)
     assert relative_error(ours[inside], theirs[inside]) < 0.02

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import OpenEXR
 import pytest
+from lambent.cli import app
 from lambent_relight import (
     BundleError,
     MaterialEdit,
@@ -12,12 +13,14 @@ from lambent_relight import (
     environment_from_array,
     load_bundle,
     turntable,
+    write_environment,
     write_picture_exr,
 )
 from lambent_relight.baked.depth_steps import depth_steps
 from lambent_relight.baked.transport import read_transport
 from lambent_relight.images import srgb_from_linear
 from support.baked_bundle import write_baked_bundle
+from support.plain_shading import shade_pixels
 
 pytestmark = pytest.mark.slow
 
@@ -146,11 +149,36 @@ def test_a_sun_is_split_off_and_its_shadow_is_where_the_traced_one_is(renderer):
     assert decibels(baked, truth) > decibels(smooth, truth) + 0.5
 
 
-def test_compiled_and_plain_arrays_agree(renderer):
+def test_compiled_and_plain_arrays_agree(renderer, monkeypatch):
     arguments = {"preview": False, "antialias": 2, "indirect": True, "edit": MaterialEdit()}
     compiled = renderer.baked().render(CAMERA, sky(), **arguments)
-    plain = renderer.baked().render(CAMERA, sky(), **arguments, compiled=False)
+    monkeypatch.setattr("lambent_relight.baked.kernels.shade_pixels", shade_pixels)
+    plain = renderer.baked().render(CAMERA, sky(), **arguments)
+    assert not np.array_equal(compiled.rgb, plain.rgb)
     np.testing.assert_allclose(compiled.rgb, plain.rgb, rtol=1e-5, atol=1e-6)
+
+
+def test_another_exposure_calls_no_renderer_and_makes_what_a_fresh_relight_makes(
+    folder, tmp_path, monkeypatch
+):
+    write_environment(tmp_path / "sky.exr", sky().radiance)
+    rendered, render = [], Renderer.render
+    monkeypatch.setattr(
+        Renderer, "render", lambda *given, **more: rendered.append(1) or render(*given, **more)
+    )
+
+    def relit(out, *words):
+        words = ("--env", str(tmp_path / "sky.exr"), "-o", str(tmp_path / out), "--quality", "baked", *words)
+        assert app.run(["relight", str(folder), *words, "--turntable", "1", "--size", "16"]) == 0
+        return {path.name: path.read_bytes() for path in (tmp_path / out / "sky").iterdir()}
+
+    before = relit("out")
+    brighter = relit("out", "--exposure-ev", "1")
+    assert len(rendered) == 1
+    assert brighter.keys() == {"turntable_000.png", "turntable_000.exr"}
+    assert brighter["turntable_000.png"] != before["turntable_000.png"]
+    assert brighter == relit("fresh", "--exposure-ev", "1")
+    assert len(rendered) == 2
 
 
 @pytest.mark.parametrize("quality", ["preview", "baked", "refined"])

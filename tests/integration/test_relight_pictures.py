@@ -123,7 +123,7 @@ def test_a_view_is_asked_for_once_however_many_lights_follow(folder):
 def test_more_rays_per_pixel_approach_the_true_coverage_of_the_edge(renderer):
     # The ball's outline is a circle in the picture; its pixels' true coverage comes from many fine rays.
     side = CAMERA.width
-    fine = renderer.gbuffer(CAMERA.resized(16 * side, 16 * side)).opacity
+    fine = renderer.caches.gbuffer(*CAMERA.resized(16 * side, 16 * side).rays()).opacity
     truth = fine.reshape(side, 16, side, 16).mean(axis=(1, 3))
     errors = [
         np.abs(renderer.render(CAMERA, SKY, spp=2, antialias=n).opacity[..., 0] - truth).mean()

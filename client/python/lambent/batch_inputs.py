@@ -1,8 +1,8 @@
-"""Bundles of a server: for a batch on this machine, and for a look at what a batch there would make."""
+"""Bundles of a server: fetched for a batch on this machine, or peeked at to plan a batch over there."""
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from lambent_relight.batch.manifest import Asset, Manifest
@@ -14,7 +14,7 @@ from lambent.errors import RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 
 INPUTS = "inputs"
-"""Folder inside the output for what was fetched."""
+"""Folder inside the output for fetched bundles."""
 
 
 def with_local_bundles(
@@ -81,17 +81,10 @@ def _with_bundles(manifest: Manifest, bring: Callable[[str], Path], note: Callab
     return replace(manifest, assets=assets)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ServerPlan:
-    """What a server would be asked for."""
-
-    plan: Plan
-    to_send: tuple[Path, ...]
-    """Maps that the server does not have yet."""
-
-
-def plan_on_server(manifest: Manifest, client: Client, note: Callable[[str], None]) -> ServerPlan:
-    """Return the pictures that a server would make of a manifest; nothing is sent there.
+def plan_on_server(
+    manifest: Manifest, client: Client, note: Callable[[str], None]
+) -> tuple[Plan, tuple[Path, ...]]:
+    """Return the pictures that a server would make of a manifest, and the maps to send; nothing is sent.
 
     Of bundles only manifest and cameras are fetched. Raises `batch.bundle_here` for an asset that is no
     bundle of a server, as the order itself does, and `batch.map_unknown` for a map that is not there.
@@ -114,11 +107,11 @@ def plan_on_server(manifest: Manifest, client: Client, note: Callable[[str], Non
     with tempfile.TemporaryDirectory(prefix="lambent-") as folder:
         peeked = _with_bundles(manifest, lambda each: client.peek(each, Path(folder) / each), note)
         plan = make_plan(peeked, opening=peek_bundle, known_lights=digests)
-    return ServerPlan(plan=plan, to_send=to_send)
+    return plan, to_send
 
 
 def bundle_here(asset: Asset) -> UsageProblemError:
-    """Return what is said about an asset that only this machine has."""
+    """Return the error for an asset that only this machine has."""
     return UsageProblemError(
         "batch.bundle_here",
         f"the asset {asset.name} is the file {asset.path}, which the server does not have",

@@ -56,9 +56,4 @@ def _cameras_of(entry: Cameras) -> dict[str, Any]:
     stated = stated_cameras(entry)
     if stated is not None:
         return {"poses": json.loads(cameras_json(stated))["cameras"]}
-    found: dict[str, Any] = {"name": entry.name, "size": entry.size}
-    if entry.turntable:
-        places = ("elevation_deg", "radius", "field_of_view_deg")
-        found |= {name: getattr(entry, name) for name in places if getattr(entry, name) is not None}
-        return found | {"turntable": entry.turntable, "start_deg": entry.start_deg}
-    return found | ({"views": list(entry.views)} if entry.views else {"all_views": True})
+    return entry.model_dump(mode="json", exclude_defaults=True, exclude={"file", "poses"})

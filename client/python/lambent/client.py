@@ -2,23 +2,22 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
-from uuid import uuid4
 
 import httpx2
 
 from lambent import fetch as fetching
 from lambent import pictures, scenes
-from lambent.connection import Connection
+from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
 from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport
 from lambent.settings import find_server
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 
 DELETABLE = {"scene": "scenes", "job": "jobs", "bundle": "bundles", "env": "environments"}
-"""What can be deleted: how its ids begin, and where it is."""
+"""Prefixes of the ids that can be deleted, and the path of each kind."""
 
 
 class Client:
@@ -48,9 +47,7 @@ class Client:
         """Return the client itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the connection."""
         self.close()
 
@@ -60,20 +57,18 @@ class Client:
 
     def version(self) -> Mapping[str, Any]:
         """Return the server's name, version and schema version."""
-        answer: Mapping[str, Any] = self._connection.json("GET", "/v1/version")
-        return answer
+        return dict(self._connection.json("GET", "/v1/version"))
 
     def presets(self) -> Mapping[str, Any]:
         """Return the presets that jobs may name."""
-        answer: Mapping[str, Any] = self._connection.json("GET", "/v1/presets")
-        return answer
+        return dict(self._connection.json("GET", "/v1/presets"))
 
     def push(
         self,
         source: str | Path,
         *,
         name: str = "",
-        progress: scenes.UploadProgress = scenes.ignore_progress,
+        progress: TransferProgress = ignore_progress,
     ) -> Scene:
         """Upload a scene folder or archive and return the committed scene; a repeat sends nothing twice."""
         return scenes.push(self._connection, Path(source), name=name, progress=progress)
@@ -83,7 +78,7 @@ class Client:
         return Scene.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}"))
 
     def scene_report(self, scene_id: str) -> SceneReport:
-        """Return what was found out about a scene, with what to mend."""
+        """Return the findings about a scene, each with what to fix."""
         return SceneReport.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}/report"))
 
     def delete_scene(self, scene_id: str) -> None:
@@ -132,22 +127,17 @@ class Client:
             "priority": priority,
             "labels": dict(labels or {}),
         }
-        # A key even where the caller gave none: the request may be repeated after a lost answer.
-        headers = {"Idempotency-Key": idempotency_key or f"submit-{uuid4().hex}"}
-        return Job.from_json(self._connection.json("POST", "/v1/jobs", json=body, headers=headers))
+        return Job.from_json(pictures.post(self._connection, "/v1/jobs", body, idempotency_key))
 
     def jobs(self, *, state: str = "", label: str = "", limit: int = 0) -> Iterator[Job]:
-        """Yield jobs, newest first; `label` is "name=value", `limit` 0 means all."""
+        """Return jobs, newest first; `label` is "name=value", `limit` 0 means all."""
         params = {key: value for key, value in (("state", state), ("label", label)) if value}
-        num_left = limit or None
+        return map(Job.from_json, islice(self._pages("/v1/jobs", params), limit or None))
+
+    def _pages(self, path: str, params: dict[str, str]) -> Iterator[Any]:
         while True:
-            page = self._connection.json("GET", "/v1/jobs", params=params)
-            for item in page["items"]:
-                yield Job.from_json(item)
-                if num_left is not None:
-                    num_left -= 1
-                    if num_left == 0:
-                        return
+            page = self._connection.json("GET", path, params=params)
+            yield from page["items"]
             if not page.get("next_cursor"):
                 return
             params["cursor"] = page["next_cursor"]
@@ -189,8 +179,8 @@ class Client:
         up, and where no stream comes through events are asked for every `poll_s`.
         """
         watcher = Watcher(
-            self._connection,
-            job_ids,
+            connection=self._connection,
+            job_ids=job_ids,
             after=after,
             silence_s=silence_s,
             patience_s=patience_s,
@@ -259,24 +249,24 @@ class Client:
 
     def submit_batch(self, order: Mapping[str, Any], *, idempotency_key: str = "") -> Batch:
         """Queue a batch (the body of `POST /v1/batches`); the same `idempotency_key` makes one only."""
-        return pictures.batch_of(pictures.post(self._connection, "/v1/batches", order, idempotency_key))
+        return Batch.from_json(pictures.post(self._connection, "/v1/batches", order, idempotency_key))
 
     def batch(self, batch_id: str) -> Batch:
         """Return a batch."""
-        return pictures.batch_of(self._connection.json("GET", f"/v1/batches/{batch_id}"))
+        return Batch.from_json(self._connection.json("GET", f"/v1/batches/{batch_id}"))
 
     def batches(self) -> Iterator[Batch]:
-        """Yield batches, newest first."""
-        return pictures.batches(self._connection)
+        """Return batches, newest first."""
+        return map(Batch.from_json, self._pages("/v1/batches", {}))
 
     def cancel_batch(self, batch_id: str) -> Batch:
         """Ask for every job of a batch to be stopped."""
         path = f"/v1/batches/{batch_id}:cancel"
-        return pictures.batch_of(self._connection.json("POST", path, repeatable=True))
+        return Batch.from_json(self._connection.json("POST", path, repeatable=True))
 
     def retry_batch(self, batch_id: str) -> Batch:
         """Queue the parts of a batch that failed or were cancelled again; the batch keeps its id."""
-        return pictures.batch_of(self._connection.json("POST", f"/v1/batches/{batch_id}:retry"))
+        return Batch.from_json(self._connection.json("POST", f"/v1/batches/{batch_id}:retry"))
 
     def batch_artifacts(self, batch_id: str) -> list[Artifact]:
         """Return the files that the jobs of a batch have published."""
@@ -305,7 +295,7 @@ class Client:
         job_or_bundle_id: str,
         target: str | Path,
         *,
-        progress: fetching.FetchProgress = fetching.ignore_progress,
+        progress: TransferProgress = ignore_progress,
     ) -> fetching.FetchedBundle:
         """Download the bundle of a finished job (or a bundle by its id) into the folder `target`.
 

@@ -5,6 +5,7 @@ import random
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import httpx2
@@ -16,13 +17,22 @@ RETRIED_STATUS = frozenset({429, 502, 503, 504})
 """Answers after which a request that may be repeated is repeated."""
 
 READ_TIMEOUT_S = 60.0
+NUM_TRIES = 4
+PIECE_BYTES = 1 << 20
+
+TransferProgress = Callable[[str, int, int], None]
+"""Called with (what is transferred, bytes done, bytes in all)."""
+
+
+def ignore_progress(what: str, done_bytes: int, total_bytes: int) -> None:
+    """Do nothing with the progress of a transfer."""
 
 
 class Connection:
     """Requests relative to a server's base URL. Not for use by several threads at once.
 
     Requests that may be repeated (every GET, PUT and DELETE, a POST with an idempotency key, and what a
-    caller marks `repeatable`) are tried `num_tries` times with growing pauses; the others once.
+    caller marks `repeatable`) are tried `NUM_TRIES` times with growing pauses; the others once.
     """
 
     def __init__(
@@ -30,7 +40,6 @@ class Connection:
         address: ServerAddress,
         *,
         transport: httpx2.BaseTransport | None = None,
-        num_tries: int = 4,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         from lambent import __version__
@@ -39,7 +48,6 @@ class Connection:
         if address.api_key:
             headers["Authorization"] = f"Bearer {address.api_key}"
         self.address = address
-        self._num_tries = num_tries
         self._sleep = sleep
         self._client = httpx2.Client(
             base_url=address.url,
@@ -86,7 +94,7 @@ class Connection:
         """
         headers = dict(headers or {})
         repeatable = repeatable or method != "POST" or "Idempotency-Key" in headers
-        num_tries = self._num_tries if repeatable else 1
+        num_tries = NUM_TRIES if repeatable else 1
         for attempt in range(1, num_tries + 1):
             content = {"content": make_content()} if make_content else {}
             try:
@@ -109,6 +117,29 @@ class Connection:
             _raise_for_problem(response)
             return response
         raise AssertionError("the loop above returns or raises")
+
+    def upload(
+        self,
+        method: str,
+        path: str,
+        source: Path,
+        *,
+        media_type: str = "application/octet-stream",
+        advance: Callable[[int], None] = lambda sent_bytes: None,
+        **request: Any,
+    ) -> Any:
+        """Return `json` of a request whose body is a file; `advance` is called with the bytes sent."""
+
+        def pieces() -> Iterator[bytes]:
+            sent_bytes = 0
+            with source.open("rb") as file:
+                while piece := file.read(PIECE_BYTES):
+                    yield piece
+                    sent_bytes += len(piece)
+                    advance(sent_bytes)
+
+        headers = {"Content-Length": str(source.stat().st_size), "Content-Type": media_type}
+        return self.json(method, path, make_content=pieces, headers=headers, **request)
 
     @contextmanager
     def stream(

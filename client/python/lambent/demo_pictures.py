@@ -1,4 +1,4 @@
-"""The demo's pictures and figures: everything comes out of the bundle, and stands beside the truth."""
+"""The demo's pictures and figures: rendered from the bundle and compared with the truth."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Figure:
-    """One line of the table: what was reached, and what a trivial answer reaches (see `floors`)."""
+    """One line of the table: a score, and that of a trivial answer (the floor; see `format_table`)."""
 
     name: str
     unit: str
@@ -63,7 +63,7 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """What the bundle shows at one held-out view; colours over white, sRGB-encoded unless it says linear."""
+    """Renderings of one held-out view; colours over white, sRGB-encoded unless the name says linear."""
 
     view: TrueView
     reconstruction: RelitPicture
@@ -148,27 +148,21 @@ def _score(
     ratio: Picture,
     rendered: list[Rendered],
 ) -> list[Figure]:
-    light = sample.train_light
-
-    def mean(values: list[float]) -> float:
-        return float(np.mean(values))
+    light, shown = sample.train_light, [r.view for r in rendered]
 
     def decibel(name: str, value: float, floor: float) -> Figure:
         return Figure(name=name, unit="dB", value=value, floor=floor, larger_is_better=True)
+
+    def mean_psnr(pictures: list[Picture], light: str) -> float:
+        true = [r.view.pictures_srgb[light] for r in rendered]
+        return float(np.mean([truth.psnr(p, t) for p, t in zip(pictures, true, strict=True)]))
 
     photographs = [linear_from_srgb(view.pictures_srgb[light]) for view in views]
     figures = [
         decibel(
             "reconstruction, PSNR",
-            mean([truth.psnr(_shown(r.reconstruction), r.view.pictures_srgb[light]) for r in rendered]),
-            mean(
-                [
-                    truth.psnr(
-                        truth.nearest_photograph(sample.folder, r.view, light), r.view.pictures_srgb[light]
-                    )
-                    for r in rendered
-                ]
-            ),
+            mean_psnr([_shown(r.reconstruction) for r in rendered], light),
+            mean_psnr([truth.nearest_photograph(sample.folder, r.view, light) for r in rendered], light),
         ),
         decibel(
             "albedo (scaled), PSNR",
@@ -176,22 +170,16 @@ def _score(
             truth.albedo_psnr(photographs, truth.albedo_ratio(photographs, views), views),
         ),
     ]
+    copied = [r.view.pictures_srgb[light] for r in rendered]
     for unseen in sample.unseen_lights:
-        true = [r.view.pictures_srgb[unseen] for r in rendered]
-        copied = [r.view.pictures_srgb[light] for r in rendered]
-        figures.append(
-            decibel(
-                f"relit under {unseen}, PSNR",
-                mean([truth.psnr(_shown(r.relit[unseen]), t) for r, t in zip(rendered, true, strict=True)]),
-                mean([truth.psnr(c, t) for c, t in zip(copied, true, strict=True)]),
-            )
-        )
+        relit = mean_psnr([_shown(r.relit[unseen]) for r in rendered], unseen)
+        figures.append(decibel(f"relit under {unseen}, PSNR", relit, mean_psnr(copied, unseen)))
     figures.append(
         Figure(
             name="normals, mean error",
             unit="deg",
-            value=mean([truth.normal_error_deg(r.normal, r.view) for r in rendered]),
-            floor=mean([truth.normal_error_deg(_towards_camera(r.view), r.view) for r in rendered]),
+            value=float(np.mean([truth.normal_error_deg(r.normal, r.view) for r in rendered])),
+            floor=float(np.mean([truth.normal_error_deg(_towards_camera(v), v) for v in shown])),
             larger_is_better=False,
         )
     )

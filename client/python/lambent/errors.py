@@ -9,7 +9,7 @@ from typing import Any
 
 
 class LambentError(Exception):
-    """Something a user can mend: `code` is stable, `advice` says what to do next."""
+    """An error a user can fix: `code` is stable, `advice` says what to do next."""
 
     exit_code = 1
 
@@ -100,7 +100,7 @@ _ADVICE_BY_STATUS = {
     404: "check the id (`lambent jobs` lists yours) and the server address (LAMBENT_URL)",
     409: "look at its state first (`lambent jobs`), then decide",
     413: "send smaller pieces; GET /v1/limits tells the limits of this server",
-    422: "mend the fields named above and send the request again",
+    422: "fix the fields named above and send the request again",
     429: "wait, or free some of the quota named above",
     507: "free disk space on the server, then run the same command again",
 }

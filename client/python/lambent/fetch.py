@@ -8,19 +8,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from lambent.connection import Connection
+from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import DigestMismatchError, RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 from lambent.models import Artifact, FileEntry
 
-FetchProgress = Callable[[str, int, int], None]
-"""Called with (path of the file, bytes of the whole bundle done, bytes in all)."""
-
 PIECE_BYTES = 1 << 18
-
-
-def ignore_progress(path: str, done_bytes: int, total_bytes: int) -> None:
-    """Do nothing with download progress."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,19 +30,21 @@ def fetch(
     bundle_id: str,
     target: Path,
     *,
-    progress: FetchProgress = ignore_progress,
+    progress: TransferProgress = ignore_progress,
 ) -> FetchedBundle:
     """Download a bundle into the folder `target`, which appears only once every file is verified.
 
+    `progress` is called with the path of a file, the bytes of the whole bundle that are done, and its size.
     What an interrupted fetch left in `target.partial` is used. An existing `target` with the same
     bundle is verified and kept; one with anything else is refused (`fetch.target_in_use`). Raises
     `fetch.digest_mismatch` when bytes differ from the manifest twice in a row.
     """
     manifest = connection.send("GET", f"/v1/bundles/{bundle_id}/manifest").content
     entries = _entries(manifest)
+    total_bytes = sum(entry.size_bytes for entry in entries)
     if target.exists() and not (target.is_dir() and not any(target.iterdir())):
         if _is_complete(target, manifest, entries):
-            progress("", sum(e.size_bytes for e in entries), sum(e.size_bytes for e in entries))
+            progress("", total_bytes, total_bytes)
             return FetchedBundle(bundle_id=bundle_id, path=target, files=entries)
         raise UsageProblemError(
             "fetch.target_in_use",
@@ -58,12 +53,10 @@ def fetch(
         )
     partial = target.with_name(target.name + ".partial")
     partial.mkdir(parents=True, exist_ok=True)
-    total_bytes = sum(entry.size_bytes for entry in entries)
     done_bytes = 0
     for entry in entries:
-        before = done_bytes
 
-        def advance(file_bytes: int, before: int = before, path: str = entry.path) -> None:
+        def advance(file_bytes: int, before: int = done_bytes, path: str = entry.path) -> None:
             progress(path, before + file_bytes, total_bytes)
 
         url = f"/v1/bundles/{bundle_id}/files/{entry.path}"
@@ -127,13 +120,12 @@ def check_digest(name: str, content: bytes, sha256: str) -> None:
 
 
 def _entries(manifest: bytes) -> tuple[FileEntry, ...]:
-    entries = []
-    for item in json.loads(manifest)["files"]:
-        path = _path_inside(item["path"])
-        entries.append(
-            FileEntry(path=path, size_bytes=int(item["size_bytes"]), sha256=item["sha256"].lower())
+    return tuple(
+        FileEntry(
+            path=_path_inside(item["path"]), size_bytes=int(item["size_bytes"]), sha256=item["sha256"].lower()
         )
-    return tuple(entries)
+        for item in json.loads(manifest)["files"]
+    )
 
 
 def _path_inside(name: str) -> str:

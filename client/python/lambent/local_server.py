@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lambent.client import Client
-from lambent.errors import LambentError, UnreachableError
+from lambent.errors import LambentError
+from lambent.settings import local_url
 
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 45.0
@@ -66,20 +67,13 @@ def local_server(data: Path) -> Iterator[LocalServer]:
 
 def _running(data: Path) -> str | None:
     """Return the address of a server that already serves this folder."""
-    try:
-        with Client(data=data, url=_own_url(data)) as client:
-            client.version()
-            return client.address.url
-    except LambentError:
-        return None
-
-
-def _own_url(data: Path) -> str:
-    """Return what server.json says, whatever LAMBENT_URL says."""
-    try:
-        return str(json.loads((data / "server.json").read_text())["url"])
-    except (OSError, ValueError, KeyError) as error:
-        raise UnreachableError("server.not_running", f"no server in {data}") from error
+    with contextlib.suppress(LambentError):
+        # The address in server.json counts here, not LAMBENT_URL.
+        if url := local_url(data):
+            with Client(data=data, url=url) as client:
+                client.version()
+                return client.address.url
+    return None
 
 
 def _wait_until_up(process: subprocess.Popen[bytes], data: Path, log: Path) -> str:

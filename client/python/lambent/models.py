@@ -1,10 +1,10 @@
-"""What the server's JSON becomes: frozen dataclasses, field for field.
+"""The server's JSON as frozen dataclasses, field for field.
 
 Unknown fields are ignored and unknown states are not final, so that an older client reads a newer server.
 Times are RFC 3339 strings in UTC, sizes bytes, durations seconds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
@@ -22,7 +22,11 @@ class _Message:
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Return the object, or raise `client.unexpected_answer` when required fields are missing."""
         known = {entry.name for entry in fields(cls)}
-        given = {name: value for name, value in data.items() if name in known and value is not None}
+        given = {
+            name: _READERS[name](value) if name in _READERS else value
+            for name, value in data.items()
+            if name in known and value not in (None, {})
+        }
         try:
             return cls(**given)
         except TypeError as error:
@@ -82,14 +86,6 @@ class Job(_Message):
     gpus: int = 0
     last_event: int = 0
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Return the job with its nested objects typed."""
-        nested = dict(data)
-        nested["progress"] = Progress.from_json(data.get("progress") or {})
-        nested["error"] = JobError.from_json(data["error"]) if data.get("error") else None
-        return super(Job, cls).from_json(nested)
-
     @property
     def is_final(self) -> bool:
         """Whether the job's state will never change again."""
@@ -104,7 +100,7 @@ class Event(_Message):
     """
 
     job_id: str
-    seq: int
+    seq: int = 0
     type: str
     at: str = ""
     run: int = 0
@@ -113,14 +109,6 @@ class Event(_Message):
     message: str = ""
     sha256: str = ""
     name: str = ""
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Return the event with its progress typed."""
-        nested = dict(data)
-        nested["progress"] = Progress.from_json(data.get("progress") or {})
-        nested["seq"] = int(data.get("seq", 0))
-        return super(Event, cls).from_json(nested)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -181,7 +169,7 @@ class Finding(_Message):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SceneReport(_Message):
-    """What a look at a scene found; nothing yet where `checked` is false."""
+    """The findings about a scene; none yet while `checked` is false."""
 
     scene_id: str
     state: str = ""
@@ -191,12 +179,6 @@ class SceneReport(_Message):
     findings: tuple[Finding, ...] = ()
     num_train_frames: int = 0
     num_test_frames: int = 0
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Return the report with its findings typed."""
-        findings = tuple(Finding.from_json(item) for item in data.get("findings") or ())
-        return super(SceneReport, cls).from_json({**data, "findings": findings})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -224,3 +206,13 @@ class FileEntry:
     path: str
     size_bytes: int
     sha256: str
+
+
+_READERS: Mapping[str, Callable[[Any], Any]] = {
+    "progress": Progress.from_json,
+    "error": JobError.from_json,
+    "seq": int,
+    "findings": lambda items: tuple(map(Finding.from_json, items)),
+    "job_ids": tuple,
+}
+"""How the values of these fields are read, in every message."""

@@ -1,7 +1,7 @@
-"""Pictures that a server makes: environment maps, orders, batches."""
+"""Pictures that a server makes: environment maps, orders, files."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -9,8 +9,7 @@ from uuid import uuid4
 from lambent.connection import Connection
 from lambent.errors import UsageProblemError
 from lambent.file_hash import file_sha256
-from lambent.models import Artifact, Batch, Environment
-from lambent.scenes import PIECE_BYTES
+from lambent.models import Artifact, Environment
 
 _BETWEEN_JOBS = frozenset({"pictures.jsonl", "tiles.zip"})
 _SHEET = re.compile(r"contact_sheet(_\d+)?\.png")
@@ -32,22 +31,6 @@ def post(connection: Connection, path: str, body: Mapping[str, Any], idempotency
     return connection.json("POST", path, json=dict(body), headers=headers)
 
 
-def batch_of(answer: Mapping[str, Any]) -> Batch:
-    """Return the batch in an answer."""
-    return Batch.from_json({**answer, "job_ids": tuple(answer.get("job_ids") or ())})
-
-
-def batches(connection: Connection) -> Iterator[Batch]:
-    """Yield batches, newest first."""
-    params: dict[str, str] = {}
-    while True:
-        page = connection.json("GET", "/v1/batches", params=params)
-        yield from (batch_of(item) for item in page["items"])
-        if not page.get("next_cursor"):
-            return
-        params["cursor"] = page["next_cursor"]
-
-
 def push_environment(connection: Connection, source: Path, *, name: str = "") -> Environment:
     """Return the environment of a file, uploaded unless the server has these bytes under that name.
 
@@ -61,19 +44,5 @@ def push_environment(connection: Connection, source: Path, *, name: str = "") ->
         if (item["sha256"], item["name"]) == (digest, name):
             return Environment.from_json(item)
 
-    def pieces() -> Iterator[bytes]:
-        with source.open("rb") as file:
-            while piece := file.read(PIECE_BYTES):
-                yield piece
-
-    answer = connection.json(
-        "POST",
-        "/v1/environments",
-        params={"name": name},
-        make_content=pieces,
-        headers={
-            "Content-Length": str(source.stat().st_size),
-            "Content-Type": "application/octet-stream",
-        },
-    )
+    answer = connection.upload("POST", "/v1/environments", source, params={"name": name})
     return Environment.from_json(answer)

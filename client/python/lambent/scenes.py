@@ -2,19 +2,14 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from lambent.connection import Connection
+from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 from lambent.models import FileEntry, Scene
 
-UploadProgress = Callable[[str, int, int], None]
-"""Called with (what is going on: "hash" or "upload", bytes done, bytes in all)."""
-
-PIECE_BYTES = 1 << 20
 ARCHIVES = {
     ".zip": "application/zip",
     ".tar": "application/x-tar",
@@ -23,11 +18,7 @@ ARCHIVES = {
 }
 
 
-def ignore_progress(what: str, done_bytes: int, total_bytes: int) -> None:
-    """Do nothing with upload progress."""
-
-
-def list_files(folder: Path, progress: UploadProgress = ignore_progress) -> tuple[FileEntry, ...]:
+def list_files(folder: Path, progress: TransferProgress = ignore_progress) -> tuple[FileEntry, ...]:
     """Return every file of a scene folder, sorted by path, with sizes and hashes.
 
     Names that begin with a dot are left out. Symbolic links are refused (`scene.link`): what they
@@ -70,11 +61,12 @@ def push(
     source: Path,
     *,
     name: str = "",
-    progress: UploadProgress = ignore_progress,
+    progress: TransferProgress = ignore_progress,
 ) -> Scene:
     """Upload a scene folder or archive and return the committed scene.
 
-    Bytes that the server has from an earlier push, even a broken one, are not sent again.
+    Bytes that the server has from an earlier push, even a broken one, are not sent again. `progress` hears of
+    "hash" and "upload".
     """
     if source.is_file():
         return _push_archive(connection, source, name=name, progress=progress)
@@ -97,34 +89,24 @@ def _send_missing(
     folder: Path,
     entries: tuple[FileEntry, ...],
     missing: set[str],
-    progress: UploadProgress,
+    progress: TransferProgress,
 ) -> None:
     # Two files with the same bytes are one upload.
     unique = {entry.sha256: entry for entry in entries if entry.sha256 in missing}
     total_bytes = sum(entry.size_bytes for entry in unique.values())
     done_bytes = 0
     for entry in unique.values():
-        path = folder / entry.path
 
-        def pieces(path: Path = path, before: int = done_bytes) -> Iterator[bytes]:
-            sent = before
-            with path.open("rb") as file:
-                while piece := file.read(PIECE_BYTES):
-                    yield piece
-                    sent += len(piece)
-                    progress("upload", sent, total_bytes)
+        def advance(sent_bytes: int, before: int = done_bytes) -> None:
+            progress("upload", before + sent_bytes, total_bytes)
 
-        connection.send(
-            "PUT",
-            f"/v1/scenes/{scene_id}/files/{entry.sha256}",
-            make_content=pieces,
-            headers={"Content-Length": str(entry.size_bytes), "Content-Type": "application/octet-stream"},
-        )
+        path = f"/v1/scenes/{scene_id}/files/{entry.sha256}"
+        connection.upload("PUT", path, folder / entry.path, advance=advance)
         done_bytes += entry.size_bytes
     progress("upload", total_bytes, total_bytes)
 
 
-def _push_archive(connection: Connection, source: Path, *, name: str, progress: UploadProgress) -> Scene:
+def _push_archive(connection: Connection, source: Path, *, name: str, progress: TransferProgress) -> Scene:
     media_type = next((kind for end, kind in ARCHIVES.items() if source.name.lower().endswith(end)), "")
     if not media_type:
         raise UsageProblemError(
@@ -135,20 +117,13 @@ def _push_archive(connection: Connection, source: Path, *, name: str, progress: 
     scene = _create(connection, name or source.name.split(".")[0])
     size_bytes = source.stat().st_size
 
-    def pieces() -> Iterator[bytes]:
-        sent = 0
-        with source.open("rb") as file:
-            while piece := file.read(PIECE_BYTES):
-                yield piece
-                sent += len(piece)
-                progress("upload", sent, size_bytes)
-
     try:
-        answer = connection.json(
+        answer = connection.upload(
             "PUT",
             f"/v1/scenes/{scene.id}/archive",
-            make_content=pieces,
-            headers={"Content-Length": str(size_bytes), "Content-Type": media_type},
+            source,
+            media_type=media_type,
+            advance=lambda sent_bytes: progress("upload", sent_bytes, size_bytes),
         )
     except RefusedError as error:
         # The first try got through and only its answer was lost.

@@ -51,24 +51,25 @@ def find_server(
     folder = data or data_folder(environ)
     url = url or environ.get("LAMBENT_URL", "")
     api_key = api_key or environ.get("LAMBENT_API_KEY", "")
-    local_url = _local_url(folder)
-    if not url and not local_url:
+    local = local_url(folder)
+    if not url and not local:
         raise UnreachableError(
             "server.not_running",
             f"no server has left its address in {folder}",
             "start one with `lambent serve`, or set LAMBENT_URL (and LAMBENT_API_KEY) to another machine's",
         )
-    url = (url or local_url).rstrip("/")
+    url = (url or local).rstrip("/")
     if urlsplit(url).scheme not in {"http", "https"} or not urlsplit(url).hostname:
         raise UsageProblemError(
             "server.bad_url", f"{url!r} is not an http(s) address", "write it like http://127.0.0.1:8420"
         )
-    if not api_key and url == local_url.rstrip("/"):
+    if not api_key and url == local.rstrip("/"):
         api_key = _local_key(folder)
     return ServerAddress(url=url, api_key=api_key)
 
 
-def _local_url(folder: Path) -> str:
+def local_url(folder: Path) -> str:
+    """Return the address that the server of a data folder left there; empty where there is none."""
     try:
         return str(json.loads((folder / "server.json").read_text())["url"])
     except FileNotFoundError:

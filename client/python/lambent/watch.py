@@ -1,8 +1,8 @@
 """Following jobs: a stream of events that survives lost connections, or polling where streams do not pass."""
 
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import httpx2
@@ -20,6 +20,7 @@ PATIENCE_S = 600.0
 POLL_S = 1.0
 
 
+@dataclass(kw_only=True)
 class Watcher:
     """One watch over some jobs; iterate it once.
 
@@ -28,39 +29,31 @@ class Watcher:
     (Last-Event-ID); after two streams that were silent or no event streams at all it polls instead.
     """
 
-    def __init__(
-        self,
-        connection: Connection,
-        job_ids: Sequence[str],
-        *,
-        after: Mapping[str, int] | None = None,
-        silence_s: float = SILENCE_S,
-        patience_s: float = PATIENCE_S,
-        poll_s: float = POLL_S,
-        sleep: Callable[[float], None] = time.sleep,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._connection = connection
-        self._open = dict.fromkeys(job_ids)
-        self._seen = dict(after or {})
-        self._silence_s = silence_s
-        self._patience_s = patience_s
-        self._poll_s = poll_s
-        self._sleep = sleep
-        self._clock = clock
+    connection: Connection
+    job_ids: Sequence[str]
+    after: Mapping[str, int] | None
+    silence_s: float
+    patience_s: float
+    poll_s: float
+    sleep: Callable[[float], None]
+    clock: Callable[[], float]
+
+    def __post_init__(self) -> None:
+        self._open = dict.fromkeys(self.job_ids)
+        self._seen = dict(self.after or {})
         self._num_mute_streams = 0
 
     def __iter__(self) -> Iterator[Event | Job]:
         """Yield jobs and events until every job is final; raise `UnreachableError` when patience ends."""
         for job_id in list(self._open):
             yield from self._settle(job_id)
-        last_contact = self._clock()
+        last_contact = self.clock()
         pause_s = 0.25
         while self._open:
             follow = self._polled if self._num_mute_streams >= 2 else self._streamed
             try:
                 for update in follow():
-                    last_contact, pause_s = self._clock(), 0.25
+                    last_contact, pause_s = self.clock(), 0.25
                     yield update
                     if isinstance(update, Event) and update.state in FINAL_STATES:
                         yield from self._settle(update.job_id, only_final=True)
@@ -69,17 +62,17 @@ class Watcher:
                 # A stream that ended in peace (a server shutting down does that) counts as contact.
                 for job_id in list(self._open):
                     yield from self._settle(job_id, only_final=True)
-                last_contact = self._clock()
+                last_contact = self.clock()
             except (UnreachableError, ServerFaultError):
-                if self._clock() - last_contact > self._patience_s:
+                if self.clock() - last_contact > self.patience_s:
                     raise
             if self._open:
-                self._sleep(pause_s)
+                self.sleep(pause_s)
                 pause_s = min(pause_s * 2.0, 5.0)
 
     def _settle(self, job_id: str, only_final: bool = False) -> Iterator[Job]:
         """Ask for the job itself, which alone says whether it is final."""
-        job = Job.from_json(self._connection.json("GET", f"/v1/jobs/{job_id}"))
+        job = Job.from_json(self.connection.json("GET", f"/v1/jobs/{job_id}"))
         # Where nothing was seen yet, events are told from now on.
         self._seen.setdefault(job_id, job.last_event)
         if job.is_final:
@@ -101,8 +94,8 @@ class Watcher:
         params = [("job", job_id) for job_id in self._open]
         heard = False
         try:
-            with self._connection.stream(
-                "/v1/events", headers=headers, params=params, timeout_s=self._silence_s
+            with self.connection.stream(
+                "/v1/events", headers=headers, params=params, timeout_s=self.silence_s
             ) as response:
                 for message in httpx2.EventSource(response):
                     heard = True
@@ -120,12 +113,12 @@ class Watcher:
     def _polled(self) -> Iterator[Event]:
         for job_id in list(self._open):
             after = self._seen.get(job_id, 0)
-            answer = self._connection.json("GET", f"/v1/jobs/{job_id}/events", params={"after": after})
+            answer = self.connection.json("GET", f"/v1/jobs/{job_id}/events", params={"after": after})
             for item in answer["items"]:
                 event = Event.from_json(item)
                 if self._fresh(event):
                     yield event
-        self._sleep(self._poll_s)
+        self.sleep(self.poll_s)
 
 
 def _event_of(data: str) -> Event | None:

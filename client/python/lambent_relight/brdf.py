@@ -79,15 +79,13 @@ def half_vector(omega_o: Array, omega_i: Array, normal: Array) -> HalfVector:
     )
 
 
-def brdf_cos(
-    omega_o: Array, omega_i: Array, normal: Array, materials: Materials, half: HalfVector | None = None
-) -> tuple[Array, Array]:
+def brdf_cos(omega_o: Array, omega_i: Array, normal: Array, materials: Materials) -> tuple[Array, Array]:
     """Return BRDF times cosine of the diffuse and of the specular lobe, each [*batch, 3], 1/sr.
 
     The diffuse lobe is (1 - m) albedo / pi, not attenuated by Fresnel. Both are zero where `omega_i` is
     below the surface; the specular lobe also where `omega_o` is.
     """
-    half = half or half_vector(omega_o, omega_i, normal)
+    half = half_vector(omega_o, omega_i, normal)
     n_dot_i = np.maximum(dot(normal, omega_i), 0.0)
     n_dot_o = np.maximum(dot(normal, omega_o), 0.0)
     diffuse_cos = (1.0 - materials.metalness) * materials.albedo * (n_dot_i / np.pi)

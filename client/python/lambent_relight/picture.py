@@ -45,12 +45,5 @@ class RelitPicture:
     def exposed(self, exposure_ev: float) -> "RelitPicture":
         """Return the picture with its radiance multiplied by 2^`exposure_ev`."""
         factor = np.float32(2.0**exposure_ev)
-        return replace(
-            self,
-            rgb=self.rgb * factor,
-            standard_error=self.standard_error * factor,
-            direct=self.direct * factor,
-            indirect=self.indirect * factor,
-            diffuse=self.diffuse * factor,
-            specular=self.specular * factor,
-        )
+        names = ("rgb", "standard_error", "direct", "indirect", "diffuse", "specular")
+        return replace(self, **{name: getattr(self, name) * factor for name in names})

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, PrimaryHits, SurfaceCaches
+from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, SurfaceCaches
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
@@ -69,10 +69,6 @@ class Renderer:
         self._views: dict[tuple[bytes, int], View] = {}
         self._light: tuple[Environment, Light] | None = None
         self._baked: BakedRenderer | None = None
-
-    def gbuffer(self, camera: Camera) -> PrimaryHits:
-        """Return what the rays through the middles of `camera`'s pixels see, [height * width, n] each."""
-        return self.caches.gbuffer(*camera.rays())
 
     def view(self, camera: Camera, antialias: int) -> View:
         """Return what `camera` sees; the last few cameras are remembered."""
@@ -166,17 +162,17 @@ class Renderer:
             return plain, ""
         if settings.bounces in ("auto", "adapted"):
             insists = settings.bounces == "adapted"
-            chosen = choose(self.bundle, environment, edit, although_worse=insists)
-            if chosen.light is not None:
-                adapted = functools.partial(self._networks.adapted, chosen.light.name)
-                return replace(plain, adapted=adapted), f"adapted:{chosen.light.name}"
+            light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
+            if light is not None:
+                adapted = functools.partial(self._networks.adapted, light.name)
+                return replace(plain, adapted=adapted), f"adapted:{light.name}"
             if insists:
-                found = chosen.why_not or "the bundle has no adapted caches"
+                found = why_not or "the bundle has no adapted caches"
                 advice = "run lambent bake-light for this light, or leave the bounces to auto"
                 raise SettingError("relight.light_not_adapted", found, advice)
-            if chosen.why_not and chosen.why_not != self._told:
-                _LOG.warning("no adapted fast cache fits this picture: %s", chosen.why_not)
-                self._told = chosen.why_not
+            if why_not and why_not != self._told:
+                _LOG.warning("no adapted fast cache fits this picture: %s", why_not)
+                self._told = why_not
         if settings.bounces == "one":
             return plain, "one"
         if self.bundle.manifest.HasField("transport"):

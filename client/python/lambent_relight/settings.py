@@ -14,7 +14,7 @@ BACKGROUNDS: dict[str, str | Colour] = {
     "environment": "environment",
     "white": (1.0, 1.0, 1.0),
 }
-"""What may lie behind the object, by name."""
+"""Backgrounds by name."""
 _CODES = {"spp": "relight.num_samples", "quality": "relight.quality_unsupported"}
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a document or a setting, in our words: the place, what was expected, and what was found.
+"""Faults of a document or a setting in our words: the place, the expected value, and the found one.
 
 A place is a JSON pointer into the document ("/assets/1/material").
 """
@@ -22,7 +22,7 @@ class Problem:
     pointer: str
     message: str
     expected: str = ""
-    """What would be right, where that can be said in a few words."""
+    """Description of a correct value, where a few words can give one."""
 
 
 def problems_of(error: ValidationError, model: type[BaseModel], pointer: str = "") -> Iterator[Problem]:

@@ -51,8 +51,6 @@ describe("spherical harmonics", () => {
     coefficients_turned: number[][];
     matrix: Matrix3;
     coefficients_rotated: number[][];
-    window_width: number;
-    window: number[];
     cosine_factors: number[];
   }>("harmonics");
 

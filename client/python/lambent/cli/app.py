@@ -47,9 +47,8 @@ def _load(name: str) -> Any:
     """Return the typer command behind a name; exit code 2 with the extra to install when it cannot load."""
     entry = _BY_NAME.get(name)
     try:
-        if entry is not None and entry.target:
-            module, _, function_name = entry.target.partition(":")
-            function = getattr(importlib.import_module(f"lambent.cli.{module}"), function_name)
+        if entry is not None and entry.module:
+            function = getattr(importlib.import_module(f"lambent.cli.{entry.module}"), name)
         else:
             point = _find_entry_point(name)
             if point is None:

@@ -1,12 +1,9 @@
 """batch: assets x environments x cameras x qualities into files, on this machine or on a server."""
 
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from lambent_relight.batch.manifest import Manifest
@@ -14,7 +11,7 @@ from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
 from lambent_relight.bundle.graphs import available_threads
 
-from lambent.cli.batch_failures import list_failures
+from lambent.cli.batch_report import list_failures, report
 from lambent.cli.output import JsonOption, Output, UrlOption, format_duration
 from lambent.cli.rendering import relight_errors, shown_batch
 from lambent.errors import UsageProblemError
@@ -76,10 +73,10 @@ def _list_server_work(manifest: Manifest, document: Document, folder: Path, outp
     from lambent.client import Client
 
     with Client(url) as client, relight_errors():
-        found = plan_on_server(manifest, client, output.note)
-        for path in found.to_send:
+        plan, to_send = plan_on_server(manifest, client, output.note)
+        for path in to_send:
             output.note(f"to send: {path}")
-        return _list_work(found.plan, manifest, document, folder, output)
+        return _list_work(plan, manifest, document, folder, output)
 
 
 def _list_work(plan: Plan, manifest: Manifest, document: Document, folder: Path, output: Output) -> int:
@@ -87,15 +84,15 @@ def _list_work(plan: Plan, manifest: Manifest, document: Document, folder: Path,
     from lambent_relight.batch.journal import peek_journal
     from lambent_relight.batch.run import sort_plan
 
-    parts = sort_plan(plan, manifest.files, peek_journal(folder), copy=False)
-    todo = {row.path: suffixes for row, suffixes in parts.tasks}
+    done, tasks = sort_plan(plan, manifest.files, peek_journal(folder), copy=False)
+    todo = {row.path: suffixes for row, suffixes in tasks}
     for row in plan.rows:
         state = f"make {','.join(todo[row.path])}" if row.path in todo else "keep"
         pixels = f"{row.camera.width}x{row.camera.height}"
         text = f"{state:13} {row.path}  {pixels} {row.quality.quality}"
         output.result(text, {"picture": row.path, "files": list(todo.get(row.path, ()))})
     list_failures(plan.failures, document, output)
-    counts = {"to_make": len(todo), "to_keep": len(parts.done), "failed": len(plan.failures)}
+    counts = {"to_make": len(todo), "to_keep": len(done), "failed": len(plan.failures)}
     text = f"{counts['to_make']} to make, {counts['to_keep']} to keep, {counts['failed']} cannot be made"
     output.result(text, {"path": str(folder), **counts})
     return 1 if plan.failures else 0
@@ -113,15 +110,16 @@ def _render(
     began = time.monotonic()
     results: list[Result] = []
     files = replace(manifest.files, linear=True)
-    with open_journal(folder) as journal, _table_at_the_end(folder, results):
-        # One by one: what there is when Ctrl-C comes is in the table.
-        for result in shown_batch(plan, files, journal, output, num_jobs=num_jobs):
-            results.append(result)  # noqa: PERF402
-        write_table(folder / TABLE, results)
+    with open_journal(folder) as journal:
+        try:
+            # One by one: what there is when Ctrl-C comes is in the table.
+            for result in shown_batch(plan, files, journal, output, num_jobs=num_jobs):
+                results.append(result)  # noqa: PERF402
+        finally:
+            write_table(folder / TABLE, results)
         sheets = write_sheets(folder, results, title=manifest.name, lights=light_pictures(manifest))
-    counts = Counter(result.state for result in results)
-    failures = [result.failure for result in results if result.failure is not None]
-    list_failures(failures, document, output)
+    shown = report(results, folder, sheets, document, output)
+    counts = shown["states"]
     notes = sorted({note for each in results if each.record is not None for note in each.record.notes})
     for note in notes:
         output.note(note)
@@ -129,24 +127,5 @@ def _render(
         f"{folder}  ({counts['made']} made, {counts['kept'] + counts['copied']} kept, "
         f"{counts['failed']} failed, {format_duration(time.monotonic() - began)})"
     )
-    shown: dict[str, Any] = {
-        "path": str(folder),
-        "states": dict(counts),
-        "failures": [asdict(failure) for failure in failures],
-        "contact_sheets": [path.name for path in sheets],
-        "notes": notes,
-    }
-    output.result(text, shown)
-    return 1 if failures else 0
-
-
-@contextmanager
-def _table_at_the_end(folder: Path, results: Sequence[Any]) -> Iterator[None]:
-    """Write the table also where the work is stopped, with what there is until then."""
-    from lambent_relight.batch.summary import TABLE, write_table
-
-    try:
-        yield
-    except KeyboardInterrupt:
-        write_table(folder / TABLE, results)
-        raise
+    output.result(text, {**shown, "notes": notes})
+    return 1 if shown["failures"] else 0

@@ -2,9 +2,8 @@
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from lambent_proto.pictures import safe_name
@@ -16,7 +15,7 @@ from lambent_relight.batch.run import Result
 from lambent_relight.batch.summary import TABLE, write_table
 
 from lambent.batch_order import order_of
-from lambent.cli.batch_failures import list_failures
+from lambent.cli.batch_report import report
 from lambent.cli.jobs import follow_jobs
 from lambent.cli.output import Output
 from lambent.cli.rendering import relight_errors
@@ -55,23 +54,15 @@ def batch_on_server(
         results += _failures(client, batch)
         sheets = [client.download(sheet, folder / sheet.name) for sheet in contact_sheets(listed)]
     write_table(folder / TABLE, results)
-    failures = [result.failure for result in results if result.failure is not None]
-    list_failures(failures, document, output)
+    shown = report(results, folder, sheets, document, output)
     if not sheets:
         output.note("the job that makes the contact sheet has not succeeded; there is none")
-    counts = Counter(result.state for result in results)
+    counts = shown["states"]
     text = (
         f"{folder}  ({counts['made']} fetched, {counts['kept']} kept, {counts['failed']} failed; {batch.id})"
     )
-    shown = {
-        "path": str(folder),
-        "batch_id": batch.id,
-        "states": dict(counts),
-        "failures": [asdict(failure) for failure in failures],
-        "contact_sheets": [path.name for path in sheets],
-    }
-    output.result(text, shown)
-    return 1 if failures or batch.state != "succeeded" else 0
+    output.result(text, {**shown, "batch_id": batch.id})
+    return 1 if shown["failures"] or batch.state != "succeeded" else 0
 
 
 def _fetch(

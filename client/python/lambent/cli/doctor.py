@@ -24,7 +24,7 @@ GIB = 1 << 30
 EXTRAS = ("client", "server", "worker")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Check:
     """One line of the report: `verdict` is "ok", "warn" or "fail"; `advice` says what to do."""
 
@@ -39,7 +39,7 @@ def doctor(
     data: Annotated[Path | None, typer.Option(help="Data folder of the server on this machine.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check this machine and the server; exit code 1 when something must be mended."""
+    """Check this machine and the server; exit code 1 when something must be fixed."""
     output = Output(as_json)
     failed = False
     for check in examine(url, data or data_folder()):
@@ -69,8 +69,8 @@ def check_python(found: tuple[int, ...]) -> Check:
     """Return whether this Python is one we run on."""
     text = f"{'.'.join(map(str, found))} ({platform.system()} {platform.machine()})"
     if found < (3, 11):
-        return Check(name="python", verdict="fail", found=text, advice="install Python 3.11 or newer")
-    return Check(name="python", verdict="ok", found=text)
+        return Check("python", "fail", text, "install Python 3.11 or newer")
+    return Check("python", "ok", text)
 
 
 def check_packages(extra: str) -> Check:
@@ -78,12 +78,12 @@ def check_packages(extra: str) -> Check:
     missing = missing_packages(extra)
     name = f"[{extra}]"
     if not missing:
-        return Check(name=name, verdict="ok", found="installed")
+        return Check(name, "ok", "installed")
     return Check(
-        name=name,
-        verdict="fail" if extra == "client" else "warn",
-        found=f"missing: {', '.join(missing)}",
-        advice=f"pip install 'lambent[{extra}]'"
+        name,
+        "fail" if extra == "client" else "warn",
+        f"missing: {', '.join(missing)}",
+        f"pip install 'lambent[{extra}]'"
         + ("" if extra == "client" else " (only where that part shall run)"),
     )
 
@@ -113,19 +113,19 @@ def check_cores(count: int) -> Check:
     """Return whether there are enough processor cores for training."""
     if count < 2:
         advice = "training works, but takes about twice the time the presets promise"
-        return Check(name="cores", verdict="warn", found=str(count), advice=advice)
-    return Check(name="cores", verdict="ok", found=str(count))
+        return Check("cores", "warn", str(count), advice)
+    return Check("cores", "ok", str(count))
 
 
 def check_memory(available_bytes: int | None) -> Check:
     """Return whether a `fast` job fits into memory (4 GiB)."""
     if available_bytes is None:
-        return Check(name="memory", verdict="warn", found="unknown on this system", advice="4 GiB are needed")
+        return Check("memory", "warn", "unknown on this system", "4 GiB are needed")
     found = f"{format_size(available_bytes)} available"
     if available_bytes < 4 * GIB:
         advice = "close other programs, or train with preset tiny; `fast` takes up to 4 GiB"
-        return Check(name="memory", verdict="warn", found=found, advice=advice)
-    return Check(name="memory", verdict="ok", found=found)
+        return Check("memory", "warn", found, advice)
+    return Check("memory", "ok", found)
 
 
 def _available_memory() -> int | None:
@@ -148,10 +148,10 @@ def check_disk(data: Path) -> Check:
     found = f"{format_size(free)} free for {data}"
     if free < GIB:
         advice = "free some space: below 1 GiB the server refuses uploads and jobs"
-        return Check(name="disk", verdict="fail", found=found, advice=advice)
+        return Check("disk", "fail", found, advice)
     if free < 5 * GIB:
-        return Check(name="disk", verdict="warn", found=found, advice="about 0.3 GiB per job are used")
-    return Check(name="disk", verdict="ok", found=found)
+        return Check("disk", "warn", found, "about 0.3 GiB per job are used")
+    return Check("disk", "ok", found)
 
 
 _GPU_PROBE = """
@@ -170,37 +170,35 @@ def check_gpu(probe: str = _GPU_PROBE) -> Check:
     try:
         torch_version = version("torch")
     except PackageNotFoundError:
-        return Check(
-            name="gpu", verdict="ok", found="not looked for: torch is not installed (not needed here)"
-        )
+        return Check("gpu", "ok", "not looked for: torch is not installed (not needed here)")
     try:
         answer = subprocess.run(
             [sys.executable, "-c", probe], capture_output=True, text=True, timeout=60, check=False
         )
     except subprocess.TimeoutExpired:
         advice = "the driver hangs: look at `nvidia-smi`, restart the machine; training on the CPU works"
-        return Check(name="gpu", verdict="warn", found="no answer within 60 s", advice=advice)
+        return Check("gpu", "warn", "no answer within 60 s", advice)
     kind, *rest = answer.stdout.strip().split("|")
     if answer.returncode or not kind:
         last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
         return Check(
-            name="gpu",
-            verdict="fail",
-            found=f"torch {torch_version} does not start: {last[:160]}",
-            advice="install torch again for this machine (README.md)",
+            "gpu",
+            "fail",
+            f"torch {torch_version} does not start: {last[:160]}",
+            "install torch again for this machine (README.md)",
         )
     if kind == "cuda":
         cuda, name, total = rest
-        return Check(name="gpu", verdict="ok", found=f"{name}, {format_size(float(total))}, CUDA {cuda}")
-    return Check(name="gpu", verdict="ok", found=f"none; training runs on the CPU (torch {torch_version})")
+        return Check("gpu", "ok", f"{name}, {format_size(float(total))}, CUDA {cuda}")
+    return Check("gpu", "ok", f"none; training runs on the CPU (torch {torch_version})")
 
 
 def check_ffmpeg(path: str | None) -> Check:
     """Return whether films can be written as MP4 and WebM."""
     if path is None:
         advice = "pip install 'lambent[film]' for .mp4 and .webm; webp and gif work without"
-        return Check(name="ffmpeg", verdict="warn", found="not found", advice=advice)
-    return Check(name="ffmpeg", verdict="ok", found=path)
+        return Check("ffmpeg", "warn", "not found", advice)
+    return Check("ffmpeg", "ok", path)
 
 
 def check_gl(find: Callable[[str], str | None]) -> Check:
@@ -208,8 +206,8 @@ def check_gl(find: Callable[[str], str | None]) -> Check:
     found = [name for name in ("GL", "EGL", "OSMesa") if find(name)]
     if platform.system() == "Linux" and not found:
         advice = "install libgl1 (or libegl1) for the desktop viewer; everything else works without"
-        return Check(name="opengl", verdict="warn", found="no library", advice=advice)
-    return Check(name="opengl", verdict="ok", found=", ".join(found) or platform.system())
+        return Check("opengl", "warn", "no library", advice)
+    return Check("opengl", "ok", ", ".join(found) or platform.system())
 
 
 def check_server(url: str, data: Path) -> Check:
@@ -222,14 +220,12 @@ def check_server(url: str, data: Path) -> Check:
             list(client.jobs(limit=1))
             address = client.address.url
     except UnreachableError as error:
-        return Check(name="server", verdict="warn", found=error.message, advice=error.advice)
+        return Check("server", "warn", error.message, error.advice)
     except LambentError as error:
-        return Check(
-            name="server", verdict="fail", found=f"{error.code}: {error.message}", advice=error.advice
-        )
+        return Check("server", "fail", f"{error.code}: {error.message}", error.advice)
     theirs = str(answer.get("version", "unknown"))
     if theirs != __version__:
         advice = "install the same version on both sides"
         found = f"{address} has version {theirs}, this client {__version__}"
-        return Check(name="server", verdict="warn", found=found, advice=advice)
-    return Check(name="server", verdict="ok", found=f"{address}, version {theirs}")
+        return Check("server", "warn", found, advice)
+    return Check("server", "ok", f"{address}, version {theirs}")

@@ -6,6 +6,7 @@ import typer
 from lambent_relight.environment.axes import QUARTER_TURNS
 from lambent_relight.environment.input import EnvironmentInput
 
+from lambent.cli.rendering import check_choice
 from lambent.errors import UsageProblemError
 
 EnvAxesOption = Annotated[
@@ -21,10 +22,7 @@ MendEnvOption = Annotated[
 
 def environment_input(env_axes: str, sun_clamp: float, mend_env: bool) -> EnvironmentInput:
     """Return the options as one value; raises `cli.bad_choice` for one that cannot be meant."""
-    if env_axes not in QUARTER_TURNS:
-        raise UsageProblemError(
-            "cli.bad_choice", f"--env-axes {env_axes!r}", f"use one of {', '.join(QUARTER_TURNS)}"
-        )
+    check_choice("--env-axes", env_axes, tuple(QUARTER_TURNS))
     if not 0.0 <= sun_clamp < float("inf"):
         raise UsageProblemError(
             "cli.bad_choice", f"--sun-clamp {sun_clamp}", "give a positive radiance, or 0"

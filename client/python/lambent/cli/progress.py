@@ -5,8 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from lambent.cli.output import format_duration, format_size
 from lambent.models import Event, Job, Progress
@@ -15,26 +14,30 @@ PLAIN_INTERVAL_S = 10.0
 """Plain lines of one job and stage, or of a transfer, come at most this often."""
 
 
-class JobView(Protocol):
-    """Shows updates of jobs; a context manager that leaves the terminal as it found it."""
+class Live:
+    """Progress of a command, in a `with` statement; draws its bars, if it has any."""
+
+    _bars: Any = None
 
     def __enter__(self) -> Self:
-        """Start showing."""
+        """Start drawing."""
+        if self._bars:
+            self._bars.start()
+        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop showing."""
-
-    def show(self, update: Event | Job) -> None:
-        """Show one update."""
+    def __exit__(self, *error: object) -> None:
+        """Stop drawing; the last state of the bars stays on the screen."""
+        if self._bars:
+            self._bars.stop()
 
 
-def open_view(as_json: bool) -> JobView:
-    """Return the view that fits where the words go."""
-    if as_json:
-        return JsonView()
-    return BarView() if sys.stderr.isatty() else PlainView()
+def bars(*columns: Any) -> Any:
+    """Return rich bars on standard error: a description, the bar, then `columns`."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    described = TextColumn("{task.description}")
+    return Progress(described, BarColumn(), *columns, console=Console(stderr=True))
 
 
 def describe(progress: Progress) -> str:
@@ -42,12 +45,12 @@ def describe(progress: Progress) -> str:
     parts = [progress.stage or "starting"]
     if progress.num_steps:
         parts.append(f"{progress.step}/{progress.num_steps}")
-    parts.append(f"{100 * progress.fraction:.0f} %")
-    if progress.eta_s > 0:
-        parts.append(f"eta {format_duration(progress.eta_s)}")
-    if progress.psnr > 0:
-        parts.append(f"psnr {progress.psnr:.1f} dB")
-    return "  ".join(parts)
+    return "  ".join([*parts, f"{100 * progress.fraction:.0f} %", *_outlook(progress)])
+
+
+def _outlook(progress: Progress) -> list[str]:
+    eta = [f"eta {format_duration(progress.eta_s)}"] if progress.eta_s > 0 else []
+    return eta + ([f"psnr {progress.psnr:.1f} dB"] if progress.psnr > 0 else [])
 
 
 def describe_end(job: Job) -> str:
@@ -59,17 +62,7 @@ def describe_end(job: Job) -> str:
     return f"{job.id} {job.state}"
 
 
-class _Quiet:
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
-
-
-class JsonView(_Quiet):
+class JsonView(Live):
     """One JSON object per update on standard output: {"job": …} or {"event": …}."""
 
     def show(self, update: Event | Job) -> None:
@@ -77,7 +70,7 @@ class JsonView(_Quiet):
         print(json.dumps({type(update).__name__.lower(): asdict(update)}), flush=True)
 
 
-class PlainView(_Quiet):
+class PlainView(Live):
     """Lines on standard error, at most one per stage and interval."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -103,7 +96,7 @@ class PlainView(_Quiet):
 
 
 def event_note(event: Event) -> str:
-    """Return what is worth a line of its own in an event, or nothing."""
+    """Return the line that an event is worth, or an empty string."""
     if event.type == "state":
         run = f" (run {event.run})" if event.run > 1 else ""
         return f"{event.state}{run}" + (f": {event.message}" if event.message else "")
@@ -114,33 +107,14 @@ def event_note(event: Event) -> str:
     return ""
 
 
-class BarView:
+class BarView(Live):
     """One live bar per job on standard error: stage, share, step, ETA, PSNR."""
 
     def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TaskProgressColumn, TextColumn
-        from rich.progress import Progress as Bars
+        from rich.progress import TaskProgressColumn, TextColumn
 
-        self._bars = Bars(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TextColumn("{task.fields[detail]}"),
-            console=Console(stderr=True),
-        )
+        self._bars = bars(TaskProgressColumn(), TextColumn("{task.fields[detail]}"))
         self._tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leave the last state of the bars on the screen."""
-        self._bars.stop()
 
     def show(self, update: Event | Job) -> None:
         """Move the bar of the update's job, or print a line above the bars."""
@@ -166,55 +140,34 @@ class BarView:
     def _move(self, task: Any, job_id: str, progress: Progress) -> None:
         if not progress.stage:
             return
-        parts = []
-        if progress.num_steps:
-            parts.append(f"step {progress.step}/{progress.num_steps}")
-        if progress.eta_s > 0:
-            parts.append(f"eta {format_duration(progress.eta_s)}")
-        if progress.psnr > 0:
-            parts.append(f"psnr {progress.psnr:.1f} dB")
+        steps = [f"step {progress.step}/{progress.num_steps}"] if progress.num_steps else []
         self._bars.update(
             task,
             completed=progress.fraction,
             description=f"{job_id} {progress.stage}",
-            detail="  ".join(parts),
+            detail="  ".join([*steps, *_outlook(progress)]),
         )
 
 
-class TransferView(_Quiet):
+def open_view(as_json: bool) -> JsonView | BarView | PlainView:
+    """Return the view of jobs that suits standard error: JSON, bars or plain lines."""
+    if as_json:
+        return JsonView()
+    return BarView() if sys.stderr.isatty() else PlainView()
+
+
+class TransferView(Live):
     """Bytes of an upload or download: a bar on a terminal, now and then a line elsewhere, none with JSON."""
 
     def __init__(self, as_json: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._as_json = as_json
         self._clock = clock
         self._last_line = clock()
-        self._bars: Any = None
         self._tasks: dict[str, Any] = {}
         if not as_json and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, DownloadColumn, TextColumn, TransferSpeedColumn
-            from rich.progress import Progress as Bars
+            from rich.progress import DownloadColumn, TransferSpeedColumn
 
-            self._bars = Bars(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                DownloadColumn(binary_units=True),
-                TransferSpeedColumn(),
-                console=Console(stderr=True),
-            )
-
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        if self._bars:
-            self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop drawing."""
-        if self._bars:
-            self._bars.stop()
+            self._bars = bars(DownloadColumn(binary_units=True), TransferSpeedColumn())
 
     def show(self, what: str, done_bytes: int, total_bytes: int) -> None:
         """Show that `done_bytes` of `total_bytes` of the task `what` are done."""

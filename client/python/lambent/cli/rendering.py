@@ -1,7 +1,7 @@
-"""What relight and turntable share: a batch of one bundle's pictures, and how its making is shown."""
+"""Shared by relight and turntable: a batch of one bundle's pictures, with its progress."""
 
 import json
-import os
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,10 +13,12 @@ from lambent_proto.pictures import RenderSettings
 from lambent_relight import Bundle, BundleError, Camera, RelightError, load_bundle
 from lambent_relight.batch.journal import Journal, Record, open_journal
 from lambent_relight.batch.manifest import SUFFIXES, Asset, Files, Light, Quality
-from lambent_relight.batch.plan import Plan, Row, bundle_digest, check_names, light_digest
+from lambent_relight.batch.plan import Plan, Row, bundle_digest, check_names, light_digests
 from lambent_relight.batch.run import Result, run_batch
+from lambent_relight.files import whole_file
 
 from lambent.cli.output import Output, format_duration
+from lambent.cli.progress import Live, bars
 from lambent.errors import LambentError, UsageProblemError
 
 INDEX = "pictures.json"
@@ -72,12 +74,10 @@ def rows_of(shots: Sequence[Shot], bundle: Bundle, asset: Asset, settings: Rende
     """
     digest = bundle_digest(bundle)
     quality = Quality(name=settings.quality, **settings.model_dump())
-    maps: dict[Path | None, str | Exception] = {}
+    maps = light_digests([shot.light for shot in shots])
     rows = []
     for shot in shots:
-        if shot.light.path not in maps:
-            maps[shot.light.path] = light_digest(shot.light)
-        found = maps[shot.light.path]
+        found = maps[shot.light.name]
         if isinstance(found, Exception):
             raise found
         rows.append(
@@ -114,7 +114,7 @@ def shown_batch(
 def make_pictures(rows: Sequence[Row], files: Files, folder: Path, output: Output) -> None:
     """Make every picture that is not there yet, and list those of `folder` in its pictures.json.
 
-    What is there is known as in a batch, by the hash of everything that it is made from.
+    Pictures that exist are recognised as in a batch, by the hash of everything they depend on.
     """
     told: set[str] = set()
     began, num_made = time.monotonic(), 0
@@ -139,7 +139,7 @@ def make_pictures(rows: Sequence[Row], files: Files, folder: Path, output: Outpu
 
 
 def _notes(record: Record) -> Iterator[str]:
-    """Yield what a user should know about the light of a picture."""
+    """Yield notes for the user about the light of a picture."""
     yield from record.notes
     if record.quality == "refined":
         yield f"{record.environment}: {_BOUNCES[record.bounces.partition(':')[0]]}"
@@ -160,48 +160,29 @@ def _listed(record: Record) -> dict[str, Any]:
 
 
 def _write_index(index: Path, listed: Mapping[str, dict[str, Any]]) -> None:
-    partial = index.with_name(f".partial-{index.name}")
     pictures = [{"name": name, **record} for name, record in listed.items()]
-    partial.write_text(json.dumps({"pictures": pictures}, indent=1) + "\n")
-    os.replace(partial, index)
+    with whole_file(index) as partial:
+        partial.write_text(json.dumps({"pictures": pictures}, indent=1) + "\n")
 
 
-class PictureBar:
+class PictureBar(Live):
     """Progress over pictures: a bar on a terminal, one line per picture elsewhere, nothing with JSON."""
 
     def __init__(self, total: int, output: Output) -> None:
-        import sys
-
-        self._total, self._output, self._bar = total, output, None
+        self._total, self._output = total, output
         if not output.as_json and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+            from rich.progress import MofNCompleteColumn, TimeRemainingColumn
 
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-            )
-            self._bar = Progress(*columns, console=Console(stderr=True))
-            self._task = self._bar.add_task("relight", total=total)
-
-    def __enter__(self) -> "PictureBar":
-        if self._bar:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._bar:
-            self._bar.stop()
+            self._bars = bars(MofNCompleteColumn(), TimeRemainingColumn())
+            self._task = self._bars.add_task("relight", total=total)
 
     def move(self, done: float) -> None:
         """Show that `done` pictures are made; a fraction while one is on its way."""
-        if self._bar:
-            self._bar.update(self._task, completed=done)
+        if self._bars:
+            self._bars.update(self._task, completed=done)
 
     def done(self, number: int, name: str, what: str) -> None:
         """Show that picture `number` is there."""
         self.move(number + 1)
-        if not self._bar:
+        if not self._bars:
             self._output.note(f"{what} {number + 1}/{self._total} {name}")

@@ -9,94 +9,65 @@ CLIENT = "client"
 class Entry:
     """A sub-command: where it is listed, what it does, and where its function lives.
 
-    `target` is "module:function" in lambent.cli for the client's own, and empty for a command of the
-    entry-point group "lambent.commands", which the extra `extra` brings.
+    `module` of lambent.cli holds the function of that name; it is empty for a command of the entry-point
+    group "lambent.commands", which the extra `extra` brings.
     """
 
-    name: str
     panel: str
+    name: str
     summary: str
-    target: str = ""
+    module: str = ""
     extra: str = CLIENT
 
 
-_START, _SERVER, _PICTURES, _LOCAL = (
-    "Start here",
-    "With a server",
-    "Pictures from a bundle",
-    "Without a server",
-)
+_PANELS = {
+    "Start here": (
+        (
+            "demo",
+            "From the bundled sample to relit pictures, in a few minutes.",
+            "demo",
+            "client,server,worker",
+        ),
+        ("doctor", "Check this machine and the server, and say what to fix.", "doctor"),
+    ),
+    "With a server": (
+        ("serve", "Run the server: API, pages, queue, and workers on this machine.", "", "server"),
+        ("keys", "Make, list, revoke and replace keys of the server on this machine.", "", "server"),
+        ("push", "Upload a scene folder or archive; sends only what is missing.", "transfer"),
+        ("submit", "Queue a training job on an uploaded scene.", "jobs"),
+        ("watch", "Follow jobs until they end.", "jobs"),
+        ("jobs", "List jobs.", "jobs"),
+        ("cancel", "Stop jobs.", "jobs"),
+        ("retry", "Queue failed or cancelled jobs again, as new jobs.", "jobs"),
+        ("delete", "Delete scenes, jobs, bundles and environments on the server.", "jobs"),
+        ("logs", "Print the log of a job.", "jobs"),
+        ("fetch", "Download the bundle of a finished job; verified and resumable.", "transfer"),
+    ),
+    "Pictures from a bundle": (
+        ("relight", "Render a bundle under other environments, as PNG and linear EXR.", "relight"),
+        (
+            "batch",
+            "Render assets x environments x cameras from a manifest; resumable, here or on a server.",
+            "batch",
+        ),
+        ("turntable", "Render a turn around the object, or of the light around it, as a film.", "turntable"),
+        ("view", "Look at a bundle from all sides and in any light.", "view"),
+        ("probe", "Look at an environment map: chrome ball, grey ball, brightest lights, energy.", "probe"),
+    ),
+    "Without a server": (
+        ("check", "Look at a scene folder before any training, and say what to fix.", "", "worker"),
+        ("train", "Train a scene folder on this machine.", "", "worker"),
+        ("evaluate", "Compare a trained run with ground truth.", "", "worker"),
+        ("export", "Write the relightable bundle of a trained run.", "", "worker"),
+        ("bake-light", "Adapt a bundle's fast cache to an environment, all bounces included.", "", "worker"),
+        (
+            "benchmark",
+            "Train and evaluate scenes x seeds x ablations, and print the paper's tables.",
+            "",
+            "worker",
+        ),
+    ),
+}
+"""Commands by panel: name, summary, module, extra."""
 
-ENTRIES = (
-    Entry(
-        "demo",
-        _START,
-        "From the bundled sample to relit pictures, in a few minutes.",
-        "demo:demo",
-        extra="client,server,worker",
-    ),
-    Entry("doctor", _START, "Check this machine and the server, and say what to fix.", "doctor:doctor"),
-    Entry(
-        "serve", _SERVER, "Run the server: API, pages, queue, and workers on this machine.", extra="server"
-    ),
-    Entry(
-        "keys",
-        _SERVER,
-        "Make, list, revoke and replace keys of the server on this machine.",
-        extra="server",
-    ),
-    Entry("push", _SERVER, "Upload a scene folder or archive; sends only what is missing.", "transfer:push"),
-    Entry("submit", _SERVER, "Queue a training job on an uploaded scene.", "jobs:submit"),
-    Entry("watch", _SERVER, "Follow jobs until they end.", "jobs:watch"),
-    Entry("jobs", _SERVER, "List jobs.", "jobs:jobs"),
-    Entry("cancel", _SERVER, "Stop jobs.", "jobs:cancel"),
-    Entry("retry", _SERVER, "Queue failed or cancelled jobs again, as new jobs.", "jobs:retry"),
-    Entry("delete", _SERVER, "Delete scenes, jobs, bundles and environments on the server.", "jobs:delete"),
-    Entry("logs", _SERVER, "Print the log of a job.", "jobs:logs"),
-    Entry(
-        "fetch", _SERVER, "Download the bundle of a finished job; verified and resumable.", "transfer:fetch"
-    ),
-    Entry(
-        "relight",
-        _PICTURES,
-        "Render a bundle under other environments, as PNG and linear EXR.",
-        "relight:relight",
-    ),
-    Entry(
-        "batch",
-        _PICTURES,
-        "Render assets x environments x cameras from a manifest; resumable, here or on a server.",
-        "batch:batch",
-    ),
-    Entry(
-        "turntable",
-        _PICTURES,
-        "Render a turn around the object, or of the light around it, as a film.",
-        "turntable:turntable",
-    ),
-    Entry("view", _PICTURES, "Look at a bundle from all sides and in any light.", "view:view"),
-    Entry(
-        "probe",
-        _PICTURES,
-        "Look at an environment map: chrome ball, grey ball, brightest lights, energy.",
-        "probe:probe",
-    ),
-    Entry(
-        "check", _LOCAL, "Look at a scene folder before any training, and say what to fix.", extra="worker"
-    ),
-    Entry("train", _LOCAL, "Train a scene folder on this machine.", extra="worker"),
-    Entry("evaluate", _LOCAL, "Compare a trained run with ground truth.", extra="worker"),
-    Entry("export", _LOCAL, "Write the relightable bundle of a trained run.", extra="worker"),
-    Entry(
-        "bake-light",
-        _LOCAL,
-        "Adapt a bundle's fast cache to an environment, all bounces included.",
-        extra="worker",
-    ),
-    Entry(
-        "benchmark",
-        _LOCAL,
-        "Train and evaluate scenes x seeds x ablations, and print the paper's tables.",
-        extra="worker",
-    ),
-)
+ENTRIES = tuple(Entry(panel, *row) for panel, rows in _PANELS.items() for row in rows)

@@ -1,5 +1,6 @@
 """view: look at a bundle in a window of this machine, or in a browser."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,7 @@ from lambent.desktop.state import BACKDROPS
 from lambent.desktop.viewer import DesktopOptions, show
 
 _DESKTOP = "With --desktop"
+_option = partial(typer.Option, rich_help_panel=_DESKTOP)
 
 
 def view(
@@ -33,53 +35,24 @@ def view(
     ] = None,
     desktop: Annotated[bool, typer.Option("--desktop", help="In a window of this machine.")] = False,
     screenshot: Annotated[
-        Path | None,
-        typer.Option(metavar="OUT.png", help="Write the window's picture and end.", rich_help_panel=_DESKTOP),
+        Path | None, _option(metavar="OUT.png", help="Write the window's picture and end.")
     ] = None,
-    overlays: Annotated[
-        bool, typer.Option(help="Text and sliders in the screenshot.", rich_help_panel=_DESKTOP)
-    ] = False,
-    size: Annotated[
-        tuple[int, int], typer.Option(metavar="W H", help="Pixels.", rich_help_panel=_DESKTOP)
-    ] = (960, 720),
-    turn_deg: Annotated[
-        float, typer.Option(help="Camera further around the object, degrees.", rich_help_panel=_DESKTOP)
-    ] = 0.0,
-    rotate_deg: Annotated[
-        float, typer.Option(help="Turn the light about +z, degrees.", rich_help_panel=_DESKTOP)
-    ] = 0.0,
-    object_rotate_deg: Annotated[
-        float, typer.Option(help="Turn the object about +z, degrees.", rich_help_panel=_DESKTOP)
-    ] = 0.0,
-    exposure_ev: Annotated[float, typer.Option(help="Stops.", rich_help_panel=_DESKTOP)] = 0.0,
-    tone_mapping: Annotated[
-        str, typer.Option(help=f"{', '.join(TONE_MAPPINGS)}.", rich_help_panel=_DESKTOP)
-    ] = "linear",
-    channel: Annotated[
-        str,
-        typer.Option(help=f"{', '.join((*RADIANCE, *SURFACE))} and more.", rich_help_panel=_DESKTOP),
-    ] = "final",
-    background: Annotated[
-        str, typer.Option(help=f"{', '.join(BACKDROPS)}.", rich_help_panel=_DESKTOP)
-    ] = "grey",
+    overlays: Annotated[bool, _option(help="Text and sliders in the screenshot.")] = False,
+    size: Annotated[tuple[int, int], _option(metavar="W H", help="Pixels.")] = (960, 720),
+    turn_deg: Annotated[float, _option(help="Camera further around the object, degrees.")] = 0.0,
+    rotate_deg: Annotated[float, _option(help="Turn the light about +z, degrees.")] = 0.0,
+    object_rotate_deg: Annotated[float, _option(help="Turn the object about +z, degrees.")] = 0.0,
+    exposure_ev: Annotated[float, _option(help="Stops.")] = 0.0,
+    tone_mapping: Annotated[str, _option(help=f"{', '.join(TONE_MAPPINGS)}.")] = "linear",
+    channel: Annotated[str, _option(help=f"{', '.join((*RADIANCE, *SURFACE))} and more.")] = "final",
+    background: Annotated[str, _option(help=f"{', '.join(BACKDROPS)}.")] = "grey",
     photographs: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="The scene's photographs, to compare.", rich_help_panel=_DESKTOP),
+        Path | None, _option(metavar="DIR", help="The scene's photographs, to compare.")
     ] = None,
-    photograph: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Begin beside this photograph.", rich_help_panel=_DESKTOP),
-    ] = "",
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Begin with two maps side by side.", rich_help_panel=_DESKTOP)
-    ] = False,
-    split: Annotated[
-        float,
-        typer.Option(help="Border of a comparison, 0 to 1.", min=0.0, max=1.0, rich_help_panel=_DESKTOP),
-    ] = 0.5,
-    save_to: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where the key s saves.", rich_help_panel=_DESKTOP)
-    ] = Path(),
+    photograph: Annotated[str, _option(metavar="NAME", help="Begin beside this photograph.")] = "",
+    compare: Annotated[bool, _option("--compare", help="Begin with two maps side by side.")] = False,
+    split: Annotated[float, _option(help="Border of a comparison, 0 to 1.", min=0.0, max=1.0)] = 0.5,
+    save_to: Annotated[Path, _option(metavar="DIR", help="Where the key s saves.")] = Path(),
     env_axes: EnvAxesOption = OURS,
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,

@@ -33,14 +33,14 @@ _DATA_HEADERS = {
     "cache-control": "no-store",
     "x-content-type-options": "nosniff",
     "cross-origin-resource-policy": "same-origin",
-    # What a bundle holds is data, never a page of this site.
+    # Files of a bundle are data, never pages of this site.
     "content-security-policy": "default-src 'none'; sandbox",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exhibit:
-    """What one viewer shows; its files lie below an address that nobody can guess."""
+    """The files that one viewer shows, below an address that nobody can guess."""
 
     bundle: Bundle
     light: dict[str, Path] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class Exhibit:
 
     @cached_property
     def paths(self) -> frozenset[str]:
-        """What the manifest names, and the manifest."""
+        """The manifest and the files it names."""
         return frozenset({"manifest.json", *(file.path for file in self.bundle.manifest.files)})
 
     def address(self) -> str:
@@ -123,7 +123,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _stream(self, open_file: Callable[[], Any], size_bytes: int, with_body: bool) -> None:
         self._send(HTTPStatus.OK, _DATA_HEADERS, b"", size_bytes)
         if with_body:
-            # Whoever goes away in the middle may.
+            # The browser may hang up at any time.
             with contextlib.suppress(BrokenPipeError, ConnectionResetError), open_file() as file:
                 while piece := file.read(_PIECE_BYTES):
                     self.wfile.write(piece)

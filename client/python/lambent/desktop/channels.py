@@ -1,11 +1,10 @@
-"""What a viewer can show of a relit picture, as colours for the screen.
+"""Channels of a relit picture as colours for the screen.
 
 Radiance goes through exposure, tone curve and sRGB encoding, and albedo through sRGB encoding. Everything
 else shows numbers: black is 0 and white is 1, normals are 0.5 n + 0.5.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from lambent_relight import Bundle, RelitPicture
@@ -19,36 +18,19 @@ Image = NDArray[np.float32]
 RADIANCE = ("final", "direct", "indirect", "diffuse", "specular")
 SURFACE = ("visibility", "albedo", "roughness", "metalness", "normal", "depth")
 UNCERTAIN = "uncertainty: "
-"""Begins the names of what the bundle says about its doubts; the rest is a channel of the grid."""
+"""Prefix of the channels of the bundle's uncertainty grid."""
 _HEAT = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]) / 255.0
 _FIELDS = {"visibility": "visibility", "roughness": "perceptual_roughness", "metalness": "metalness"}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Shown:
-    """A channel as colours."""
-
-    image: Image
-    """sRGB-encoded, [height, width, 3]; meaningless where the object is not."""
-    legend: str
-    """What dark and light stand for, where that depends on the view."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Grade:
-    """How radiance becomes a picture."""
-
-    exposure_ev: float = 0.0
-    tone_mapping: str = "linear"
-
-    def __call__(self, radiance: NDArray[np.floating]) -> Image:
-        """Return sRGB-encoded colours of linear radiance [..., 3]."""
-        exposed = np.asarray(radiance, np.float32) * np.float32(2.0**self.exposure_ev)
-        return srgb_from_linear(tone_mapped(exposed, self.tone_mapping)).astype(np.float32)
+def graded(radiance: NDArray[np.floating], exposure_ev: float = 0.0, tone_mapping: str = "linear") -> Image:
+    """Return sRGB-encoded colours of linear radiance [..., 3]."""
+    exposed = np.asarray(radiance, np.float32) * np.float32(2.0**exposure_ev)
+    return srgb_from_linear(tone_mapped(exposed, tone_mapping)).astype(np.float32)
 
 
 def channel_names(bundle: Bundle) -> tuple[str, ...]:
-    """Return the names of all channels of a bundle; doubts only where the bundle has them."""
+    """Return the names of all channels of a bundle; those of its uncertainty only if it has a grid."""
     grid = bundle.uncertainty()
     doubts = () if grid is None else grid.channels
     return (*RADIANCE, *SURFACE, *(f"{UNCERTAIN}{name.replace('_', ' ')}" for name in doubts))
@@ -59,35 +41,38 @@ def shown_channel(
     name: str,
     positions: Callable[[], NDArray[np.floating]],
     grid: UncertaintyGrid | None,
-) -> Shown:
-    """Return a channel of `picture` that is not radiance.
+) -> tuple[Image, str]:
+    """Return a channel of `picture` that is not radiance, as colours, and its legend.
+
+    Colours [height, width, 3] are sRGB-encoded, and meaningless outside the object. The legend says what
+    dark and light stand for, where that depends on the view.
 
     `positions` gives the surface points in the object's own frame, [height, width, 3], and is only called for
-    the bundle's doubts, which are in `grid`.
+    the bundle's uncertainty, which is in `grid`.
     """
     covered = picture.coverage[..., 0] > 0.0
     if name == "albedo":
-        return Shown(image=srgb_from_linear(picture.albedo).astype(np.float32), legend="")
+        return srgb_from_linear(picture.albedo).astype(np.float32), ""
     if name == "normal":
-        return Shown(image=0.5 * picture.normal + np.float32(0.5), legend="x, y, z as red, green, blue")
+        return 0.5 * picture.normal + np.float32(0.5), "x, y, z as red, green, blue"
     if name == "depth":
         return _depth(picture.distance[..., 0], covered)
     if name.startswith(UNCERTAIN):
         return _doubt(name.removeprefix(UNCERTAIN).replace(" ", "_"), positions(), covered, grid)
     values = np.clip(getattr(picture, _FIELDS[name]), 0.0, 1.0)
-    return Shown(image=np.repeat(values, 3, axis=-1), legend="0 black, 1 white")
+    return np.repeat(values, 3, axis=-1), "0 black, 1 white"
 
 
-def _depth(distance: Image, covered: NDArray[np.bool_]) -> Shown:
+def _depth(distance: Image, covered: NDArray[np.bool_]) -> tuple[Image, str]:
     """Near is white."""
     low, high = _range(distance[covered])
     near = np.clip((high - distance) / max(high - low, 1e-6), 0.0, 1.0)
-    return Shown(image=np.repeat(near[..., None], 3, axis=-1), legend=f"{low:.3g} white, {high:.3g} black")
+    return np.repeat(near[..., None], 3, axis=-1), f"{low:.3g} white, {high:.3g} black"
 
 
 def _doubt(
     name: str, positions: NDArray[np.floating], covered: NDArray[np.bool_], grid: UncertaintyGrid | None
-) -> Shown:
+) -> tuple[Image, str]:
     assert grid is not None, "the channel is offered only where the bundle has a grid"
     values = np.zeros(covered.shape, np.float32)
     values[covered] = grid.channel(name, positions[covered])
@@ -95,7 +80,7 @@ def _doubt(
     top = max(float(grid.values[..., grid.channels.index(name)].max()), 1.0) if name == "views" else 1.0
     stops = np.linspace(0.0, top, len(_HEAT))
     image = np.stack([np.interp(values, stops, _HEAT[:, channel]) for channel in range(3)], axis=-1)
-    return Shown(image=image.astype(np.float32), legend=f"0 violet, {top:.3g} yellow")
+    return image.astype(np.float32), f"0 violet, {top:.3g} yellow"
 
 
 def _range(values: Image) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What happens in a viewer when a key is pressed, the mouse is moved or a slider is set. Knows no window."""
+"""How keys, the mouse and sliders change a viewer. Knows no window."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,11 +9,7 @@ from lambent_relight import RelightError
 from lambent.desktop.lights import Lights
 from lambent.desktop.photographs import Photograph
 from lambent.desktop.state import (
-    ALBEDO_GAIN,
-    EXPOSURE,
     LIGHT_STEP_DEG,
-    ROUGHNESS_SCALE,
-    SPLIT,
     ViewerState,
     wrapped,
 )
@@ -22,8 +18,10 @@ from lambent.errors import LambentError
 ORBIT_STEP_DEG = 5.0
 ZOOM_STEP = 1.1
 _DEGREES_PER_WIDTH = 180.0
+SLIDERS = {"exposure": "exposure_ev", "albedo": "albedo_gain", "roughness": "roughness_scale"}
+"""The fields that sliders set within limits; two more sliders turn the light and the object."""
 _GRIP_PX = 8
-"""How near to a comparison's border the mouse must be to take it."""
+"""How near the mouse must be to a comparison's border to grab it."""
 
 
 class ViewerModel:
@@ -44,15 +42,15 @@ class ViewerModel:
         self.show_help = False
         self.show_panel = True
         self.wants_save = False
-        """Set when the picture is to be saved; whoever saves it clears it."""
+        """Set when the picture is to be saved, and cleared by whoever saves it."""
         self.wants_quit = False
         self.message = ""
-        """The last thing that a user should know."""
+        """The latest message for the user."""
         self._first = state
         self._drag: tuple[str, int, int] | None = None
 
     def press_key(self, symbol: str) -> bool:
-        """Do what a key stands for; returns whether it stands for anything. `symbol` as X11 names keys."""
+        """Handle a key by its X11 name; returns whether it is bound to anything."""
         binding = _BY_SYMBOL.get(symbol)
         if binding is None:
             return False
@@ -82,7 +80,7 @@ class ViewerModel:
             return False
         degrees = _DEGREES_PER_WIDTH / min(state.width, state.height)
         if what == "split":
-            self.state = state.with_split(x / state.width)
+            self.state = state.with_number("split", x / state.width)
         elif what == "light":
             self.state = state.light_turned(right * degrees)
         elif what == "object":
@@ -103,15 +101,12 @@ class ViewerModel:
 
     def set_slider(self, name: str, value: float) -> None:
         """Follow a slider: light, object [degrees], exposure [EV], albedo or roughness [factors]."""
-        state = self.state
-        changed = {
-            "light": lambda: replace(state, rotate_deg=wrapped(value)),
-            "object": lambda: state.object_turned(value - state.object_rotate_deg),
-            "exposure": lambda: state.with_exposure(value),
-            "albedo": lambda: state.with_material(albedo_gain=value),
-            "roughness": lambda: state.with_material(roughness_scale=value),
-        }
-        self.state = changed[name]()
+        if name == "light":
+            self.state = replace(self.state, rotate_deg=wrapped(value))
+        elif name == "object":
+            self.state = self.state.object_turned(value - self.state.object_rotate_deg)
+        else:
+            self.state = self.state.with_number(SLIDERS[name], value)
 
     def resize(self, width: int, height: int) -> bool:
         """Follow the window's size in pixels; returns whether it changed."""
@@ -148,7 +143,7 @@ class ViewerModel:
         self.state = self._first.resized(self.state.width, self.state.height)
 
     def status(self, *, legend: str = "", full: bool = True) -> str:
-        """Return the lines that say what is shown."""
+        """Return the lines that describe the picture."""
         state = self.state
         light = self.lights.name(state.light)
         if state.comparison == "environment":
@@ -167,7 +162,7 @@ class ViewerModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Binding:
-    """Keys that do one thing: their X11 symbols, how they are written, and what they do."""
+    """Keys with one effect: their X11 symbols, how they are written, and the effect."""
 
     symbols: tuple[str, ...]
     written: str
@@ -184,6 +179,14 @@ def _change(new_state: Callable[[ViewerModel], ViewerState]) -> Callable[[Viewer
 
 def _orbit(azimuth_deg: float, elevation_deg: float) -> Callable[[ViewerModel], None]:
     return _change(lambda m: m.state.moved(m.state.orbit.turned(azimuth_deg, elevation_deg)))
+
+
+def _turned_light(degrees: float) -> Callable[[ViewerModel], None]:
+    return _change(lambda m: m.state.light_turned(degrees))
+
+
+def _turned_object(degrees: float) -> Callable[[ViewerModel], None]:
+    return _change(lambda m: m.state.object_turned(degrees))
 
 
 def _photograph(model: ViewerModel, step: int) -> None:
@@ -219,106 +222,59 @@ def _flag(name: str) -> Callable[[ViewerModel], None]:
     return act
 
 
-def _binding(symbols: str, written: str, does: str, act: Callable[[ViewerModel], None]) -> Binding:
-    return Binding(symbols=tuple(symbols.split()), written=written, does=does, act=act)
+def _step(name: str, steps: int) -> Callable[[ViewerModel], None]:
+    return _change(lambda m: m.state.stepped(name, steps))
+
+
+def _binding(
+    written: str, does: str, act: Callable[[ViewerModel], None], symbols: str | None = None
+) -> Binding:
+    """Return what the keys `symbols` do, by default the one that is called as it is written."""
+    return Binding(symbols=tuple((symbols or written).split()), written=written, does=does, act=act)
 
 
 BINDINGS = (
-    _binding("Left", "Left", "camera to the left", _orbit(-ORBIT_STEP_DEG, 0.0)),
-    _binding("Right", "Right", "camera to the right", _orbit(ORBIT_STEP_DEG, 0.0)),
-    _binding("Up", "Up", "camera up", _orbit(0.0, ORBIT_STEP_DEG)),
-    _binding("Down", "Down", "camera down", _orbit(0.0, -ORBIT_STEP_DEG)),
-    _binding("plus equal KP_Add", "+", "nearer", lambda m: m.turn_wheel(1)),
-    _binding("minus KP_Subtract", "-", "farther", lambda m: m.turn_wheel(-1)),
-    _binding("bracketleft", "[", "light clockwise", _change(lambda m: m.state.light_turned(-LIGHT_STEP_DEG))),
+    _binding("Left", "camera to the left", _orbit(-ORBIT_STEP_DEG, 0.0)),
+    _binding("Right", "camera to the right", _orbit(ORBIT_STEP_DEG, 0.0)),
+    _binding("Up", "camera up", _orbit(0.0, ORBIT_STEP_DEG)),
+    _binding("Down", "camera down", _orbit(0.0, -ORBIT_STEP_DEG)),
+    _binding("+", "nearer", lambda m: m.turn_wheel(1), "plus equal KP_Add"),
+    _binding("-", "farther", lambda m: m.turn_wheel(-1), "minus KP_Subtract"),
+    _binding("[", "light clockwise", _turned_light(-LIGHT_STEP_DEG), "bracketleft"),
+    _binding("]", "light counter-clockwise", _turned_light(LIGHT_STEP_DEG), "bracketright"),
+    _binding("{", "object clockwise", _turned_object(-LIGHT_STEP_DEG), "braceleft"),
+    _binding("}", "object counter-clockwise", _turned_object(LIGHT_STEP_DEG), "braceright"),
+    _binding("e", "next environment", _change(lambda m: m.state.with_next_light(len(m.lights)))),
+    _binding("E", "environment before", _change(lambda m: m.state.with_next_light(len(m.lights), -1))),
+    _binding("o", "open an environment file", _open),
+    _binding(",", "darker", _step("exposure_ev", -1), "comma"),
+    _binding(".", "brighter", _step("exposure_ev", 1), "period"),
+    _binding("t", "next tone curve", _change(lambda m: m.state.with_next_tone_mapping())),
+    _binding("c", "next channel", _change(lambda m: m.state.with_next_channel(m.channels))),
+    _binding("C", "channel before", _change(lambda m: m.state.with_next_channel(m.channels, -1))),
+    _binding("f", "back to the final picture", _change(lambda m: replace(m.state, channel="final"))),
     _binding(
-        "bracketright",
-        "]",
-        "light counter-clockwise",
-        _change(lambda m: m.state.light_turned(LIGHT_STEP_DEG)),
+        "i", "indirect light on, off", _change(lambda m: replace(m.state, indirect=not m.state.indirect))
     ),
-    _binding("braceleft", "{", "object clockwise", _change(lambda m: m.state.object_turned(-LIGHT_STEP_DEG))),
+    _binding("b", "next backdrop", _change(lambda m: m.state.with_next_backdrop())),
+    _binding("g", "darker albedo", _step("albedo_gain", -1)),
+    _binding("G", "brighter albedo", _step("albedo_gain", 1)),
+    _binding("r", "smoother", _step("roughness_scale", -1)),
+    _binding("R", "rougher", _step("roughness_scale", 1)),
+    _binding("a", "compare with another environment", _compare_environments),
     _binding(
-        "braceright",
-        "}",
-        "object counter-clockwise",
-        _change(lambda m: m.state.object_turned(LIGHT_STEP_DEG)),
+        "n", "next environment on the right", _change(lambda m: m.state.with_next_other_light(len(m.lights)))
     ),
-    _binding("e", "e", "next environment", _change(lambda m: m.state.with_next_light(len(m.lights)))),
-    _binding("E", "E", "environment before", _change(lambda m: m.state.with_next_light(len(m.lights), -1))),
-    _binding("o", "o", "open an environment file", _open),
-    _binding(
-        "comma", ",", "darker", _change(lambda m: m.state.with_exposure(m.state.exposure_ev - EXPOSURE.step))
-    ),
-    _binding(
-        "period",
-        ".",
-        "brighter",
-        _change(lambda m: m.state.with_exposure(m.state.exposure_ev + EXPOSURE.step)),
-    ),
-    _binding("t", "t", "next tone curve", _change(lambda m: m.state.with_next_tone_mapping())),
-    _binding("c", "c", "next channel", _change(lambda m: m.state.with_next_channel(m.channels))),
-    _binding("C", "C", "channel before", _change(lambda m: m.state.with_next_channel(m.channels, -1))),
-    _binding("f", "f", "back to the final picture", _change(lambda m: replace(m.state, channel="final"))),
-    _binding(
-        "i", "i", "indirect light on, off", _change(lambda m: replace(m.state, indirect=not m.state.indirect))
-    ),
-    _binding("b", "b", "next backdrop", _change(lambda m: m.state.with_next_backdrop())),
-    _binding(
-        "g",
-        "g",
-        "darker albedo",
-        _change(lambda m: m.state.with_material(albedo_gain=m.state.albedo_gain - ALBEDO_GAIN.step)),
-    ),
-    _binding(
-        "G",
-        "G",
-        "brighter albedo",
-        _change(lambda m: m.state.with_material(albedo_gain=m.state.albedo_gain + ALBEDO_GAIN.step)),
-    ),
-    _binding(
-        "r",
-        "r",
-        "smoother",
-        _change(
-            lambda m: m.state.with_material(roughness_scale=m.state.roughness_scale - ROUGHNESS_SCALE.step)
-        ),
-    ),
-    _binding(
-        "R",
-        "R",
-        "rougher",
-        _change(
-            lambda m: m.state.with_material(roughness_scale=m.state.roughness_scale + ROUGHNESS_SCALE.step)
-        ),
-    ),
-    _binding("a", "a", "compare with another environment", _compare_environments),
-    _binding(
-        "n",
-        "n",
-        "next environment on the right",
-        _change(lambda m: m.state.with_next_other_light(len(m.lights))),
-    ),
-    _binding("p", "p", "compare with a photograph", lambda m: _photograph(m, 0)),
-    _binding("Next", "Page Down", "next photograph", lambda m: _photograph(m, 1)),
-    _binding("Prior", "Page Up", "photograph before", lambda m: _photograph(m, -1)),
-    _binding(
-        "semicolon",
-        ";",
-        "border to the left",
-        _change(lambda m: m.state.with_split(m.state.split - SPLIT.step)),
-    ),
-    _binding(
-        "apostrophe quoteright",
-        "'",
-        "border to the right",
-        _change(lambda m: m.state.with_split(m.state.split + SPLIT.step)),
-    ),
-    _binding("s", "s", "save PNG and EXR", _flag("wants_save")),
-    _binding("k", "k", "sliders and text on, off", _flag("show_panel")),
-    _binding("h question F1", "h", "this help on, off", _flag("show_help")),
-    _binding("Home", "Home", "back to the beginning", ViewerModel.reset),
-    _binding("q Escape", "q", "quit", _flag("wants_quit")),
+    _binding("p", "compare with a photograph", lambda m: _photograph(m, 0)),
+    _binding("Page Down", "next photograph", lambda m: _photograph(m, 1), "Next"),
+    _binding("Page Up", "photograph before", lambda m: _photograph(m, -1), "Prior"),
+    _binding(";", "border to the left", _step("split", -1), "semicolon"),
+    _binding("'", "border to the right", _step("split", 1), "apostrophe quoteright"),
+    _binding("s", "save PNG and EXR", _flag("wants_save")),
+    _binding("k", "sliders and text on, off", _flag("show_panel")),
+    _binding("h", "this help on, off", _flag("show_help"), "h question F1"),
+    _binding("Home", "back to the beginning", ViewerModel.reset),
+    _binding("q", "quit", _flag("wants_quit"), "q Escape"),
 )
 MOUSE_HELP = (
     ("drag", "camera around the object"),

@@ -1,4 +1,4 @@
-"""A camera that circles a point, as people steer it: around, nearer, aside."""
+"""A camera that circles a point, steered by hand: around, nearer, sideways."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ class Orbit:
     """Where the camera stands; z is up, azimuth 0 is +x and grows towards +y."""
 
     target: tuple[float, float, float]
-    """What the camera looks at, scene units."""
+    """Point that the camera looks at, scene units."""
     azimuth_deg: float
     elevation_deg: float
     distance: float

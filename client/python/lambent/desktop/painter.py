@@ -5,6 +5,7 @@ Pictures that only differ in how they are shown (exposure, tone curve, channel, 
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from lambent_relight.images import srgb_from_linear
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from lambent.desktop.channels import RADIANCE, UNCERTAIN, Grade, object_positions, shown_channel
+from lambent.desktop.channels import RADIANCE, UNCERTAIN, graded, object_positions, shown_channel
 from lambent.desktop.lights import Lights
 from lambent.desktop.photographs import Photograph, fitted, resampled
 from lambent.desktop.state import BACKDROPS, ViewerState
@@ -44,21 +45,9 @@ class Painted:
     image: NDArray[np.uint8]
     """sRGB, [height, width, 3], rows from the top."""
     legend: str
-    """What dark and light stand for, where the channel says."""
+    """Meaning of dark and light, for channels that have one."""
     full: bool
     """Whether this is full quality; otherwise outlines are those of the mesh, without antialiasing."""
-
-
-@dataclass(frozen=True, slots=True)
-class _PictureKey:
-    camera: bytes
-    light: int
-    rotate_deg: float
-    object_rotate_deg: float
-    albedo_gain: float
-    roughness_scale: float
-    indirect: bool
-    full: bool
 
 
 class Painter:
@@ -78,7 +67,7 @@ class Painter:
             renderer.caches.is_superseded = lambda: self.is_superseded()
         renderer.baked()
         self._grid = renderer.bundle.uncertainty()
-        self._pictures: dict[_PictureKey, RelitPicture] = {}
+        self._pictures: dict[tuple[object, ...], RelitPicture] = {}
         self._full_views: list[tuple[bytes, float]] = []
 
     def knows_view(self, state: ViewerState) -> bool:
@@ -94,16 +83,8 @@ class Painter:
     def picture(self, state: ViewerState, light: int, *, full: bool = True) -> RelitPicture:
         """Return the relit picture of `state` under the environment `light`, without background."""
         camera = self.camera(state)
-        key = _PictureKey(
-            camera.key(),
-            light,
-            state.rotate_deg,
-            state.object_rotate_deg,
-            state.albedo_gain,
-            state.roughness_scale,
-            state.indirect,
-            full,
-        )
+        turned = (state.rotate_deg, state.object_rotate_deg)
+        key = (camera.key(), light, *turned, state.edit, state.indirect, full)
         if key not in self._pictures:
             made = self.renderer.render(
                 camera,
@@ -157,7 +138,7 @@ class Painter:
             radiance = picture.rgb if state.channel == "final" else getattr(picture, state.channel)
             return self._over_backdrop(state, light, picture, radiance), ""
         camera = self.camera(state)
-        shown = shown_channel(
+        image, legend = shown_channel(
             picture,
             state.channel,
             lambda: object_positions(
@@ -166,13 +147,13 @@ class Painter:
             self._grid if state.channel.startswith(UNCERTAIN) else None,
         )
         backdrop = srgb_from_linear(np.array(BACKDROPS[state.backdrop] or BACKDROPS["grey"], np.float32))
-        return shown.image * picture.coverage + backdrop * (1.0 - picture.coverage), shown.legend
+        return image * picture.coverage + backdrop * (1.0 - picture.coverage), legend
 
     def _over_backdrop(
         self, state: ViewerState, light: int, picture: RelitPicture, radiance: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Return graded radiance; it is mixed with a colour as shown, and with the light as radiance."""
-        grade = Grade(exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
+        grade = partial(graded, exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
         colour = BACKDROPS[state.backdrop]
         if colour is not None:
             return _mixed(grade(radiance), srgb_from_linear(np.array(colour, np.float32)), picture.coverage)
@@ -188,7 +169,7 @@ class Painter:
         _, (rows, columns) = fitted(photograph.camera, state.width, state.height)
         size = (columns.stop - columns.start, rows.stop - rows.start)
         pixels = resampled(photograph.pixels(), *size)
-        grade = Grade(exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
+        grade = partial(graded, exposure_ev=state.exposure_ev, tone_mapping=state.tone_mapping)
         colour = srgb_from_linear(np.array(BACKDROPS[state.backdrop] or BACKDROPS["grey"], np.float32))
         result = np.broadcast_to(colour, (state.height, state.width, 3)).astype(np.float32)
         result[rows, columns] = _mixed(grade(pixels[..., :3]), colour, pixels[..., 3:])

@@ -76,7 +76,7 @@ def _read(folder: Path) -> Camera:
         return read_camera(folder)
     except (ValueError, KeyError, TypeError) as error:
         raise UsageProblemError(
-            "view.bad_camera", f"{folder / 'metadata.json'} describes no camera: {error}", "mend it"
+            "view.bad_camera", f"{folder / 'metadata.json'} describes no camera: {error}", "fix it"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Everything that decides what a viewer shows, and how it may be changed. No windows, no files."""
+"""The complete state of a viewer and the ways to change it. No windows, no files."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -28,16 +28,18 @@ class Limits:
     step: float
 
 
-EXPOSURE = Limits(low=-8.0, high=8.0, step=0.25)
-ROUGHNESS_SCALE = Limits(low=0.0, high=3.0, step=0.1)
-ALBEDO_GAIN = Limits(low=0.1, high=3.0, step=0.1)
-SPLIT = Limits(low=0.0, high=1.0, step=0.02)
+LIMITS = {
+    "exposure_ev": Limits(low=-8.0, high=8.0, step=0.25),
+    "roughness_scale": Limits(low=0.0, high=3.0, step=0.1),
+    "albedo_gain": Limits(low=0.1, high=3.0, step=0.1),
+    "split": Limits(low=0.0, high=1.0, step=0.02),
+}
 LIGHT_STEP_DEG = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewerState:
-    """What is looked at, in which light, and how it is shown."""
+    """The view, its light, and how it is displayed."""
 
     orbit: Orbit
     width: int
@@ -84,21 +86,13 @@ class ViewerState:
         sides = (min(max(side, MIN_SIDE), MAX_SIDE) for side in (width, height))
         return replace(self, **dict(zip(("width", "height"), sides, strict=True)))
 
-    def with_exposure(self, exposure_ev: float) -> "ViewerState":
-        """Return another exposure, within limits."""
-        return replace(self, exposure_ev=_within(exposure_ev, EXPOSURE))
+    def with_number(self, name: str, value: float) -> "ViewerState":
+        """Return another value of one of `LIMITS`, within these."""
+        return replace(self, **{name: min(max(value, LIMITS[name].low), LIMITS[name].high)})
 
-    def with_split(self, split: float) -> "ViewerState":
-        """Return another border between the sides of a comparison, within limits."""
-        return replace(self, split=_within(split, SPLIT))
-
-    def with_material(
-        self, *, albedo_gain: float | None = None, roughness_scale: float | None = None
-    ) -> "ViewerState":
-        """Return another material, within limits; None keeps what is."""
-        gain = self.albedo_gain if albedo_gain is None else _within(albedo_gain, ALBEDO_GAIN)
-        scale = self.roughness_scale if roughness_scale is None else _within(roughness_scale, ROUGHNESS_SCALE)
-        return replace(self, albedo_gain=gain, roughness_scale=scale)
+    def stepped(self, name: str, steps: int) -> "ViewerState":
+        """Return a number of `LIMITS` that was turned by so many steps of a key."""
+        return self.with_number(name, getattr(self, name) + steps * LIMITS[name].step)
 
     def with_next_tone_mapping(self) -> "ViewerState":
         """Return the next tone curve."""
@@ -147,10 +141,6 @@ def wrapped(degrees: float) -> float:
 
 def _no_photograph(state: ViewerState) -> dict[str, Comparison]:
     return {"comparison": ""} if state.comparison == "photograph" else {}
-
-
-def _within(value: float, limits: Limits) -> float:
-    return min(max(value, limits.low), limits.high)
 
 
 def _next(names: tuple[str, ...], name: str, step: int = 1) -> str:

@@ -1,4 +1,4 @@
-"""`lambent view --desktop`: opens what is to be seen, and shows it in a window or as one picture."""
+"""`lambent view --desktop`: opens bundle, maps and photographs for a window or a screenshot."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ print(tkinter.filedialog.askopenfilename(title="Environment map", filetypes=type
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DesktopOptions:
-    """What `lambent view --desktop` was asked for; angles in degrees, sizes in pixels."""
+    """Options of `lambent view --desktop`; angles in degrees, sizes in pixels."""
 
     environments: tuple[Path, ...] = ()
     light: EnvironmentInput = field(default_factory=EnvironmentInput)
@@ -95,7 +95,8 @@ def open_model(bundle: Bundle, options: DesktopOptions) -> ViewerModel:
         channel=options.channel,
         backdrop=options.backdrop,
     )
-    state = state.resized(*options.size).with_exposure(options.exposure_ev).with_split(options.split)
+    state = state.resized(*options.size).with_number("exposure_ev", options.exposure_ev)
+    state = state.with_number("split", options.split)
     model = ViewerModel(state, lights, photographs, channels, choose_file=choose_file)
     model.message = "press h for help"
     model.show_help = options.help

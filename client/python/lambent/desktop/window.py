@@ -12,9 +12,9 @@ from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonDataModel import vtkImageData
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
-from lambent.desktop.model import ViewerModel, help_columns
+from lambent.desktop.model import SLIDERS, ViewerModel, help_columns
 from lambent.desktop.painter import Painted
-from lambent.desktop.state import ALBEDO_GAIN, EXPOSURE, ROUGHNESS_SCALE, Limits
+from lambent.desktop.state import LIMITS, Limits
 
 _TICK_MS = 15
 _DEGREES = Limits(low=-180.0, high=180.0, step=1.0)
@@ -35,14 +35,13 @@ class Window:
         overlays: bool = True,
         on_change: Callable[[], None] = lambda: None,
         on_tick: Callable[[], None] = lambda: None,
-        title: str = "Lambent",
     ) -> None:
         self.model, self._on_change, self._on_tick = model, on_change, on_tick
         self._overlays = overlays
         self.plotter = pyvista.Plotter(
             off_screen=off_screen,
             window_size=[model.state.width, model.state.height],
-            title=title,
+            title="Lambent",
             lighting="none",
         )
         self.plotter.set_background("black")
@@ -145,9 +144,9 @@ class Window:
         kinds = (
             ("light", "light, degrees", _DEGREES),
             ("object", "object, degrees", _DEGREES),
-            ("exposure", "exposure, EV", EXPOSURE),
-            ("albedo", "albedo x", ALBEDO_GAIN),
-            ("roughness", "roughness x", ROUGHNESS_SCALE),
+            ("exposure", "exposure, EV", LIMITS["exposure_ev"]),
+            ("albedo", "albedo x", LIMITS["albedo_gain"]),
+            ("roughness", "roughness x", LIMITS["roughness_scale"]),
         )
         values, sliders = _slider_values(model), {}
         for number, (name, title, limits) in enumerate(kinds):
@@ -219,10 +218,5 @@ class Window:
 
 def _slider_values(model: ViewerModel) -> dict[str, float]:
     state = model.state
-    return {
-        "light": state.rotate_deg,
-        "object": state.object_rotate_deg,
-        "exposure": state.exposure_ev,
-        "albedo": state.albedo_gain,
-        "roughness": state.roughness_scale,
-    }
+    angles = {"light": state.rotate_deg, "object": state.object_rotate_deg}
+    return angles | {name: getattr(state, field) for name, field in SLIDERS.items()}

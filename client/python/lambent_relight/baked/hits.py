@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from lambent_relight.baked.light import BakedLight, coarse_bounce, lit_texels, texel_irradiance
 from lambent_relight.baked.scene import BakedScene, texel_positions
 from lambent_relight.baked.split_sum import split_sum
-from lambent_relight.baked.transport_kernels import NearestPoint, basis_rows
-from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
+from lambent_relight.baked.transport_kernels import NearestPoint
+from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.directions import dot
 from lambent_relight.edits import MaterialEdit
@@ -25,8 +25,6 @@ class HitFinder:
         self.scene = scene
         self.lit = lit_texels(scene)
         self.nearest = NearestPoint(texel_positions(scene.mesh, scene.transport))
-        bands = round(scene.visibility.shape[1] ** 0.5)
-        self.lobes = ggx_bands(bands)
 
 
 class BakedHits:
@@ -55,10 +53,7 @@ class BakedHits:
         mirror = (2.0 * cosine * normal - omega_o).astype(np.float32)
         roughness = self._roughness[texel]
         scale, bias = split_sum(cosine[:, 0], roughness[:, 0])
-        lobe = per_coefficient(factors_at(self._finder.lobes, roughness[:, 0]))
-        visibility = scene.visibility[texel]
-        bands = round(visibility.shape[1] ** 0.5)
-        free = np.einsum("nk,nk->n", basis_rows(mirror, bands) * lobe, visibility).clip(0.0, 1.0)[:, None]
+        free = open_share(mirror, roughness[:, 0], scene.visibility[texel])
         prefiltered = self._light.prefiltered.lookup(mirror, roughness[:, 0])
         lit = free * prefiltered + (1.0 - free) * self._around[texel]
         reflectance = self._f0[texel] * scale[:, None] + bias[:, None]

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.bundle.archive import read_checked
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.errors import BundleError
 
@@ -35,10 +34,7 @@ class AtlasMesh:
 
 def read_mesh(bundle: Bundle) -> AtlasMesh:
     """Return the mesh of a bundle; raises BundleError `bundle.mesh_invalid` for one that cannot be used."""
-    paths = [file.path for file in bundle.manifest.files if file.path == "mesh/asset.glb"]
-    if not paths:
-        raise BundleError("bundle.file_missing", '"mesh/asset.glb" is not in files', "export it again")
-    return mesh_from_glb(read_checked(bundle.source, paths[0], limit_bytes=_MAX_BYTES))
+    return mesh_from_glb(bundle.read("mesh/asset.glb", _MAX_BYTES))
 
 
 def mesh_from_glb(data: bytes) -> AtlasMesh:

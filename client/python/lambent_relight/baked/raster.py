@@ -5,14 +5,13 @@ Pixels are sampled at their centres; for smoother edges draw a camera `resized` 
 ((column + 0.5) / size, (row + 0.5) / size).
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.baked import raster_kernels as kernels
-from lambent_relight.bundle.graphs import available_threads
+from lambent_relight.bundle.graphs import available_threads, in_threads
 from lambent_relight.cameras import Camera
 
 _ROWS_PER_TASK = 64
@@ -59,14 +58,7 @@ def rasterise(
         rows = np.array([first, min(first + _ROWS_PER_TASK, camera.height)])
         kernels.draw_faces(points, faces, lens, rows, face_of, weights, depth)
 
-    starts = range(0, camera.height, _ROWS_PER_TASK)
-    threads = num_threads or available_threads()
-    if threads == 1 or len(starts) < 2:
-        for start in starts:
-            draw(start)
-    else:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(draw, starts))
+    in_threads(draw, range(0, camera.height, _ROWS_PER_TASK), num_threads or available_threads())
     return Fragments(face_of, weights, depth)
 
 

@@ -89,13 +89,11 @@ class BakedRenderer:
         indirect: bool,
         edit: MaterialEdit,
         soft_edges: bool = True,
-        compiled: bool = True,
     ) -> RelitPicture:
         """Return the object as `camera` sees it, without background.
 
         Without `soft_edges` the mesh decides what is covered, which makes a new view many times faster; so
-        it does in a `preview`. `compiled` False keeps to numpy where there is a choice; results differ by
-        rounding only.
+        it does in a `preview`.
         """
         view = self.view(camera, antialias, soft_edges=soft_edges and not preview)
         can_split = self.scene.transport.shadow_bits is not None and not preview
@@ -109,16 +107,8 @@ class BakedRenderer:
             preview=preview,
             indirect=indirect,
             bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
-            compiled=compiled,
         )
-        return replace(
-            known.still,
-            rgb=found.rgb,
-            direct=found.direct,
-            indirect=found.indirect,
-            diffuse=found.diffuse,
-            specular=found.specular,
-        )
+        return replace(known.still, **vars(found))
 
     def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
         """Return the materials and texels of a view; cached for the last view and edit."""

@@ -26,8 +26,7 @@ from lambent_relight.baked.light import (
     texel_irradiance,
 )
 from lambent_relight.baked.split_sum import split_sum
-from lambent_relight.baked.transport_kernels import basis_rows
-from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
+from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.baked.view import BakedView
 from lambent_relight.brdf import DIELECTRIC_F0, MIN_ALPHA
 from lambent_relight.directions import dot
@@ -76,13 +75,7 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
     alpha = np.maximum(roughness[:, 0] ** 2, MIN_ALPHA).astype(np.float32)
     f0 = view.metalness * albedo + (1.0 - view.metalness) * np.float32(DIELECTRIC_F0)
     reflectance = f0 * scale[:, None] + bias[:, None]
-    if preview:
-        free = view.openness
-    else:
-        bands = round(view.visibility.shape[1] ** 0.5)
-        lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
-        basis = basis_rows(mirror, bands) * lobe
-        free = np.clip(np.einsum("nk,nk->n", basis, view.visibility), 0.0, 1.0)[:, None]
+    free = view.openness if preview else open_share(mirror, roughness[:, 0], view.visibility)
     return Lobes(
         albedo,
         roughness,
@@ -105,12 +98,10 @@ def shade(
     preview: bool,
     indirect: bool,
     bounce_gain: NDArray[np.float32],
-    compiled: bool = True,
 ) -> BakedRadiance:
     """Return the radiance of the pixels of `view` under `light`; `lit` are its used texels.
 
-    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before. `compiled`
-    False keeps to numpy, with the same result but for rounding.
+    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before.
     """
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
     seen = seen_lights(lit, light)
@@ -128,19 +119,11 @@ def shade(
             (light.directions, light.irradiance, shares),
             prefiltered,
         )
-    if compiled:
-        parts = baked_kernels.shade_pixels(
-            (view.pixel, view.texel, view.share, view.first, lit.coarse),
-            (straight, bounced, prefiltered, glint),
-            (lobes.diffuse, lobes.free, lobes.surrounded),
-            view.camera.height * view.camera.width,
-        )
-        shape = (view.camera.height, view.camera.width, 3)
-        return BakedRadiance(*(part.reshape(shape) for part in parts))
-    arriving = np.maximum(view.mean(straight), 0.0)
-    bounce = np.maximum(view.mean(bounced[lit.coarse]), 0.0)
-    mirrored, around = lobes.free * prefiltered + glint, lobes.surrounded * bounce
-    direct = view.image(lobes.diffuse * arriving + mirrored)
-    indirect_part = view.image(lobes.diffuse * bounce + around)
-    rgb, specular = direct + indirect_part, view.image(mirrored + around)
-    return BakedRadiance(rgb, direct, indirect_part, rgb - specular, specular)
+    parts = baked_kernels.shade_pixels(
+        (view.pixel, view.texel, view.share, view.first, lit.coarse),
+        (straight, bounced, prefiltered, glint),
+        (lobes.diffuse, lobes.free, lobes.surrounded),
+        view.camera.height * view.camera.width,
+    )
+    shape = (view.camera.height, view.camera.width, 3)
+    return BakedRadiance(*(part.reshape(shape) for part in parts))

@@ -8,13 +8,12 @@ coefficient, with a scale and an offset per plane. Source: docs/reference/bundle
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 
-from lambent_relight.bundle.archive import read_checked
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.errors import BundleError
 
@@ -64,10 +63,10 @@ class Transport:
         return coarse_blocks(self.size, self.texel_index)[1]
 
 
-def shadow_directions(count: int = NUM_SHADOW_DIRECTIONS) -> NDArray[np.float64]:
-    """Return even unit directions [count, 3]: z = 1 - (2j + 1) / count, azimuth j pi (3 - sqrt 5)."""
-    j = np.arange(count)
-    z = 1.0 - (2.0 * j + 1.0) / count
+def shadow_directions() -> NDArray[np.float64]:
+    """Return 256 even unit directions [j, 3]: z = 1 - (2j + 1) / 256, azimuth j pi (3 - sqrt 5)."""
+    j = np.arange(NUM_SHADOW_DIRECTIONS)
+    z = 1.0 - (2.0 * j + 1.0) / NUM_SHADOW_DIRECTIONS
     azimuth = j * (np.pi * (3.0 - np.sqrt(5.0)))
     radius = np.sqrt(1.0 - z * z)
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
@@ -138,13 +137,7 @@ def read_transport(bundle: Bundle) -> Transport | None:
     if not bundle.manifest.HasField("transport"):
         return None
     stated = bundle.manifest.transport
-    listed = {file.path for file in bundle.manifest.files}
-
-    def read(path: str) -> bytes:
-        if path not in listed:
-            raise BundleError("bundle.file_missing", f'"{path[:200]}" is not in files', "export it again")
-        return read_checked(bundle.source, path, limit_bytes=_MAX_BYTES)
-
+    read = partial(bundle.read, limit_bytes=_MAX_BYTES)
     size = stated.size
     if not 1 <= size <= MAX_ATLAS_SIZE:
         raise _invalid(f"has an atlas of {size} texels along a side")

@@ -6,8 +6,12 @@ cosine, normalised, so that its A_0 is 1. Source: Karis 2013 (Real Shading in Un
 Engine 4); Ramamoorthi and Hanrahan 2001 for factors per band.
 """
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
+
+from lambent_relight.baked.transport_kernels import basis_rows
 
 NUM_STEPS = 64
 """Values of perceptual roughness that are tabulated."""
@@ -15,6 +19,7 @@ _MIN_ROUGHNESS = 0.02
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(512)
 
 
+@cache
 def ggx_bands(bands: int) -> NDArray[np.float32]:
     """Return A_l for perceptual roughness 0 to 1 in equal steps, [NUM_STEPS, bands]."""
     table = np.ones((NUM_STEPS, bands))
@@ -42,6 +47,19 @@ def factors_at(table: NDArray[np.float32], perceptual_roughness: NDArray[np.floa
 def per_coefficient(factors: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return one factor per coefficient from one per band: [..., bands] -> [..., bands^2]."""
     return np.repeat(factors, 2 * np.arange(factors.shape[-1]) + 1, axis=-1)
+
+
+def open_share(
+    mirror: NDArray[np.floating], perceptual_roughness: NDArray[np.floating], visibility: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the unoccluded share of GGX lobes about `mirror` [point, 3], in [0, 1], as [point, 1].
+
+    `visibility` [point, bands^2] is the sky's, as harmonics; `perceptual_roughness` is [point].
+    """
+    bands = round(visibility.shape[1] ** 0.5)
+    lobe = per_coefficient(factors_at(ggx_bands(bands), perceptual_roughness))
+    basis = basis_rows(mirror, bands) * lobe
+    return np.clip(np.einsum("nk,nk->n", basis, visibility), 0.0, 1.0)[:, None]
 
 
 def _legendre(degree: int, x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,18 +1,17 @@
-"""What a folder of pictures already holds: one JSON line for every picture, written when it is whole.
+"""The pictures that a folder holds: one JSON line each, written once the picture is complete.
 
-A line that a crash cut off is the last one and is left out; the picture it was about is made again.
+A crash can only cut off the last line, which is then ignored; its picture is made again.
 """
 
 import contextlib
 import json
-import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
 from lambent_relight.errors import SettingError
-from lambent_relight.file_hash import file_sha256
+from lambent_relight.files import file_sha256, whole_file
 
 NAME = "pictures.jsonl"
 _LOCK = ".lambent-batch.lock"
@@ -50,7 +49,7 @@ class Record:
     bounces: str = ""
     """Where bounced light came from, as the picture says."""
     notes: tuple[str, ...] = ()
-    """What a user should know about the map."""
+    """Notes for the user about the map."""
 
 
 @dataclass(slots=True)
@@ -116,10 +115,9 @@ def open_journal(folder: Path) -> Iterator[Journal]:
     with _locked(folder):
         journal, path = peek_journal(folder), folder / NAME
         # One line for each picture again, and no half line at the end.
-        partial = path.with_name(f".partial-{NAME}")
-        lines = [json.dumps(asdict(record)) + "\n" for record in journal.records.values()]
-        partial.write_text("".join(lines), encoding="utf-8")
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            lines = [json.dumps(asdict(record)) + "\n" for record in journal.records.values()]
+            partial.write_text("".join(lines), encoding="utf-8")
         with path.open("a", encoding="utf-8") as file:
             journal._file = file
             yield journal

@@ -1,4 +1,4 @@
-"""What a batch consists of. Source: docs/howto/batch.md (the manifest)."""
+"""The parts of a batch. Source: docs/howto/batch.md (the manifest)."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ from lambent_relight.environment.input import EnvironmentInput
 from lambent_relight.errors import CameraError
 
 SCHEMA = "lambent-batch/1"
-"""What `schema` must say; a reader refuses another number."""
+"""The only value of `schema` that a reader accepts."""
 MAX_PICTURES = 100_000
 SUFFIXES = ("png", "exr")
 DEFAULT_PATH = "{asset}/{environment}/{quality}/{camera}"
@@ -108,7 +108,7 @@ class Quality(RenderSettings):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Files:
-    """What is written of every picture, and where."""
+    """The files written for every picture, and where."""
 
     suffixes: tuple[str, ...] = SUFFIXES
     passes: tuple[str, ...] = PASSES

@@ -1,4 +1,4 @@
-"""The pictures of a batch, one by one, and what makes each of them what it is."""
+"""The pictures of a batch, one by one, and the hash of everything each depends on."""
 
 import hashlib
 import json
@@ -27,7 +27,7 @@ from lambent_relight.bundle.bundle import Bundle, load_bundle
 from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import Camera, load_cameras
 from lambent_relight.errors import CameraError, RelightError, SettingError
-from lambent_relight.file_hash import file_sha256
+from lambent_relight.files import file_sha256
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")
 
@@ -70,6 +70,16 @@ class Row:
             parts |= {"passes": sorted(files.passes), "half": files.half}
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
+    def names(self) -> dict[str, Any]:
+        """Return the fields of a record that say which picture it is."""
+        return {
+            "path": self.path,
+            "asset": self.asset.name,
+            "environment": self.light.name,
+            "quality": self.quality.name,
+            "camera": self.camera.name,
+        }
+
     def before(self, background: str) -> "Row":
         """Return the same picture before another background."""
         return replace(self, quality=self.quality.model_copy(update={"background": background}))
@@ -87,7 +97,7 @@ class Failure:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Everything to make, in the order that keeps bundles and maps open longest, and what cannot be made."""
+    """The pictures to make, in the order that keeps bundles and maps open longest, and the failures."""
 
     rows: tuple[Row, ...]
     failures: tuple[Failure, ...]
@@ -108,7 +118,7 @@ def make_plan(
     """
     rows: list[Row] = []
     failures: list[Failure] = []
-    digests = _light_digests(manifest.environments, known_lights)
+    digests = light_digests(manifest.environments, known_lights)
     known: dict[Path | None, _Opened] = {}
     for asset in manifest.assets:
         if asset.path is None or asset.path not in known:
@@ -146,7 +156,7 @@ def make_plan(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Opened:
-    """What a batch needs to know of a bundle, and what cannot be made of it: errors and their places."""
+    """A bundle's digest and cameras, and the errors met on the way with their places in the manifest."""
 
     digest: str = ""
     cameras: tuple[Camera, ...] = ()
@@ -176,7 +186,9 @@ def bundle_digest(bundle: Bundle) -> str:
         return hashlib.sha256(file.read()).hexdigest()
 
 
-def _light_digests(lights: Sequence[Light], known: Mapping[str, str]) -> dict[str, str | Exception]:
+def light_digests(
+    lights: Sequence[Light], known: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, str | Exception]:
     """Return the hash of every environment's map by its name; a map is read once, however it is turned."""
     found: dict[Path | None, str | Exception] = {}
     for light in lights:

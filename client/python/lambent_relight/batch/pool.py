@@ -1,4 +1,4 @@
-"""Spreads pictures over processes. A picture that fails, or takes its process with it, stops no other."""
+"""Spreads pictures over processes. A picture that fails, or kills its process, stops no other."""
 
 import contextlib
 import multiprocessing

@@ -1,6 +1,5 @@
-"""A batch from its plan to a folder of pictures: what is there already is kept."""
+"""A batch from its plan to a folder of pictures; existing ones are kept."""
 
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Failure, Plan, Row
 from lambent_relight.batch.pool import Progress, Task, run_tasks
 from lambent_relight.batch.studio import remove_partials
+from lambent_relight.files import whole_file
 from lambent_relight.settings import BACKGROUNDS
 
 State = Literal["made", "kept", "copied", "failed"]
@@ -19,7 +19,7 @@ State = Literal["made", "kept", "copied", "failed"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Result:
-    """What became of one picture; `record` is there unless it failed."""
+    """The outcome of one picture; `record` is set unless it failed."""
 
     path: str
     state: State
@@ -27,23 +27,17 @@ class Result:
     failure: Failure | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sorted:
-    """What a folder lacks of a plan."""
-
-    done: tuple[Result, ...]
-    """Pictures that are there, under their name or copied from another."""
-    tasks: tuple[Task, ...]
-
-
-def sort_plan(plan: Plan, files: Files, journal: Journal, *, copy: bool = True) -> Sorted:
-    """Return which pictures are there and which are to be made.
+def sort_plan(
+    plan: Plan, files: Files, journal: Journal, *, copy: bool = True
+) -> tuple[list[Result], list[Task]]:
+    """Return the pictures that are there, under their name or copied from another, and those to make.
 
     A file is known by the hash of everything it is made from. One that lies under another name is copied,
     unless `copy` is False; then it is only told. Where linear pictures are kept, a task without one among its
     files needs no rendering.
     """
-    done, tasks = [], []
+    done: list[Result] = []
+    tasks: list[Task] = []
     for row in plan.rows:
         kept = (*files.suffixes, LINEAR) if files.linear else files.suffixes
         known = {suffix: journal.known(suffix, row.path, row.key(suffix, files)) for suffix in kept}
@@ -64,11 +58,11 @@ def sort_plan(plan: Plan, files: Files, journal: Journal, *, copy: bool = True) 
             continue
         if copy:
             found = {suffix: _copied(journal.folder, row, suffix, made) for suffix, made in found.items()}
-        record = _as_row(source, row, found)
+        record = replace(source, **row.names(), files=found)
         if copy:
             journal.add(record)
         done.append(Result(path=row.path, state="copied", record=record))
-    return Sorted(done=tuple(done), tasks=tuple(tasks))
+    return done, tasks
 
 
 def run_batch(
@@ -86,13 +80,11 @@ def run_batch(
     `num_jobs`, `progress` and `strict` as in `run_tasks`.
     """
     remove_partials(journal.folder, plan.rows)
-    parts = sort_plan(plan, files, journal)
-    yield from parts.done
+    done, tasks = sort_plan(plan, files, journal)
+    yield from done
     for failure in plan.failures:
         yield Result(path=failure.path, state="failed", failure=failure)
-    pictures = run_tasks(
-        parts.tasks, journal.folder, files, num_jobs=num_jobs, progress=progress, strict=strict
-    )
+    pictures = run_tasks(tasks, journal.folder, files, num_jobs=num_jobs, progress=progress, strict=strict)
     try:
         for row, made in pictures:
             if isinstance(made, Failure):
@@ -137,26 +129,8 @@ def _source(row: Row, found: dict[str, MadeFile], journal: Journal) -> Record:
     )
 
 
-def _as_row(source: Record, row: Row, files: dict[str, MadeFile]) -> Record:
-    return replace(
-        source,
-        path=row.path,
-        asset=row.asset.name,
-        environment=row.light.name,
-        quality=row.quality.name,
-        camera=row.camera.name,
-        files=files,
-    )
-
-
 def _copied(folder: Path, row: Row, suffix: str, made: MadeFile) -> MadeFile:
     relative = place(row.path, suffix)
-    target = folder / relative
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".partial-{os.getpid()}-{target.name}")
-    try:
+    with whole_file(folder / relative) as partial:
         shutil.copyfile(folder / made.path, partial)
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
     return replace(made, path=relative)

@@ -1,6 +1,5 @@
-"""Makes single pictures of a batch. It keeps one bundle and one map open, whatever the number of pictures."""
+"""Makes single pictures of a batch, with one bundle and one map open at a time."""
 
-import os
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields
@@ -17,7 +16,7 @@ from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
-from lambent_relight.file_hash import file_sha256
+from lambent_relight.files import file_sha256, whole_file
 from lambent_relight.images import encode_png, write_picture_exr, write_png
 from lambent_relight.picture import Image, RelitPicture
 from lambent_relight.renderer import Renderer, with_background
@@ -60,11 +59,7 @@ class Studio:
             made[suffix] = self._write(row, suffix, picture if suffix != LINEAR else linear, notes, kept=kept)
         noise, mean = float(picture.standard_error.mean()), float(picture.rgb.mean())
         return Record(
-            path=row.path,
-            asset=row.asset.name,
-            environment=row.light.name,
-            quality=row.quality.name,
-            camera=row.camera.name,
+            **row.names(),
             files=made,
             width=row.camera.width,
             height=row.camera.height,
@@ -84,13 +79,13 @@ class Studio:
         return encode_png(shown, tone_mapping=row.quality.tone_mapping)
 
     def notes(self, row: Row) -> tuple[str, ...]:
-        """Return what a user should know about the map of a picture."""
+        """Return notes for the user about the map of a picture."""
         return tuple(self._open_light(row).notes(row.light.name))
 
     def _render(
         self, row: Row, progress: Callable[[float], None] | None
     ) -> tuple[RelitPicture, tuple[str, ...]]:
-        """Return the picture before no background, and what a user should know about its map."""
+        """Return the picture without background, and notes for the user about its map."""
         renderer, opened = self._open_bundle(row), self._open_light(row)
         picture = renderer.render(
             row.camera,
@@ -123,7 +118,7 @@ class Studio:
         return picture.exposed(row.quality.exposure_ev)
 
     def _read_linear(self, row: Row) -> tuple[RelitPicture, tuple[str, ...]]:
-        """Return what `_write` kept of a picture: its passes are those of its EXR and left out."""
+        """Return the kept linear picture; its passes are left out, its EXR has them."""
         with np.load(self._folder / place(row.path, LINEAR)) as kept:
             planes = {}
             for name in _KEPT:
@@ -180,8 +175,7 @@ class Studio:
     ) -> MadeFile:
         relative = place(row.path, suffix)
         path = self._folder / relative
-        partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
-        try:
+        with whole_file(path) as partial:
             if suffix == "png":
                 write_png(partial, self._shown(row, picture), tone_mapping=row.quality.tone_mapping)
             elif suffix == LINEAR:
@@ -197,9 +191,6 @@ class Studio:
                 )
             digest = file_sha256(partial)
             size_bytes = partial.stat().st_size
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
         key = row.key(suffix, self._files)
         return MadeFile(path=relative, key=key, sha256=digest, size_bytes=size_bytes)
 
@@ -208,7 +199,6 @@ def _write_linear(path: Path, picture: RelitPicture, notes: Sequence[str]) -> No
     """Keep what backgrounds, exposures and curves are applied to, exactly; the empty pixels are left out."""
     planes = {name: getattr(picture, name) for name in _KEPT}
     seen = np.any([plane.any(axis=-1) for plane in planes.values()], axis=0)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
         np.savez(
             file,

@@ -1,7 +1,6 @@
 """A batch in one table and one picture: pictures.csv and contact_sheet.png."""
 
 import csv
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial as given
 from pathlib import Path
@@ -12,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from lambent_relight.batch.plan import Failure
 from lambent_relight.batch.run import Result
 from lambent_relight.batch.tiles import TILE, thumbnail
+from lambent_relight.files import whole_file
 
 TABLE = "pictures.csv"
 SHEET = "contact_sheet.png"
@@ -44,13 +44,11 @@ TileOf = Callable[[Result], Image.Image | None]
 
 def write_table(path: Path, results: Iterable[Result]) -> None:
     """Write one line for every picture: its name, state, seconds, noise, files, and why it failed."""
-    partial = path.with_name(f".partial-{path.name}")
-    with partial.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, COLUMNS)
         table.writeheader()
         for result in sorted(results, key=lambda each: each.path):
             table.writerow(_line(result))
-    os.replace(partial, path)
 
 
 def _line(result: Result) -> dict[str, object]:
@@ -93,9 +91,8 @@ def write_sheets(
         name = SHEET if number == 1 else SHEET.replace(".", f"_{number}.")
         shown_title = title if len(pages) == 1 else f"{title} ({number} of {len(pages)})"
         path = folder / name
-        partial = path.with_name(f".partial-{path.name}")
-        _sheet(page, shown_title, lights, tile_of).save(partial, format="PNG")
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            _sheet(page, shown_title, lights, tile_of).save(partial, format="PNG")
         paths.append(path)
     return paths
 

@@ -1,7 +1,6 @@
 """The small pictures of a contact sheet: from pictures as they lie in a folder, or kept aside in one file."""
 
 import io
-import os
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_relight.batch.run import Result
+from lambent_relight.files import whole_file
 
 NAME = "tiles.zip"
 TILE = 128
@@ -47,15 +47,13 @@ def _from_exr(path: Path) -> Image.Image:
 def write_tiles(folder: Path, results: Iterable[Result]) -> Path:
     """Write the tile of every picture in `folder` into one zip there, under the pictures' names."""
     path = folder / NAME
-    partial = path.with_name(f".partial-{NAME}")
-    with zipfile.ZipFile(partial, "w") as archive:
+    with whole_file(path) as partial, zipfile.ZipFile(partial, "w") as archive:
         for result in results:
             tile = thumbnail(folder, result)
             if tile is not None:
                 buffer = io.BytesIO()
                 tile.save(buffer, format="PNG")
                 archive.writestr(f"{result.path}.png", buffer.getvalue())
-    os.replace(partial, path)
     return path
 
 

@@ -104,16 +104,6 @@ def misfit(light: AdaptedLight, environment: Environment, edit: MaterialEdit) ->
     return ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Chosen:
-    """The source of indirect light in a refined picture."""
-
-    light: AdaptedLight | None
-    """None: no adapted cache."""
-    why_not: str
-    """Why no adapted cache is used although the bundle has some; empty if one is used, or there are none."""
-
-
 def error_names(light: str) -> tuple[str, str]:
     """Return the names of the metrics for the errors of a cache and of baked transport.
 
@@ -132,15 +122,16 @@ def outdone(bundle: Bundle, light: AdaptedLight) -> str:
 
 def choose(
     bundle: Bundle, environment: Environment, edit: MaterialEdit, *, although_worse: bool = False
-) -> Chosen:
+) -> tuple[AdaptedLight | None, str]:
     """Return the first adapted cache that fits an environment (as turned) and a material.
 
+    The text says why none is used although the bundle has some; it is empty otherwise.
     A cache that was worse than baked transport when it was baked is skipped, unless `although_worse`.
     """
     reasons = []
     for light in adapted_lights(bundle):
         reason = misfit(light, environment, edit) or ("" if although_worse else outdone(bundle, light))
         if not reason:
-            return Chosen(light=light, why_not="")
+            return light, ""
         reasons.append(f'"{light.name}": {reason}')
-    return Chosen(light=None, why_not="; ".join(reasons))
+    return None, "; ".join(reasons)

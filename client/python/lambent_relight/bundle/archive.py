@@ -58,11 +58,7 @@ class FolderSource:
             mode = entry.lstat().st_mode
             name = entry.relative_to(self._root).as_posix()
             if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
-                raise BundleError(
-                    "bundle.not_a_plain_file",
-                    f'"{name}" is a link or a device',
-                    "replace it by the file itself",
-                )
+                raise _no_plain_file(name)
             if stat.S_ISREG(mode):
                 found.add(name)
             _check_count(len(found))
@@ -72,11 +68,9 @@ class FolderSource:
         """Return the size of a file."""
         return (self._root / path).lstat().st_size
 
-    @contextmanager
-    def open(self, path: str) -> Iterator[BinaryIO]:
+    def open(self, path: str) -> BinaryIO:
         """Return an open file."""
-        with (self._root / path).open("rb") as file:
-            yield file
+        return (self._root / path).open("rb")
 
 
 class ZipSource:
@@ -87,14 +81,14 @@ class ZipSource:
         self._path = archive
         try:
             with zipfile.ZipFile(archive) as opened:
-                self._entries = {entry.filename: entry for entry in opened.infolist() if not entry.is_dir()}
-                num_entries = sum(not entry.is_dir() for entry in opened.infolist())
+                entries = [entry for entry in opened.infolist() if not entry.is_dir()]
         except (zipfile.BadZipFile, OSError, ValueError) as error:
             raise BundleError(
                 "bundle.archive_damaged", f'"{archive.name}" is not a readable zip archive', "fetch it again"
             ) from error
-        _check_count(num_entries)
-        if num_entries != len(self._entries):
+        _check_count(len(entries))
+        self._entries = {entry.filename: entry for entry in entries}
+        if len(entries) != len(self._entries):
             raise BundleError(
                 "bundle.archive_damaged", f'"{archive.name}" holds a name twice', "do not use this bundle"
             )
@@ -105,11 +99,7 @@ class ZipSource:
             check_path(name)
             mode = entry.external_attr >> 16
             if mode and stat.S_IFMT(mode) not in (0, stat.S_IFREG):
-                raise BundleError(
-                    "bundle.not_a_plain_file",
-                    f'"{name}" is a link or a device',
-                    "replace it by the file itself",
-                )
+                raise _no_plain_file(name)
             if entry.flag_bits & 0x1:
                 raise BundleError(
                     "bundle.encrypted", f'"{name}" is encrypted', "store the bundle unencrypted"
@@ -125,6 +115,12 @@ class ZipSource:
         """Return an open file; reading it never gives more than the stated size."""
         with zipfile.ZipFile(self._path) as opened, opened.open(self._entries[path]) as file:
             yield file
+
+
+def _no_plain_file(name: str) -> BundleError:
+    return BundleError(
+        "bundle.not_a_plain_file", f'"{name}" is a link or a device', "replace it by the file itself"
+    )
 
 
 def _check_count(count: int) -> None:

@@ -66,6 +66,12 @@ class Bundle:
         """Return the bytes of an ONNX graph."""
         return read_checked(self.source, path, limit_bytes=_MAX_GRAPH_BYTES)
 
+    def read(self, path: str, limit_bytes: int) -> bytes:
+        """Return the bytes of a file that the manifest has to list."""
+        if all(file.path != path for file in self.manifest.files):
+            raise BundleError("bundle.file_missing", f'"{path[:200]}" is not in files', "export it again")
+        return read_checked(self.source, path, limit_bytes=limit_bytes)
+
     @cached_property
     def weights(self) -> bytes:
         """The bytes of models/weights.bin; empty when the graphs carry their own weights."""
@@ -75,8 +81,13 @@ class Bundle:
 
     def cameras(self) -> list[Camera]:
         """Return the cameras of cameras.json: those the object was photographed from."""
-        path = self._path_of_role("cameras")
-        return parse_cameras(read_checked(self.source, path, limit_bytes=_MAX_GRAPH_BYTES), source=path)
+        for file in self.manifest.files:
+            if file.role == "cameras":
+                data = read_checked(self.source, file.path, limit_bytes=_MAX_GRAPH_BYTES)
+                return parse_cameras(data, source=file.path)
+        raise BundleError(
+            "bundle.file_missing", "there is no file with the role 'cameras'", "export it again"
+        )
 
     def trained_environment(self, light: str) -> Environment:
         """Return the environment recovered for a training light."""
@@ -91,21 +102,9 @@ class Bundle:
         if not self.manifest.HasField("uncertainty"):
             return None
         stated = self.manifest.uncertainty
-        if all(file.path != stated.path for file in self.manifest.files):
-            raise BundleError(
-                "bundle.file_missing", f'"{stated.path[:200]}" is not in files', "export the bundle again"
-            )
-        data = read_checked(self.source, stated.path, limit_bytes=_MAX_PICTURE_BYTES)
+        data = self.read(stated.path, _MAX_PICTURE_BYTES)
         box = stated.box
         return read_uncertainty(data, list(box.minimum), list(box.maximum), list(stated.channels))
-
-    def _path_of_role(self, role: str) -> str:
-        for file in self.manifest.files:
-            if file.role == role:
-                return file.path
-        raise BundleError(
-            "bundle.file_missing", f"there is no file with the role {role!r}", "export it again"
-        )
 
 
 def load_bundle(path: Path | str) -> Bundle:

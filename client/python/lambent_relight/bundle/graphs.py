@@ -6,8 +6,10 @@ Source: docs/reference/bundle-format.md.
 """
 
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 import onnxruntime
@@ -84,34 +86,30 @@ class NoCaches:
 
     name = "none"
 
-    def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
+    def gbuffer(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise UnsupportedQuality, as the other functions do."""
+        raise UnsupportedQuality(
+            "relight.networks_missing",
+            "the bundle carries baked light transport and no networks",
+            'use the quality "baked" or "preview", or a bundle of the full tier',
+        )
 
-    def secondary(self, origin: Rows, direction: Rows) -> SecondaryHits:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
-
-    def material(self, position: Rows) -> PointMaterials:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
-
-    def adapted(self, light: str, origin: Rows, direction: Rows) -> AdaptedHits:
-        """Raise UnsupportedQuality."""
-        raise _no_networks()
-
-
-def _no_networks() -> UnsupportedQuality:
-    return UnsupportedQuality(
-        "relight.networks_missing",
-        "the bundle carries baked light transport and no networks",
-        'use the quality "baked" or "preview", or a bundle of the full tier',
-    )
+    secondary = material = adapted = gbuffer
 
 
 def available_threads() -> int:
     """Return the number of CPU threads this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_threads(task: Callable[[int], None], starts: range, num_threads: int) -> None:
+    """Call `task` (it should release the interpreter lock) with each of `starts` in `num_threads` threads."""
+    if num_threads == 1 or len(starts) < 2:
+        for start in starts:
+            task(start)
+    else:
+        with ThreadPoolExecutor(num_threads) as pool:
+            list(pool.map(task, starts))
 
 
 class OnnxGraph:

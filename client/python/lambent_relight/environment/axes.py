@@ -31,24 +31,11 @@ def from_axes(environment: Environment, axes: str) -> Environment:
     Exact: columns are rolled where four divides the width, else the light is turned. Raises
     EnvironmentFileError for an unknown name.
     """
-    return _turned(environment, _quarter_turns(axes))
-
-
-def to_axes(environment: Environment, axes: str) -> Environment:
-    """Return a map that stands for the same light in the convention `axes`; the inverse of `from_axes`."""
-    return _turned(environment, -_quarter_turns(axes))
-
-
-def _quarter_turns(axes: str) -> int:
     if axes not in QUARTER_TURNS:
         raise EnvironmentFileError(
             "environment.unknown_axes", f"axes {axes!r}", f"use one of {', '.join(QUARTER_TURNS)}"
         )
-    return QUARTER_TURNS[axes]
-
-
-def _turned(environment: Environment, quarter_turns: int) -> Environment:
-    width = environment.radiance.shape[1]
+    quarter_turns, width = QUARTER_TURNS[axes], environment.radiance.shape[1]
     if quarter_turns == 0:
         return environment
     if width % 4:

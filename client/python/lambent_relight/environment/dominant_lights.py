@@ -1,9 +1,9 @@
 """Bright compact peaks of an environment as directional lights, and the map without them.
 
-A peak's light is what rises above its surroundings: inside a disk of `radius_deg` about the brightest pixel,
-each channel minus its mean over the ring from `radius_deg` to 1.5 `radius_deg`, where that is positive. It is
+A peak's light is what rises above its surroundings: inside a disk of `RADIUS_DEG` about the brightest pixel,
+each channel minus its mean over the ring from `RADIUS_DEG` to 1.5 `RADIUS_DEG`, where that is positive. It is
 taken out of the map and becomes a light from the centroid of what was taken, so the sum of radiance times
-solid angle stays the same; no other light is sought in disk and ring. Peaks with less than `min_share` of the
+solid angle stays the same; no other light is sought in disk and ring. Peaks with less than `MIN_SHARE` of the
 map's energy stay in the map. Brightness of a pixel is the sum of its channels; of equal pixels the first is
 taken, in rows from the top.
 Source: docs/reference/conventions.md (dominant lights).
@@ -21,24 +21,10 @@ from lambent_relight.errors import SettingError
 
 _MAX_TRIALS = 16
 MAX_LIGHTS = 8
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PeakRule:
-    """Criteria for extracting a directional light."""
-
-    radius_deg: float = 8.0
-    """Angle about the brightest pixel that belongs to the light, 0.1 to 30 degrees."""
-    min_share: float = 0.03
-    """Smallest share of the map's energy that is worth a light."""
-
-    def __post_init__(self) -> None:
-        if not 0.1 <= self.radius_deg <= 30.0 or not 0.0 < self.min_share <= 1.0:
-            raise SettingError(
-                "relight.peak_rule",
-                f"radius {self.radius_deg} degrees and share {self.min_share}",
-                "use a radius of 0.1 to 30 degrees and a share of 0 to 1",
-            )
+RADIUS_DEG = 8.0
+"""Angle about the brightest pixel that belongs to a light."""
+MIN_SHARE = 0.03
+"""Smallest share of the map's energy that is worth a light."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +45,10 @@ def energy(radiance: Array) -> NDArray[np.float64]:
     return pixel_solid_angles(*radiance.shape[:2]) @ rows
 
 
-def split(environment: Environment, count: int, rule: PeakRule | None = None) -> DominantLights:
+def split(environment: Environment, count: int) -> DominantLights:
     """Return up to `count` (0 to 8) lights and the residual; fewer where fewer peaks are worth one."""
     if not 0 <= count <= MAX_LIGHTS:
         raise SettingError("relight.dominant_lights", f"{count} lights", f"use 0 to {MAX_LIGHTS}")
-    rule = rule or PeakRule()
     image = environment.radiance.astype(np.float64)
     total = float(energy(image).sum())
     candidates = image.sum(axis=-1)
@@ -72,7 +57,7 @@ def split(environment: Environment, count: int, rule: PeakRule | None = None) ->
         peak = int(np.argmax(candidates))
         if len(lights) == count or candidates.flat[peak] <= 0.0:
             break
-        window = _disk_and_ring(image.shape[:2], *divmod(peak, image.shape[1]), rule.radius_deg)
+        window = _disk_and_ring(image.shape[:2], *divmod(peak, image.shape[1]))
         if not window.ring.any():
             break
         disk, ring = window.rows[window.disk], window.rows[window.ring]
@@ -83,7 +68,7 @@ def split(environment: Environment, count: int, rule: PeakRule | None = None) ->
         flux = taken * window.solid_angles[window.disk][:, None]
         candidates[disk, disk_columns] = -1.0
         candidates[ring, ring_columns] = -1.0
-        if flux.sum() < rule.min_share * total:
+        if flux.sum() < MIN_SHARE * total:
             continue
         image[disk, disk_columns] -= taken
         centre = flux.sum(axis=1) @ window.directions[window.disk]
@@ -109,9 +94,9 @@ class _Window:
     ring: NDArray[np.bool_]
 
 
-def _disk_and_ring(shape: tuple[int, int], row: int, column: int, radius_deg: float) -> _Window:
+def _disk_and_ring(shape: tuple[int, int], row: int, column: int) -> _Window:
     height, width = shape
-    reach = math.radians(1.5 * radius_deg) + math.pi / height
+    reach = math.radians(1.5 * RADIUS_DEG) + math.pi / height
     first = max(math.floor(row - reach / math.pi * height), 0)
     last = min(math.ceil(row + reach / math.pi * height) + 1, height)
     # A circle that holds no pole spans this azimuth to either side; one that does, every column.
@@ -125,8 +110,8 @@ def _disk_and_ring(shape: tuple[int, int], row: int, column: int, radius_deg: fl
     centre = directions_of_uv(np.array((column + 0.5) / width), np.array((row + 0.5) / height))
     cosine = directions @ centre
     # The peak itself always belongs, however coarse the map.
-    disk = (cosine >= math.cos(math.radians(radius_deg))) | ((rows == row) & (columns == column))
-    ring = ~disk & (cosine >= math.cos(math.radians(1.5 * radius_deg)))
+    disk = (cosine >= math.cos(math.radians(RADIUS_DEG))) | ((rows == row) & (columns == column))
+    ring = ~disk & (cosine >= math.cos(math.radians(1.5 * RADIUS_DEG)))
     if not ring.any():
         # Pixels are larger than the ring: the nearest ones outside take its place.
         outside = np.sort(cosine[~disk])

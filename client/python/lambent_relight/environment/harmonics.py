@@ -1,4 +1,4 @@
-"""Real spherical harmonics: basis, projection of environments, rotation, windowing.
+"""Real spherical harmonics: basis, projection of environments, rotation about z.
 
 Orthonormal over the sphere, no Condon-Shortley sign: Y_1,-1 ~ y, Y_1,0 ~ z, Y_1,1 ~ x. Coefficient (l, m)
 has the index l (l + 1) + m; "SH-n" has the n bands l = 0 .. n - 1, which are n^2 coefficients. A function's
@@ -6,8 +6,6 @@ coefficients are [bands^2, channels]. Source: docs/reference/conventions.md (sph
 """
 
 import math
-from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +15,7 @@ from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import SettingError
 
 MAX_BANDS = 16
-"""Largest number of bands; quadrature and rotation are tested up to here."""
+"""Largest number of bands; quadrature is tested up to here."""
 _NODES_PER_HALF_ROW = 8
 
 
@@ -121,11 +119,6 @@ def _row_integrals(height: int, bands: int) -> NDArray[np.float64]:
     return result
 
 
-def evaluate(coefficients: Array, directions: Array) -> NDArray[np.float64]:
-    """Return the function with `coefficients` [bands^2, channels] at `directions` [n, 3], [n, channels]."""
-    return basis(directions, math.isqrt(len(coefficients))) @ coefficients
-
-
 def rotate_z(coefficients: Array, degrees: float) -> NDArray[np.float64]:
     """Return the coefficients of the function turned by +`degrees` about +z: f'(d) = f(Rz(-degrees) d)."""
     values = np.asarray(coefficients, np.float64)
@@ -137,61 +130,6 @@ def rotate_z(coefficients: Array, degrees: float) -> NDArray[np.float64]:
             result[centre + m] = cosine * values[centre + m] - sine * values[centre - m]
             result[centre - m] = sine * values[centre + m] + cosine * values[centre - m]
     return result
-
-
-@dataclass(frozen=True)
-class Rotation:
-    """A rotation of functions on the sphere, one small matrix per band."""
-
-    blocks: tuple[NDArray[np.float64], ...]
-    """Orthogonal matrices, [2 l + 1, 2 l + 1] for band l."""
-
-    def apply(self, coefficients: Array) -> NDArray[np.float64]:
-        """Return the coefficients [bands^2, channels] of the turned function."""
-        values = np.asarray(coefficients, np.float64)
-        parts = [block @ values[degree**2 : (degree + 1) ** 2] for degree, block in enumerate(self.blocks)]
-        return np.concatenate(parts)
-
-
-def rotation(bands: int, matrix: Array) -> Rotation:
-    """Return the action of the rotation `matrix` [3, 3] on coefficients: f'(d) = f(matrix^T d).
-
-    Band by band the basis at a fixed set of directions determines the block: B(R^T d) = B(d) block for every
-    direction d, solved by least squares, exact to rounding. Raises SettingError for another matrix.
-    """
-    turn = np.asarray(matrix, np.float64)
-    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
-        raise SettingError("relight.rotation", "the matrix is no rotation", "give an orthonormal 3 x 3 one")
-    if np.linalg.det(turn) < 0.0:
-        raise SettingError("relight.rotation", "the matrix mirrors", "give one with determinant +1")
-    points, inverse = _fit_points(_checked(bands))
-    turned = basis(points @ turn, bands)
-    return Rotation(tuple(inverse[b] @ turned[:, b**2 : (b + 1) ** 2] for b in range(bands)))
-
-
-@cache
-def _fit_points(bands: int) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
-    """Return directions on a spiral that covers the sphere evenly, and the pseudo-inverse of every band."""
-    count = 4 * bands**2 + 8
-    index = np.arange(count)
-    z = 1.0 - (2.0 * index + 1.0) / count
-    azimuth = index * math.pi * (3.0 - math.sqrt(5.0))
-    radius = np.sqrt(1.0 - z * z)
-    points = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
-    values = basis(points, bands)
-    return points, tuple(np.linalg.pinv(values[:, b**2 : (b + 1) ** 2]) for b in range(bands))
-
-
-def window(bands: int, width: float) -> NDArray[np.float64]:
-    """Return the Hanning factor of every coefficient: (1 + cos(pi l / width)) / 2, 0 from l = width.
-
-    Multiplied into a projection it takes ringing from small bright lights, and blurs them. `width` is in
-    bands; infinity keeps everything. Source: Sloan, Stupid Spherical Harmonics Tricks (windowing).
-    """
-    if not width > 0.0:
-        raise SettingError("relight.sh_window", f"window width {width}", "give a positive number of bands")
-    degree = np.repeat(np.arange(_checked(bands)), 2 * np.arange(bands) + 1)
-    return np.where(degree < width, 0.5 + 0.5 * np.cos(np.pi * degree / width), 0.0)
 
 
 def cosine_factors(bands: int) -> NDArray[np.float64]:

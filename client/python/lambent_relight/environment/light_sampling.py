@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lambent_relight.directions import (
     Array,
-    directions_of_uv,
     dot,
+    pixel_directions,
     pixel_solid_angles,
     rotate_about_z,
     uv_of_directions,
@@ -158,10 +158,8 @@ def _cell_directions(
     cell: NDArray[np.int64], solid_angles: NDArray[np.float64], num_cells: int
 ) -> NDArray[np.float64]:
     """Return the mean direction of every cell, [cell, 3], shorter than 1 for wide cells."""
-    height, width = cell.shape
-    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     weight = np.broadcast_to(solid_angles[:, None], cell.shape).ravel()
-    directions = directions_of_uv(u, v).reshape(-1, 3)
+    directions = pixel_directions(*cell.shape).reshape(-1, 3)
     total = np.bincount(cell.ravel(), weight, num_cells)
     sums = [np.bincount(cell.ravel(), weight * directions[:, axis], num_cells) for axis in range(3)]
     return np.stack(sums, axis=-1) / total[:, None]

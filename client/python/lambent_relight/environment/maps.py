@@ -58,10 +58,6 @@ class Environment:
         """Return the same light rotated by a further +`degrees` about +z."""
         return replace(self, rotate_deg=self.rotate_deg + degrees)
 
-    def scaled(self, factor: float) -> "Environment":
-        """Return the same light, `factor` times as bright."""
-        return replace(self, radiance=self.radiance * np.float32(factor))
-
     def lookup(self, directions: Array) -> NDArray[np.float32]:
         """Return the radiance that arrives from unit `directions` [*batch, 3], as [*batch, 3]."""
         if self.rotate_deg:

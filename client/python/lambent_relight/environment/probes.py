@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.directions import Array, directions_of_uv, dot
+from lambent_relight.directions import Array, dot, pixel_directions
 from lambent_relight.environment.maps import Environment
 from lambent_relight.environment.prefilter import irradiance
 from lambent_relight.errors import SettingError
@@ -58,10 +58,7 @@ def lit_ball(light: Environment, size: int, *, from_deg: float, elevation_deg: f
 
 def upright_map(environment: Environment, height: int) -> NDArray[np.float32]:
     """Return the map in our convention with its rotation applied, [height, 2 height, 3], by interpolation."""
-    v, u = np.meshgrid(
-        (np.arange(height) + 0.5) / height, (np.arange(2 * height) + 0.5) / (2 * height), indexing="ij"
-    )
-    return environment.lookup(directions_of_uv(u, v))
+    return environment.lookup(pixel_directions(height, 2 * height))
 
 
 def _ball_normals(size: int, from_deg: float, elevation_deg: float) -> tuple[Array, NDArray[np.bool_], Array]:

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lambent_relight.directions import pixel_solid_angles
 from lambent_relight.environment.dominant_lights import energy
@@ -62,11 +61,7 @@ def clamp_sun(environment: Environment, max_radiance: float) -> tuple[Environmen
         num_texels=int(above.sum()),
         solid_angle_sr=float(pixel_solid_angles(*above.shape) @ above.sum(axis=1)),
         brightest=float(peaks.max()),
-        energy_before=_listed(energy(image)),
-        energy_after=_listed(energy(clamped.radiance)),
+        energy_before=tuple(energy(image).tolist()),
+        energy_after=tuple(energy(clamped.radiance).tolist()),
     )
     return clamped, report
-
-
-def _listed(values: NDArray[np.float64]) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)

@@ -8,7 +8,7 @@ import numpy as np
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import Rows
 from lambent_relight.fused import kernels
-from lambent_relight.fused.weights import NotFused, Weights, chained, network_constants, run_layers
+from lambent_relight.fused.weights import NotFused, Weights, chained, graph_constants, run_layers
 
 CONSTANTS = ("contraction_radius", "density_bias", "albedo_bias", "alpha_bias", "metalness_bias")
 CONSTANTS += ("alpha_minimum",)
@@ -19,7 +19,8 @@ class SurfaceFields:
 
     def __init__(self, bundle: Bundle, weights: Weights, graph: str, kind: str, extra: tuple[str, ...] = ()):
         """Collect the networks; raises NotFused when the bundle has others."""
-        self.constants = network_constants(bundle, graph, kind, CONSTANTS + extra, ("softplus_beta",))
+        path = bundle.graph_path(graph)
+        self.constants = graph_constants(bundle, path, kind, CONSTANTS + extra, ("softplus_beta",))
         self._radius = np.float32(self.constants["contraction_radius"])
         self._sharpness = self.constants["softplus_beta"]
         if not self._radius > 0.0 or self._sharpness == 0.0:

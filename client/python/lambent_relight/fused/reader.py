@@ -7,7 +7,6 @@ Source: supplement 2.1 (fast cache), 2.2 and 2.6; docs/reference/bundle-format.m
 """
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
@@ -20,6 +19,7 @@ from lambent_relight.bundle.graphs import (
     Rows,
     SecondaryHits,
     available_threads,
+    in_threads,
     output_widths,
 )
 from lambent_relight.fused import kernels
@@ -30,7 +30,6 @@ from lambent_relight.fused.weights import (
     Weights,
     chained,
     graph_constants,
-    network_constants,
     run_layers,
 )
 
@@ -46,7 +45,7 @@ class FusedFastCache:
     def __init__(self, bundle: Bundle, weights: Weights) -> None:
         """Collect the network; raises NotFused when the bundle has another one."""
         names = ("contraction_radius", "near", "far", "num_frequencies", "curve_power", "curve_premultiplier")
-        constants = network_constants(bundle, "fast_cache", "fast_cache.v1", names)
+        constants = graph_constants(bundle, bundle.graph_path("fast_cache"), "fast_cache.v1", names)
         self._radius = np.float32(constants["contraction_radius"])
         self._num_frequencies = int(constants["num_frequencies"])
         near, far, power, premultiplier = (float(constants[name]) for name in names[1:3] + names[4:])
@@ -200,11 +199,5 @@ class FusedCaches:
             rows = slice(start, start + rows_per_task)
             function(*(array[rows] for array in arrays), kind(**{k: v[rows] for k, v in found.items()}))
 
-        starts = range(0, count, rows_per_task)
-        if self._threads == 1 or len(starts) < 2:
-            for start in starts:
-                task(start)
-        else:
-            with ThreadPoolExecutor(self._threads) as pool:
-                list(pool.map(task, starts))
+        in_threads(task, range(0, count, rows_per_task), self._threads)
         return kind(**found)

@@ -5,6 +5,7 @@ Everything compiled code will index is checked here.
 """
 
 import json
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,9 +74,7 @@ class Weights:
         if entry is None or dtype is None:
             raise NotFused(f"there is no float32 or float16 tensor {name!r}")
         shape = tuple(entry.shape)
-        count = 1
-        for size in shape:
-            count *= size
+        count = math.prod(shape)
         offset, size = entry.offset_bytes, dtype.itemsize * count
         aligned = offset >= 0 and offset % dtype.itemsize == 0
         if not (aligned and size == entry.size_bytes and offset + size <= len(self._data)):
@@ -126,20 +125,13 @@ class Weights:
         return FeatureGrid(table, levels, entry.half_extent, np.float32(entry.output_scale))
 
 
-def network_constants(
-    bundle: Bundle, graph: str, kind: str, names: tuple[str, ...], optional: tuple[str, ...] = ()
-) -> dict:
-    """Return the constants of a graph's network; those in `optional` may be None.
-
-    Raises NotFused unless the network is of this `kind`.
-    """
-    return graph_constants(bundle, bundle.graph_path(graph), kind, names, optional)
-
-
 def graph_constants(
     bundle: Bundle, path: str, kind: str, names: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> dict:
-    """Return `network_constants` of the graph at `path`."""
+    """Return the constants of the network of the graph at `path`; those in `optional` may be None.
+
+    Raises NotFused unless the network is of this `kind`.
+    """
     graph = path.rpartition("/")[2]
     data = bundle.graph(path)
     try:

@@ -7,7 +7,7 @@ import OpenEXR
 import pytest
 from lambent.cli import app
 from lambent_relight import load_environment, write_environment
-from lambent_relight.environment.axes import to_axes
+from lambent_relight.environment.axes import from_axes
 from lambent_relight.environment.maps import environment_from_array
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
@@ -56,7 +56,8 @@ def test_a_clamp_is_reported_and_applied(sky, tmp_path, capsys):
 
 def test_relight_reads_maps_of_other_programs_and_tells_what_it_did(sky, tmp_path):
     bundle = write_analytic_bundle(tmp_path / "ball", AnalyticScene([Sphere((0.0, 0.0, 0.0), 1.0)]))
-    theirs = to_axes(load_environment(sky), "mitsuba")
+    # Turned the other way, which is how a map of skylibs becomes ours.
+    theirs = from_axes(load_environment(sky), "skylibs")
     write_environment(tmp_path / "theirs" / "sky.exr", theirs.radiance, half=False)
     pixels = []
     for path, axes in ((sky, "blender"), (tmp_path / "theirs/sky.exr", "mitsuba")):

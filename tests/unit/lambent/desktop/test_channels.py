@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from lambent.desktop.channels import Grade, channel_names, object_positions, shown_channel
+from lambent.desktop.channels import channel_names, graded, object_positions, shown_channel
 from lambent_relight import RelitPicture
 from lambent_relight.bundle.uncertainty import UncertaintyGrid
 from lambent_relight.images import srgb_from_linear
@@ -29,8 +29,8 @@ def grid():
 
 def test_radiance_is_exposed_mapped_and_encoded():
     radiance = np.array([[0.1, 0.2, 0.4]], np.float32)
-    np.testing.assert_allclose(Grade(exposure_ev=1.0)(radiance), srgb_from_linear(2.0 * radiance), atol=1e-6)
-    assert Grade(tone_mapping="neutral")(radiance)[0, 2] < Grade()(radiance)[0, 2]
+    np.testing.assert_allclose(graded(radiance, exposure_ev=1.0), srgb_from_linear(2.0 * radiance), atol=1e-6)
+    assert graded(radiance, tone_mapping="neutral")[0, 2] < graded(radiance)[0, 2]
 
 
 def test_doubts_are_offered_where_the_bundle_has_them():
@@ -47,10 +47,12 @@ def test_doubts_are_looked_up_at_the_surface_and_coloured_from_violet_to_yellow(
     positions = np.zeros((2, 3, 3))
     positions[0, :, 0] = (0.0, 0.5, 1.0)
     positions[1] = np.nan
-    shown = shown_channel(picture(coverage=coverage), f"uncertainty: {name}", lambda: positions, grid())
+    image, legend = shown_channel(
+        picture(coverage=coverage), f"uncertainty: {name}", lambda: positions, grid()
+    )
     expected = np.array([[68, 1, 84], [33, 145, 140], [253, 231, 37]]) / 255.0
-    np.testing.assert_allclose(shown.image[0], expected, atol=1e-4)
-    assert shown.legend.endswith(top)
+    np.testing.assert_allclose(image[0], expected, atol=1e-4)
+    assert legend.endswith(top)
 
 
 def test_positions_are_those_of_the_object_before_it_was_turned():
@@ -67,6 +69,6 @@ def test_positions_are_those_of_the_object_before_it_was_turned():
 def test_depth_is_spread_over_what_is_seen_and_says_so():
     distance = np.array([[[2.0], [3.0], [4.0]], [[0.0], [0.0], [0.0]]], np.float32)
     coverage = (distance > 0.0).astype(np.float32)
-    shown = shown_channel(picture(distance=distance, coverage=coverage), "depth", lambda: None, None)
-    np.testing.assert_allclose(shown.image[0, :, 0], [1.0, 0.5, 0.0], atol=1e-6)
-    assert shown.legend == "2 white, 4 black"
+    image, legend = shown_channel(picture(distance=distance, coverage=coverage), "depth", lambda: None, None)
+    np.testing.assert_allclose(image[0, :, 0], [1.0, 0.5, 0.0], atol=1e-6)
+    assert legend == "2 white, 4 black"

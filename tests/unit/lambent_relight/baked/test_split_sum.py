@@ -22,7 +22,7 @@ def sampled_reflectance(cosine, roughness, f0, count=60000):
     materials = Materials(np.full((count, 3), f0), alpha, np.ones((count, 1)))
     omega_i = ggx_sample(*np.random.default_rng(0).random((2, count)), omega_o, normal, alpha)
     half = half_vector(omega_o, omega_i, normal)
-    _, specular = brdf_cos(omega_o, omega_i, normal, materials, half)
+    _, specular = brdf_cos(omega_o, omega_i, normal, materials)
     pdf = ggx_pdf(half, alpha)
     return np.where(pdf > 0.0, specular / np.maximum(pdf, 1e-20), 0.0)[:, :1]
 

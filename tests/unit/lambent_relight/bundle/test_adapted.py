@@ -86,7 +86,7 @@ def test_what_a_cache_was_adapted_to_is_read_back(made):
 def test_a_cache_fits_its_own_light_and_material_alone():
     turned = SKY.rotated(390.0)
     assert misfit(LIGHT, turned, MaterialEdit()) == ""
-    assert "another map" in misfit(LIGHT, turned.scaled(1.01), MaterialEdit())
+    assert "another map" in misfit(LIGHT, replace(turned, radiance=1.01 * turned.radiance), MaterialEdit())
     assert "turned by 40" in misfit(LIGHT, SKY.rotated(40.0), MaterialEdit())
     assert "edited" in misfit(LIGHT, turned, MaterialEdit(roughness_scale=0.9))
     assert "edited" in misfit(LIGHT, turned, MaterialEdit(albedo=(0.5, 0.5, 0.5)))
@@ -99,7 +99,7 @@ def test_a_picture_says_where_its_bounced_light_came_from(made, caplog):
     bundle, _, plain = made
     renderer, camera = Renderer(bundle), bundle.cameras()[0].resized(6, 6)
     way = {"spp": 4, "antialias": 1}
-    assert choose(bundle, SKY.rotated(30.0), MaterialEdit()).light == LIGHT
+    assert choose(bundle, SKY.rotated(30.0), MaterialEdit()) == (LIGHT, "")
     assert renderer.render(camera, SKY, rotate_deg=30.0, **way).bounces == "adapted:studio"
     assert renderer.render(camera, SKY, rotate_deg=30.0, bounces="one", **way).bounces == "one"
     assert renderer.render(camera, SKY, rotate_deg=30.0, indirect=False, **way).bounces == ""

@@ -5,7 +5,7 @@ import pytest
 from lambent_relight.brdf import ggx_density
 from lambent_relight.directions import normalise, pixel_directions, pixel_solid_angles
 from lambent_relight.environment.area_mean import area_mean
-from lambent_relight.environment.harmonics import cosine_factors, evaluate, project
+from lambent_relight.environment.harmonics import basis, cosine_factors, project
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.environment.prefilter import Prefiltered, irradiance, level_width, prefilter, zonal_mean
 from lambent_relight.errors import SettingError
@@ -105,7 +105,7 @@ def test_irradiance_agrees_with_spherical_harmonics():
     environment = smooth_map(32, 64)
     directions = pixel_directions(32, 64)
     coefficients = project(environment, 9) * cosine_factors(9)[:, None] / np.pi
-    expected = evaluate(coefficients, directions.reshape(-1, 3)).reshape(32, 64, 3)
+    expected = (basis(directions.reshape(-1, 3), 9) @ coefficients).reshape(32, 64, 3)
     np.testing.assert_allclose(irradiance(environment), expected, rtol=0.02)
 
 
