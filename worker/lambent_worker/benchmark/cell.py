@@ -4,13 +4,13 @@ KIND is "stage-one" or "cell"; FOLDER holds cell.json, DEVICE is torch's, STAGE_
 stage one to start from. All output is written to FOLDER, and an interrupted cell resumes from it.
 """
 
-import os
 import shutil
 import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lambent_worker.files import link_or_copy, write_json
 from lambent_worker.startup import end_with_parent, prepare
 
 if TYPE_CHECKING:
@@ -75,7 +75,6 @@ def spec_of(cell: "Cell", overrides: "Mapping[str, str]") -> "RunSpec":
 def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: "Reporter") -> None:
     """Train stage two from a shared stage one, evaluate, and write `result.json` last."""
     from lambent_worker.bundle.manifest import git_revision
-    from lambent_worker.files import write_json
     from lambent_worker.messages import message_to_dict
     from lambent_worker.report.request import EvaluationRequest, as_shadows
     from lambent_worker.run.evaluation import evaluate_run
@@ -125,20 +124,13 @@ def adopt(stage_one: Path, run_dir: Path) -> None:
         return
     for name in SHARED:
         shutil.rmtree(run_dir / name, ignore_errors=True)
-        shutil.copytree(stage_one / name, run_dir / name, copy_function=_link)
+        shutil.copytree(stage_one / name, run_dir / name, copy_function=link_or_copy)
     (run_dir / "steps").mkdir(exist_ok=True)
     for task in SHARED_TASKS:
         for kind in ("inputs", "done"):
             shutil.copyfile(
                 stage_one / "steps" / f"{task}.{kind}.json", run_dir / "steps" / f"{task}.{kind}.json"
             )
-
-
-def _link(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
 
 
 if __name__ == "__main__":

@@ -39,10 +39,15 @@ class Part:
         return f"{self.cell.scene}, {self.cell.setting} light, seed {self.cell.seed}: {what}"
 
     @property
+    def trained(self) -> bool:
+        """Whether stage one from the same inputs exists."""
+        return done_inputs(self.stage_one, "cache") == self.cell.stage_one
+
+    @property
     def done(self) -> bool:
         """Whether a result from the same inputs exists."""
         if self.kind == "stage-one":
-            return done_inputs(self.stage_one, "cache") == self.cell.stage_one
+            return self.trained
         return read_record(self.folder / RESULT).get("inputs") == self.cell.inputs
 
 
@@ -101,7 +106,7 @@ def run_parts(parts: Sequence[Part], *, jobs: int, devices: Sequence[str], event
             for part in list(waiting):
                 if len(running) >= jobs:
                     break
-                if part.kind == "cell" and (part.stage_one in busy or not _is_trained(part)):
+                if part.kind == "cell" and (part.stage_one in busy or not part.trained):
                     continue
                 slot = min(set(range(jobs)) - {item.slot for item in running})
                 running.append(_start(part, slot, devices[slot % len(devices)], jobs))
@@ -116,10 +121,6 @@ def run_parts(parts: Sequence[Part], *, jobs: int, devices: Sequence[str], event
         _end(running)
         signal.signal(signal.SIGTERM, before)
     return failed
-
-
-def _is_trained(part: Part) -> bool:
-    return done_inputs(part.stage_one, "cache") == part.cell.stage_one
 
 
 def _start(part: Part, slot: int, device: str, jobs: int) -> Running:

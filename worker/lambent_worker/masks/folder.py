@@ -11,13 +11,14 @@ from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 from PIL import Image, ImageDraw
 
-from lambent_worker.capture_qa.observe import fitted, outlined_picture, read_small
+from lambent_worker.capture_qa.observe import outlined_picture, read_small
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.errors import WorkerError
 from lambent_worker.masks.consensus import MaskView
 from lambent_worker.masks.estimate import Consistency, EstimateSettings, estimate_masks
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.resample import reduced_size
 
 VIEW_SIDE = 512
 """Longer side at which outlines are drawn, pixels; the files get the size of their pictures."""
@@ -117,7 +118,7 @@ def _read(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifes
     if is_linear:
         colours = np.round(255.0 * srgb_from_linear(colours)).astype(np.uint8)
     camera = PictureCamera.of_frame(frame)
-    size = fitted((camera.width, camera.height), VIEW_SIDE)
+    size = reduced_size(camera.width, camera.height, VIEW_SIDE)
     return MaskView(frame.name, colours, camera.resized(*size))
 
 

@@ -198,9 +198,17 @@ def _check_width(
     settings: dict[str, Any], size: tuple[int, int], subject: str, camera: str, problems: Problems
 ) -> bool:
     """Return whether the pictures are upright, and as wide as those the cameras were solved for or a part."""
-    stated = finite_number(settings.get("calib_imgw"))
+    if "calib_imgw" not in settings:
+        return True
+    stated = finite_number(settings["calib_imgw"])
     if stated is None or stated < 1.0:
-        return "calib_imgw" not in settings or _note_width(settings, subject, problems)
+        problems.error(
+            "scene.lens_invalid",
+            f"{subject}: calib_imgw must be the width of the calibrated picture in pixels, found "
+            f"{str(settings['calib_imgw'])[:40]}",
+            subject,
+        )
+        return False
     share = size[0] / stated
     if abs(share * round(1.0 / share) - 1.0) > 0.02 if share <= 1.0 else share > 1.02:
         problems.error(
@@ -211,13 +219,3 @@ def _check_width(
         )
         return False
     return True
-
-
-def _note_width(settings: dict[str, Any], subject: str, problems: Problems) -> bool:
-    problems.error(
-        "scene.lens_invalid",
-        f"{subject}: calib_imgw must be the width of the calibrated picture in pixels, found "
-        f"{str(settings['calib_imgw'])[:40]}",
-        subject,
-    )
-    return False
