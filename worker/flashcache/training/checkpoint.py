@@ -68,8 +68,8 @@ def load_checkpoint(
 ) -> CheckpointState:
     """Fill `model` (and `optimiser`) from a checkpoint and return what it says about itself.
 
-    Raises `TrainingError`, before anything is filled in, when a file is damaged or of another version, and when
-    the checkpoint does not fit the model.
+    Raises `TrainingError` when a file is damaged or of another version, before anything is filled in, and
+    when the checkpoint does not fit the model.
     """
     try:
         state = CheckpointState(**json.loads((folder / "state.json").read_text()))

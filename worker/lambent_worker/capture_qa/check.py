@@ -28,13 +28,8 @@ MAX_THUMBNAIL_CHARACTERS = 64 * 1024
 _BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
 
-def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneReport:
-    """Return the report on the capture in `folder`: all problems, at most 100."""
-    return check_capture(folder, layout).report
-
-
 def check_capture(folder: Path, layout: str | None = None, masks: Path | None = None) -> CaptureCheck:
-    """Return the report on the capture in `folder`, with measurements if it can be used.
+    """Return the report on the capture in `folder` (at most 100 findings), with measurements if it is usable.
 
     `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures; an
     unknown layout is a `UsageError`. Nothing a capture holds makes this function raise.

@@ -65,15 +65,7 @@ class Identity:
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "Identity":
         """Return what `LAMBENT_RUN` says."""
         given = json.loads(environment["LAMBENT_RUN"])
-        return cls(
-            job_id=given["job_id"],
-            run=given["run"],
-            address=given["address"],
-            token=given["token"],
-            work_dir=Path(given["work_dir"]),
-            memory_bytes=given["memory_bytes"],
-            give_up_after_s=given["give_up_after_s"],
-        )
+        return cls(**{**given, "work_dir": Path(given["work_dir"])})
 
     @property
     def fence(self) -> worker_pb2.Fence:

@@ -175,18 +175,12 @@ def _read_frame(
     focal = focal_from_angle(settings.get("camera_angle_x"), size[0], subject, problems)
     if pose is None or focal is None or not _check_width(settings, size, subject, camera, problems):
         return None
-    figures = LensFigures(
-        width=size[0],
-        height=size[1],
-        focal_x=focal,
-        focal_y=focal,
-        centre_x=0.5 * size[0],
-        centre_y=0.5 * size[1],
-    )
+    figures = LensFigures.centred(size, focal)
     described = camera_with_lens(figures, pose @ OPENGL_FROM_OPENCV, subject, problems)
-    if described is not None:
-        frame.camera.CopyFrom(described)
-    return None if described is None else frame
+    if described is None:
+        return None
+    frame.camera.CopyFrom(described)
+    return frame
 
 
 def _find_photograph(folder: Path, stem: str) -> str | None:

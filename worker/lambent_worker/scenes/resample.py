@@ -74,7 +74,7 @@ def resampled_weighted(
 def averaged(
     values: Float32[ndarray, "height width channels"], size: tuple[int, int]
 ) -> Float32[ndarray, "rows columns channels"]:
-    """Return a picture with `size` = (width, height) pixels, each the mean over its area of the given ones."""
+    """Return a picture with `size` = (width, height) pixels, each the mean over its area."""
     if (values.shape[1], values.shape[0]) == size:
         return values
     rows = area_weights(values.shape[0], size[1])

@@ -21,7 +21,7 @@ from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.surface_files import write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
-from lambent_worker.bundle.transport_files import Bake, write_relight_graph, write_transport
+from lambent_worker.bundle.transport_files import write_relight_graph, write_transport
 from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
@@ -87,12 +87,16 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     surface, _ = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
     _advance(context, 4)
     if settings.transport_tier != "none":
-        bake = Bake(
-            config=TransportConfig(tier=settings.transport_tier),
+        write_transport(
+            model,
+            written_caches(manifest, folder),
+            surface,
+            manifest,
+            folder,
+            TransportConfig(tier=settings.transport_tier),
             store=context.folder.with_name(context.folder.name + ".rays"),
             advance=lambda share: context.stop_if_asked(),
         )
-        write_transport(model, written_caches(manifest, folder), surface, manifest, folder, bake)
         compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.spec.seed))
     _advance(context, 5)
 
