@@ -29,12 +29,12 @@ def main(arguments: list[str]) -> int:
     """Return the exit code of the command line."""
     prepare()
     end_with_parent(signal.SIGTERM)
-    from lambent_worker.benchmark.plan import cell_from_json
+    from lambent_worker.benchmark.plan import CELL_FILE
     from lambent_worker.console_reporter import ConsoleReporter
     from lambent_worker.errors import WorkerError
 
     kind, folder, device, stage_one = arguments[0], Path(arguments[1]), arguments[2], Path(arguments[3])
-    cell = cell_from_json((folder / ORDER).read_text(encoding="utf-8"))
+    cell = CELL_FILE.validate_json((folder / ORDER).read_bytes())
     with ConsoleReporter(folder) as reporter:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: reporter.request_stop())
@@ -76,7 +76,6 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     """Train stage two from a shared stage one, evaluate, and write `result.json` last."""
     from lambent_worker.bundle.manifest import git_revision
     from lambent_worker.messages import message_to_dict
-    from lambent_worker.report.request import EvaluationRequest, as_shadows
     from lambent_worker.run.evaluation import evaluate_run
     from lambent_worker.run.folder import task_seconds
     from lambent_worker.run.pipeline import run_pipeline
@@ -89,18 +88,8 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     adopt(stage_one, run_dir)
     spec = spec_of(cell, cell.overrides)
     run_pipeline(spec, run_dir, device, reporter, ("ingest", "cache", "joint"))
-    order = cell.evaluation
-    request = EvaluationRequest(
-        num_views=order.views,
-        num_repeats=order.repeats,
-        num_directions=order.directions,
-        antialias=order.antialias,
-        environments=Path(order.environments) if order.environments else None,
-        max_side=order.max_side,
-        shadows=as_shadows(order.shadows),
-        lpips_weights=tuple(Path(path) for path in order.lpips_weights),
-    )
-    report = evaluate_run(run_dir, scene_dir, folder / REPORT, request, device=device, reporter=reporter)
+    out = folder / REPORT
+    report = evaluate_run(run_dir, scene_dir, out, cell.evaluation, device=device, reporter=reporter)
     result = {
         "inputs": cell.inputs,
         "git_revision": git_revision(),
@@ -108,8 +97,8 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
         "report": message_to_dict(report),
     }
     write_json(folder / RESULT, result)
-    if not order.keep_predictions:
-        discard_predictions(folder / REPORT)
+    if not cell.keep_predictions:
+        discard_predictions(out)
 
 
 def discard_predictions(report: Path) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_worker.benchmark.cell import ORDER, RESULT, RUN
-from lambent_worker.benchmark.plan import Cell
+from lambent_worker.benchmark.plan import CELL_FILE, Cell
 from lambent_worker.errors import Stopped
 from lambent_worker.files import read_record
 from lambent_worker.run.folder import done_inputs
@@ -125,7 +125,7 @@ def run_parts(parts: Sequence[Part], *, jobs: int, devices: Sequence[str], event
 
 def _start(part: Part, slot: int, device: str, jobs: int) -> Running:
     part.folder.mkdir(parents=True, exist_ok=True)
-    (part.folder / ORDER).write_text(part.cell.to_json(), encoding="utf-8")
+    (part.folder / ORDER).write_bytes(CELL_FILE.dump_json(part.cell, indent=1))
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {"OMP_NUM_THREADS": threads, **os.environ}
     with (part.folder / "log.txt").open("ab") as log:

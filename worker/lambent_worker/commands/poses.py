@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lambent_worker.commands.shared import Json, reporting_errors
+from lambent_worker.commands.shared import Json, Seed, reporting_errors
 
 
 @reporting_errors
@@ -16,7 +16,7 @@ def poses(
     masks: Annotated[
         Path | None, typer.Option(help="Folder of masks named like the pictures; only what they show counts.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Find cameras for photographs with COLMAP and write a capture that train and check take."""
