@@ -23,16 +23,16 @@ def poses(
     from lambent_worker.poses.capture import solve_capture, summary
     from lambent_worker.poses.solve import PoseSettings
 
-    solved = solve_capture(photographs, out, masks, PoseSettings(seed=seed), tell_progress)
+    record = solve_capture(photographs, out, masks, PoseSettings(seed=seed), tell_progress)
     if as_json:
-        typer.echo(json.dumps(solved.record))
+        typer.echo(json.dumps(record))
         return
-    typer.echo(summary(solved.record))
-    for finding in solved.record["findings"]:
+    typer.echo(summary(record))
+    for finding in record["findings"]:
         typer.echo(f"note: {finding['code']}: {finding['message']}")
     typer.echo(f'go on with: lambent check "{out}"')
 
 
 def tell_progress(text: str) -> None:
-    """Say what is being done, where talk belongs."""
+    """Print progress to standard error."""
     typer.echo(text, err=True)

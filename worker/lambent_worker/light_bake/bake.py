@@ -74,8 +74,7 @@ def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter
     run = None
     if (source / "run.json").is_file():
         run = open_task(source, "joint", reporter, request.device)
-    bundle = _bundle_of(source, run)
-    environment = _environment(request)
+    bundle, environment = _opened(source, run, request)
     light = AdaptedLight(
         name=_free_name(bundle, request),
         environment_sha256=environment_digest(environment),
@@ -135,11 +134,12 @@ def mean_radiance(image: Float32[ndarray, "rows columns 3"]) -> float:
     return float((image.mean(axis=-1, keepdims=True) * weight).sum())
 
 
-def _bundle_of(source: Path, run: TaskContext | None) -> Bundle:
+def _opened(source: Path, run: TaskContext | None, request: BakeRequest) -> tuple[Bundle, Environment]:
     if run is not None:
         require_done(source, "export")
     try:
         bundle = load_bundle(task_folder(source, "export") if run is not None else source)
+        environment = load_environment(request.environment).rotated(request.rotate_deg)
     except RelightError as error:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
     if not bundle.has_networks:
@@ -147,14 +147,7 @@ def _bundle_of(source: Path, run: TaskContext | None) -> Bundle:
             "bake.networks_missing",
             f'"{source}" carries no fast cache to adapt; give a bundle of the full tier',
         )
-    return bundle
-
-
-def _environment(request: BakeRequest) -> Environment:
-    try:
-        return load_environment(request.environment).rotated(request.rotate_deg)
-    except RelightError as error:
-        raise UsageError(error.code, f"{error.message}; {error.advice}") from error
+    return bundle, environment
 
 
 def _free_name(bundle: Bundle, request: BakeRequest) -> str:

@@ -27,7 +27,7 @@ def attach_masks(
         )
         return
     files = _files_by_name(masks_dir)
-    stems = Counter(_stem(frame) for frame in manifest.frames)
+    stems = Counter(PurePosixPath(frame.images[0].path).stem for frame in manifest.frames)
     used: set[Path] = set()
     lacking = []
     for frame in manifest.frames:
@@ -63,10 +63,6 @@ def _names(frame: scene_pb2.Frame, stems: Counter[str]) -> list[str]:
     if stems[path.stem] == 1:
         names += [path.stem, path.name]
     return names
-
-
-def _stem(frame: scene_pb2.Frame) -> str:
-    return PurePosixPath(frame.images[0].path).stem
 
 
 def _files_by_name(folder: Path) -> dict[str, Path]:
