@@ -165,7 +165,7 @@ def main(options: argparse.Namespace) -> dict[str, dict]:
         target = options.out / name.replace(" ", "_")
         shutil.rmtree(target, ignore_errors=True)
         began = time.process_time()
-        solved = solve_capture(
+        record = solve_capture(
             options.out / "photographs", target, masks, PoseSettings(seed=options.seed), print
         )
         seconds = time.process_time() - began
@@ -176,9 +176,9 @@ def main(options: argparse.Namespace) -> dict[str, dict]:
         rotation, centre = pose_errors(found, np.array([true[key] for key in common]))
         focal = 0.5 * options.side / np.tan(np.radians(0.5 * FIELD_DEG))
         rows[name] = {
-            "registered": solved.record["registered"],
-            "photographs": solved.record["photographs"],
-            "reprojection_error_px": solved.record["reprojection_error_px"],
+            "registered": record["registered"],
+            "photographs": record["photographs"],
+            "reprojection_error_px": record["reprojection_error_px"],
             "rotation_deg": [float(rotation.mean()), float(rotation.std()), float(rotation.max())],
             "centre_share": [float(centre.mean()), float(centre.std()), float(centre.max())],
             "focal_ratio": manifest.frames[0].camera.focal_x / focal,

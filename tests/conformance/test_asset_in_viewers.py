@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "box.glb").write_bytes(write_glb(SURFACE, textures, unit="unknown"))
     model = sphere_model()
     surface = build_surface(model, ExportConfig(mesh_resolution=24, max_faces=600, atlas_size=64))
-    textures = bake_materials(model, surface)
+    textures = bake_materials(model, surface, np.ones(len(surface.texel_index), np.float32))
     (folder / "ball.glb").write_bytes(write_glb(surface, textures, unit="unknown"))
     return folder
 

@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from lambent_worker.capture_qa.check import check_scene
+from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run import evaluation as evaluation_run
 from lambent_worker.run.pipeline import run_pipeline
@@ -54,7 +54,7 @@ def test_a_forced_layout_is_checked_and_described_by_the_first_task(tmp_path, la
 def test_the_check_says_the_same_from_its_child_process(tmp_path):
     capture = ColmapBinaryFolder(tmp_path / "scene")
     capture.mask(3).write_text("no picture")
-    (finding,) = check_scene(capture.folder).findings
+    (finding,) = check_capture(capture.folder).report.findings
     assert (finding.code, finding.subject) == ("scene.image_not_a_picture", "masks/IMG_0003.png.png")
 
 

@@ -99,7 +99,7 @@ def test_what_was_solved_is_not_solved_again(solved):
     before = model.stat().st_mtime_ns
     again = solve_capture(folder / "photographs", folder / "scene", folder / "cut")
     assert model.stat().st_mtime_ns == before
-    assert again.record["registered"] == COUNT
+    assert again["registered"] == COUNT
 
 
 def test_the_gap_behind_the_object_is_named(solved):

@@ -4,8 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from lambent_worker.benchmark.cell import RESULT
-from lambent_worker.benchmark.plan import Cell, EvaluationOrder
+from lambent_worker.benchmark.plan import Cell
 from lambent_worker.files import write_json
+from lambent_worker.report.request import EvaluationRequest
 
 CELL = Cell(
     scene="crate",
@@ -20,7 +21,7 @@ CELL = Cell(
     preset="tiny",
     base_overrides={},
     overrides={},
-    evaluation=EvaluationOrder(),
+    evaluation=EvaluationRequest(),
     stage_one="a" * 64,
     inputs="b" * 64,
 )

@@ -6,7 +6,7 @@ from lambent_proto.v1 import scene_pb2
 
 
 class WorkerError(Exception):
-    """Something a user can mend. `code` never changes between versions; `exit_code` ends the command line."""
+    """Something a user can fix. `code` never changes between versions; `exit_code` ends the command line."""
 
     exit_code = 1
 
@@ -31,7 +31,7 @@ class SceneRefusedError(WorkerError):
         errors = [f for f in report.findings if f.severity == scene_pb2.SEVERITY_ERROR]
         shown = "\n".join(f"  {finding.code}: {finding.message}" for finding in errors)
         super().__init__(
-            "scene.refused", f"the scene cannot be used; {len(errors)} problem(s) to mend first:\n{shown}"
+            "scene.refused", f"the scene cannot be used; {len(errors)} problem(s) to fix first:\n{shown}"
         )
         self.report = report
 

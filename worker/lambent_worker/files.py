@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,14 @@ def read_record(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return value if isinstance(value, dict) else {}
+
+
+def link_or_copy(source: str | Path, target: str | Path) -> None:
+    """Make a file appear under a second name, as a copy on file systems without links."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def digest(*parts: object) -> str:

@@ -1,4 +1,4 @@
-"""What a task tells the outside world, whoever listens."""
+"""The interface through which the tasks of a run report."""
 
 from pathlib import Path
 from typing import Protocol

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
@@ -67,12 +68,14 @@ def load_checkpoint(
 ) -> CheckpointState:
     """Fill `model` (and `optimiser`) from a checkpoint and return what it says about itself.
 
-    Raises `TrainingError` when it is of another version or does not fit the model.
+    Raises `TrainingError` when a file is damaged or of another version, before anything is filled in, and
+    when the checkpoint does not fit the model.
     """
     try:
         state = CheckpointState(**json.loads((folder / "state.json").read_text()))
         tensors = load_file(folder / "model.safetensors")
-    except (OSError, ValueError, TypeError) as error:
+        moments = load_file(folder / "optimiser.safetensors") if optimiser is not None else {}
+    except (OSError, ValueError, TypeError, SafetensorError) as error:
         raise TrainingError(
             f"checkpoint {folder} cannot be read ({error}); delete it to start the stage again"
         ) from error
@@ -85,7 +88,7 @@ def load_checkpoint(
     except RuntimeError as error:
         raise TrainingError(f"checkpoint {folder} does not fit this configuration: {error}") from error
     if optimiser is not None:
-        _restore_moments(optimiser, load_file(folder / "optimiser.safetensors"))
+        _restore_moments(optimiser, moments)
     return state
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lambent_worker.benchmark.plan import Cell, EvaluationOrder, Variant, plan
+from lambent_worker.benchmark.plan import Cell, Variant, plan
 from lambent_worker.benchmark.results import average_rows, differences, finished, scene_rows
 from lambent_worker.benchmark.runner import Part, parts_of, run_parts
 from lambent_worker.benchmark.suite import Setting, SuiteScene
@@ -12,6 +12,7 @@ from lambent_worker.benchmark.tables import ABLATION_COLUMNS, Content, as_csv, a
 from lambent_worker.console_reporter import format_duration
 from lambent_worker.errors import UsageError
 from lambent_worker.files import read_record, write_json
+from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run.folder import locked
 
 MARKER = "benchmark.json"
@@ -35,7 +36,8 @@ def run_benchmark(
     out: Path,
     preset: str,
     overrides: Mapping[str, str],
-    evaluation: EvaluationOrder,
+    evaluation: EvaluationRequest,
+    keep_predictions: bool,
     jobs: int,
     devices: Sequence[str],
     tell: Callable[[str], None],
@@ -47,7 +49,16 @@ def run_benchmark(
     Ctrl-C.
     """
     _check_folder(out)
-    cells = plan(scenes, variants, seeds, settings, preset=preset, overrides=overrides, evaluation=evaluation)
+    cells = plan(
+        scenes,
+        variants,
+        seeds,
+        settings,
+        preset=preset,
+        overrides=overrides,
+        evaluation=evaluation,
+        keep_predictions=keep_predictions,
+    )
     with locked(out):
         write_json(out / MARKER, {"preset": preset, "cells": [cell.name for cell in cells]})
         parts = parts_of(cells, out)
@@ -58,7 +69,7 @@ def run_benchmark(
 
 
 def write_tables(
-    cells: Sequence[Cell], out: Path, preset: str, failed: Sequence[str], evaluation: EvaluationOrder
+    cells: Sequence[Cell], out: Path, preset: str, failed: Sequence[str], evaluation: EvaluationRequest
 ) -> str:
     """Write the tables of the cells that are done, and return them as Markdown."""
     results = finished(cells, out)
@@ -79,10 +90,10 @@ def write_tables(
     return text
 
 
-def _notes(cells: Sequence[Cell], out: Path, evaluation: EvaluationOrder) -> tuple[str, ...]:
-    views = f"{evaluation.views} test views" if evaluation.views else "all test views"
-    rays = f"{evaluation.antialias**2} camera and {evaluation.directions} secondary rays per pixel"
-    notes = [f"Evaluated on {views}, {rays} x {evaluation.repeats} repeats."]
+def _notes(cells: Sequence[Cell], out: Path, evaluation: EvaluationRequest) -> tuple[str, ...]:
+    views = f"{evaluation.num_views} test views" if evaluation.num_views else "all test views"
+    rays = f"{evaluation.antialias**2} camera and {evaluation.num_directions} secondary rays per pixel"
+    notes = [f"Evaluated on {views}, {rays} x {evaluation.num_repeats} repeats."]
     if not evaluation.environments:
         notes.append("Not relit: no environment maps were given or found in the suite.")
     if not evaluation.lpips_weights:

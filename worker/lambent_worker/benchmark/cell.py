@@ -4,13 +4,13 @@ KIND is "stage-one" or "cell"; FOLDER holds cell.json, DEVICE is torch's, STAGE_
 stage one to start from. All output is written to FOLDER, and an interrupted cell resumes from it.
 """
 
-import os
 import shutil
 import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lambent_worker.files import link_or_copy, write_json
 from lambent_worker.startup import end_with_parent, prepare
 
 if TYPE_CHECKING:
@@ -29,12 +29,12 @@ def main(arguments: list[str]) -> int:
     """Return the exit code of the command line."""
     prepare()
     end_with_parent(signal.SIGTERM)
-    from lambent_worker.benchmark.plan import cell_from_json
+    from lambent_worker.benchmark.plan import CELL_FILE
     from lambent_worker.console_reporter import ConsoleReporter
     from lambent_worker.errors import WorkerError
 
     kind, folder, device, stage_one = arguments[0], Path(arguments[1]), arguments[2], Path(arguments[3])
-    cell = cell_from_json((folder / ORDER).read_text(encoding="utf-8"))
+    cell = CELL_FILE.validate_json((folder / ORDER).read_bytes())
     with ConsoleReporter(folder) as reporter:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: reporter.request_stop())
@@ -75,9 +75,7 @@ def spec_of(cell: "Cell", overrides: "Mapping[str, str]") -> "RunSpec":
 def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: "Reporter") -> None:
     """Train stage two from a shared stage one, evaluate, and write `result.json` last."""
     from lambent_worker.bundle.manifest import git_revision
-    from lambent_worker.files import write_json
     from lambent_worker.messages import message_to_dict
-    from lambent_worker.report.request import EvaluationRequest, as_shadows
     from lambent_worker.run.evaluation import evaluate_run
     from lambent_worker.run.folder import task_seconds
     from lambent_worker.run.pipeline import run_pipeline
@@ -90,18 +88,8 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     adopt(stage_one, run_dir)
     spec = spec_of(cell, cell.overrides)
     run_pipeline(spec, run_dir, device, reporter, ("ingest", "cache", "joint"))
-    order = cell.evaluation
-    request = EvaluationRequest(
-        num_views=order.views,
-        num_repeats=order.repeats,
-        num_directions=order.directions,
-        antialias=order.antialias,
-        environments=Path(order.environments) if order.environments else None,
-        max_side=order.max_side,
-        shadows=as_shadows(order.shadows),
-        lpips_weights=tuple(Path(path) for path in order.lpips_weights),
-    )
-    report = evaluate_run(run_dir, scene_dir, folder / REPORT, request, device=device, reporter=reporter)
+    out = folder / REPORT
+    report = evaluate_run(run_dir, scene_dir, out, cell.evaluation, device=device, reporter=reporter)
     result = {
         "inputs": cell.inputs,
         "git_revision": git_revision(),
@@ -109,8 +97,8 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
         "report": message_to_dict(report),
     }
     write_json(folder / RESULT, result)
-    if not order.keep_predictions:
-        discard_predictions(folder / REPORT)
+    if not cell.keep_predictions:
+        discard_predictions(out)
 
 
 def discard_predictions(report: Path) -> None:
@@ -125,20 +113,13 @@ def adopt(stage_one: Path, run_dir: Path) -> None:
         return
     for name in SHARED:
         shutil.rmtree(run_dir / name, ignore_errors=True)
-        shutil.copytree(stage_one / name, run_dir / name, copy_function=_link)
+        shutil.copytree(stage_one / name, run_dir / name, copy_function=link_or_copy)
     (run_dir / "steps").mkdir(exist_ok=True)
     for task in SHARED_TASKS:
         for kind in ("inputs", "done"):
             shutil.copyfile(
                 stage_one / "steps" / f"{task}.{kind}.json", run_dir / "steps" / f"{task}.{kind}.json"
             )
-
-
-def _link(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
 
 
 if __name__ == "__main__":

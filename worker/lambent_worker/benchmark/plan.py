@@ -1,21 +1,22 @@
 """The cells of a benchmark: one per scene, lights, seed and ablation, named by a hash of its inputs."""
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from flashcache.ablations import ABLATIONS, ablation_settings
 from flashcache.config import Config, with_overrides
 from flashcache.presets_paper import SCENES
+from pydantic import TypeAdapter
+from pydantic_core import to_jsonable_python
 
 from lambent_worker.benchmark.suite import Setting, SuiteScene
 from lambent_worker.errors import UsageError
 from lambent_worker.files import digest, file_sha256
 from lambent_worker.report import protocol
 from lambent_worker.report.published import published_rows, published_scene
+from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run.hashes import input_hashes, task_inputs
 from lambent_worker.run.spec import RunSpec, config_for
 
@@ -25,22 +26,6 @@ GROUPS = {
     "all": tuple(ABLATIONS),
 }
 """Names that stand for several ablations."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class EvaluationOrder:
-    """Evaluation settings of all cells; see `EvaluationRequest`."""
-
-    views: int = 0
-    repeats: int = 4
-    directions: int = 64
-    antialias: int = 2
-    max_side: int = 0
-    shadows: str = "fast"
-    environments: str = ""
-    lpips_weights: tuple[str, ...] = ()
-    keep_predictions: bool = True
-    """Whether to keep the float maps with the report; those of a large suite can fill a disk."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -76,11 +61,13 @@ class Cell:
     """Settings of stage one, and of stage two where the ablation does not change them."""
     overrides: Mapping[str, str]
     """All settings, those of the ablation included."""
-    evaluation: EvaluationOrder
+    evaluation: EvaluationRequest
     stage_one: str
     """Hash of everything that stage one depends on."""
     inputs: str
     """Hash of everything that the result depends on."""
+    keep_predictions: bool = True
+    """Whether to keep the float maps with the report; those of a large suite can fill a disk."""
 
     @property
     def name(self) -> str:
@@ -92,18 +79,9 @@ class Cell:
         """Return the name of the folder of the stage one that it starts from."""
         return f"{self.scene}-{self.setting}-s{self.seed}-{self.stage_one[:10]}"
 
-    def to_json(self) -> str:
-        """Return the cell as JSON."""
-        return json.dumps(asdict(self), indent=1)
 
-
-def cell_from_json(text: str) -> Cell:
-    """Return the cell in the JSON that `Cell.to_json` made."""
-    values: dict[str, Any] = json.loads(text)
-    evaluation = values.pop("evaluation")
-    evaluation["lpips_weights"] = tuple(evaluation["lpips_weights"])
-    values["lights"] = tuple(values["lights"])
-    return Cell(**values, evaluation=EvaluationOrder(**evaluation))
+CELL_FILE = TypeAdapter(Cell)
+"""Writes and reads a cell as JSON."""
 
 
 def parse_variants(items: Sequence[str]) -> tuple[Variant, ...]:
@@ -152,13 +130,15 @@ def plan(
     *,
     preset: str,
     overrides: Mapping[str, str],
-    evaluation: EvaluationOrder,
+    evaluation: EvaluationRequest,
+    keep_predictions: bool = True,
 ) -> list[Cell]:
     """Return all cells; `settings` None means those of the protocol.
 
     Raises `UsageError` and `ConfigError` for settings that do not exist.
     """
-    maps = folder_hash(Path(evaluation.environments)) if evaluation.environments else ""
+    maps = folder_hash(evaluation.environments) if evaluation.environments else ""
+    looked_at = to_jsonable_python(evaluation, exclude={"environments", "exr"})
     cells = []
     for scene in scenes:
         own_preset = _preset_for(preset, scene)
@@ -176,11 +156,6 @@ def plan(
                 for seed in seeds:
                     stage_one = task_inputs("cache", ingest, ablated, seed)
                     trained = task_inputs("joint", stage_one, ablated, seed)
-                    looked_at = {
-                        name: value
-                        for name, value in asdict(evaluation).items()
-                        if name not in ("environments", "keep_predictions")
-                    }
                     # Stage one of an ablation is the full method's unless it changes that, too.
                     shared = task_inputs("cache", ingest, config, seed) == stage_one
                     cells.append(
@@ -200,6 +175,7 @@ def plan(
                             evaluation=evaluation,
                             stage_one=stage_one,
                             inputs=digest(trained, looked_at, maps, protocol.VERSION, version("lambent")),
+                            keep_predictions=keep_predictions,
                         )
                     )
     return cells

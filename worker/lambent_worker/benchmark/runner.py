@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_worker.benchmark.cell import ORDER, RESULT, RUN
-from lambent_worker.benchmark.plan import Cell
+from lambent_worker.benchmark.plan import CELL_FILE, Cell
 from lambent_worker.errors import Stopped
 from lambent_worker.files import read_record
 from lambent_worker.run.folder import done_inputs
@@ -39,10 +39,15 @@ class Part:
         return f"{self.cell.scene}, {self.cell.setting} light, seed {self.cell.seed}: {what}"
 
     @property
+    def trained(self) -> bool:
+        """Whether stage one from the same inputs exists."""
+        return done_inputs(self.stage_one, "cache") == self.cell.stage_one
+
+    @property
     def done(self) -> bool:
         """Whether a result from the same inputs exists."""
         if self.kind == "stage-one":
-            return done_inputs(self.stage_one, "cache") == self.cell.stage_one
+            return self.trained
         return read_record(self.folder / RESULT).get("inputs") == self.cell.inputs
 
 
@@ -101,7 +106,7 @@ def run_parts(parts: Sequence[Part], *, jobs: int, devices: Sequence[str], event
             for part in list(waiting):
                 if len(running) >= jobs:
                     break
-                if part.kind == "cell" and (part.stage_one in busy or not _is_trained(part)):
+                if part.kind == "cell" and (part.stage_one in busy or not part.trained):
                     continue
                 slot = min(set(range(jobs)) - {item.slot for item in running})
                 running.append(_start(part, slot, devices[slot % len(devices)], jobs))
@@ -118,13 +123,9 @@ def run_parts(parts: Sequence[Part], *, jobs: int, devices: Sequence[str], event
     return failed
 
 
-def _is_trained(part: Part) -> bool:
-    return done_inputs(part.stage_one, "cache") == part.cell.stage_one
-
-
 def _start(part: Part, slot: int, device: str, jobs: int) -> Running:
     part.folder.mkdir(parents=True, exist_ok=True)
-    (part.folder / ORDER).write_text(part.cell.to_json(), encoding="utf-8")
+    (part.folder / ORDER).write_bytes(CELL_FILE.dump_json(part.cell, indent=1))
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {"OMP_NUM_THREADS": threads, **os.environ}
     with (part.folder / "log.txt").open("ab") as log:

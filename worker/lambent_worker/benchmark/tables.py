@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from lambent_worker.benchmark.results import Row, Value
@@ -251,14 +251,6 @@ def _plain(value: Value) -> list[Any]:
 def as_json(content: Content) -> str:
     """Return everything as JSON, the published figures included."""
 
-    def value(found: Value) -> dict[str, Any]:
-        return {
-            "mean": found.mean,
-            "standard_error": found.standard_error,
-            "over": found.over,
-            "count": found.count,
-        }
-
     def row(found: Row) -> dict[str, Any]:
         return {
             "scene": found.scene,
@@ -268,7 +260,7 @@ def as_json(content: Content) -> str:
             "ablation": found.ablation,
             "label": found.label,
             "num_runs": found.num_runs,
-            "figures": {name: value(item) for name, item in found.values.items()},
+            "figures": {name: asdict(item) for name, item in found.values.items()},
         }
 
     def published(found: PublishedRow) -> dict[str, Any]:
@@ -284,7 +276,7 @@ def as_json(content: Content) -> str:
         "scenes": [row(item) for item in content.rows],
         "means": [row(item) for item in content.averages],
         "differences_to_full": {
-            ablation: {name: value(item) for name, item in figures.items()}
+            ablation: {name: asdict(item) for name, item in figures.items()}
             for ablation, figures in content.differences.items()
         },
         "failed": list(content.failed),

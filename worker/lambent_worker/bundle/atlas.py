@@ -69,7 +69,8 @@ def angle_weighted_normals(vertices: NDArray[np.floating], faces: NDArray[np.int
     corners = np.asarray(vertices, np.float64)[faces]
     normal = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     total = np.zeros((len(vertices), 3))
-    for k, angle in enumerate(_angles(corners)):
+    for k in range(3):
+        angle = _angle(corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k])
         np.add.at(total, faces[:, k], angle[:, None] * normal)
     return unit(total).astype(np.float32)
 
@@ -103,12 +104,12 @@ def tangents(
     for k in range(3):
         vertex = faces[:, k]
         normal = np.asarray(normals, np.float64)[vertex]
-        arms = [unit(_flattened(corners[:, (k + step) % 3] - corners[:, k], normal)) for step in (1, 2)]
-        angle = np.arccos((arms[0] * arms[1]).sum(-1).clip(-1.0, 1.0))
+        arms = [_flattened(corners[:, (k + step) % 3] - corners[:, k], normal) for step in (1, 2)]
+        angle = _angle(*arms)
         counts = (side == handed[vertex]) & (area != 0.0)
         np.add.at(total, vertex, (angle * counts)[:, None] * unit(_flattened(along, normal)))
     empty = np.linalg.norm(total, axis=1) < 1e-9
-    total[empty] = _any_perpendicular(np.asarray(normals, np.float64)[empty])
+    total[empty] = any_perpendicular(np.asarray(normals, np.float64)[empty])
     return np.concatenate([unit(total), handed[:, None]], axis=1).astype(np.float32)
 
 
@@ -121,16 +122,11 @@ def _flattened(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> ND
     return vectors - (vectors * normals).sum(-1, keepdims=True) * normals
 
 
-def _angles(corners: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the angles at the three corners of triangles [face, 3, 3]."""
-    found = []
-    for k in range(3):
-        first = unit(corners[:, (k + 1) % 3] - corners[:, k])
-        second = unit(corners[:, (k + 2) % 3] - corners[:, k])
-        found.append(np.arccos((first * second).sum(-1).clip(-1.0, 1.0)))
-    return found
+def _angle(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.arccos((unit(first) * unit(second)).sum(-1).clip(-1.0, 1.0))
 
 
-def _any_perpendicular(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def any_perpendicular(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return a vector perpendicular to each of the unit `normals`, not unit."""
     axis = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     return np.cross(normals, axis)

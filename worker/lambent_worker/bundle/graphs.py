@@ -1,6 +1,6 @@
 """The graphs of a bundle, each compared with the model before it is accepted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -47,7 +47,8 @@ def write_graphs(
         "producer": f"lambent {manifest.generator.version} {manifest.generator.git_revision}".rstrip(),
     }
     rays = camera_rays(model, rule, PARITY_ROWS, seed)
-    points, directions = points_and_directions(rule, PARITY_ROWS, seed)
+    secondary = secondary_rays(rule.box_min, rule.box_max, PARITY_ROWS, seed + 1)
+    points = {"position": secondary["origin"]}
 
     def gbuffer(trained: InverseModel, inputs: Inputs) -> reference.Outputs:
         return reference.gbuffer(trained, rule, **inputs)
@@ -60,14 +61,12 @@ def write_graphs(
 
     made = [
         ("gbuffer", "", graphs.gbuffer_graph(model, rule, weights, metadata), gbuffer, rays),
-        ("material", "", graphs.material_graph(model, weights, metadata), material, {"position": points}),
+        ("material", "", graphs.material_graph(model, weights, metadata), material, points),
     ]
     for index, light in enumerate(manifest.train_lights):
         lit = {**metadata, "flashcache.train_light": light}
         graph = graphs.fast_cache_graph(model, index, weights, lit)
-        made.append(
-            ("fast_cache", light, graph, fast_cache(index), {"origin": points, "direction": directions})
-        )
+        made.append(("fast_cache", light, graph, fast_cache(index), secondary))
     data = weights.to_bytes()
     (folder / "models" / WEIGHTS_NAME).write_bytes(data)
     for name, light, graph, twin, inputs in made:
@@ -101,10 +100,12 @@ def camera_rays(model: InverseModel, rule: GbufferRule, count: int, seed: int) -
     return {"origin": origins, "direction": torch.nn.functional.normalize(targets - origins, dim=-1)}
 
 
-def points_and_directions(rule: GbufferRule, count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return random points of the object's box and random unit directions."""
-    generator = torch.Generator().manual_seed(seed + 1)
-    low, high = torch.tensor(rule.box_min), torch.tensor(rule.box_max)
+def secondary_rays(
+    box_min: Sequence[float], box_max: Sequence[float], count: int, seed: int
+) -> dict[str, torch.Tensor]:
+    """Return rays from random points of a box in random directions."""
+    generator = torch.Generator().manual_seed(seed)
+    low, high = torch.tensor(box_min), torch.tensor(box_max)
     points = low + torch.rand(count, 3, generator=generator) * (high - low)
-    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
-    return points, directions
+    around = torch.randn(count, 3, generator=generator)
+    return {"origin": points, "direction": torch.nn.functional.normalize(around, dim=-1)}

@@ -2,27 +2,18 @@
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from flashcache.export.graphs import exported_grids
 from flashcache.physical.model import InverseModel
+from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 
 MOST_ROUNDING = 1e-2
 """Root mean square of an output's error up to which float16 tables are chosen, relative above 1."""
 _OWN = ("opacity", "radiance")
 """Outputs whose error is not weighted; the others are weighted by opacity, below which they mean little."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Rounding:
-    """Error of float16 tables in one output; absolute below 1 and relative above."""
-
-    max_abs_error: float
-    rms_error: float
-    num_samples: int
 
 
 def with_half_tables(model: InverseModel) -> InverseModel:
@@ -44,19 +35,18 @@ def fits_half(model: InverseModel) -> bool:
 
 def rounding_of(
     rounded: Mapping[str, NDArray[np.floating]], exact: Mapping[str, NDArray[np.floating]]
-) -> dict[str, Rounding]:
-    """Return the error of each output [row, n] with rounded tables relative to exact ones.
+) -> list[bundle_pb2.Rounding]:
+    """Return the error of each output [row, n] with rounded tables relative to exact ones, by name.
 
-    Errors of surface properties, normals and distances are multiplied by the exact answer's opacity.
+    Absolute below 1 and relative above. Errors of surface properties, normals and distances are multiplied by
+    the exact answer's opacity.
     """
     weight = exact.get("opacity", np.ones((1, 1)))
-    found = {}
-    for name, wanted in exact.items():
+    found = []
+    for name, wanted in sorted(exact.items()):
         error = np.abs(rounded[name].astype(np.float64) - wanted) / np.maximum(1.0, np.abs(wanted))
         error = error if name in _OWN else error * weight
-        found[name] = Rounding(
-            max_abs_error=float(error.max()),
-            rms_error=float(np.sqrt((error**2).mean())),
-            num_samples=len(error),
-        )
+        rounding = bundle_pb2.Rounding(output=name, max_abs_error=error.max(), num_samples=len(error))
+        rounding.rms_error = np.sqrt((error**2).mean())
+        found.append(rounding)
     return found

@@ -4,6 +4,7 @@ import hashlib
 import json
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -62,21 +63,15 @@ def add_graph(
     manifest: bundle_pb2.BundleManifest, name: str, path: str, light: str, parity: ParityResult
 ) -> None:
     """Add a checked graph."""
-    graph = manifest.graphs.add(
+    manifest.graphs.add(
         name=name,
         path=path,
         light=light,
         parity=bundle_pb2.Parity(
             max_abs_error=parity.max_abs_error, tolerance=TOLERANCE, num_samples=parity.num_samples
         ),
+        rounding=parity.rounding,
     )
-    for output, rounding in sorted(parity.rounding.items()):
-        graph.rounding.add(
-            output=output,
-            max_abs_error=rounding.max_abs_error,
-            rms_error=rounding.rms_error,
-            num_samples=rounding.num_samples,
-        )
 
 
 def add_weights(
@@ -99,16 +94,7 @@ def add_weights(
             num_features=layout.num_features,
             half_extent=layout.half_extent,
             output_scale=1.0,
-            levels=[
-                bundle_pb2.GridLevel(
-                    resolution=level.resolution,
-                    first_row=level.first_row,
-                    num_rows=level.num_rows,
-                    multiplier_y=level.multiplier_y,
-                    multiplier_z=level.multiplier_z,
-                )
-                for level in layout.levels
-            ],
+            levels=[bundle_pb2.GridLevel(**asdict(level)) for level in layout.levels],
         )
 
 

@@ -18,6 +18,7 @@ from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.surface_files import silhouette_iou
 from lambent_worker.report import figures
 from lambent_worker.report.predictions import encoded
+from lambent_worker.report.request import evenly_spaced
 
 SHOWN_VIEWS = 2
 SHOWN_SIDE = 128
@@ -48,7 +49,7 @@ def measure(
     and `gbuffer_distance_error` (scene units, median) compare the exported surface with the traced
     one, whose samples are placed by proposal networks.
     """
-    shown = views[:: max(1, len(views) // SHOWN_VIEWS)][:SHOWN_VIEWS]
+    shown = evenly_spaced(views, SHOWN_VIEWS)
     found = [_measure_view(model, rule, surface, view, light, folder) for view in shown]
     return {name: float(np.mean([values[name] for values in found])) for name in found[0]}
 

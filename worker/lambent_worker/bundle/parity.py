@@ -1,18 +1,19 @@
 """Compares an exported graph with the model it was exported from."""
 
 import copy
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnxruntime
 import torch
+from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 from torch import nn
 
-from lambent_worker.bundle.half_tables import Rounding, rounding_of
+from lambent_worker.bundle.half_tables import rounding_of
 from lambent_worker.errors import WorkerError
 
 Inputs = Mapping[str, torch.Tensor]
@@ -38,8 +39,8 @@ class ParityResult:
     """Number of inputs that count."""
     num_left_out: int
     """Inputs where rounding alone changes the answer by more than the tolerance."""
-    rounding: Mapping[str, Rounding] = field(default_factory=dict)
-    """By output, the error of the graph's model relative to the trained one; empty if they are the same."""
+    rounding: Sequence[bundle_pb2.Rounding] = ()
+    """For each output, the error of the graph's model relative to the trained one; empty if they are one."""
 
 
 def compare(
@@ -64,7 +65,6 @@ def compare(
     suspects = np.flatnonzero(~(error <= TOLERANCE))
     if len(suspects) > MAX_LEFT_OUT * len(error):
         raise _refused(name, float(np.nanmax(error)), len(suspects), len(error))
-    left_out = suspects
     if len(suspects):
         rows = torch.from_numpy(suspects)
         few = {key: value[rows] for key, value in inputs.items()}
@@ -72,12 +72,12 @@ def compare(
         wrong = suspects[~(steep > TOLERANCE)]
         if len(wrong):
             raise _refused(name, float(error[wrong].max()), len(wrong), len(error))
-    counted = np.delete(error, left_out)
+    counted = np.delete(error, suspects)
     return ParityResult(
         max_abs_error=float(counted.max(initial=0.0)),
         num_samples=len(counted),
-        num_left_out=len(left_out),
-        rounding=rounding_of(expected, _twin(twin, trained, inputs)) if trained is not None else {},
+        num_left_out=len(suspects),
+        rounding=rounding_of(expected, _twin(twin, trained, inputs)) if trained is not None else (),
     )
 
 

@@ -21,7 +21,7 @@ from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_occlusion import bake_occlusion
-from lambent_worker.bundle.textures import TextureSet, bake_materials
+from lambent_worker.bundle.textures import bake_materials
 from lambent_worker.bundle.usd import write_usdz
 
 ASSET_PATH = "mesh/asset.glb"
@@ -38,8 +38,8 @@ def write_asset(
     *,
     box: tuple[Corner, Corner],
     views: tuple[View, ...],
-) -> tuple[AtlasSurface, TextureSet]:
-    """Write mesh/asset.glb, and .usdz if requested, into `folder` with its graphs; note them in `manifest`.
+) -> AtlasSurface:
+    """Write mesh/asset.glb, and .usdz if requested, into `folder` with its graphs, and return the surface.
 
     `views` are the photographs, whose pixels say how much detail there can be. Raises WorkerError where there
     is no surface or the file is not read back as it was meant.
@@ -64,7 +64,7 @@ def write_asset(
     manifest.atlas.texel_size = texel_size(surface)
     manifest.metrics["mesh_faces"] = len(surface.faces)
     manifest.metrics["mesh_vertices"] = len(surface.vertices)
-    return surface, textures
+    return surface
 
 
 def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> SurfaceCaches:

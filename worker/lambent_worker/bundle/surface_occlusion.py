@@ -8,7 +8,7 @@ from lambent_relight.bundle.graphs import SecondaryHits
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lambent_worker.bundle.atlas import unit
+from lambent_worker.bundle.atlas import any_perpendicular, unit
 from lambent_worker.bundle.surface import AtlasSurface
 
 Rows = NDArray[np.float32]
@@ -61,8 +61,7 @@ def cosine_directions(normals: Rows, num_rays: int, *, first: int = 0) -> Rows:
     radius, angle = np.sqrt(k / num_rays), k * math.pi * (3.0 - math.sqrt(5.0))
     angle = angle[None] + turn[:, None]
     height = np.sqrt(1.0 - radius**2)
-    axis = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    tangent = unit(np.cross(normals, axis))[:, None]
+    tangent = unit(any_perpendicular(normals))[:, None]
     bitangent = np.cross(normals, tangent[:, 0])[:, None]
     x, y = (radius * np.cos(angle))[..., None], (radius * np.sin(angle))[..., None]
     return (x * tangent + y * bitangent + height[None, :, None] * normals[:, None]).astype(np.float32)

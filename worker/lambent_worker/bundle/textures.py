@@ -39,16 +39,9 @@ class TextureSet:
     """Unit, in the frame of the interpolated vertex tangents: x along u, y towards falling v, z outwards."""
 
 
-def bake_materials(
-    model: InverseModel, surface: AtlasSurface, occlusion: NDArray[np.float32] | None = None
-) -> TextureSet:
-    """Return the textures of `surface` from the trained materials.
-
-    `occlusion` [texel] is per covered texel; without it every texel is taken to be open (1).
-    """
+def bake_materials(model: InverseModel, surface: AtlasSurface, occlusion: NDArray[np.float32]) -> TextureSet:
+    """Return the textures of `surface` from the trained materials and the occlusion of covered texels."""
     owner = nearest_texel(surface.texel_index, surface.size)
-    if occlusion is None:
-        occlusion = np.ones(len(surface.texel_index), np.float32)
     found = _materials(model, surface.positions)
     return TextureSet(
         albedo=found["albedo"][owner],
@@ -113,10 +106,7 @@ def normal_png(textures: TextureSet) -> bytes:
 
 
 def _png(values: NDArray[np.floating]) -> bytes:
-    return _encoded(Image.fromarray(np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)))
-
-
-def _encoded(image: Image.Image) -> bytes:
+    image = Image.fromarray(np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8))
     out = io.BytesIO()
     image.save(out, format="PNG")
     return out.getvalue()

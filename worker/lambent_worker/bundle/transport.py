@@ -95,9 +95,13 @@ def bake_transport(
     )
     directions = direction_sets(config.rays)
     smooth = smoothing(surface.positions, surface.normals)
-    blocked = smooth @ _blocked_transfer(seen, surface.normals, directions, bands)
-    direct = _open_transfer(surface.normals, bands) - blocked
-    visibility = -(smooth @ _blocked_sky(seen, surface.normals, directions, visibility_bands))
+    blocked, hidden_sky = (
+        smooth @ part for part in _blocked(seen, surface.normals, directions, bands, visibility_bands)
+    )
+    # With nothing around it, a texel's transfer is the clamped cosine's harmonics.
+    free = harmonics.basis(surface.normals, bands) * harmonics.cosine_factors(bands)
+    direct = free.astype(np.float32) - blocked
+    visibility = -hidden_sky
     visibility[:, 0] += np.sqrt(4.0 * np.pi)
     indirect = indirect_transfer(
         surface.positions,
@@ -137,43 +141,28 @@ def _sets(surface: BakedSurface) -> Int[ndarray, " texels"]:
     return pattern[row % 4, column % 4]
 
 
-def _open_transfer(normals: Float[ndarray, "texels 3"], bands: int) -> Float[ndarray, "texels _"]:
-    """Return the transfer of texels with nothing around them: the clamped cosine's harmonics."""
-    return (harmonics.basis(normals, bands) * harmonics.cosine_factors(bands)).astype(np.float32)
-
-
-def _blocked_transfer(
+def _blocked(
     seen: Occlusion,
     normals: Float[ndarray, "texels 3"],
     directions: Float[ndarray, "sets directions 3"],
     bands: int,
-) -> Float[ndarray, "texels _"]:
-    """Return the transfer that is missing: the sum over directions of opacity times cosine times basis."""
-    result = np.zeros((len(normals), bands**2), np.float32)
+    sky_bands: int,
+) -> tuple[Float[ndarray, "texels _"], Float[ndarray, "texels _"]]:
+    """Return what is missing of the transfer and of the sky.
+
+    Of the transfer it is the sum over directions of opacity times cosine times basis, of the sky the
+    harmonics of opacity, continued below the horizon as its mirror image.
+    """
+    transfer = np.zeros((len(normals), bands**2), np.float32)
+    sky = np.zeros((len(normals), sky_bands**2), np.float32)
+    share = np.float32(CELL / 255.0)
     for index, way in enumerate(directions):
         texels = seen.in_set(index)
-        weight = seen.opacity[texels] * np.maximum(normals[texels] @ way.T, 0.0)
-        result[texels] = weight @ (basis_rows(way, bands) * np.float32(CELL / 255.0))
-    return result
-
-
-def _blocked_sky(
-    seen: Occlusion,
-    normals: Float[ndarray, "texels 3"],
-    directions: Float[ndarray, "sets directions 3"],
-    bands: int,
-) -> Float[ndarray, "texels _"]:
-    """Return the harmonics of opacity, continued below the horizon as its mirror image."""
-    result = np.zeros((len(normals), bands**2), np.float32)
-    for index, way in enumerate(directions):
-        texels = seen.in_set(index)
-        opacity = np.ascontiguousarray(seen.opacity[texels])
-        weight = opacity.astype(np.float32) * np.float32(CELL / 255.0)
-        result[texels] = weight @ basis_rows(way, bands)
-        result[texels] += mirrored_sums(
-            opacity, normals[texels], way, bands, least=LEAST_OPACITY, scale=CELL / 255.0
-        )
-    return result
+        opacity, normal = np.ascontiguousarray(seen.opacity[texels]), normals[texels]
+        transfer[texels] = (opacity * np.maximum(normal @ way.T, 0.0)) @ (basis_rows(way, bands) * share)
+        sky[texels] = (opacity.astype(np.float32) * share) @ basis_rows(way, sky_bands)
+        sky[texels] += mirrored_sums(opacity, normal, way, sky_bands, least=LEAST_OPACITY, scale=CELL / 255.0)
+    return transfer, sky
 
 
 def _shadow_bits(seen: Occlusion) -> UInt8[ndarray, "texels _"]:

@@ -3,7 +3,6 @@
 import hashlib
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,35 +29,28 @@ from lambent_worker.errors import WorkerError
 _RAYS_ON_DEVICE = 1 << 18
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Bake:
-    """Work folder and progress callback of a bake."""
-
-    config: TransportConfig
-    store: Path
-    """Finished rays lie here until the bake is done."""
-    advance: Callable[[float], None]
-    """Called with the finished share; may raise to stop."""
-
-
 def write_transport(
     model: InverseModel,
     caches: SurfaceCaches,
     surface: AtlasSurface,
     manifest: bundle_pb2.BundleManifest,
     folder: Path,
-    bake: Bake,
+    config: TransportConfig,
+    *,
+    store: Path,
+    advance: Callable[[float], None],
 ) -> None:
     """Bake the transport of `surface` into `folder`/transport and describe it in `manifest`.
 
-    Rays are answered by `caches`, or by the model itself where it lies on a graphics card.
+    Rays are answered by `caches`, or by the model itself where it lies on a graphics card. Finished ones
+    lie in `store` until the bake is done. `advance` is called with the finished share and may raise to stop.
     """
     found = caches.material(surface.positions)
     reflectors = Reflectors(found.albedo, found.perceptual_roughness, found.metalness)
     covered = BakedSurface(
         surface.size, surface.texel_index, surface.positions, surface.texel_normals.astype(np.float32)
     )
-    digest = hashlib.sha256(repr(bake.config.rays).encode())
+    digest = hashlib.sha256(repr(config.rays).encode())
     for array in (covered.positions, covered.normals):
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update((folder / "models" / "weights.bin").read_bytes())
@@ -67,15 +59,15 @@ def write_transport(
         reflectors,
         secondary_rays(model, caches),
         origin_offset=model.limits.origin_offset,
-        config=bake.config,
-        store=bake.store / digest.hexdigest()[:16],
-        advance=bake.advance,
+        config=config,
+        store=store / digest.hexdigest()[:16],
+        advance=advance,
     )
     (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest, tier=bake.config.tier).items():
+    for path, data in transport_files(transport, manifest, tier=config.tier).items():
         (folder / path).write_bytes(data)
     manifest.metrics.update(figures)
-    shutil.rmtree(bake.store, ignore_errors=True)
+    shutil.rmtree(store, ignore_errors=True)
 
 
 def secondary_rays(model: InverseModel, caches: SurfaceCaches) -> SecondaryRays:

@@ -16,8 +16,7 @@ from google.protobuf import json_format
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
 from lambent_worker.capture_qa.check_result import CaptureCheck
-from lambent_worker.errors import UsageError
-from lambent_worker.scenes.detect import LAYOUTS
+from lambent_worker.scenes.detect import require_layout
 from lambent_worker.scenes.problems import Problems
 
 MAX_MEMORY_BYTES = 2 * 2**30
@@ -29,22 +28,13 @@ MAX_THUMBNAIL_CHARACTERS = 64 * 1024
 _BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
 
-def check_scene(folder: Path, layout: str | None = None) -> scene_pb2.SceneReport:
-    """Return the report on the capture in `folder`: all problems, at most 100."""
-    return check_capture(folder, layout).report
-
-
 def check_capture(folder: Path, layout: str | None = None, masks: Path | None = None) -> CaptureCheck:
-    """Return the report on the capture in `folder`, with measurements if it can be used.
+    """Return the report on the capture in `folder` (at most 100 findings), with measurements if it is usable.
 
     `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures; an
     unknown layout is a `UsageError`. Nothing a capture holds makes this function raise.
     """
-    if layout is not None and layout not in LAYOUTS:
-        raise UsageError(
-            "scene.layout_unknown",
-            f'--layout "{layout}" is none of {", ".join(LAYOUTS)}; choose one of these',
-        )
+    require_layout(layout)
     killers: list[str] = []
     for _ in range(MAX_DEATHS):
         check, reading = _run_child(folder, layout, masks, killers)

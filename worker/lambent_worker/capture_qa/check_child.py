@@ -8,10 +8,10 @@ import json
 import resource
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from lambent_proto.v1 import scene_pb2
+from google.protobuf.json_format import MessageToDict
+from lambent_proto.v1 import scene_pb2
 
 
 def limit_resources(memory_bytes: int, cpu_s: int) -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     report, manifest = inspect_capture(folder, layout, frozenset(order["killers"]), announce, masks)
     if manifest is not None and report.usable:
         measure(folder, manifest, report)
-    tell("report", message_to_dict(report))
+    tell("report", MessageToDict(report))
 
 
 def tell(kind: str, value: object) -> None:
@@ -46,22 +46,15 @@ def announce(path: str) -> None:
     tell("reading", path)
 
 
-def measure(folder: Path, manifest: "scene_pb2.SceneManifest", report: "scene_pb2.SceneReport") -> None:
+def measure(folder: Path, manifest: scene_pb2.SceneManifest, report: scene_pb2.SceneReport) -> None:
     """Measure a capture that can be used, tell its figures, and add to `report` what they mean."""
     from lambent_worker.capture_qa.limits import CaptureLimits
     from lambent_worker.capture_qa.review import review
 
     examination = review(folder, manifest, report, CaptureLimits(), announce)
-    tell("figures", message_to_dict(examination.figures))
+    tell("figures", MessageToDict(examination.figures))
     for name, jpeg in examination.thumbnails.items():
         tell("thumbnail", {"name": name, "jpeg": jpeg})
-
-
-def message_to_dict(message: Any) -> dict[str, Any]:
-    """Return a message as ProtoJSON."""
-    from google.protobuf import json_format
-
-    return json_format.MessageToDict(message)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Measures a capture: from its description and its pictures to figures and thumbnails."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,7 @@ def examine_capture(
     """Return the measurements of a usable capture.
 
     `announce` is called with the path of each file before it is decoded, and with "" once none is. Raises
-    `PictureError` for a picture that cannot be read; `inspect_scene` has found those.
+    `PictureError` for a picture that cannot be read; `inspect_capture` has found those.
     """
     observations = observe(folder, manifest, limits, announce)
     announce("")
@@ -139,13 +139,8 @@ def _measure_silhouettes(
         unexplained_limit=limits.unexplained_share,
     )
     for view, agreement in zip(figures.views, agreements, strict=True):
-        view.unexplained_share = agreement.unexplained_share
-        view.missed_share = agreement.missed_share
-        view.carved_share = agreement.carved_share
-        view.hole_share = agreement.hole_share
-        view.speck_share = agreement.speck_share
-        view.num_specks = agreement.num_specks
-        view.moved_share = agreement.moved_share
+        for name, value in asdict(agreement).items():
+            setattr(view, name, value)
     points = hull.points[cells]
     figures.outside_box_share = _outside_box(silhouettes, points, hull.spacing, low, high)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))

@@ -11,7 +11,6 @@ from scipy import ndimage
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 
 COARSE_CELLS = 40
-_SQUARE = np.ones((3, 3), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)

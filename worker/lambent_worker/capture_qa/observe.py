@@ -18,6 +18,7 @@ from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.scenes.float_pictures import FLOAT_SUFFIXES
 from lambent_worker.scenes.pictures import opened, read_coverage, read_pixels
+from lambent_worker.scenes.resample import reduced_size
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 _RIM = 3
@@ -90,7 +91,7 @@ def _observe_frame(
     announce: Callable[[str], None],
 ) -> Observation:
     camera = PictureCamera.of_frame(frame)
-    size = fitted((camera.width, camera.height), limits.silhouette_side)
+    size = reduced_size(camera.width, camera.height, limits.silhouette_side)
     mask = None
     if frame.mask:
         announce(frame.mask)
@@ -129,14 +130,6 @@ def _observe_frame(
     )
 
 
-def fitted(size: tuple[int, int], side: int) -> tuple[int, int]:
-    """Return `size` (width, height) reduced so that the longer side is at most `side` pixels."""
-    longest = max(size)
-    if longest <= side:
-        return size
-    return max(1, round(size[0] * side / longest)), max(1, round(size[1] * side / longest))
-
-
 def resized(
     values: Float32[ndarray, "height width"], size: tuple[int, int]
 ) -> Float32[ndarray, "rows columns"]:
@@ -158,11 +151,11 @@ def read_small(
         pixels = read_pixels(path)
         colours = pixels[..., :3] if pixels.shape[-1] >= 3 else np.repeat(pixels[..., :1], 3, axis=-1)
         alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(pixels.shape[:2], dtype=np.float32)
-        size = fitted((pixels.shape[1], pixels.shape[0]), side)
+        size = reduced_size(pixels.shape[1], pixels.shape[0], side)
         planes = [resized(colours[..., channel], size) for channel in range(3)]
         return np.stack(planes, axis=-1), resized(np.clip(alpha, 0.0, 1.0), size), True
     with opened(path) as image:
-        size = fitted(image.size, side)
+        size = reduced_size(*image.size, side)
         # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
         image.draft(None, size)
         # Pillow would clip 16-bit grey instead of scaling it.
@@ -218,7 +211,7 @@ def outlined_picture(
     """
     weight = (alpha + behind * (1.0 - alpha))[..., None]
     over = image_srgb * weight + 176.0 * (1.0 - weight)
-    size = fitted((alpha.shape[1], alpha.shape[0]), side)
+    size = reduced_size(alpha.shape[1], alpha.shape[0], side)
     image = Image.fromarray(np.round(over).astype(np.uint8)).resize(size, Image.Resampling.BOX)
     mask = resized(alpha, size) >= 0.5
     shown = np.array(image)

@@ -1,6 +1,5 @@
 """Builds the report page of a capture: findings, thumbnails, the sphere of views."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -9,15 +8,6 @@ from lambent_proto.v1 import capture_pb2, scene_pb2
 from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.plot import plot_views
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A number under a thumbnail."""
-
-    label: str
-    text: str
-    is_bad: bool = False
 
 
 def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
@@ -31,7 +21,7 @@ def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
     cards = [
         {
             "view": view,
-            "uri": _data_uri(thumbnails.get(view.name, "")),
+            "jpeg": thumbnails.get(view.name, ""),
             "split": "training" if view.split == scene_pb2.SPLIT_TRAIN else "test",
             "figures": _figures(view, figures, limits),
             "codes": sorted(complaints.get(view.name, set())),
@@ -69,29 +59,26 @@ def _by_view(report: scene_pb2.SceneReport, figures: capture_pb2.CaptureFigures)
     return found
 
 
-def _data_uri(base64_jpeg: str) -> str:
-    return f"data:image/jpeg;base64,{base64_jpeg}" if base64_jpeg else ""
-
-
 def _figures(
     view: capture_pb2.ViewFigures, figures: capture_pb2.CaptureFigures, limits: CaptureLimits
-) -> list[Figure]:
+) -> list[tuple[str, str, bool]]:
+    """Return label and text of the numbers under a thumbnail, and whether they are over their limits."""
     clipped = max((picture.clipped_share for picture in view.pictures), default=0.0)
     sharpness = min((picture.sharpness for picture in view.pictures if picture.sharpness), default=0.0)
     jump = max((picture.exposure_jump_ev for picture in view.pictures), key=abs, default=0.0)
     rows = [
-        Figure("sharpness", f"{sharpness:.2f}", 0.0 < sharpness < limits.sharpness),
-        Figure("clipped", f"{100.0 * clipped:.1f} %", clipped > limits.clipped_share),
+        ("sharpness", f"{sharpness:.2f}", 0.0 < sharpness < limits.sharpness),
+        ("clipped", f"{100.0 * clipped:.1f} %", clipped > limits.clipped_share),
     ]
     if figures.has_hull:
         rows += [
-            Figure("exposure", f"{jump:+.2f} EV", abs(jump) > limits.exposure_ev),
-            Figure(
+            ("exposure", f"{jump:+.2f} EV", abs(jump) > limits.exposure_ev),
+            (
                 "unexplained",
                 f"{100.0 * view.unexplained_share:.1f} %",
                 view.unexplained_share > limits.unexplained_share,
             ),
-            Figure(
+            (
                 "cut away",
                 f"{100.0 * max(view.carved_share, view.hole_share):.1f} %",
                 max(view.carved_share, view.hole_share) > limits.missing_share,

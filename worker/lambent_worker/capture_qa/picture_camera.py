@@ -1,6 +1,6 @@
 """Projects points of the scene into a picture file, at any working size, including lens distortion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -38,13 +38,12 @@ class PictureCamera:
     def resized(self, width: int, height: int) -> Self:
         """Return the same camera for the picture at another size."""
         across, down = width / self.width, height / self.height
-        return type(self)(
+        return replace(
+            self,
             width=width,
             height=height,
             focal=(self.focal[0] * across, self.focal[1] * down),
             centre=(self.centre[0] * across, self.centre[1] * down),
-            camera_to_world=self.camera_to_world,
-            distortion=self.distortion,
         )
 
     @property

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Set
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
@@ -44,7 +44,7 @@ def _dot(view: capture_pb2.ViewFigures, flagged: Set[str]) -> str:
     x, y = on_disc(view.azimuth_deg, view.elevation_deg)
     kind = "train" if view.split == scene_pb2.SPLIT_TRAIN else "test"
     bad = " bad" if view.name in flagged else ""
-    title = f"<title>{_text(view.name)}</title>"
+    title = f"<title>{escape(view.name)}</title>"
     return f'<circle class="{kind}{bad}" cx="{x:.1f}" cy="{y:.1f}" r="4">{title}</circle>'
 
 
@@ -69,7 +69,3 @@ def _cap(figures: capture_pb2.CaptureFigures) -> str:
         )
         corners.append(f"{column:.1f},{row:.1f}")
     return f'<polygon class="gap" points={quoteattr(" ".join(corners))}/>'
-
-
-def _text(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lambent_worker.commands.shared import Device, Json, reporting_errors, stopping_on_signals
+from lambent_worker.commands.shared import Device, Json, Seed, reporting_errors, stopping_on_signals
 
 
 @reporting_errors
@@ -23,7 +23,7 @@ def bake_light(
         typer.Option(metavar="R G B", help="Factors on the stored albedo, by default the bundle's own."),
     ] = None,
     steps: Annotated[int, typer.Option(min=0, help="Training steps; 0 for the usual number.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    seed: Seed = 0,
     device: Device = "",
     as_json: Json = False,
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated, cast
 
 import typer
 
+from lambent_worker.commands import shared
 from lambent_worker.commands.shared import Json, reporting_errors
 from lambent_worker.commands.training import parse_settings
 from lambent_worker.errors import UsageError
@@ -30,21 +31,17 @@ def benchmark(
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
     device: Annotated[str, typer.Option(help="cpu, cuda, or several with commas for several jobs.")] = "cpu",
-    views: Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")] = 0,
-    repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
-    directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
-    antialias: Annotated[
-        int, typer.Option(min=1, max=4, help="Camera rays along each side of a pixel; 1 as in the paper.")
-    ] = 2,
-    max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
-    shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",
+    views: shared.Views = 0,
+    repeats: shared.Repeats = 4,
+    directions: shared.Directions = 64,
+    antialias: shared.Antialias = 2,
+    max_side: shared.MaxSide = 0,
+    shadows: shared.Shadows = "fast",
     lpips_weights: Annotated[list[Path] | None, typer.Option(help="Weights of LPIPS; repeatable.")] = None,
     keep_predictions: Annotated[
         bool, typer.Option(help="Keep the float maps; a large suite fills a disk with them.")
     ] = True,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
-    ] = None,
+    settings: shared.Settings = None,
     as_json: Json = False,
 ) -> None:
     """Train and evaluate scenes x seeds x ablations and print the paper's tables; run again to go on."""
@@ -52,25 +49,24 @@ def benchmark(
 
     prepare()
     from lambent_worker.benchmark.benchmark import run_benchmark
-    from lambent_worker.benchmark.plan import EvaluationOrder, parse_variants
+    from lambent_worker.benchmark.plan import parse_variants
     from lambent_worker.benchmark.suite import Setting, find_environments, find_scenes
-    from lambent_worker.report.request import as_shadows
+    from lambent_worker.report.request import EvaluationRequest, as_shadows
 
     chosen = {"auto": None, "single": ("single",), "multi": ("multi",), "both": ("single", "multi")}
     if lights not in chosen:
         raise UsageError("benchmark.lights_unknown", f'--lights "{lights}" is none of {", ".join(chosen)}')
     names = tuple(name for item in scenes or () for name in item.split(",") if name)
     maps = find_environments(suite_dir, environments)
-    order = EvaluationOrder(
-        views=views,
-        repeats=repeats,
-        directions=directions,
+    request = EvaluationRequest(
+        num_views=views,
+        num_repeats=repeats,
+        num_directions=directions,
         antialias=antialias,
         max_side=max_side,
         shadows=as_shadows(shadows),
-        environments="" if maps is None else str(maps.resolve()),
-        lpips_weights=tuple(str(path.resolve()) for path in lpips_weights or ()),
-        keep_predictions=keep_predictions,
+        environments=None if maps is None else maps.resolve(),
+        lpips_weights=tuple(path.resolve() for path in lpips_weights or ()),
     )
     outcome = run_benchmark(
         find_scenes(suite_dir, names),
@@ -80,7 +76,8 @@ def benchmark(
         out=out,
         preset=preset,
         overrides=parse_settings(settings or []),
-        evaluation=order,
+        evaluation=request,
+        keep_predictions=keep_predictions,
         jobs=jobs,
         devices=tuple(device.split(",")),
         tell=lambda line: typer.echo(json.dumps({"event": line}) if as_json else line, err=not as_json),

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lambent_worker.commands.shared import Json, Layout, reporting_errors
+from lambent_worker.commands.shared import Json, Layout, Masks, reporting_errors
 
 
 @reporting_errors
@@ -15,9 +15,7 @@ def check(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for capture.html and capture.json.")
     ] = None,
-    masks: Annotated[
-        Path | None, typer.Option(help="Folder of masks named like the pictures; they go before others.")
-    ] = None,
+    masks: Masks = None,
     layout: Layout = "",
     as_json: Json = False,
 ) -> None:

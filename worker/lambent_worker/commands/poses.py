@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lambent_worker.commands.shared import Json, reporting_errors
+from lambent_worker.commands.shared import Json, Seed, reporting_errors
 
 
 @reporting_errors
@@ -16,23 +16,23 @@ def poses(
     masks: Annotated[
         Path | None, typer.Option(help="Folder of masks named like the pictures; only what they show counts.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Find cameras for photographs with COLMAP and write a capture that train and check take."""
     from lambent_worker.poses.capture import solve_capture, summary
     from lambent_worker.poses.solve import PoseSettings
 
-    solved = solve_capture(photographs, out, masks, PoseSettings(seed=seed), tell_progress)
+    record = solve_capture(photographs, out, masks, PoseSettings(seed=seed), tell_progress)
     if as_json:
-        typer.echo(json.dumps(solved.record))
+        typer.echo(json.dumps(record))
         return
-    typer.echo(summary(solved.record))
-    for finding in solved.record["findings"]:
+    typer.echo(summary(record))
+    for finding in record["findings"]:
         typer.echo(f"note: {finding['code']}: {finding['message']}")
     typer.echo(f'go on with: lambent check "{out}"')
 
 
 def tell_progress(text: str) -> None:
-    """Say what is being done, where talk belongs."""
+    """Print progress to standard error."""
     typer.echo(text, err=True)

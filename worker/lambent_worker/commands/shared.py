@@ -1,10 +1,11 @@
-"""What the commands share: options, messages for errors, the first Ctrl-C."""
+"""Options, error messages and the handling of Ctrl-C that the commands share."""
 
 import functools
 import json
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +14,21 @@ from lambent_worker.errors import SceneRefusedError, UsageError, WorkerError
 
 Json = Annotated[bool, typer.Option("--json", help="Write machine-readable lines to standard output.")]
 Layout = Annotated[str, typer.Option(help="Read the folder as this layout instead of detecting it.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
+Masks = Annotated[
+    Path | None, typer.Option(help="Folder of masks named like the pictures; they go before others.")
+]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
+]
+Views = Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")]
+Repeats = Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")]
+Directions = Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")]
+Antialias = Annotated[
+    int, typer.Option(min=1, max=4, help="Camera rays along each side of a pixel; 1 as in the paper.")
+]
+MaxSide = Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")]
+Shadows = Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")]
 Device = Annotated[str, typer.Option(help="cpu, cuda, or cuda:N; by default what the run has, else cpu.")]
 
 

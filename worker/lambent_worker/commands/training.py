@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lambent_worker.commands import shared
 from lambent_worker.commands.shared import Device, Json, Layout, reporting_errors, stopping_on_signals
 from lambent_worker.errors import UsageError
 
@@ -27,20 +28,16 @@ def train(
         typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
     ] = None,
     layout: Layout = "",
-    masks: Annotated[
-        Path | None, typer.Option(help="Folder of masks named like the pictures; they go before others.")
-    ] = None,
+    masks: shared.Masks = None,
     no_masks: Annotated[
         bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
     ] = False,
     poses: Annotated[
         str, typer.Option(help="auto: SCENE_DIR holds photographs without cameras; COLMAP finds them.")
     ] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    seed: shared.Seed = 0,
     device: Device = "",
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the preset.")
-    ] = None,
+    settings: shared.Settings = None,
     resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only print steps, rays and the memory they would take.")
@@ -100,14 +97,12 @@ def evaluate(
         Path | None,
         typer.Option(help="Folder of .hdr or .exr maps named like the scene's test lights, to relight with."),
     ] = None,
-    views: Annotated[int, typer.Option(min=0, help="Test views, evenly spaced; 0 for all.")] = 0,
-    repeats: Annotated[int, typer.Option(min=1, help="Repeats behind every Monte Carlo picture.")] = 4,
-    directions: Annotated[int, typer.Option(min=4, help="Secondary rays per pixel and repeat.")] = 64,
-    antialias: Annotated[
-        int, typer.Option(min=1, max=4, help="Camera rays along each side of a pixel; 1 as in the paper.")
-    ] = 2,
-    max_side: Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")] = 0,
-    shadows: Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")] = "fast",
+    views: shared.Views = 0,
+    repeats: shared.Repeats = 4,
+    directions: shared.Directions = 64,
+    antialias: shared.Antialias = 2,
+    max_side: shared.MaxSide = 0,
+    shadows: shared.Shadows = "fast",
     lpips_weights: Annotated[
         list[Path] | None,
         typer.Option(help="Weights of LPIPS, .safetensors or .pth; repeat for backbone and linear layers."),

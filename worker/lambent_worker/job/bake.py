@@ -1,4 +1,4 @@
-"""A job of the kind `bake`: what its order means, and the bundle that it publishes."""
+"""A job of the kind `bake`: reads its order and adapts the bundle that it publishes."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,7 +32,7 @@ def run_bake(spec: job_pb2.JobSpec, inputs: Path, run_dir: Path, device: str, re
 
 
 def request_of(spec: job_pb2.JobSpec, environment: Path, device: str) -> BakeRequest:
-    """Return what an order asks for; raises ConfigError for settings that cannot be read."""
+    """Return the request in an order; raises ConfigError for settings that cannot be read."""
     settings: Mapping[str, str] = spec.params
     ratio = None
     if settings.get("albedo_ratio"):

@@ -36,11 +36,11 @@ _WRONG = frozenset({grpc.StatusCode.INVALID_ARGUMENT, grpc.StatusCode.UNIMPLEMEN
 
 
 class FencedError(Exception):
-    """The server counts on another run, or on none: this one must end without another word."""
+    """The server has started another run, or wants none: this one must end without further calls."""
 
 
 class RefusedError(Exception):
-    """The server understood the request and will never do it."""
+    """The server refuses the request for good."""
 
 
 class UnreachableError(Exception):
@@ -57,27 +57,19 @@ class Identity:
     token: str
     work_dir: Path
     memory_bytes: int = 0
-    """What the pipeline may allocate; 0 for any amount."""
+    """Limit of what the pipeline may allocate; 0 for none."""
     give_up_after_s: float = 0.0
     """Time without a server after which the run ends itself; 0 for never."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "Identity":
-        """Return what `LAMBENT_RUN` says."""
+        """Return the identity in `LAMBENT_RUN`."""
         given = json.loads(environment["LAMBENT_RUN"])
-        return cls(
-            job_id=given["job_id"],
-            run=given["run"],
-            address=given["address"],
-            token=given["token"],
-            work_dir=Path(given["work_dir"]),
-            memory_bytes=given["memory_bytes"],
-            give_up_after_s=given["give_up_after_s"],
-        )
+        return cls(**{**given, "work_dir": Path(given["work_dir"])})
 
     @property
     def fence(self) -> worker_pb2.Fence:
-        """Return what every request carries."""
+        """Return the fence that every request carries."""
         return worker_pb2.Fence(job_id=self.job_id, run=self.run)
 
 
@@ -100,13 +92,13 @@ class Connection:
         self.ending = threading.Event()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the channel."""
         self._channel.close()
 
-    def once(self, method: Callable[..., Any], request: Any, timeout_s: float = CALL_TIMEOUT_S) -> Any:
+    def once(self, method: Callable[..., Any], request: Any) -> Any:
         """Call once; None where the server does not answer."""
         try:
-            return method(request, timeout=timeout_s, metadata=self._metadata)
+            return method(request, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
         except grpc.RpcError as error:
             _raise_if_final(error)
             return None
@@ -133,7 +125,7 @@ class Connection:
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
     def put_file(self, path: Path, media_type: str = "application/octet-stream") -> worker_pb2.PublishedFile:
-        """Send a file and return what it is called by; it must not change meanwhile."""
+        """Send a file, which must not change meanwhile, and return its entry."""
         sha256, size = file_sha256(path), path.stat().st_size
         header = worker_pb2.BlobHeader(
             fence=self.identity.fence, sha256=sha256, size_bytes=float(size), media_type=media_type

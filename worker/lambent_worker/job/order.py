@@ -1,4 +1,4 @@
-"""What a run process is asked to do."""
+"""The order that a run process carries out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from lambent_worker.reporter import Reporter
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """What a run process is given."""
+    """A job with its folders, device and reporter."""
 
     spec: job_pb2.JobSpec
     scene_dir: Path
@@ -23,7 +23,7 @@ class Order:
     render: render_pb2.RenderTask = field(default_factory=render_pb2.RenderTask)
     """The pictures to make; empty for other kinds."""
     checked: CaptureCheck | None = None
-    """What a look at the scene has found and told already."""
+    """Result of a check of the scene whose findings were reported already."""
 
 
 Pipeline = Callable[[Order], Path | None]

@@ -1,4 +1,4 @@
-"""The part of a run process that works: fetch, check, resume, train, publish."""
+"""The child of a run process: fetches the scene, checks it, resumes, trains and publishes."""
 
 import re
 import resource
@@ -44,15 +44,8 @@ def perform(order: Order) -> Path:
     return run_bake(order.spec, order.scene_dir, order.run_dir, order.device, order.reporter)
 
 
-def render(order: Order) -> None:
-    """Make pictures of bundles; they are artifacts of the job."""
-    from lambent_worker.job.render import render_pictures
-
-    render_pictures(order)
-
-
 def check(scene_dir: Path) -> CaptureCheck:
-    """Return what is wrong with the scene, and what was measured on it."""
+    """Return the findings and measurements of a scene."""
     from lambent_worker.capture_qa.check import check_capture
 
     return check_capture(scene_dir)
@@ -102,7 +95,7 @@ def _work(
     pipeline: Pipeline,
     check: Check,
 ) -> None:
-    """Work, and tell the server how it ended."""
+    """Do the work and tell the server how it ended."""
     fence = connection.identity.fence
     try:
         bundle = _do(connection, reporter, start, pipeline, check)
@@ -162,14 +155,20 @@ def _do(
         render=start.render,
         checked=checked,
     )
-    bundle = render(order) if start.HasField("render") else pipeline(order)
+    bundle = None
+    if start.HasField("render"):
+        from lambent_worker.job.render import render_pictures
+
+        render_pictures(order)
+    else:
+        bundle = pipeline(order)
     if reporter.broken is not None:
         raise reporter.broken
     return bundle
 
 
 def _report_scene(connection: Connection, name: str, checked: CaptureCheck) -> None:
-    """Tell the server what was found out about the scene, with a page where there is something to see."""
+    """Send the server the report on the scene, with a page where there are measurements."""
     identity = connection.identity
     page_sha256 = ""
     if checked.figures is not None:
@@ -223,7 +222,7 @@ def _send_bundle(connection: Connection, folder: Path) -> list[worker_pb2.Publis
 
 
 def describe_failure(error: Exception) -> worker_pb2.FailRequest:
-    """Return what the server is told; the cause decides whether and how the job is tried again."""
+    """Return the failure as a request; its cause decides whether and how the job is tried again."""
     code, message = "run.crashed", f"{type(error).__name__}: {str(error)[:500]}; the log has the traceback"
     cause = worker_pb2.FAIL_CAUSE_INTERNAL
     if isinstance(error, WorkerError):

@@ -4,8 +4,6 @@ A run that takes the place of a lost one finds what its checkpoints hold and mak
 """
 
 import io
-import os
-import shutil
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +24,7 @@ from lambent_relight.batch.summary import TABLE, TileOf, write_sheets, write_tab
 from lambent_relight.errors import RelightError
 
 from lambent_worker.errors import Stopped, UsageError
+from lambent_worker.files import link_or_copy
 from lambent_worker.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -188,7 +187,7 @@ class _Work:
             for made in result.record.files.values():
                 target = folder / made.path
                 target.parent.mkdir(parents=True, exist_ok=True)
-                _put(self.journal.folder / made.path, target)
+                link_or_copy(self.journal.folder / made.path, target)
         names = {result.path for result in self._unsaved}
         (folder / JOURNAL).write_text(self.journal.lines(names), encoding="utf-8")
         # A name of its own: the server keeps the newest of every name, and the parts complete each other.
@@ -208,18 +207,10 @@ def _restore(run_dir: Path, folder: Path) -> None:
             target = folder / relative
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)
-            _put(path, target)
+            link_or_copy(path, target)
     if lines:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / JOURNAL).write_text("".join(lines), encoding="utf-8")
-
-
-def _put(source: Path, target: Path) -> None:
-    """Make a file appear under a second name."""
-    try:
-        os.link(source, target)
-    except OSError:  # a file system without links
-        shutil.copyfile(source, target)
 
 
 def _publish(order: "Order", folder: Path, results: list[Result], manifest: Manifest) -> None:

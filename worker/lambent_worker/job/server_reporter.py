@@ -1,4 +1,4 @@
-"""The `Reporter` of a run that a server started: what the pipeline tells goes to the server."""
+"""The `Reporter` of a run that a server started: it sends everything to the server."""
 
 import json
 import mimetypes

@@ -1,4 +1,4 @@
-"""The part of a run process that stays calm: it says "alive" while its child works, and tells why it died."""
+"""The parent of a run process: sends heartbeats while its child works, and reports why the child died."""
 
 import contextlib
 import os
@@ -91,7 +91,7 @@ def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
 
 
 def _require_hope(identity: Identity, silent_s: float) -> None:
-    """Raise where no server can be expected any more that would want this run."""
+    """Raise `UnreachableError` where no server that wants this run can be expected any more."""
     if not identity.work_dir.is_dir():
         raise UnreachableError(f"no server answers and {identity.work_dir} is gone")
     if 0 < identity.give_up_after_s < silent_s:

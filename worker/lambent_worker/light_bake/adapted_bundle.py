@@ -18,9 +18,9 @@ from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.bundle.onnx_check import metadata
 
 from lambent_worker.bundle import manifest as manifests
+from lambent_worker.bundle.graphs import PARITY_ROWS, secondary_rays
 from lambent_worker.bundle.parity import compare
 
-PARITY_ROWS = 4096
 _MAX_FILE_BYTES = 2 << 30
 _WEIGHTS_KEY = "flashcache.weights_sha256"
 
@@ -69,7 +69,7 @@ def write_adapted(
         folder / path,
         lambda own, inputs: reference.cache_outputs(own, 0, **inputs),
         cache,
-        _rays(manifest),
+        secondary_rays(tuple(manifest.bounds.minimum), tuple(manifest.bounds.maximum), PARITY_ROWS, 0),
     )
     manifest.metrics.update(figures)
     manifests.add_graph(manifest, "fast_cache", path, light.name, parity)
@@ -107,16 +107,6 @@ def _name_weights(path: Path, data: bytes) -> None:
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, {**kept, _WEIGHTS_KEY: sha256(data).hexdigest()})
     path.write_bytes(model.SerializeToString(deterministic=True))
-
-
-def _rays(manifest: bundle_pb2.BundleManifest) -> dict[str, torch.Tensor]:
-    """Return random points of the bundle's box and random directions."""
-    generator = torch.Generator().manual_seed(0)
-    bounds = manifest.bounds
-    low, high = (torch.tensor(list(end)) for end in (bounds.minimum, bounds.maximum))
-    points = low + torch.rand(PARITY_ROWS, 3, generator=generator) * (high - low)
-    around = torch.randn(PARITY_ROWS, 3, generator=generator)
-    return {"origin": points, "direction": torch.nn.functional.normalize(around, dim=-1)}
 
 
 def later_version(one: str, other: str) -> str:

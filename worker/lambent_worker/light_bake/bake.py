@@ -30,10 +30,10 @@ from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.evaluation import trained_scene
 from lambent_worker.run.folder import begin_task, locked, require_done, task_folder
-from lambent_worker.run.known_lights import resampled
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks.training import drive, load_trained
+from lambent_worker.scenes.resample import averaged
 
 MAP_ROWS = 256
 """Rows to which larger environments are reduced, each pixel the mean of those it covers."""
@@ -74,8 +74,7 @@ def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter
     run = None
     if (source / "run.json").is_file():
         run = open_task(source, "joint", reporter, request.device)
-    bundle = _bundle_of(source, run)
-    environment = _environment(request)
+    bundle, environment = _opened(source, run, request)
     light = AdaptedLight(
         name=_free_name(bundle, request),
         environment_sha256=environment_digest(environment),
@@ -83,7 +82,8 @@ def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter
         albedo_ratio=request.albedo_ratio or tuple(bundle.manifest.albedo_scale_rgb),
     )
     work = out.with_name(out.name + ".work")
-    inputs = digest(_fingerprint(bundle), light.to_json(), asdict(request.config), request.seed, run is None)
+    files = sorted(file.sha256 for file in bundle.manifest.files)
+    inputs = digest(files, light.to_json(), asdict(request.config), request.seed, run is None)
     with locked(work):
         context = _context(run, source, work, request, reporter)
         begin_task(work, STAGE, inputs)
@@ -120,7 +120,7 @@ def light_image(environment: Environment) -> Float32[ndarray, "rows columns 3"]:
     """Return an environment's radiance as it is turned, in at most `MAP_ROWS` rows."""
     radiance = environment.radiance
     if radiance.shape[0] > MAP_ROWS:
-        radiance = resampled(radiance, MAP_ROWS)
+        radiance = averaged(radiance, (2 * MAP_ROWS, MAP_ROWS))
     if not environment.rotate_deg:
         return radiance
     turned = Environment(radiance, environment.rotate_deg)
@@ -134,11 +134,12 @@ def mean_radiance(image: Float32[ndarray, "rows columns 3"]) -> float:
     return float((image.mean(axis=-1, keepdims=True) * weight).sum())
 
 
-def _bundle_of(source: Path, run: TaskContext | None) -> Bundle:
+def _opened(source: Path, run: TaskContext | None, request: BakeRequest) -> tuple[Bundle, Environment]:
     if run is not None:
         require_done(source, "export")
     try:
         bundle = load_bundle(task_folder(source, "export") if run is not None else source)
+        environment = load_environment(request.environment).rotated(request.rotate_deg)
     except RelightError as error:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
     if not bundle.has_networks:
@@ -146,14 +147,7 @@ def _bundle_of(source: Path, run: TaskContext | None) -> Bundle:
             "bake.networks_missing",
             f'"{source}" carries no fast cache to adapt; give a bundle of the full tier',
         )
-    return bundle
-
-
-def _environment(request: BakeRequest) -> Environment:
-    try:
-        return load_environment(request.environment).rotated(request.rotate_deg)
-    except RelightError as error:
-        raise UsageError(error.code, f"{error.message}; {error.advice}") from error
+    return bundle, environment
 
 
 def _free_name(bundle: Bundle, request: BakeRequest) -> str:
@@ -165,10 +159,6 @@ def _free_name(bundle: Bundle, request: BakeRequest) -> str:
             "bake.name_taken", f'the bundle has a fast cache for a light called "{name}"; choose a --name'
         )
     return name
-
-
-def _fingerprint(bundle: Bundle) -> list[str]:
-    return sorted(file.sha256 for file in bundle.manifest.files)
 
 
 def _context(

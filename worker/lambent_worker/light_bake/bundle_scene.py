@@ -146,16 +146,11 @@ def bundle_scene(bundle: Bundle, albedo_ratio: Float[Tensor, "3"], *, num_thread
     manifest = bundle.manifest
     rays = manifest.secondary_rays
     eyes = np.stack([camera.camera_to_world[:3, 3] for camera in bundle.cameras()])
-    corners = (torch.tensor(list(end), dtype=torch.float32) for end in _box(bundle))
+    corners = (manifest.bounds.minimum, manifest.bounds.maximum)
     return BundleScene(
         caches=caches,
         limits=RayLimits(near=rays.near, far=rays.far, origin_offset=rays.origin_offset),
         viewpoints=torch.from_numpy(eyes.astype(np.float32)),
-        box=tuple(corners),
+        box=tuple(torch.tensor(list(corner), dtype=torch.float32) for corner in corners),
         albedo_ratio=albedo_ratio,
     )
-
-
-def _box(bundle: Bundle) -> tuple[list[float], list[float]]:
-    bounds = bundle.manifest.bounds
-    return list(bounds.minimum), list(bounds.maximum)

@@ -1,6 +1,6 @@
 """Object masks for pictures without alpha or masks in the layout.
 
-`apply.attach_masks` takes a folder of masks, `estimate.estimate_masks` makes one, `segmenter.Segmenter` is
-the interface for external segmenters. A mask is grey: 0 background, 255 object, in the pixels of its picture
+`estimate.estimate_masks` makes masks, `folder.write_masks` writes them, and `segmenter.Segmenter` is the
+interface for external segmenters. A mask is grey: 0 background, 255 object, in the pixels of its picture
 file.
 """

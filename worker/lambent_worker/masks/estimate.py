@@ -13,13 +13,14 @@ from PIL import Image
 from scipy import ndimage
 
 from lambent_worker.capture_qa.hull import Silhouette, carve, footprint, tolerated_views
-from lambent_worker.capture_qa.observe import fitted, resized
+from lambent_worker.capture_qa.observe import resized
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.masks.consensus import ConsensusSettings, Leaning, MaskView, agree
 from lambent_worker.masks.evidence import lab_of, separation
 from lambent_worker.masks.outline import refine_outline
 from lambent_worker.scenes.extent import looked_at_point
 from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.resample import reduced_size
 
 LEANINGS = (
     # Colours and edges alike: right for most captures.
@@ -135,7 +136,7 @@ def consistency_of(
     half = np.full(3, ConsensusSettings().reach * distance)
     silhouettes = []
     for view, coverage in zip(views, coverages, strict=True):
-        size = fitted((view.camera.width, view.camera.height), settings.consensus_side)
+        size = reduced_size(view.camera.width, view.camera.height, settings.consensus_side)
         mask = resized(coverage.astype(np.float32), size) >= 0.5
         silhouettes.append(Silhouette(view.camera.resized(*size), mask))
     tolerated = tolerated_views(len(views), settings.tolerated_share)
@@ -202,7 +203,7 @@ def _middle(views: Sequence[MaskView]) -> tuple[Float[ndarray, "3"], float]:
 
 
 def _reduced(view: MaskView, side: int) -> MaskView:
-    size = fitted((view.camera.width, view.camera.height), side)
+    size = reduced_size(view.camera.width, view.camera.height, side)
     image = Image.fromarray(view.image_srgb).resize(size, Image.Resampling.BOX)
     return MaskView(view.name, np.asarray(image), view.camera.resized(*size))
 

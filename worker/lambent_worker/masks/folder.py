@@ -11,13 +11,14 @@ from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 from PIL import Image, ImageDraw
 
-from lambent_worker.capture_qa.observe import fitted, outlined_picture, read_small
+from lambent_worker.capture_qa.observe import outlined_picture, read_small
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.errors import WorkerError
 from lambent_worker.masks.consensus import MaskView
-from lambent_worker.masks.estimate import Consistency, EstimateSettings, estimate_masks
+from lambent_worker.masks.estimate import EstimateSettings, estimate_masks
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.resample import reduced_size
 
 VIEW_SIDE = 512
 """Longer side at which outlines are drawn, pixels; the files get the size of their pictures."""
@@ -61,13 +62,12 @@ def write_masks(
     for number, frame in enumerate(frames):
         views.append(_read(folder, frame, manifest))
         progress(number, 2 * len(frames))
-    consistency: Consistency | None = None
+    coverages: Sequence[Float[ndarray, "height width"]]
     if segmenter is None:
         estimate = estimate_masks(views, EstimateSettings())
-        coverages: Sequence[Float[ndarray, "height width"]] = estimate.coverages
-        consistency = estimate.consistency
+        coverages, overlap = estimate.coverages, estimate.consistency.overlap
     else:
-        coverages = segmenter(views)
+        coverages, overlap = segmenter(views), np.ones(len(views))
         _require_sizes(views, coverages)
     masks = out / "masks"
     masks.mkdir(parents=True, exist_ok=True)
@@ -81,8 +81,8 @@ def write_masks(
     return WrittenMasks(
         folder=masks,
         sheet=sheet,
-        overlap=1.0 if consistency is None else float(np.median(consistency.overlap)),
-        doubtful=() if consistency is None else _doubtful(frames, consistency),
+        overlap=float(np.median(overlap)),
+        doubtful=tuple(frames[i].name for i in np.argsort(overlap) if overlap[i] < DOUBTFUL_OVERLAP),
     )
 
 
@@ -117,7 +117,7 @@ def _read(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifes
     if is_linear:
         colours = np.round(255.0 * srgb_from_linear(colours)).astype(np.uint8)
     camera = PictureCamera.of_frame(frame)
-    size = fitted((camera.width, camera.height), VIEW_SIDE)
+    size = reduced_size(camera.width, camera.height, VIEW_SIDE)
     return MaskView(frame.name, colours, camera.resized(*size))
 
 
@@ -134,8 +134,3 @@ def _require_sizes(views: Sequence[MaskView], coverages: Sequence[Float[ndarray,
                 f'the segmenter\'s mask of frame "{view.name}" has the shape {coverage.shape}, its picture '
                 f"{view.image_srgb.shape[:2]}; return one number for each pixel",
             )
-
-
-def _doubtful(frames: Sequence[scene_pb2.Frame], consistency: Consistency) -> tuple[str, ...]:
-    order = np.argsort(consistency.overlap)
-    return tuple(frames[index].name for index in order if consistency.overlap[index] < DOUBTFUL_OVERLAP)

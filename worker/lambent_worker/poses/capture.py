@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -23,29 +23,20 @@ NUM_PARTS = 3
 """Of the search, as often as `solve` tells what it does."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SolvedCapture:
-    """A capture whose cameras were found."""
-
-    folder: Path
-    record: dict[str, Any]
-    """Contents of its `poses.json`: photographs, registered, missing, points, reprojection_error_px,
-    findings."""
-
-
 def solve_capture(
     photographs_dir: Path,
     out: Path,
     masks_dir: Path | None = None,
     settings: PoseSettings | None = None,
     tell: Callable[[str], None] = lambda text: None,
-) -> SolvedCapture:
-    """Write a capture to `out` with the photographs whose cameras were found, and return the result.
+) -> dict[str, Any]:
+    """Write a capture to `out` with the photographs whose cameras were found, and return its `poses.json`.
 
-    Where `out` was made from the same photographs, masks and settings it is left as it is. Photographs
-    without a camera are left out. Raises `SceneRefusedError` with what to do where the photographs cannot be
-    used or fit together too badly (nothing is written then), and `UsageError` where `out` holds something
-    else or pycolmap is missing.
+    That has photographs, registered, missing, points, reprojection_error_px and findings. Where `out` was
+    made from the same photographs, masks and settings it is left as it is. Photographs without a camera are
+    left out. Raises `SceneRefusedError` with what to do where the photographs cannot be used or fit together
+    too badly (nothing is written then), and `UsageError` where `out` holds something else or pycolmap is
+    missing.
     """
     settings = settings or PoseSettings()
     load_colmap()
@@ -60,7 +51,7 @@ def solve_capture(
     inputs = _inputs(photographs, settings)
     known = read_record(out / RECORD)
     if known.get("inputs") == inputs:
-        return SolvedCapture(folder=out, record=known)
+        return known
     partial = out.with_name(out.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     try:
@@ -70,7 +61,7 @@ def solve_capture(
         partial.rename(out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return SolvedCapture(folder=out, record=read_record(out / RECORD))
+    return read_record(out / RECORD)
 
 
 def solve_for_run(
@@ -85,7 +76,7 @@ def solve_for_run(
         reporter.progress(Progress(stage="poses", step=told, num_steps=NUM_PARTS))
         told += 1
 
-    record = solve_capture(photographs, capture, masks, PoseSettings(seed=seed), tell).record
+    record = solve_capture(photographs, capture, masks, PoseSettings(seed=seed), tell)
     reporter.finding("scene.poses_solved", summary(record))
     for finding in record["findings"]:
         reporter.finding(finding["code"], finding["message"], subject=finding["subject"])

@@ -1,6 +1,6 @@
 """Runs the evaluation of a model: predictions, metrics, report.json and report.html."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from flashcache.data.scene import View
@@ -24,7 +24,7 @@ SHEET_VIEWS = 3
 
 
 def evaluate(
-    subject: Subject, *, preset: str, seconds: Mapping[str, float], notes: Sequence[str] = ()
+    subject: Subject, *, preset: str, seconds: Mapping[str, float]
 ) -> evaluation_pb2.EvaluationReport:
     """Render, score and write everything below `subject.out`; returns what is in report.json.
 
@@ -60,7 +60,7 @@ def evaluate(
         ],
         train_lights=subject.scene.lights,
         seconds=dict(seconds),
-        notes=[*notes, *_notes(subject, has_ratio=ratios is not None)],
+        notes=_notes(subject, has_ratio=ratios is not None),
     )
     write_json(subject.out / "report.json", message_to_dict(report))
     write_page(

@@ -37,14 +37,6 @@ GROUPS = (
 Picture = Float[ndarray, "height width 3"]
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """One picture of the page."""
-
-    title: str
-    uri: str
-
-
 def write_page(
     path: Path,
     report: evaluation_pb2.EvaluationReport,
@@ -110,13 +102,13 @@ def grouped(
 
 def view_figures(
     out: Path, scene: Scene, view: View, ratio: Float[ndarray, "3"] | None
-) -> list[list[Figure]]:
-    """Return the pictures of one view, in the lines in which they are shown."""
+) -> list[list[tuple[str, str]]]:
+    """Return title and data URI of the pictures of one view, in the lines in which they are shown."""
     lines = [_light_line(out, view, light) for light in scene.lights]
     lines.append(_surface_line(out, view, ratio))
     lines.append(_uncertainty_line(out, view))
     lines += [_relit_line(out, view, light) for light in scene.relight_lights]
-    return [[Figure(title, figures.data_uri(values)) for title, values in line] for line in lines if line]
+    return [[(title, figures.data_uri(values)) for title, values in line] for line in lines if line]
 
 
 def _photograph(view: View, light: str) -> Picture | None:

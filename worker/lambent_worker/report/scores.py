@@ -197,7 +197,8 @@ def _score_normals(table: Table, out: Path, view: View) -> None:
     truth = view.truth["normal"].astype(np.float64)
     mask = object_mask(view)
     true_normal = metrics.normal_with_background(truth[..., :3], truth[..., 3:])
-    error = metrics.angular_error(_unit(predicted), true_normal)
+    unit = predicted / np.maximum(np.linalg.norm(predicted, axis=-1, keepdims=True), 1e-9)
+    error = metrics.angular_error(unit, true_normal)
     table.add("normal/mae_all", float(np.where(mask, error, 0.0).mean()))
     if mask.any():
         table.add("normal/mae_mask", float(error[mask].mean()))
@@ -218,7 +219,3 @@ def _score_scalars(table: Table, out: Path, view: View) -> None:
         inside = (truth[..., 0] > 0.0) & mask
         if inside.any():
             table.add("distance/mean_abs", float(np.abs(predicted - truth)[inside].mean()))
-
-
-def _unit(normal: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width 3"]:
-    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)

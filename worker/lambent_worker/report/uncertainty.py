@@ -3,12 +3,11 @@
 docs/discussion/uncertainty.md says what the values mean.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from flashcache.data.scene import Camera, Scene, View
+from flashcache.data.scene import Camera, Scene
 from flashcache.evaluation.ambiguity import Elimination, Priors, eliminate, material_uncertainty
 from flashcache.evaluation.gbuffer import cache_picture, camera_rays
 from flashcache.evaluation.monte_carlo import RenderRule
@@ -26,6 +25,8 @@ from jaxtyping import Float, Float32
 from lambent_relight.bundle.uncertainty import UncertaintyGrid
 from numpy import ndarray
 from scipy.spatial import cKDTree
+
+from lambent_worker.report.request import evenly_spaced
 
 PRIORS = Priors()
 NUM_POINTS = 1000
@@ -70,7 +71,7 @@ def measure_uncertainty(
         return None
     device = next(model.parameters()).device
     generator = generator_for(seed, "uncertainty", 0, "points", device)
-    cameras = [view.camera for view in _spread(scene.train, NUM_CAMERAS)]
+    cameras = [view.camera for view in evenly_spaced(scene.train, NUM_CAMERAS)]
     shown = photographed_points(model, cameras, num_points // 2, generator)
     points = join([shown, outer_points(model, num_points - len(shown.positions), generator)])
     if len(points.positions) < FEWEST_POINTS:
@@ -121,7 +122,8 @@ def residual(model: InverseModel, scene: Scene, seed: int) -> float:
     generator = np.random.default_rng(seed)
     light = scene.lights[0]
     errors = []
-    for view in _spread([view for view in scene.train if light in view.images], NOISE_VIEWS):
+    lit = tuple(view for view in scene.train if light in view.images)
+    for view in evenly_spaced(lit, NOISE_VIEWS):
         image = view.images[light].reshape(-1, 4)
         opaque = np.flatnonzero(image[:, 3] > 0.99)
         if not len(opaque):
@@ -159,8 +161,3 @@ def uncertainty_map(
     directions = camera_rays(model, camera, torch.device("cpu")).directions.numpy()
     positions = camera.position + distance * directions.reshape(camera.height, camera.width, 3)
     return np.where(distance > 0.0, grid.at(positions), 0.0).astype(np.float32)
-
-
-def _spread(views: Sequence[View], count: int) -> Sequence[View]:
-    """Return at most `count` of the views at equal strides."""
-    return views[:: max(1, len(views) // count)][:count]

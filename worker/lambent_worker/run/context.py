@@ -1,4 +1,4 @@
-"""What a task is given."""
+"""The context in which a task runs."""
 
 import time
 from collections.abc import Callable
@@ -43,7 +43,7 @@ class Clock:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TaskContext:
-    """What a task gets: what the run is, where to work, and whom to tell."""
+    """The run that a task belongs to, its folder, device and reporter."""
 
     spec: RunSpec
     run_dir: Path
@@ -52,7 +52,7 @@ class TaskContext:
     task: str = ""
     """Name of the task."""
     checked: CaptureCheck | None = None
-    """What a look at the capture has found and told already, without a layout or masks being given."""
+    """Result of a check without layout or masks whose findings were reported already."""
     clock: Clock = field(default_factory=lambda: Clock(before=0.0, share=1.0, job_started=0.0))
 
     @property

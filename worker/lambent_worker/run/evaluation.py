@@ -1,4 +1,4 @@
-"""What `lambent evaluate` does around an evaluation: the run's model, the scene, environments, the folder."""
+"""The evaluation of a trained run on a capture, with its environments and its folder: `lambent evaluate`."""
 
 import shutil
 from dataclasses import asdict
@@ -18,14 +18,13 @@ from numpy import ndarray
 from lambent_worker.errors import UsageError
 from lambent_worker.files import digest, read_record, write_json
 from lambent_worker.report import protocol
-from lambent_worker.report.evaluate import evaluate
-from lambent_worker.report.request import EvaluationRequest, Subject, rule_of
+from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
-from lambent_worker.run.folder import require_done, task_seconds
+from lambent_worker.run.folder import require_done
 from lambent_worker.run.hashes import scene_hash
 from lambent_worker.run.prepare import open_task
-from lambent_worker.run.tasks.evaluate import evaluated_views, with_progress
+from lambent_worker.run.tasks.evaluate import evaluated, subject_of
 from lambent_worker.run.tasks.ingest import read_manifest, use_own_masks
 from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
@@ -58,28 +57,19 @@ def evaluate_run(
     settings |= {"environments": sorted(maps), "scene": scene_hash(scene_dir), "protocol": protocol.VERSION}
     lpips = load_lpips(request.lpips_weights) if request.lpips_weights else None
     _prepare_out(out, digest(trained, settings, [float(image.sum()) for _, image in sorted(maps.items())]))
-    views, held_out = evaluated_views(scene, request.num_views)
     model = load_trained(context, trained_scene(context), "joint")
-    subject = Subject(
+    subject = subject_of(
+        context,
+        request,
         model=model,
         scene=scene,
-        views=views,
-        held_out=held_out,
         maps=maps,
-        request=request,
-        seed=context.spec.seed,
         out=out,
-        advance=lambda: None,
-        rule=rule_of(context.spec.config.stage_two, request.shadows),
         dataset=manifest.layout,
         lpips=lpips,
         uncertainty=_uncertainty(context, model),
     )
-    report = evaluate(
-        with_progress(subject, context), preset=context.spec.config.preset, seconds=task_seconds(run_dir)
-    )
-    reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
-    return report
+    return evaluated(context, subject)
 
 
 def read_maps(folder: Path | None, lights: tuple[str, ...]) -> dict[str, Float32[ndarray, "rows columns 3"]]:

@@ -1,10 +1,10 @@
 """The folder a run lives in: which of its tasks are done, and from what.
 
-run.json                        what the run was asked to do; see `spec`
-log.jsonl previews/             what the command line was told; a server keeps that itself
-known_lights/ masks/            copies of what the user gave
+run.json                        the specification of the run; see `spec`
+log.jsonl previews/             log and previews of the command line; a server keeps its own
+known_lights/ masks/            copies of the user's files
 scene/ cache/ joint/ evaluation/ bundle/
-                                what the tasks write, a folder each
+                                results of the tasks, a folder each
 steps/<task>.inputs.json        hash of everything the task's files are made from, written before the first,
                                 and the seconds it has taken
 steps/<task>.done.json          the same hash, written after the last
@@ -65,7 +65,7 @@ def begin_task(run_dir: Path, task: str, inputs: str) -> None:
 
 
 def add_task_seconds(run_dir: Path, task: str, seconds: float) -> None:
-    """Add the time of one sitting to what a task has taken; a killed sitting does not count."""
+    """Add the time of one sitting to the total of a task; a killed sitting does not count."""
     marker = run_dir / "steps" / f"{task}.inputs.json"
     record = read_record(marker)
     write_json(marker, {**record, "seconds": round(record.get("seconds", 0.0) + seconds, 3)})

@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 from flashcache.physical.model import InverseModel
-from jaxtyping import Float32
 from lambent_relight.environment.maps import load_environment
 from lambent_relight.errors import RelightError
-from numpy import ndarray
 
 from lambent_worker.errors import UsageError
 from lambent_worker.files import file_sha256
-from lambent_worker.scenes.resample import area_weights
+from lambent_worker.scenes.resample import averaged
 
 FOLDER = "known_lights"
 ANY_LIGHT = ""
@@ -72,14 +69,6 @@ def give_known_lights(model: InverseModel, run_dir: Path, known: Mapping[str, st
     """Put the given environments into `model`, whose domain names their lights in the order of `known`."""
     rows = model.config.environment.known_height
     for light, name in zip(model.domain.known_lights, known.values(), strict=True):
-        image = resampled(load_environment(run_dir / FOLDER / name).radiance, rows)
+        image = averaged(load_environment(run_dir / FOLDER / name).radiance, (2 * rows, rows))
         device = next(model.parameters()).device
         model.environment.set_known(model.domain.lights.index(light), torch.from_numpy(image).to(device))
-
-
-def resampled(radiance: Float32[ndarray, "height width 3"], rows: int) -> Float32[ndarray, "rows columns 3"]:
-    """Return a map of `rows` by twice as many pixels, each the mean over its area of the given ones."""
-    vertical = area_weights(radiance.shape[0], rows)
-    horizontal = area_weights(radiance.shape[1], 2 * rows)
-    mean = np.einsum("rh,hwc,kw->rkc", vertical, radiance.astype(np.float64), horizontal, optimize=True)
-    return mean.astype(np.float32)

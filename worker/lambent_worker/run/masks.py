@@ -1,4 +1,4 @@
-"""Where a run has its masks from: given ones are kept with it, missing ones are estimated."""
+"""The masks of a run: given ones are kept with it, missing ones are estimated."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def kept_masks(source: Path | None) -> dict[str, Path]:
 
 
 def masks_setting(source: Path | None, *, whole_view: bool) -> str:
-    """Return what `RunSpec.masks` says of `--masks` and `--no-masks`: given masks by their contents.
+    """Return the value of `RunSpec.masks` for `--masks` and `--no-masks`: given masks by their contents.
 
     Raises `UsageError` where both are given, or the folder has no masks.
     """

@@ -1,4 +1,4 @@
-"""What a run would be: steps, rays and memory, without training or writing anything."""
+"""Steps, rays and memory of a run, without training or writing anything."""
 
 from typing import Any
 

@@ -36,10 +36,10 @@ def run_pipeline(
     """Run `tasks` in order, leaving out those whose results are there already.
 
     A task that was interrupted goes on from its last checkpoint. A task whose inputs (scene, lights, the
-    settings it reads, an earlier task) have changed starts afresh. `checked` is what a look at the capture
-    found, and told, that was not given a layout or masks. Raises `Stopped` when the reporter asks to end,
-    `UsageError` where the folder holds a run with other settings, `SceneRefusedError` for an unusable scene,
-    and what the tasks raise.
+    settings it reads, an earlier task) have changed starts afresh. `checked` is the result of a
+    check without layout or masks whose findings were reported already. Raises `Stopped` when the reporter
+    asks to end, `UsageError` where the folder holds a run with other settings, `SceneRefusedError` for an
+    unusable scene, and what the tasks raise.
     """
     unknown = [name for name in tasks if name not in TASKS]
     if unknown:

@@ -1,4 +1,4 @@
-"""What the commands do around the pipeline: devices, folders, refusals, the bundle of a trained run."""
+"""Steps of the commands around the pipeline: devices, folders, refusals, the bundle of a trained run."""
 
 import shutil
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a run is asked to do: one specification, from the command line, a server's order, or `run.json`."""
+"""The specification of a run, from the command line, a server's order, or `run.json`."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS = "lights", "layout", "known_lights", "masks
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunSpec:
-    """What a run is asked to do. Two that are equal train the same; what does not count for that is said."""
+    """Settings of a run. Equal ones train the same; fields that do not matter for that are not compared."""
 
     scene: Path = field(compare=False)
     """Folder of the capture, which may be moved between two starts."""
@@ -65,7 +65,7 @@ class RunSpec:
         capture: Path | None = None,
         seed: int = 0,
     ) -> "RunSpec":
-        """Return what options of the command line ask for.
+        """Return the specification for options of the command line.
 
         `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
         for the object where there are none. With `capture`, `scene` holds photographs without cameras, and
@@ -85,7 +85,7 @@ class RunSpec:
 
     @classmethod
     def from_job(cls, job: job_pb2.JobSpec, adjustments: worker_pb2.Adjustments, scene: Path) -> "RunSpec":
-        """Return what an order asks for, with what its failures so far have changed.
+        """Return the specification for an order, with the changes that its failures so far have caused.
 
         `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
         `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". Raises `ConfigError` for an unknown preset or
@@ -198,7 +198,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
 
 
 def read_run(run_dir: Path) -> tuple[RunSpec, str]:
-    """Return what the run in `run_dir` was asked to do, and its device; `UsageError` where there is none."""
+    """Return the specification and the device of the run in `run_dir`; `UsageError` where there is none."""
     record = run_record(run_dir)
     spec = RunSpec(
         scene=Path(record["scene"]),
@@ -214,7 +214,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
 
 
 def run_record(run_dir: Path) -> dict[str, Any]:
-    """Return what is in `run.json`; raises `UsageError` where the folder holds no run of this version."""
+    """Return the contents of `run.json`; raises `UsageError` where there is no run of this version."""
     try:
         record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC}
         record |= json.loads((run_dir / "run.json").read_text(encoding="utf-8"))

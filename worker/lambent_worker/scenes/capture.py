@@ -6,6 +6,9 @@ from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.scenes.exposure import Exposure
 
+LIGHT = "capture"
+"""Name of the only light, for layouts that have none."""
+
 
 @dataclass(kw_only=True, slots=True)
 class Capture:

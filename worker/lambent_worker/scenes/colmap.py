@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
-from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.colmap_model import (
     ColmapCamera,
     ColmapImage,
@@ -34,8 +34,6 @@ from lambent_worker.scenes.transforms_json import scaled
 
 NAME = "colmap"
 LOOKS_LIKE = "sparse/0/images.bin or .txt"
-LIGHT = "capture"
-"""Name of the only light, for which the layout has none."""
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
 IMAGES, MASKS = "images", "masks"

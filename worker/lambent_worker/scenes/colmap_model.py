@@ -23,14 +23,14 @@ class ColmapCamera:
     parameters: tuple[float, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class ColmapImage:
     """A registered photograph: world-to-camera rotation (w, x, y, z) and translation, OpenCV axes."""
 
     name: str
     camera: int
-    rotation: tuple[float, float, float, float]
-    translation: tuple[float, float, float]
+    rotation: tuple[float, ...]
+    translation: tuple[float, ...]
 
 
 class ModelError(Exception):
@@ -122,12 +122,7 @@ def _images_from_text(path: Path) -> list[ColmapImage]:
         try:
             numbers = [float(word) for word in words[1:8]]
             images.append(
-                ColmapImage(
-                    name=words[9].strip(),
-                    camera=int(words[8]),
-                    rotation=(numbers[0], numbers[1], numbers[2], numbers[3]),
-                    translation=(numbers[4], numbers[5], numbers[6]),
-                )
+                ColmapImage(words[9].strip(), int(words[8]), tuple(numbers[:4]), tuple(numbers[4:]))
             )
         except (ValueError, IndexError) as error:
             raise ModelError(
@@ -191,14 +186,7 @@ def _images_from_binary(path: Path) -> list[ColmapImage]:
             if file.tell() + 24 * num_points > size:
                 raise ModelError(f'ends in {what} ("{name}"), after {index} whole images')
             file.seek(24 * num_points, 1)
-            images.append(
-                ColmapImage(
-                    name=name,
-                    camera=camera,
-                    rotation=(numbers[0], numbers[1], numbers[2], numbers[3]),
-                    translation=(numbers[4], numbers[5], numbers[6]),
-                )
-            )
+            images.append(ColmapImage(name, camera, tuple(numbers[:4]), tuple(numbers[4:])))
         _at_end(file)
     return images
 

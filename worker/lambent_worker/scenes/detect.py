@@ -39,6 +39,15 @@ def detect_layout(folder: Path) -> str | None:
     return next((name for name, reader in READERS.items() if reader.is_layout(folder)), None)
 
 
+def require_layout(layout: str | None) -> None:
+    """Raise `UsageError` for a name that is not in `LAYOUTS`; None is to detect it."""
+    if layout is not None and layout not in LAYOUTS:
+        raise UsageError(
+            "scene.layout_unknown",
+            f'--layout "{layout}" is none of {", ".join(LAYOUTS)}; choose one of these',
+        )
+
+
 def collect_scene(
     folder: Path, layout: str | None, problems: Problems, masks: Path | None = None
 ) -> scene_pb2.SceneManifest | None:
@@ -47,11 +56,7 @@ def collect_scene(
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
     `masks` is a folder of masks that override those of the layout.
     """
-    if layout is not None and layout not in READERS:
-        raise UsageError(
-            "scene.layout_unknown",
-            f'--layout "{layout}" is none of {", ".join(LAYOUTS)}; choose one of these',
-        )
+    require_layout(layout)
     if not folder.is_dir():
         problems.error(
             "scene.folder_missing", f'"{folder.name}" is not a folder; give the folder of a capture'

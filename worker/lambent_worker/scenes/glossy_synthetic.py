@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
-from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
 from lambent_worker.scenes.pickled_arrays import PickleRefusedError, read_pickled_data
 from lambent_worker.scenes.picture_error import PictureError
@@ -26,8 +26,6 @@ from lambent_worker.scenes.reading import pose_from_world_to_camera
 
 NAME = "glossy_synthetic"
 LOOKS_LIKE = "0-camera.pkl"
-LIGHT = "capture"
-"""Name of the only light, for which the layout has none."""
 
 _CAMERA = re.compile(r"(\d+)-camera\.pkl$")
 _SPLIT = re.compile(r"synthetic_split_\d+\.pkl$")

@@ -28,23 +28,12 @@ UNSUPPORTED_STARTS = {
 }
 
 
-def inspect_scene(
+def inspect_capture(
     folder: Path,
     layout: str | None = None,
     skip: frozenset[str] = frozenset(),
     announce: Callable[[str], None] = lambda path: None,
     masks: Path | None = None,
-) -> scene_pb2.SceneReport:
-    """Return the report on the capture in `folder`; see `inspect_capture`."""
-    return inspect_capture(folder, layout, skip, announce, masks)[0]
-
-
-def inspect_capture(
-    folder: Path,
-    layout: str | None,
-    skip: frozenset[str],
-    announce: Callable[[str], None],
-    masks: Path | None,
 ) -> tuple[scene_pb2.SceneReport, scene_pb2.SceneManifest | None]:
     """Return the report on the capture in `folder` (at most 100 findings), and the manifest it is about.
 

@@ -5,6 +5,7 @@ Coordinates: x right, y down, over depth. Distortion: OpenCV's k1, k2, p1, p2, k
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -31,6 +32,20 @@ class LensFigures:
     centre_y: float
     distortion: tuple[float, ...] = ()
     """As many coefficients as are known, in OpenCV's order; none for a pinhole."""
+
+    @classmethod
+    def centred(cls, size: tuple[int, int], focal: float, distortion: tuple[float, ...] = ()) -> Self:
+        """Return a lens without offset for a picture of `size` (width, height), with square pixels."""
+        width, height = size
+        return cls(
+            width=width,
+            height=height,
+            focal_x=focal,
+            focal_y=focal,
+            centre_x=0.5 * width,
+            centre_y=0.5 * height,
+            distortion=distortion,
+        )
 
 
 def distorted(

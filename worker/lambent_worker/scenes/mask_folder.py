@@ -5,10 +5,9 @@ from pathlib import Path, PurePosixPath
 
 from lambent_proto.v1 import scene_pb2
 
+from lambent_worker.scenes.frames import listed
 from lambent_worker.scenes.pictures import PICTURE_SUFFIXES
 from lambent_worker.scenes.problems import Problems
-
-_MAX_NAMED = 5
 
 
 def attach_masks(
@@ -28,7 +27,7 @@ def attach_masks(
         )
         return
     files = _files_by_name(masks_dir)
-    stems = Counter(_stem(frame) for frame in manifest.frames)
+    stems = Counter(PurePosixPath(frame.images[0].path).stem for frame in manifest.frames)
     used: set[Path] = set()
     lacking = []
     for frame in manifest.frames:
@@ -44,14 +43,14 @@ def attach_masks(
         problems.error(
             "scene.mask_file_missing",
             f"{len(lacking)} of {len(manifest.frames)} frames have no mask in {masks_dir.name}: "
-            f"{_listed(lacking)}; name each like its frame or its picture, for example {lacking[0]}.png",
+            f"{listed(lacking)}; name each like its frame or its picture, for example {lacking[0]}.png",
             lacking[0],
         )
     left = sorted(path.relative_to(masks_dir).as_posix() for path in set(files.values()) - used)
     if left and not lacking:
         problems.warning(
             "scene.mask_unused",
-            f"{len(left)} masks in {masks_dir.name} belong to no frame: {_listed(left)}; remove them, or "
+            f"{len(left)} masks in {masks_dir.name} belong to no frame: {listed(left)}; remove them, or "
             "check the names",
             left[0],
         )
@@ -66,16 +65,7 @@ def _names(frame: scene_pb2.Frame, stems: Counter[str]) -> list[str]:
     return names
 
 
-def _stem(frame: scene_pb2.Frame) -> str:
-    return PurePosixPath(frame.images[0].path).stem
-
-
 def _files_by_name(folder: Path) -> dict[str, Path]:
     """Return the pictures below `folder` by their path in it without suffix."""
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURE_SUFFIXES)
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(names[:_MAX_NAMED])
-    return shown if len(names) <= _MAX_NAMED else f"{shown} and {len(names) - _MAX_NAMED} more"

@@ -11,7 +11,7 @@ from typing import Any
 
 from lambent_proto.v1 import scene_pb2
 
-from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.exposure import stated_exposure
 from lambent_worker.scenes.frames import check_sizes
 from lambent_worker.scenes.pictures import encoding_of
@@ -21,8 +21,6 @@ from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame
 
 NAME = "nerf_blender"
 LOOKS_LIKE = "transforms_train.json"
-LIGHT = "capture"
-"""Name of the only light, for which the layout has none."""
 
 TRUTH_SUFFIXES = {
     "albedo": "_albedo.png",

@@ -10,7 +10,7 @@ from typing import Any
 
 from lambent_proto.v1 import scene_pb2
 
-from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.exposure import stated_exposure
 from lambent_worker.scenes.frames import check_sizes, frame_names, listed
 from lambent_worker.scenes.pictures import encoding_of
@@ -20,8 +20,6 @@ from lambent_worker.scenes.transforms_json import LENS_KEYS, posed_entries
 
 NAME = "nerfstudio"
 LOOKS_LIKE = "transforms.json"
-LIGHT = "capture"
-"""Name of the only light, for which the layout has none."""
 
 FILE = "transforms.json"
 SPLITS = (

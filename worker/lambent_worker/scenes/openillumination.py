@@ -175,18 +175,12 @@ def _read_frame(
     focal = focal_from_angle(settings.get("camera_angle_x"), size[0], subject, problems)
     if pose is None or focal is None or not _check_width(settings, size, subject, camera, problems):
         return None
-    figures = LensFigures(
-        width=size[0],
-        height=size[1],
-        focal_x=focal,
-        focal_y=focal,
-        centre_x=0.5 * size[0],
-        centre_y=0.5 * size[1],
-    )
+    figures = LensFigures.centred(size, focal)
     described = camera_with_lens(figures, pose @ OPENGL_FROM_OPENCV, subject, problems)
-    if described is not None:
-        frame.camera.CopyFrom(described)
-    return None if described is None else frame
+    if described is None:
+        return None
+    frame.camera.CopyFrom(described)
+    return frame
 
 
 def _find_photograph(folder: Path, stem: str) -> str | None:
@@ -198,9 +192,17 @@ def _check_width(
     settings: dict[str, Any], size: tuple[int, int], subject: str, camera: str, problems: Problems
 ) -> bool:
     """Return whether the pictures are upright, and as wide as those the cameras were solved for or a part."""
-    stated = finite_number(settings.get("calib_imgw"))
+    if "calib_imgw" not in settings:
+        return True
+    stated = finite_number(settings["calib_imgw"])
     if stated is None or stated < 1.0:
-        return "calib_imgw" not in settings or _note_width(settings, subject, problems)
+        problems.error(
+            "scene.lens_invalid",
+            f"{subject}: calib_imgw must be the width of the calibrated picture in pixels, found "
+            f"{str(settings['calib_imgw'])[:40]}",
+            subject,
+        )
+        return False
     share = size[0] / stated
     if abs(share * round(1.0 / share) - 1.0) > 0.02 if share <= 1.0 else share > 1.02:
         problems.error(
@@ -211,13 +213,3 @@ def _check_width(
         )
         return False
     return True
-
-
-def _note_width(settings: dict[str, Any], subject: str, problems: Problems) -> bool:
-    problems.error(
-        "scene.lens_invalid",
-        f"{subject}: calib_imgw must be the width of the calibrated picture in pixels, found "
-        f"{str(settings['calib_imgw'])[:40]}",
-        subject,
-    )
-    return False

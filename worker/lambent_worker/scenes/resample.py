@@ -43,8 +43,8 @@ def resampled(
             source if source <= SUPERSAMPLING * target else SUPERSAMPLING * target
             for source, target in zip((values.shape[1], values.shape[0]), size, strict=True)
         )
-        values = _straightened(_averaged(values, (work[0], work[1])), camera)
-    return _averaged(values, size)
+        values = _straightened(averaged(values, (work[0], work[1])), camera)
+    return averaged(values, size)
 
 
 def resampled_colour(
@@ -71,9 +71,10 @@ def resampled_weighted(
     return resampled(values * weight, camera, size) / np.maximum(resampled(weight, camera, size), 1e-12)
 
 
-def _averaged(
+def averaged(
     values: Float32[ndarray, "height width channels"], size: tuple[int, int]
 ) -> Float32[ndarray, "rows columns channels"]:
+    """Return a picture with `size` = (width, height) pixels, each the mean over its area."""
     if (values.shape[1], values.shape[0]) == size:
         return values
     rows = area_weights(values.shape[0], size[1])

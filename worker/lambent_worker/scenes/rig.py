@@ -51,9 +51,7 @@ def _fitting_convention(frames: list[scene_pb2.Frame]) -> str:
         turned = convention.applied(poses)
         positions, directions = turned[:, :3, 3], -turned[:, :3, 2]
         centre = looked_at_point(positions, directions)
-        if centre is None:
-            continue
-        if not stand_apart(positions, centre):
+        if centre is None or not stand_apart(positions, centre):
             continue
         sights = [_sight(frame.camera, pose, centre) for frame, pose in zip(frames, turned, strict=True)]
         if all(shown for _, shown in sights):

@@ -164,17 +164,12 @@ def _carved(
         mask = maximum_filter(view.mask, _footprint(view, spacing, float(np.median(distance[seen]))))
         num_seen += seen
         num_outside += seen & ~mask[row, column]
-    kept = (num_seen >= max(3.0, LEAST_SEEN * len(views))) & (
-        num_outside <= _allowed(num_seen, one_may_differ_from)
-    )
+    allowed = np.where(num_seen >= one_may_differ_from, np.maximum(1.0, OUTSIDE_SHARE * num_seen), 0.0)
+    kept = (num_seen >= max(3.0, LEAST_SEEN * len(views))) & (num_outside <= allowed)
     if not kept.any():
         return None
     closed = np.zeros(3, dtype=bool)
     return Hull(points=points[kept], spacing=spacing, open_low=closed, open_high=closed)
-
-
-def _allowed(num_seen: Int[ndarray, " points"], one_may_differ_from: int) -> Float64[ndarray, " points"]:
-    return np.where(num_seen >= one_may_differ_from, np.maximum(1.0, OUTSIDE_SHARE * num_seen), 0.0)
 
 
 def _footprint(view: Silhouette, spacing: Float64[ndarray, "3"], distance: float) -> int:

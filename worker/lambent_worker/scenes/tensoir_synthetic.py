@@ -14,6 +14,7 @@ from pathlib import Path
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.scenes.capture import Capture
+from lambent_worker.scenes.lens import LensFigures, camera_with_lens
 from lambent_worker.scenes.pictures import PictureError, picture_size
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import (
@@ -206,19 +207,10 @@ def _read_camera(
     pose = pose_from_numbers(numbers, subject, problems)
     if size is None:
         return None
-    width, height = size
-    focal = focal_from_angle(metadata.get("cam_angle_x"), width, subject, problems)
+    focal = focal_from_angle(metadata.get("cam_angle_x"), size[0], subject, problems)
     if pose is None or focal is None:
         return None
-    return scene_pb2.Camera(
-        width=width,
-        height=height,
-        focal_x=focal,
-        focal_y=focal,
-        centre_x=0.5 * width,
-        centre_y=0.5 * height,
-        camera_to_world=pose.ravel().tolist(),
-    )
+    return camera_with_lens(LensFigures.centred(size, focal), pose, subject, problems)
 
 
 def _frame_size(

@@ -6,6 +6,7 @@ FULL_OPENCV also `k4`, `k5`, `k6`.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -145,14 +146,14 @@ def scaled(
             picture,
         )
         return None
-    return LensFigures(
+    return replace(
+        figures,
         width=size[0],
         height=size[1],
         focal_x=figures.focal_x * across,
         focal_y=figures.focal_y * down,
         centre_x=figures.centre_x * across,
         centre_y=figures.centre_y * down,
-        distortion=figures.distortion,
     )
 
 
@@ -170,17 +171,7 @@ def _read_lens(
     width, height = size
     if "fl_x" not in settings:
         focal = focal_from_angle(settings["camera_angle_x"], width, subject, problems)
-        if focal is None:
-            return None
-        return LensFigures(
-            width=width,
-            height=height,
-            focal_x=focal,
-            focal_y=focal,
-            centre_x=0.5 * width,
-            centre_y=0.5 * height,
-            distortion=distortion,
-        )
+        return None if focal is None else LensFigures.centred(size, focal, distortion)
     fl_x = settings["fl_x"]
     sizes = finite_numbers(
         [settings.get("w", width), settings.get("h", height), fl_x, settings.get("fl_y", fl_x)], 4

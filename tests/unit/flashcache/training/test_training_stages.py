@@ -6,6 +6,7 @@ import pytest
 import torch
 from flashcache.config import Config, DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
+from flashcache.errors import TrainingError
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.losses.shape import ShapePriorConfig
@@ -68,6 +69,19 @@ def test_resuming_equals_not_stopping_bit_for_bit(kind, tmp_path):
 
     expected, found = weights_of(whole), weights_of(second)
     assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+@pytest.mark.parametrize("name", ["model", "optimiser"])
+def test_a_damaged_checkpoint_is_refused_before_anything_is_filled_in(name, tmp_path):
+    model, other = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    state = CheckpointState(stage="cache", step=1, seed=0, config_sha256="")
+    save_checkpoint(tmp_path / "step_1", other, torch.optim.Adam(other.parameters()), state)
+    path = tmp_path / "step_1" / f"{name}.safetensors"
+    path.write_bytes(path.read_bytes()[:-1] if name == "model" else b"damaged")
+    before = model.weight.clone()
+    with pytest.raises(TrainingError, match="cannot be read"):
+        load_checkpoint(tmp_path / "step_1", model, torch.optim.Adam(model.parameters()))
+    assert torch.equal(model.weight, before)
 
 
 @pytest.mark.parametrize("kind", ["cache", "joint"])

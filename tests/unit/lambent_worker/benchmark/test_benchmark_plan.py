@@ -1,19 +1,15 @@
 """Cells are named by everything that their result depends on, and by nothing else."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from flashcache.errors import ConfigError
 from lambent_worker.benchmark.cell import discard_predictions
-from lambent_worker.benchmark.plan import (
-    GROUPS,
-    EvaluationOrder,
-    cell_from_json,
-    parse_variants,
-    plan,
-)
+from lambent_worker.benchmark.plan import CELL_FILE, GROUPS, parse_variants, plan
 from lambent_worker.benchmark.suite import find_environments, find_scenes
 from lambent_worker.errors import UsageError
+from lambent_worker.report.request import EvaluationRequest
 from support.captures import write_blender, write_tensoir
 
 
@@ -29,7 +25,17 @@ def suite(tmp_path_factory):
     return folder
 
 
-def cells(suite, *names, ablations=(), seeds=(0,), settings=None, preset="tiny", overrides=None, **order):
+def cells(
+    suite,
+    *names,
+    ablations=(),
+    seeds=(0,),
+    settings=None,
+    preset="tiny",
+    overrides=None,
+    keep=True,
+    **request,
+):
     return plan(
         find_scenes(suite, names or ("crate",)),
         parse_variants(ablations),
@@ -37,7 +43,8 @@ def cells(suite, *names, ablations=(), seeds=(0,), settings=None, preset="tiny",
         settings,
         preset=preset,
         overrides=overrides or {},
-        evaluation=EvaluationOrder(**order),
+        evaluation=EvaluationRequest(**request),
+        keep_predictions=keep,
     )
 
 
@@ -79,9 +86,9 @@ def test_an_ablation_that_changes_stage_one_gets_its_own(suite):
         ({"seeds": (1,)}, True),
         ({"overrides": {"stage_one.num_steps": "7"}}, True),
         ({"overrides": {"stage_two.num_steps": "7"}}, False),
-        ({"repeats": 2}, False),
+        ({"num_repeats": 2}, False),
         ({"shadows": "nerf"}, False),
-        ({"lpips_weights": ("x.pth",)}, False),
+        ({"lpips_weights": (Path("x.pth"),)}, False),
         ({"settings": ("multi",)}, True),
     ],
 )
@@ -96,12 +103,12 @@ def test_the_contents_of_environment_maps_count_and_their_place_does_not(suite, 
     for folder, data in ((first, b"sky"), (second, b"sky"), (third, b"sun")):
         folder.mkdir()
         (folder / "city.hdr").write_bytes(data)
-    found = [cells(suite, environments=str(folder))[0].inputs for folder in (first, second, third)]
+    found = [cells(suite, environments=folder)[0].inputs for folder in (first, second, third)]
     assert found[0] == found[1] != found[2]
 
 
 def test_keeping_predictions_makes_no_other_result(suite):
-    assert cells(suite, keep_predictions=False)[0].inputs == cells(suite)[0].inputs
+    assert cells(suite, keep=False)[0].inputs == cells(suite)[0].inputs
 
 
 def test_discarded_predictions_leave_the_report(tmp_path):
@@ -144,8 +151,8 @@ def test_a_paper_preset_takes_the_papers_settings_of_its_scene(suite):
 
 
 def test_a_cell_survives_its_file(suite):
-    (cell,) = cells(suite, lpips_weights=("a.pth", "b.pth"))
-    assert cell_from_json(cell.to_json()) == cell
+    (cell,) = cells(suite, lpips_weights=(Path("a.pth"), Path("b.pth")), environments=suite / "envmaps")
+    assert CELL_FILE.validate_json(CELL_FILE.dump_json(cell)) == cell
 
 
 def test_the_full_method_comes_first_whatever_was_asked_for():

@@ -45,10 +45,6 @@ def test_textures_carry_the_materials_at_the_places_of_texels(box):
     assert np.allclose(covered(textures.occlusion)[:, 0], occlusion)
 
 
-def test_without_occlusion_every_texel_is_open(box):
-    assert (bake_materials(sphere_model(), box).occlusion == 1.0).all()
-
-
 def test_gutters_are_filled_with_colours_of_their_neighbours(box):
     textures = coloured(box)
     assert textures.albedo.reshape(-1, 3).max(axis=1).min() > 0.0

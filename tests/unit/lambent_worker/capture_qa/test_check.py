@@ -19,7 +19,7 @@ MEGABYTE = 2**20
 def test_the_child_reports_what_looking_in_this_process_would(tmp_path):
     folder = write_tensoir(tmp_path)
     (folder / "train_000" / "rgba_sunset.png").write_text("no picture")
-    report = check.check_scene(folder)
+    report = check.check_capture(folder).report
     assert not report.usable
     assert {finding.code for finding in report.findings} == {"scene.image_not_a_picture"}
     assert report.layout == "tensoir_synthetic"
@@ -39,18 +39,18 @@ def test_a_capture_that_can_be_used_is_measured_with_masks_from_a_folder(tmp_pat
 
 def test_this_process_keeps_its_own_limits(tmp_path):
     before = resource.getrlimit(resource.RLIMIT_AS)
-    check.check_scene(write_tensoir(tmp_path))
+    check.check_capture(write_tensoir(tmp_path))
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
 def test_an_unknown_layout_is_a_usage_error_before_any_child_starts(tmp_path):
     with pytest.raises(UsageError):
-        check.check_scene(tmp_path, "polaroid")
+        check.check_capture(tmp_path, "polaroid")
 
 
 def test_a_child_without_enough_memory_ends_in_a_finding(tmp_path, monkeypatch):
     monkeypatch.setattr(check, "MAX_MEMORY_BYTES", 30 * MEGABYTE)
-    report = check.check_scene(write_tensoir(tmp_path))
+    report = check.check_capture(write_tensoir(tmp_path)).report
     assert [finding.code for finding in report.findings] == ["scene.check_failed"]
     assert not report.usable
 
@@ -72,7 +72,7 @@ def test_a_file_that_kills_the_child_is_named_and_the_rest_is_still_checked(tmp_
         return real([sys.executable, "-I", "-c", script], input=input, **options)
 
     monkeypatch.setattr(check.subprocess, "run", dies_at_the_killer)
-    report = check.check_scene(folder)
+    report = check.check_capture(folder).report
     found = {finding.code: finding.subject for finding in report.findings}
     assert found["scene.image_too_large"] == killer
     assert found["scene.image_not_a_picture"] == "train_001/rgba_sunset.png"
@@ -80,7 +80,7 @@ def test_a_file_that_kills_the_child_is_named_and_the_rest_is_still_checked(tmp_
 
 def test_a_child_that_takes_too_long_ends_in_a_finding(tmp_path, monkeypatch):
     monkeypatch.setattr(check, "MAX_WALL_S", 0.05)
-    report = check.check_scene(write_tensoir(tmp_path))
+    report = check.check_capture(write_tensoir(tmp_path)).report
     assert [finding.code for finding in report.findings] == ["scene.check_failed"]
 
 
@@ -105,8 +105,9 @@ def test_hostile_pictures_do_not_need_much_memory_or_time(tmp_path):
     # In a process of its own: the largest child of this one may be another test's.
     program = (
         "import resource, sys; from pathlib import Path; "
-        "from lambent_worker.capture_qa.check import check_scene; "
-        "usable = check_scene(Path(sys.argv[1])).usable; use = resource.getrusage(resource.RUSAGE_CHILDREN); "
+        "from lambent_worker.capture_qa.check import check_capture; "
+        "usable = check_capture(Path(sys.argv[1])).report.usable; "
+        "use = resource.getrusage(resource.RUSAGE_CHILDREN); "
         "print(usable, use.ru_maxrss, use.ru_utime)"
     )
     command = [sys.executable, "-c", program, folder]

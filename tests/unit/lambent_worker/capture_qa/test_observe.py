@@ -8,7 +8,7 @@ import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_relight.environment.exr import write_exr
 from lambent_worker.capture_qa.limits import CaptureLimits
-from lambent_worker.capture_qa.observe import fine_contrast, fitted, observe, read_small, resized
+from lambent_worker.capture_qa.observe import fine_contrast, observe, read_small, resized
 from lambent_worker.scenes.detect import collect_scene
 from lambent_worker.scenes.problems import Problems
 from PIL import Image
@@ -43,13 +43,6 @@ def test_every_frame_is_seen_once_and_every_training_light_of_it(tmp_path):
     assert len(announced) == 14
     assert seen[0].mask.mean() == pytest.approx(0.25)
     assert seen[0].has_mask
-
-
-@pytest.mark.parametrize(
-    ("size", "expected"), [((4000, 3000), (1000, 750)), ((900, 1200), (750, 1000)), ((64, 48), (64, 48))]
-)
-def test_pictures_are_reduced_and_never_enlarged(size, expected):
-    assert fitted(size, 1000) == expected
 
 
 def test_a_large_jpeg_is_decoded_small(tmp_path):

@@ -69,7 +69,7 @@ def test_an_unknown_layout_ends_with_two(tmp_path):
 
 REFUSED = scene_pb2.SceneReport(
     findings=[
-        scene_pb2.Finding(code="scene.x", message="mend it", severity=scene_pb2.SEVERITY_ERROR),
+        scene_pb2.Finding(code="scene.x", message="fix it", severity=scene_pb2.SEVERITY_ERROR),
         scene_pb2.Finding(code="scene.y", message="a note", severity=scene_pb2.SEVERITY_WARNING),
     ]
 )
@@ -81,7 +81,7 @@ REFUSED = scene_pb2.SceneReport(
         (WorkerError("run.busy", "wait"), 1, "run.busy: wait"),
         (UsageError("run.x", "no"), 2, "run.x: no"),
         (Stopped(), 130, "the same command goes on"),
-        (SceneRefusedError(REFUSED), 4, "1 problem(s) to mend first:\n  scene.x: mend it"),
+        (SceneRefusedError(REFUSED), 4, "1 problem(s) to fix first:\n  scene.x: fix it"),
         (ConfigError("too small"), 2, "config.invalid: too small"),
         (TrainingError("diverged"), 1, "training.failed: diverged"),
     ],
@@ -103,7 +103,7 @@ def test_errors_are_json_objects_where_json_was_asked_for():
     fault = json.loads(result.stdout)["error"]
     assert result.exit_code == 4
     assert fault["code"] == "scene.refused"
-    assert [problem["message"] for problem in fault["errors"]] == ["scene.x: mend it", "scene.y: a note"]
+    assert [problem["message"] for problem in fault["errors"]] == ["scene.x: fix it", "scene.y: a note"]
 
 
 def test_a_mistake_of_ours_keeps_its_traceback():

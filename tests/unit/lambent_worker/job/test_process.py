@@ -21,7 +21,7 @@ from lambent_worker.job.server_reporter import MAX_PREVIEW_BYTES, ServerReporter
 from lambent_worker.run import pipeline
 from lambent_worker.run.spec import read_run
 from lambent_worker.run.tasks import ingest
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from support.captures import write_tensoir
 from support.recording_reporter import RecordingReporter
 from support.runs import SECRET, Stage, staged, token
@@ -243,7 +243,7 @@ def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
 
     def look(folder: Path, *how: object) -> CaptureCheck:
         asked.append(how)
-        return CaptureCheck(report=inspect_scene(folder))
+        return CaptureCheck(report=inspect_capture(folder)[0])
 
     monkeypatch.setattr(check, "check_capture", look)
     monkeypatch.setattr(ingest, "check_capture", look)

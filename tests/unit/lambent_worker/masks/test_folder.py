@@ -12,7 +12,7 @@ from lambent_worker.errors import UsageError
 from lambent_worker.masks.folder import write_masks as write_masks_of
 from lambent_worker.masks.segmenter import find_segmenter
 from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from lambent_worker.scenes.pictures import read_coverage
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
@@ -113,7 +113,7 @@ def test_each_damage_to_a_mask_is_one_finding_with_file_and_frame(tmp_path, code
     folder = tmp_path / "scene"
     masks = write_masks(folder / "cut", write_ball_photographs(folder))
     damage(masks / "train_r_5.png")
-    findings = inspect_scene(folder, masks=masks).findings
+    findings = inspect_capture(folder, masks=masks)[0].findings
     (finding,) = (f for f in findings if f.severity == scene_pb2.SEVERITY_ERROR)
     assert finding.code == code
     assert "train_r_5" in finding.message

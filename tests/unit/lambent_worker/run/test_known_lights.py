@@ -11,7 +11,6 @@ from lambent_worker.run.known_lights import (
     give_known_lights,
     known_names,
     parse_known_lights,
-    resampled,
 )
 from lambent_worker.run.spec import RunSpec, keep_run
 
@@ -48,14 +47,6 @@ def test_which_light_a_file_belongs_to():
         known_names({"": "x"}, ("a", "b"), rotated=False)
     with pytest.raises(UsageError, match=r"light\.known_unknown.*a, b"):
         known_names({"c": "x"}, ("a", "b"), rotated=False)
-
-
-def test_a_map_is_reduced_and_enlarged_by_means_over_areas():
-    image = np.arange(8 * 16 * 3, dtype=np.float32).reshape(8, 16, 3)
-    small = resampled(image, 4)
-    np.testing.assert_allclose(small[0, 0], image[:2, :2].mean(axis=(0, 1)))
-    np.testing.assert_allclose(resampled(image, 16)[4:6, 6:8].mean(axis=(0, 1)), image[2, 3])
-    assert resampled(image, 6).mean() == pytest.approx(image.mean(), rel=1e-5)
 
 
 def test_the_run_keeps_the_file_and_the_model_sees_it(sky, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lambent_worker.scenes.colmap_model import ModelError, read_cameras, read_images
 from lambent_worker.scenes.detect import collect_scene, describe_scene
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.world import in_world, world_matrix
 from support.layouts import ColmapBinaryFolder, ColmapTextFolder
@@ -18,7 +18,7 @@ def model_file(capture, name):
 
 
 def only(folder):
-    report = inspect_scene(folder)
+    report = inspect_capture(folder)[0]
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     return report.findings[0]
 
@@ -91,7 +91,7 @@ def test_a_model_that_no_pinhole_can_stand_in_for_is_refused(tmp_path, model):
         model
     ]
     model_file(capture, "cameras.txt").write_text(f"1 {model} {SIDE} {SIDE} {' '.join(['20'] * count)}\n")
-    report = inspect_scene(capture.folder)
+    report = inspect_capture(capture.folder)[0]
     assert {finding.code for finding in report.findings} == {"scene.lens_unsupported"}
     assert "image_undistorter" in report.findings[0].message
     assert model in report.findings[0].message
@@ -194,7 +194,7 @@ def test_a_name_that_leads_out_of_the_folder_is_refused(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     path = model_file(capture, "images.txt")
     path.write_text(path.read_text().replace(" IMG_0003.png", " ../IMG_0003.png"))
-    assert {finding.code for finding in inspect_scene(capture.folder).findings} == {"scene.path_unsafe"}
+    assert {finding.code for finding in inspect_capture(capture.folder)[0].findings} == {"scene.path_unsafe"}
 
 
 def test_half_a_model_is_an_error_that_names_the_other_half(tmp_path):
@@ -215,7 +215,7 @@ def test_masks_may_be_named_by_the_stem(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     for index in range(NUM_VIEWS):
         capture.mask(index).rename(capture.folder / "masks" / f"IMG_{index:04d}.png")
-    assert not inspect_scene(capture.folder).findings
+    assert not inspect_capture(capture.folder)[0].findings
 
 
 def test_reduced_photographs_scale_the_lens(tmp_path):

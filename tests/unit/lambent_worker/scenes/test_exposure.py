@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.exposure import Exposure, exif_exposure, stated_exposure
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from lambent_worker.scenes.load import load_scene
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
@@ -85,7 +85,7 @@ def test_photographs_without_exif_are_left_alone(tmp_path):
 def test_one_photograph_without_exif_leaves_all_alone_and_is_named(tmp_path):
     folder = camera_capture(tmp_path, [BASE, BASE, None, {**BASE, "iso": 400}])
     assert factors(folder) == [1.0] * 4
-    finding = next(f for f in inspect_scene(folder).findings if f.code == "scene.exposure_incomplete")
+    finding = next(f for f in inspect_capture(folder)[0].findings if f.code == "scene.exposure_incomplete")
     assert finding.subject == "train_r_2"
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from support.captures import save
 from support.layouts import LAYOUT_FOLDERS, OPENCV, BlenderFolder, LayoutFolder
 from support.uneven_object import NUM_VIEWS, SIDE, colours, coverage
@@ -18,7 +18,7 @@ def capture(request, tmp_path) -> LayoutFolder:
 
 
 def only_finding(capture: LayoutFolder) -> scene_pb2.Finding:
-    report = inspect_scene(capture.folder)
+    report = inspect_capture(capture.folder)[0]
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     (finding,) = report.findings
     assert report.usable == (finding.severity == scene_pb2.SEVERITY_WARNING)
@@ -26,7 +26,7 @@ def only_finding(capture: LayoutFolder) -> scene_pb2.Finding:
 
 
 def test_a_sound_capture_has_no_findings(capture):
-    report = inspect_scene(capture.folder)
+    report = inspect_capture(capture.folder)[0]
     assert report.usable
     assert report.layout == capture.name
     assert [f"{f.code}: {f.message}" for f in report.findings] == []
@@ -93,7 +93,7 @@ def test_a_pose_without_numbers_is_an_error_that_names_its_frame(capture):
 
 def test_a_lens_without_focal_length_is_an_error(capture):
     capture.zero_focal()
-    report = inspect_scene(capture.folder)
+    report = inspect_capture(capture.folder)[0]
     assert not report.usable
     assert {f.code for f in report.findings} == {capture.zero_focal_code}
 

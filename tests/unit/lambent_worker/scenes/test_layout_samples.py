@@ -8,7 +8,7 @@ import pytest
 from flashcache.data.scene import Camera
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import camera_of, load_scene
 from lambent_worker.scenes.world import world_matrix
@@ -128,7 +128,7 @@ def share_inside(camera, mask, points, axes=None):
 
 def test_a_sample_is_recognised_and_sound(sample):
     kind, folder = sample
-    report = inspect_scene(folder)
+    report = inspect_capture(folder)[0]
     layout, _, trained, tested = SAMPLES[kind]
     assert [f"{f.code}: {f.message}" for f in report.findings] == []
     assert (report.layout, report.num_train_frames, report.num_test_frames) == (layout, trained, tested)

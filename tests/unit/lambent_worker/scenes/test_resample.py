@@ -7,6 +7,7 @@ from lambent_worker.scenes.lens import LensFigures, camera_with_lens
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.resample import (
     area_weights,
+    averaged,
     reduced_size,
     resampled,
     resampled_colour,
@@ -20,6 +21,14 @@ def test_area_weights_average_and_cover_every_source_pixel_equally():
     weights = area_weights(128, 50)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     np.testing.assert_allclose(weights.sum(axis=0), 50 / 128)
+
+
+def test_a_picture_is_reduced_and_enlarged_by_means_over_areas():
+    image = np.arange(8 * 16 * 3, dtype=np.float32).reshape(8, 16, 3)
+    small = averaged(image, (8, 4))
+    np.testing.assert_allclose(small[0, 0], image[:2, :2].mean(axis=(0, 1)))
+    np.testing.assert_allclose(averaged(image, (32, 16))[4:6, 6:8].mean(axis=(0, 1)), image[2, 3])
+    assert averaged(image, (12, 6)).mean() == pytest.approx(image.mean(), rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from support.captures import edit_frame, write_blender
 
 
@@ -24,6 +24,6 @@ LENSES = {
 def test_a_lens_that_no_pinhole_can_stand_in_for_is_refused_with_its_frame(tmp_path, lens, code):
     folder = write_blender(tmp_path)
     edit_frame(folder, 1, **lens)
-    report = inspect_scene(folder)
+    report = inspect_capture(folder)[0]
     assert codes(report) == [code]
     assert "r_1" in report.findings[0].message

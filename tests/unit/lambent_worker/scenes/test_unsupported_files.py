@@ -2,7 +2,7 @@
 
 import pytest
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from support.captures import (
     write_blender,
     write_tensoir,
@@ -37,7 +37,7 @@ def test_files_that_could_run_are_named_and_never_opened_for_use(tmp_path, name,
     folder = write_tensoir(tmp_path)
     (folder / "extra").mkdir()
     (folder / "extra" / name).write_bytes(content)
-    report = inspect_scene(folder)
+    report = inspect_capture(folder)[0]
     assert report.usable
     assert warnings_of(report) == ["scene.unsupported_file"]
     assert subject_of(report, "scene.unsupported_file") == f"extra/{name}"
@@ -48,6 +48,6 @@ def test_a_pickle_in_place_of_a_picture_is_refused_without_being_loaded(tmp_path
     trap = tmp_path / "loaded"
     payload = b"\x80\x04cos\nsystem\n(V" + f"touch {trap}".encode() + b"\ntR."
     (folder / "train" / "r_0.png").write_bytes(payload)
-    report = inspect_scene(folder)
+    report = inspect_capture(folder)[0]
     assert "scene.image_not_a_picture" in codes(report)
     assert not trap.exists()

@@ -5,7 +5,7 @@ import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.detect import collect_scene, describe_scene
 from lambent_worker.scenes.extent import set_fitted_box
-from lambent_worker.scenes.inspect import inspect_scene
+from lambent_worker.scenes.inspect import inspect_capture
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.world import in_world, move, rotation_and_scale, settle, world_matrix
@@ -90,7 +90,7 @@ def tilted(folder, rotation):
 def test_a_model_that_lies_on_its_side_is_stood_up(tmp_path, seed):
     rotation = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     capture = tilted(tmp_path / "scene", rotation)
-    report = inspect_scene(capture.folder)
+    report = inspect_capture(capture.folder)[0]
     assert not report.findings
     turned, _ = rotation_and_scale(world_matrix(describe_scene(capture.folder)))
     np.testing.assert_allclose(turned @ rotation @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], atol=1e-6)

@@ -1,8 +1,9 @@
 """Fourth task: a quick look at a few test views; `lambent evaluate` does the full evaluation."""
 
-from dataclasses import replace
+from typing import Any
 
-from flashcache.data.scene import Scene, View
+from flashcache.data.scene import Scene
+from lambent_proto.v1 import evaluation_pb2
 
 from lambent_worker.report.evaluate import evaluate, preview_sheet
 from lambent_worker.report.predictions import num_pictures
@@ -25,46 +26,54 @@ def run(context: TaskContext) -> None:
         antialias=settings.antialias,
         max_side=context.spec.config.max_side,
     )
-    views, held_out = evaluated_views(scene, settings.num_views)
     model = load_trained(context, scene, "joint")
     uncertainty = uncertainty_of_run(context, model, scene)
     if uncertainty is not None:
         keep_uncertainty(context.run_dir, uncertainty)
-    subject = Subject(
+    subject = subject_of(
+        context,
+        request,
         model=model,
         scene=scene,
-        views=views,
-        held_out=held_out,
         maps={},
-        request=request,
-        seed=context.spec.seed,
         out=context.folder,
-        advance=lambda: None,
-        rule=rule_of(context.spec.config.stage_two),
         dataset=read_manifest(context).layout,
         uncertainty=uncertainty,
     )
-    subject = with_progress(subject, context)
-    report = evaluate(subject, preset=context.spec.config.preset, seconds=task_seconds(context.run_dir))
+    evaluated(context, subject)
     context.reporter.preview("evaluation", preview_sheet(subject))
     for name in ("report.json", "report.html"):
         context.reporter.artifact(name, context.folder / name)
-    context.reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
 
 
-def evaluated_views(scene: Scene, count: int) -> tuple[tuple[View, ...], bool]:
-    """Return at most `count` test views (0: all), or training views where there are none, and which it is."""
-    return evenly_spaced(scene.test or scene.train, count), bool(scene.test)
+def subject_of(context: TaskContext, request: EvaluationRequest, *, scene: Scene, **given: Any) -> Subject:
+    """Return the evaluation of a run's model on test views, or on training views where there are none.
 
-
-def with_progress(subject: Subject, context: TaskContext) -> Subject:
-    """Return `subject` with its pictures counted into the progress of `context`."""
-    total, done = num_pictures(subject), 0
+    Its pictures are counted into the progress of `context`. `given` are the other members of `Subject`.
+    """
+    done = 0
 
     def advance() -> None:
         nonlocal done
         done += 1
-        context.progress(done, total)
+        context.progress(done, num_pictures(subject))
         context.stop_if_asked()
 
-    return replace(subject, advance=advance)
+    subject = Subject(
+        scene=scene,
+        views=evenly_spaced(scene.test or scene.train, request.num_views),
+        held_out=bool(scene.test),
+        request=request,
+        seed=context.spec.seed,
+        advance=advance,
+        rule=rule_of(context.spec.config.stage_two, request.shadows),
+        **given,
+    )
+    return subject
+
+
+def evaluated(context: TaskContext, subject: Subject) -> evaluation_pb2.EvaluationReport:
+    """Evaluate `subject`, log the metrics and return the report."""
+    report = evaluate(subject, preset=context.spec.config.preset, seconds=task_seconds(context.run_dir))
+    context.reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
+    return report

@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from flashcache.data.scene import Scene, View
+from flashcache.data.scene import Scene
 from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from flashcache.training.checkpoint import latest_checkpoint
@@ -21,7 +21,7 @@ from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.surface_files import write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
-from lambent_worker.bundle.transport_files import Bake, write_relight_graph, write_transport
+from lambent_worker.bundle.transport_files import write_relight_graph, write_transport
 from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
@@ -84,20 +84,25 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
         _advance(context, {"models/gbuffer.onnx": 2, "models/relight.onnx": 5}.get(path, 3))
 
     model = _write_networks(context, model, rule, manifest, folder, compared)
-    surface, _ = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
+    surface = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
     _advance(context, 4)
     if settings.transport_tier != "none":
-        bake = Bake(
-            config=TransportConfig(tier=settings.transport_tier),
+        write_transport(
+            model,
+            written_caches(manifest, folder),
+            surface,
+            manifest,
+            folder,
+            TransportConfig(tier=settings.transport_tier),
             store=context.folder.with_name(context.folder.name + ".rays"),
             advance=lambda share: context.stop_if_asked(),
         )
-        write_transport(model, written_caches(manifest, folder), surface, manifest, folder, bake)
         compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.spec.seed))
     _advance(context, 5)
 
     views = scene.test or scene.train
-    (folder / "cameras.json").write_text(_cameras(views), encoding="utf-8")
+    cameras = [relight_camera(view.name, view.camera) for view in views]
+    (folder / "cameras.json").write_text(cameras_json(cameras), encoding="utf-8")
     recovered = {
         light: model.environment.image(settings.environment_height, index).cpu().numpy()
         for index, light in enumerate(manifest.train_lights)
@@ -110,7 +115,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
         judged = judge_qualities(
             folder,
             manifest,
-            [relight_camera(view.name, view.camera) for view in views[:1]],
+            cameras[:1],
             recovered,
             num_samples=settings.judge_samples,
             seed=context.spec.seed,
@@ -176,10 +181,6 @@ def light_names(lights: tuple[str, ...]) -> list[str]:
 def _advance(context: TaskContext, done: int) -> None:
     context.progress(done, NUM_PARTS)
     context.stop_if_asked()
-
-
-def _cameras(views: tuple[View, ...]) -> str:
-    return cameras_json([relight_camera(view.name, view.camera) for view in views])
 
 
 def _train_step(context: TaskContext) -> int:

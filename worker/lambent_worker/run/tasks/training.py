@@ -1,4 +1,4 @@
-"""What the two training tasks share: the scene in memory, the model, and the loop around a stage."""
+"""The parts that both training tasks share: the scene in memory, the model, and the loop around a stage."""
 
 import shutil
 import time
@@ -44,7 +44,7 @@ def read_scene(context: TaskContext) -> Scene:
 
 
 def domain_for(context: TaskContext, scene: Scene) -> Domain:
-    """Return what the run's model must know of the scene's space and lights."""
+    """Return the space and lights of the scene as the run's model needs them."""
     environment = context.spec.config.model.environment
     rotated = environment.lights == "rotated"
     known = known_names(context.spec.known_lights, scene.lights, rotated=rotated)
