@@ -1,4 +1,4 @@
-"""Finds what kills and failing disks leave behind: bytes that no row names, and rows whose bytes are gone."""
+"""Repair after crashes and disk failures: bytes without a database row, and rows whose bytes are gone."""
 
 import shutil
 import threading
@@ -31,7 +31,7 @@ _PREFIXES = tuple(f"{number:02x}" for number in range(256))
 
 
 class Reconciler:
-    """Looks at the start and then once in `reconcile_s`, in a thread of its own."""
+    """Compares database and store at startup and then every `reconcile_s`, in its own thread."""
 
     def __init__(self, services: Services) -> None:
         self._services = services
@@ -41,11 +41,11 @@ class Reconciler:
         """Files of scenes, bundles and jobs whose bytes are gone."""
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """End, and write down when keys were used."""
+        """Stop, and store when keys were last used."""
         self._stopping.set()
         self._thread.join(timeout=1)
 
@@ -59,7 +59,7 @@ class Reconciler:
                     looked_at = now()
                     self.num_missing = reconcile(self._services)
             except (SQLAlchemyError, OSError):
-                # The database or the disk is away; the next round finds the same.
+                # The database or the disk is unavailable; the next round finds the same.
                 log.exception("reconcile_failed")
             if stopping:
                 return
@@ -67,7 +67,7 @@ class Reconciler:
 
 
 def note_key_uses(services: Services) -> None:
-    """Write down when keys were used since the last time."""
+    """Store when keys were used since the last call."""
     if not services.key_uses:
         return
     with services.database.write() as connection:
@@ -77,10 +77,10 @@ def note_key_uses(services: Services) -> None:
 
 
 def reconcile(services: Services) -> int:
-    """Remove what nobody can reach any more, let go of bytes that are gone; return how many files lack them.
+    """Remove unreachable bytes and forget blobs whose bytes are gone; return how many files lack their bytes.
 
-    What is younger than `orphan_after_s` may be on its way and is left alone. A blob whose bytes are gone is
-    forgotten, so that the next upload sends it again; what refers to it stays.
+    Anything younger than `orphan_after_s` may be an upload in progress and is kept. A blob whose bytes are
+    gone is forgotten, so that the next upload sends it again; rows that refer to it stay.
     """
     before = now() - services.settings.orphan_after_s
     removed = sum(_compare(services, prefix, before) for prefix in _PREFIXES)
@@ -93,9 +93,9 @@ def reconcile(services: Services) -> int:
 
 
 def _compare(services: Services, prefix: str, before: float) -> int:
-    """Compare rows and bytes of the blobs whose hashes begin with `prefix`; return how many bytes went."""
+    """Compare rows and bytes of the blobs whose hashes begin with `prefix`; return how many were removed."""
     of_prefix = and_(blobs.c.sha256 >= prefix, blobs.c.sha256 < prefix + "g")
-    # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
+    # Rows first: bytes that arrive meanwhile have a row that is not known here, and are young.
     rows = _sizes(services, of_prefix)
     files = services.store.listed(prefix)
     lost = [sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size]
@@ -125,7 +125,7 @@ def _sizes(services: Services, condition: ColumnElement[bool]) -> dict[str, int]
 
 
 def _remove_folders(services: Services, before: float) -> None:
-    """Remove uploads that broke off, half-written blobs, and the folders of jobs that were deleted."""
+    """Remove interrupted uploads, incomplete blobs, and the folders of deleted jobs."""
     settings = services.settings
     partial = (settings.data / "store").glob("blobs/??/*#*") if settings.store is None else ()
     for path in _older((*settings.scratch.iterdir(), *partial), before):
@@ -143,7 +143,7 @@ def _older(paths: Iterable[Path], before: float) -> Iterable[Path]:
 
 
 def _count_missing(connection: Connection) -> int:
-    """Return how many files that were complete once have no blob."""
+    """Return how many files that were complete no longer have a blob."""
     is_open = exists().where(scenes.c.id == scene_files.c.scene_id, scenes.c.state == "open")
     count = 0
     for table in (scene_files, checkpoint_files, artifacts, bundle_files, environments):
