@@ -1,4 +1,4 @@
-"""Puts the REST interface together."""
+"""The application: the REST interface and everything around it."""
 
 from typing import Any
 
@@ -51,7 +51,7 @@ def _bare(services: Services | None) -> FastAPI:
 
 
 def make_app(services: Services) -> tuple[FastAPI, App]:
-    """Return the application and the same behind its gate; serve the second."""
+    """Return the application, and the same wrapped in its gate; serve the latter."""
     app = _bare(services)
     app.state.login_codes = LoginCodes(services.settings.login_code_s)
     app.state.health = Health(services)
@@ -61,7 +61,7 @@ def make_app(services: Services) -> tuple[FastAPI, App]:
 
 
 def allowed_hosts(settings: Settings) -> frozenset[str]:
-    """Return the names under which the server may be addressed, against DNS rebinding."""
+    """Return the host names that the server accepts, against DNS rebinding."""
     return LOOPBACK | {settings.host} | set(settings.allowed_hosts)
 
 
@@ -88,7 +88,7 @@ def describe() -> dict[str, Any]:
         for operation in operations.values():
             if path not in _PUBLIC:
                 operation["security"] = [{"key": []}, {"session": []}]
-            # FastAPI describes its own validation body, which never gets out.
+            # FastAPI describes its own validation body, which is never sent.
             if "HTTPValidationError" in str(operation["responses"].get("422")):
                 operation["responses"]["422"] = problem
             operation["responses"]["default"] = problem

@@ -1,4 +1,4 @@
-"""Opens archives that strangers made: everything is checked before anything is kept.
+"""Unpacking of untrusted archives: everything is checked before anything is kept.
 
 zip (stored or deflated), tar and tar.gz. Members are written under numbers, never under their own names.
 """
@@ -20,14 +20,14 @@ from lambent_server.paths import folded, is_scene_file, path_problem
 from lambent_server.problems import Problem, invalid
 from lambent_server.settings import Settings
 
-# Readers of archive formats read names and directories in one piece; no honest one is larger.
+# Archive readers read names and directories in one piece; no legitimate one is larger.
 MAX_SINGLE_READ = 16 * 1024 * 1024
 PIECE = 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A file from an archive, on disk under a number."""
+    """A file from an archive, stored on disk under a number."""
 
     path: str
     sha256: str
@@ -40,7 +40,7 @@ def _unsafe(message: str, subject: str = "") -> Problem:
 
 
 class _Bounded(io.RawIOBase):
-    """A file that gives out at most `budget` bytes and never a large piece at once."""
+    """A file that returns at most `budget` bytes, and never a large piece at once."""
 
     def __init__(self, file: IO[bytes], budget: int) -> None:
         self._file = file
@@ -50,18 +50,18 @@ class _Bounded(io.RawIOBase):
         unlimited = size is None or size < 0
         data = self._file.read(MAX_SINGLE_READ + 1 if unlimited else min(size or 0, MAX_SINGLE_READ + 1))
         if len(data) > MAX_SINGLE_READ:
-            raise _unsafe("the archive asks for too much memory")
+            raise _unsafe("reading the archive takes too much memory")
         self._spend(len(data))
         return data
 
     def _spend(self, count: int) -> None:
         self._budget -= count
         if self._budget < 0:
-            raise _unsafe("the archive holds more than it may")
+            raise _unsafe("the archive contains more than is allowed")
 
     def seek(self, offset: int, whence: int = 0) -> int:
         if whence == io.SEEK_SET and offset < 0:
-            raise ValueError("an entry lies before the beginning of the file")
+            raise ValueError("an entry starts before the beginning of the file")
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
@@ -75,9 +75,9 @@ class _Bounded(io.RawIOBase):
 
 
 def unpack(archive: Path, folder: Path, settings: Settings) -> tuple[list[Member], list[str]]:
-    """Write the files of the archive to `folder`; return them and the paths that have no place in a scene.
+    """Write the files of the archive to `folder`; return them and the paths that do not belong in a scene.
 
-    Raises `archive_unsafe` or `archive_broken` without having kept anything but what lies in `folder`.
+    Raises `archive_unsafe` or `archive_broken`; only files in `folder` may remain then.
     """
     size = archive.stat().st_size
     budget = int(min(settings.max_scene_bytes, settings.max_archive_ratio * max(size, 1)))
@@ -105,7 +105,7 @@ def unpack(archive: Path, folder: Path, settings: Settings) -> tuple[list[Member
         ValueError,
         OverflowError,
         gzip.BadGzipFile,
-        # tarfile follows headers that announce headers by recursion.
+        # tarfile processes headers that announce further headers recursively.
         RecursionError,
     ) as error:
         raise invalid("archive_broken", "#", f"the archive cannot be read: {error}") from error
@@ -122,7 +122,7 @@ def _zip_entries(file: IO[bytes], budget: int, settings: Settings) -> Iterator[E
         if sum(info.file_size for info in infos) > budget:
             raise _unsafe(f"the archive holds more than {budget} bytes, by its own account")
         for info in infos:
-            # What the name was in the archive: zipfile cuts it at a null byte.
+            # The name as it is in the archive: zipfile cuts it at a null byte.
             kind = stat.S_IFMT(info.external_attr >> 16)
             if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
                 raise _unsafe("links and devices are not allowed", info.orig_filename)
@@ -138,10 +138,10 @@ def _zip_entries(file: IO[bytes], budget: int, settings: Settings) -> Iterator[E
 
 
 def _tar_entries(file: Any, budget: int) -> Iterator[Entry]:
-    # Headers and padding come on top of the contents.
+    # Headers and padding come in addition to the contents.
     with tarfile.open(fileobj=_Bounded(file, 2 * budget + MAX_SINGLE_READ), mode="r:") as archive:  # type: ignore[arg-type]
         while (info := archive.next()) is not None:
-            # tarfile keeps every header it has seen.
+            # tarfile keeps every header that it has read.
             archive.members.clear()  # type: ignore[attr-defined]
             if info.isdir():
                 _check_name(info.name.rstrip("/"))
@@ -199,7 +199,7 @@ def _write(name: str, size: int, source: IO[bytes], target: Path) -> Member:
 
 
 def _without_top_folder(members: list[Member]) -> list[Member]:
-    """Return the members relative to the one folder that holds them all, if there is one."""
+    """Return the members relative to the single folder that contains them all, if there is one."""
     tops = {member.path.partition("/")[0] for member in members}
     if len(tops) != 1 or any("/" not in member.path for member in members):
         return members

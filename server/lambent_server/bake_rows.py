@@ -1,4 +1,4 @@
-"""Jobs of the kind `bake`: the bundle and environment that they name."""
+"""Jobs of kind `bake`: the bundle and the environment that they refer to."""
 
 from sqlalchemy import Connection
 
@@ -13,7 +13,7 @@ OPTIONAL = ("name", "rotate_deg", "albedo_ratio", "steps")
 
 
 def check_order(connection: Connection, tenant: Tenant, order: NewJob) -> None:
-    """Refuse an order whose `params` do not name a bundle of its scene and an environment, or name more."""
+    """Refuse a request whose `params` do not name a bundle of its scene and an environment, or name more."""
     unknown = sorted(set(order.params) - {*NEEDED, *OPTIONAL})
     if unknown:
         known = ", ".join((*NEEDED, *OPTIONAL))

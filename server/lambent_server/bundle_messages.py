@@ -1,4 +1,4 @@
-"""Bodies of the REST interface about bundles and the links that show one to others."""
+"""Bodies of the REST interface for bundles and the links that share them."""
 
 from typing import Annotated
 
@@ -11,20 +11,20 @@ MAX_SHARE_S = 366 * 24 * 3600
 
 
 class Bundle(Shown):
-    """A relightable asset that a job has made."""
+    """A relightable asset that a job has produced."""
 
     id: str
     job_id: str
     scene_id: str
     scene_name: str
-    """Empty where the scene was removed."""
+    """Empty if the scene was deleted."""
     created_at: str
     num_files: int
     size_bytes: float
 
 
 class BundleList(Shown):
-    """One page of bundles, the newest first."""
+    """One page of bundles, newest first."""
 
     items: list[Bundle]
     next_cursor: str | None
@@ -47,24 +47,24 @@ class BundleDetail(Bundle):
 
 
 class NewShare(Given):
-    """How long a link shall work."""
+    """How long a link will work."""
 
     expires_in_s: Annotated[int, Field(ge=60, le=MAX_SHARE_S), WHOLE] = 7 * 24 * 3600
 
 
 class Share(Shown):
-    """A link that lets whoever has it read one bundle."""
+    """A link that gives everyone who has it read access to one bundle."""
 
     id: str
     bundle_id: str
     url: str
-    """Its fragment is the secret; browsers never send that part to a server by themselves."""
+    """Its fragment is the secret; browsers do not send that part to a server."""
     created_at: str
     expires_at: str
 
 
 class ShareList(Shown):
-    """The links of a bundle that work, the newest first."""
+    """The active links of a bundle, newest first."""
 
     items: list[Share]
 
@@ -76,7 +76,7 @@ class ShareToken(Given):
 
 
 class OpenedShare(Shown):
-    """What a link leads to."""
+    """The bundle that a link gives access to."""
 
     bundle_id: str
     expires_at: str

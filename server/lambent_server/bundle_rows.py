@@ -1,4 +1,4 @@
-"""Bundles as rows: listing them, and the files of one."""
+"""Database rows of bundles: lists of bundles, and the files of one."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ def require_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> di
 
 
 def show(connection: Connection, tenant: Tenant, row: Any) -> Bundle:
-    """Return a bundle as the interface shows it."""
+    """Return a bundle in the form of the REST interface."""
     scene = find(connection, tenant, scenes, row["scene_id"])
     sums = rows(tenant, bundle_files, func.count(), func.sum(bundle_files.c.size_bytes))
     count, size = connection.execute(sums.where(bundle_files.c.bundle_id == row["id"])).one()

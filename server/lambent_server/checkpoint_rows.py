@@ -1,4 +1,4 @@
-"""Forgets checkpoints."""
+"""Removal of checkpoints."""
 
 from sqlalchemy import Connection
 
@@ -8,7 +8,7 @@ from lambent_server.garbage import discard
 
 
 def drop_checkpoint(connection: Connection, tenant: Tenant, identifier: str) -> None:
-    """Forget a checkpoint; its blobs are removed later."""
+    """Delete a checkpoint; its blobs are removed later."""
     mine = checkpoint_files.c.checkpoint_id == identifier
     files = rows(tenant, checkpoint_files, checkpoint_files.c.sha256).where(mine)
     for sha256 in list(connection.execute(files).scalars()):
@@ -18,7 +18,7 @@ def drop_checkpoint(connection: Connection, tenant: Tenant, identifier: str) -> 
 
 
 def drop_checkpoints(connection: Connection, tenant: Tenant, job_id: str) -> None:
-    """Forget every checkpoint of a job that needs none any more."""
+    """Delete every checkpoint of a job that no longer needs any."""
     mine = rows(tenant, checkpoints, checkpoints.c.id).where(checkpoints.c.job_id == job_id)
     for identifier in list(connection.execute(mine).scalars()):
         drop_checkpoint(connection, tenant, identifier)

@@ -11,12 +11,12 @@ import typer
 if TYPE_CHECKING:
     from lambent_server.settings import Settings
 
-DataOption = Annotated[Path | None, typer.Option(help="Folder of database, files and key.")]
+DataOption = Annotated[Path | None, typer.Option(help="Folder of the database, the files and the key.")]
 DatabaseOption = Annotated[str | None, typer.Option(help="SQLAlchemy URL; SQLite in --data by default.")]
 
 
 def _settings(**given: Any) -> "Settings":
-    """Return the settings; exit code 2 with one line for each that cannot be used."""
+    """Return the settings; exit with code 2 and one line for each invalid one."""
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
 
@@ -96,7 +96,7 @@ def keys(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Make, list, revoke and replace keys in the server's data folder, whether it runs or not."""
+    """Create, list, revoke and replace keys in the server's data folder, whether it is running or not."""
     from pydantic import ValidationError
     from sqlalchemy.exc import SQLAlchemyError
 

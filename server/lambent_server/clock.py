@@ -1,4 +1,4 @@
-"""Times as the database keeps them (Unix seconds) and as the interface shows them (RFC 3339, UTC)."""
+"""Times as stored in the database (Unix seconds) and as shown by the interface (RFC 3339, UTC)."""
 
 import secrets
 import time
@@ -13,7 +13,7 @@ def now() -> float:
 
 
 class LivedTime:
-    """Seconds that this process was awake for: of one pause at most `longest_pause_s` are counted.
+    """Seconds during which this process was running: at most `longest_pause_s` are counted per pause.
 
     The monotonic clock stands still while the machine sleeps (Linux, macOS), but runs on while a virtual
     machine or this process is stopped.
@@ -37,7 +37,7 @@ def rfc3339(at: float) -> str:
 
 
 def new_id(prefix: str) -> str:
-    """Return an identifier that nobody can guess and that sorts by the time it was made."""
+    """Return an unguessable identifier that sorts by creation time."""
     value = (int(time.time() * 1000) << 80) | secrets.randbits(80)
     digits = [_ALPHABET[(value >> shift) & 31] for shift in range(125, -1, -5)]
     return f"{prefix}_{''.join(digits)}"

@@ -1,7 +1,7 @@
-"""The loop that makes processes agree with the job rows.
+"""The loop that brings processes in line with the job rows.
 
-It looks, compares and acts. Between two rounds it remembers only how long it has seen no change, so a server
-may end anywhere: the next one waits as long again before it judges.
+Each round compares rows with processes and acts on the difference. Between two rounds it keeps only how long
+nothing has changed, so a server may end at any point: the next one waits as long again before it decides.
 """
 
 import shutil
@@ -38,12 +38,12 @@ from lambent_server.services import Services
 
 log = structlog.get_logger()
 
-# A longer pause between two rounds is the machine's sleep or a server that was stopped.
+# A longer pause between two rounds means that the machine slept or the server was stopped.
 _LONGEST_PAUSE_TICKS = 10
 
 
 class Controller:
-    """Starts queued jobs, watches running ones, settles what has ended."""
+    """Starts queued jobs, monitors running ones and completes those that have ended."""
 
     def __init__(self, services: Services, executor: Executor, *, secret: str, address: str) -> None:
         self._services = services
@@ -63,11 +63,11 @@ class Controller:
         services.wakeups.listen(self._wake.set)
 
     def start(self) -> None:
-        """Begin the loop in its own thread."""
+        """Start the loop in its own thread."""
         self._thread.start()
 
     def close(self, *, stop_runs: bool) -> None:
-        """End the loop; with `stop_runs` also the run processes, otherwise the next server adopts them."""
+        """Stop the loop and, with `stop_runs`, the run processes; otherwise the next server adopts them."""
         self._paused = True
         if stop_runs and self._leadership.held():
             self._stop_runs()
@@ -84,17 +84,17 @@ class Controller:
                     self.turn()
                 self.turned_at = now()
             except (SQLAlchemyError, OSError):
-                # The database or the disk is away; the rows will tell what to do once it is back.
+                # The database or the disk is unavailable; the rows say what to do once it is back.
                 log.exception("controller_turn_failed")
                 self._stopping.wait(self._settings.tick_s)
             self._wake.wait(self._settings.tick_s)
             self._wake.clear()
 
     def turn(self) -> None:
-        """Look at every job once."""
+        """Process every job once."""
         changed = False
         observed = self._read(or_(jobs.c.state.in_(HAS_RUN), jobs.c.handle.is_not(None)))
-        # Only now: while the database is away, no run can say that it goes on.
+        # Only now: while the database is unavailable, no run can report that it is alive.
         self.lived.pass_on()
         known = {job["id"] for job in observed}
         self._seen = {key: value for key, value in self._seen.items() if key[0] in known}
@@ -118,7 +118,7 @@ class Controller:
             return [dict(row) for row in connection.execute(statement).mappings()]
 
     def _unchanged_s(self, job: Job, what: str, value: Any) -> float:
-        """Return for how many of the seconds this server has lived through `value` has been what it is."""
+        """Return for how many seconds of this server's running time `value` has not changed."""
         key = (job["id"], what)
         before, since = self._seen.get(key, (None, 0.0))
         if key not in self._seen or before != value:
@@ -133,7 +133,7 @@ class Controller:
         if gone is not None:
             return self._settle(job, gone)
         if not placed:
-            # Started by a server that ended before it could note where; it registers if it lives.
+            # Started by a server that ended before it stored the handle; a live run registers itself.
             silent_s = self._unchanged_s(job, "heartbeat", (job["run"], job["heartbeat_at"]))
             return silent_s > self._settings.lost_after_s and self._settle(job, Gone(None))
         if job["state"] in FINAL or job["state"] in (QUEUED, RETRY_WAIT):
@@ -150,7 +150,7 @@ class Controller:
         return False
 
     def _end(self, job: Job, *, asked: bool) -> bool:
-        """Ask a process that should not be there to end, and end it when its time is up."""
+        """Ask a process that should not be running to exit, and kill it after the grace time."""
         waited_s = self._unchanged_s(job, "ending", job["run"])
         if not asked:
             with self._services.database.write() as connection:
@@ -162,9 +162,9 @@ class Controller:
         return False
 
     def _settle(self, job: Job, gone: Gone) -> bool:
-        """Decide what a process that is gone means for its job."""
+        """Update the job of a process that is gone."""
         with self._services.database.write() as connection:
-            # What the run reported last may have come after the row was read.
+            # The run's last report may have arrived after the row was read.
             statement = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
             job = dict(connection.execute(statement).mappings().one())
             changed = self._judge(connection, job, gone)
@@ -173,7 +173,7 @@ class Controller:
         return changed
 
     def _tidy(self, job: Job) -> None:
-        """Remove what a run left on the disk; the log stays, the scene's copy too while it may be needed."""
+        """Remove a run's files; the log stays, and so does the copy of the scene while it may be needed."""
         folder = self._work_dir(job).parent
         shutil.rmtree(self._work_dir(job), ignore_errors=True)
         with self._services.database.read() as connection:
@@ -208,7 +208,7 @@ class Controller:
         load = Counter(job["tenant_id"] for job in busy)
         slots = self._settings.local_slots - len(busy)
         started = False
-        # Larger priority first, then the tenant with least at work, then who came first.
+        # Highest priority first, then the tenant with the fewest running jobs, then the oldest job.
         while waiting and slots > 0:
             waiting.sort(key=lambda job: (-job["priority"], load[job["tenant_id"]], job["id"]))
             job = waiting.pop(0)
@@ -269,7 +269,7 @@ class Controller:
         return True
 
     def _stop_runs(self) -> None:
-        """End every run process within the grace time; they write a checkpoint first where they can."""
+        """Stop every run process within the grace time; they first write a checkpoint if they can."""
         deadline = now() + self._settings.shutdown_grace_s
         alive = [job for job in self._read(jobs.c.handle.is_not(None)) if "pid" in job["handle"]]
         for job in alive:

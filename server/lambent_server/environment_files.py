@@ -1,4 +1,4 @@
-"""Reads the head of an OpenEXR or Radiance file: what it is and how large, without decoding a pixel."""
+"""Headers of OpenEXR and Radiance files: format and size, without decoding a pixel."""
 
 import re
 import struct
@@ -14,7 +14,7 @@ _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d{1,9}) ([-+][XY]) (\d{1,9})\n")
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentHead:
-    """What the head of a file says."""
+    """The contents of a file's header."""
 
     format: str
     width: int
@@ -27,7 +27,7 @@ def _broken(message: str) -> Problem:
 
 
 def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
-    """Return what the file is; `environment_invalid` where it is no environment of a sane size."""
+    """Return the file's format and size; raises `environment_invalid` if it is not a usable environment."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if head.startswith(_EXR_MAGIC):
@@ -35,17 +35,17 @@ def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
     elif head.startswith((b"#?RADIANCE", b"#?RGBE")):
         result = _read_hdr(head)
     else:
-        raise _broken("this is neither an OpenEXR nor a Radiance HDR picture")
+        raise _broken("this is neither an OpenEXR nor a Radiance HDR file")
     if result.width < 1 or result.height < 1 or result.width * result.height > max_pixels:
         raise _broken(f"{result.width} x {result.height} pixels are not between 1 and {max_pixels} in all")
     return result
 
 
 def _read_exr(head: bytes, max_pixels: int) -> EnvironmentHead:
-    """Return the size of the first part that has colour.
+    """Return the size of the first part with colour.
 
-    All parts count, as a reader decodes them all: none may be deep, and together they hold at most four
-    channels of `max_pixels`.
+    All parts are checked, because a reader decodes them all: none may be deep, and together they hold at most
+    four channels of `max_pixels`.
     """
     version = int.from_bytes(head[4:8], "little")
     # Bits of the version field: 0x200 tiled, 0x400 long names, 0x800 deep, 0x1000 several parts.
@@ -57,7 +57,7 @@ def _read_exr(head: bytes, max_pixels: int) -> EnvironmentHead:
         window = attributes.get(b"dataWindow:box2i", b"")
         names = _channel_names(attributes.get(b"channels:chlist", b""))
         if len(window) != 16 or not names:
-            raise _broken("the OpenEXR picture has no data window or no channels")
+            raise _broken("the OpenEXR file has no data window or no channels")
         left, top, right, bottom = struct.unpack("<4i", window)
         width, height = right - left + 1, bottom - top + 1
         values += max(width, 0) * max(height, 0) * len(names)
@@ -76,13 +76,13 @@ def _read_exr(head: bytes, max_pixels: int) -> EnvironmentHead:
 
 
 def _attributes(head: bytes, at: int) -> tuple[dict[bytes, bytes], int]:
-    """Return the attributes of the header at a place, by name and type, and where it ends."""
+    """Return the attributes of the header at an offset, by name and type, and the offset of its end."""
     attributes: dict[bytes, bytes] = {}
     while head[at : at + 1] not in (b"\0", b""):
         name, type_, rest = _strings(head, at)
         (size,) = struct.unpack_from("<i", head, rest) if len(head) >= rest + 4 else (-1,)
         if size < 0 or rest + 4 + size > len(head):
-            raise _broken("the head of the OpenEXR picture is cut off or too long")
+            raise _broken("the header of the OpenEXR file is truncated or too long")
         attributes[name + b":" + type_] = head[rest + 4 : rest + 4 + size]
         at = rest + 4 + size
     return attributes, at + 1
@@ -92,7 +92,7 @@ def _strings(head: bytes, at: int) -> tuple[bytes, bytes, int]:
     middle = head.find(b"\0", at, at + 256)
     end = head.find(b"\0", middle + 1, middle + 257)
     if middle < 0 or end < 0:
-        raise _broken("the head of the OpenEXR picture cannot be read")
+        raise _broken("the header of the OpenEXR file cannot be read")
     return head[at:middle], head[middle + 1 : end], end + 1
 
 
@@ -112,8 +112,8 @@ def _read_hdr(head: bytes) -> EnvironmentHead:
     end = head.find(b"\n\n")
     match = _HDR_SIZE.match(head, end + 1) if end >= 0 else None
     if match is None:
-        raise _broken("the Radiance picture does not say its size")
+        raise _broken("the Radiance file does not state its size")
     first, rows, _, columns = match.groups()
     if not first.endswith(b"Y"):
-        raise _broken("only Radiance pictures that are stored row by row are read")
+        raise _broken("only Radiance files that are stored row by row are supported")
     return EnvironmentHead("hdr", int(columns), int(rows), "image/vnd.radiance")

@@ -1,4 +1,4 @@
-"""How long a job is likely to take, from the jobs that this server has seen end."""
+"""Estimates of a job's duration, from the jobs that have finished on this server."""
 
 import statistics
 from itertools import islice
@@ -11,14 +11,14 @@ from lambent_server.job_rows import FINAL, SUCCEEDED
 from lambent_server.messages import Estimate, Preset
 
 NUM_JOBS = 20
-"""The newest jobs of a preset that are asked."""
+"""Number of the newest jobs of a preset that count."""
 
 
 def estimate(connection: Connection, tenant: Tenant, preset: Preset) -> Estimate:
-    """Return the likely time of a job of this preset, without waiting for others.
+    """Return the estimated duration of a job of this preset, without time in the queue.
 
-    Measured on jobs with the preset's own settings that ended well in their first run; the preset's budget
-    where there are none.
+    Based on jobs with the preset's own settings that succeeded in their first run; the preset's budget
+    if there are none.
     """
     plain = rows(tenant, jobs, jobs.c.started_at, jobs.c.finished_at, jobs.c.params).where(
         jobs.c.preset == preset.name,

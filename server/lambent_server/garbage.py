@@ -1,4 +1,4 @@
-"""Notes blobs that may have lost their last reference; `housekeeping` removes them."""
+"""The list of blobs that may have lost their last reference; `housekeeping` removes them."""
 
 from sqlalchemy import Connection
 
@@ -8,5 +8,5 @@ from lambent_server.database.tenancy import Tenant, add_if_absent
 
 
 def discard(connection: Connection, tenant: Tenant, sha256: str) -> None:
-    """Note that a reference to a blob has gone; the blob is removed later if it was the last one."""
+    """Record that a reference to a blob is gone; the blob is removed later if it was the last one."""
     add_if_absent(connection, tenant, garbage, sha256=sha256, at=now())

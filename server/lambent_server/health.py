@@ -1,4 +1,4 @@
-"""Whether the parts of a server work, asked in threads of their own: a part that hangs holds up nobody."""
+"""Health checks of a server's parts, each in its own thread so that one that hangs does not block others."""
 
 import asyncio
 import errno
@@ -17,7 +17,7 @@ PROBE_BYTES = 4096
 
 
 class Health:
-    """Asks each part at most once at a time."""
+    """Runs each check at most once at a time."""
 
     def __init__(self, services: Services) -> None:
         self._probes: dict[str, Callable[[], str]] = {
@@ -27,7 +27,7 @@ class Health:
         self._asked: dict[str, Future[str]] = {}
 
     async def checks(self) -> dict[str, str]:
-        """Return "ok", or in a word what is wrong, for each part; "timeout" where it does not say in time."""
+        """Return "ok" or a word for the problem of each part; "timeout" if it does not answer in time."""
         answers = await asyncio.gather(*(self._check(name) for name in self._probes))
         return dict(zip(self._probes, answers, strict=True))
 
@@ -35,7 +35,7 @@ class Health:
         asked = self._asked.get(name)
         if asked is None or asked.done():
             asked = self._asked[name] = Future()
-            # A daemon, so that one that hangs does not keep the server from ending.
+            # A daemon thread, so that one that hangs does not keep the server from exiting.
             threading.Thread(target=_answer, args=(asked, self._probes[name]), daemon=True).start()
         try:
             return await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(asked)), 1.5 * PROBE_S)
@@ -51,7 +51,7 @@ def _answer(asked: Future[str], probe: Callable[[], str]) -> None:
 
 
 def probe_disk(settings: Settings) -> str:
-    """Return whether the data folder takes a small file and has the space that must stay free."""
+    """Return whether the data folder is writable and has the space that must stay free."""
     try:
         with tempfile.TemporaryFile(dir=settings.scratch) as file:
             file.write(bytes(PROBE_BYTES))

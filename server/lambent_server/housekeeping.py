@@ -1,4 +1,4 @@
-"""Removes what nobody needs any more: blobs without references, abandoned uploads, old sessions and keys."""
+"""Removal of blobs without references, abandoned uploads, and old sessions and keys."""
 
 from sqlalchemy import Connection, Table, delete, exists, select
 
@@ -34,7 +34,7 @@ _REFERENCES: tuple[Table, ...] = (
 
 
 def sweep(services: Services) -> int:
-    """Remove what is due and return how many blobs went."""
+    """Remove what is due and return the number of blobs removed."""
     _expire(services)
     before = now() - services.settings.garbage_after_s
     with services.database.read() as connection:
@@ -66,7 +66,7 @@ def _referenced(connection: Connection, tenant: Tenant, sha256: str) -> bool:
 
 
 def _remove_blob(services: Services, tenant: Tenant, sha256: str, before: float) -> bool:
-    """Remove a blob that nothing refers to, unless it was just sent again; return whether its bytes went."""
+    """Remove an unreferenced blob, unless it was just sent again; return whether its bytes were removed."""
     mine = garbage.c.sha256 == sha256
     with services.store.lock:
         with services.database.write() as connection:

@@ -1,4 +1,4 @@
-"""Orders that are sent again: the key that came with the first one leads to what it made."""
+"""Idempotency keys: a repeated request returns the result of the first one."""
 
 from sqlalchemy import Connection
 
@@ -11,9 +11,9 @@ from lambent_server.problems import invalid
 def made_before(
     connection: Connection, tenant: Tenant, key: str | None, digest: str, identifier: str
 ) -> str | None:
-    """Return the id that this key stands for; None where the order is new and `identifier` is to be its id.
+    """Return the id stored under this key; None if the request is new, which stores `identifier` as its id.
 
-    `digest` is that of the order's body: another body under the same key is a mistake.
+    `digest` is that of the request's body: another body under the same key is an error.
     """
     if key is None:
         return None
@@ -23,6 +23,6 @@ def made_before(
     statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
     row = connection.execute(statement).mappings().one()
     if row["body_sha256"] != digest:
-        message = "this key was used with another body; take a new key for a new order"
+        message = "this key was used with another body; use a new key for a new request"
         raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
     return str(row["job_id"])

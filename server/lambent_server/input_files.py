@@ -1,4 +1,4 @@
-"""Files that a run gets before it begins, and their names in its folder."""
+"""Input files of a run, and their paths in its folder."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -18,20 +18,20 @@ def input_file(path: str, row: Mapping[str, Any]) -> worker_pb2.SceneFile:
 
 
 def scene_inputs(connection: Connection, tenant: Tenant, scene_id: str) -> Files:
-    """Return the files of a scene under their own names."""
+    """Return the files of a scene under their own paths."""
     return [
         input_file(row["path"], row) for row in _sorted(connection, tenant, scene_files, scene_id=scene_id)
     ]
 
 
 def bundle_inputs(connection: Connection, tenant: Tenant, bundle_id: str, folder: str) -> Files:
-    """Return the files of a bundle as `<folder>/...`; none where it is gone."""
+    """Return the files of a bundle as `<folder>/...`; none if it was deleted."""
     found = _sorted(connection, tenant, bundle_files, bundle_id=bundle_id)
     return [input_file(f"{folder}/{row['path']}", row) for row in found]
 
 
 def environment_input(connection: Connection, tenant: Tenant, environment_id: str, stem: str) -> Files:
-    """Return the file of an environment as `<stem>.<format>`; none where it is gone."""
+    """Return the file of an environment as `<stem>.<format>`; none if it was deleted."""
     row = find(connection, tenant, environments, environment_id)
     return [] if row is None else [input_file(f"{stem}.{row['format']}", row)]
 

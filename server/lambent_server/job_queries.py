@@ -1,4 +1,4 @@
-"""Questions about jobs, and the way a new one comes in."""
+"""Queries of jobs, and the submission of new ones."""
 
 import json
 from collections.abc import Sequence
@@ -62,7 +62,7 @@ def _time(at: float | None) -> str | None:
 
 
 def show(row: Any) -> Job:
-    """Return the job as the interface shows it."""
+    """Return the job in the form of the REST interface."""
     return Job(
         **{
             name: row[name]
@@ -93,13 +93,13 @@ def show(row: Any) -> Job:
 
 
 def show_event(row: Any) -> Event:
-    """Return a line of a job's history as the interface shows it."""
+    """Return an event of a job's history in the form of the REST interface."""
     names = ["job_id", "seq", "type", "run", "state", "progress", "message", "sha256", "name"]
     return Event(at=rfc3339(row["at"]), **{name: row[name] for name in names})
 
 
 def order_of(row: Row) -> NewJob:
-    """Return what was asked for when the job came in."""
+    """Return the request with which the job was submitted."""
     names = ["scene_id", "preset", "params", "gpus", "priority", "labels", "kind", "seed"]
     return NewJob(**{name: row[name] for name in names})
 
@@ -107,7 +107,7 @@ def order_of(row: Row) -> NewJob:
 def submit_once(
     connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str | None, digest: str
 ) -> Row:
-    """Add a job to the queue, or return the one that this key made before."""
+    """Add a job to the queue, or return the one that was submitted earlier with this key."""
     job_id = new_id("job")
     known = made_before(connection, tenant, key, digest, job_id)
     if known is not None:
@@ -118,7 +118,7 @@ def submit_once(
 def submit(
     connection: Connection, tenant: Tenant, order: NewJob, services: Services, job_id: str | None = None
 ) -> Row:
-    """Add a job to the queue, or say why not."""
+    """Add a job to the queue; raises the problem if it cannot be accepted."""
     gpus = _check_order(order, services)
     scene = find(connection, tenant, scenes, order.scene_id)
     if scene is None:
@@ -129,11 +129,13 @@ def submit(
             errors=(Detail("#/scene_id", "no such scene"),),
         )
     if scene["state"] == "open":
-        raise conflict("scene_not_committed", "the upload of this scene was not ended; call :commit first")
+        raise conflict("scene_not_committed", "the upload of this scene is not finished; call :commit first")
     if scene["state"] == "rejected":
         findings = (scene["report"] or {}).get("findings", [])
         raise conflict(
-            "scene_rejected", "this scene cannot be used; mend what `findings` names", findings=findings
+            "scene_rejected",
+            "this scene cannot be used; fix the problems listed in `findings`",
+            findings=findings,
         )
     if order.kind == bake_rows.KIND:
         bake_rows.check_order(connection, tenant, order)
@@ -154,9 +156,9 @@ def submit(
 
 
 def check_quota(connection: Connection, tenant: Tenant, services: Services, num_jobs: int) -> None:
-    """Refuse more jobs than the tenant may have waiting and running."""
+    """Refuse more unfinished jobs than the tenant may have."""
     if connection.dialect.name == "postgresql":
-        # Until the end of this transaction nobody else counts: SQLite has one writer anyway.
+        # No other transaction can count until this one ends: SQLite has only one writer anyway.
         connection.execute(select(func.pg_advisory_xact_lock(func.hashtext(f"quota {tenant.id}"))))
     active = rows(tenant, jobs, func.count()).where(jobs.c.state.not_in(FINAL))
     in_use = connection.execute(active).scalar_one()
@@ -165,7 +167,7 @@ def check_quota(connection: Connection, tenant: Tenant, services: Services, num_
         raise Problem(
             429,
             "quota_jobs",
-            f"{in_use} jobs have not ended yet, {limit} are allowed",
+            f"{in_use} jobs are unfinished, {limit} are allowed",
             retryable=True,
             headers={"retry-after": "30"},
             members={"quota": {"name": "max_queued_jobs", "limit": limit, "used": in_use}},
@@ -192,7 +194,7 @@ def insert_job(
 
 
 def cancel(connection: Connection, job: Row) -> None:
-    """Ask for the end of a job; nothing is done to one that has ended."""
+    """Request the cancellation of a job; does nothing if it has ended."""
     if job["state"] in (QUEUED, RETRY_WAIT):
         move(connection, job, CANCELLED, "cancelled before it started")
     elif job["state"] == RUNNING:
@@ -208,7 +210,7 @@ def _check_order(order: NewJob, services: Services) -> int:
         wanted = min(preset.gpus, available) if order.kind == "train" else 0
         if wanted < preset.gpus and order.kind == "train":
             message = (
-                f'preset {order.preset!r} is made for a GPU and there is none; say "gpus": 0 to run it anyway'
+                f'preset {order.preset!r} needs a GPU, and there is none; set "gpus": 0 to run it anyway'
             )
             raise invalid("unsatisfiable_resources", "#/gpus", message)
     if wanted > available:
@@ -218,7 +220,7 @@ def _check_order(order: NewJob, services: Services) -> int:
 
 
 def max_gpus(services: Services) -> int:
-    """Return how many GPUs one job can have: a run uses one device at most."""
+    """Return how many GPUs one job can have; a run uses at most one."""
     return min(services.local_gpus, 1)
 
 
@@ -231,7 +233,7 @@ def select_page(
     limit: int,
     cursor: str | None,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` jobs, the newest first, and the cursor of the next page."""
+    """Return up to `limit` jobs, newest first, and the cursor of the next page."""
 
     def narrow(statement: Any) -> Any:
         if states:

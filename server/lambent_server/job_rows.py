@@ -1,4 +1,4 @@
-"""Jobs and their history as rows: the only place that moves a job from one state to another."""
+"""Database rows of jobs and their history; the only module that changes a job's state."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ Job = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NewEvent:
-    """A line of a job's history that has no number yet."""
+    """An event of a job's history without its number."""
 
     type: str
     run: int = 0
@@ -38,12 +38,12 @@ class NewEvent:
 
 
 def owner(job: Job) -> Tenant:
-    """Return whose job it is."""
+    """Return the tenant of the job."""
     return Tenant(job["tenant_id"])
 
 
 def append_event(connection: Connection, job: Job, event: NewEvent) -> int:
-    """Add a line to the job's history and return its number; numbers have no gaps."""
+    """Append an event to the job's history and return its number; numbers have no gaps."""
     statement = (
         change(owner(job), jobs)
         .where(jobs.c.id == job["id"])
@@ -71,14 +71,14 @@ def append_event(connection: Connection, job: Job, event: NewEvent) -> int:
 
 
 def set_fields(connection: Connection, job: Job, **values: Any) -> None:
-    """Write columns of the job."""
+    """Update columns of the job."""
     connection.execute(
         change(owner(job), jobs).where(jobs.c.id == job["id"]).values(updated_at=now(), **values)
     )
 
 
 def move(connection: Connection, job: Job, state: str, message: str = "", **values: Any) -> bool:
-    """Move the job to `state` and record it; return False, with nothing done, if somebody else moved it."""
+    """Change the job's state and record it; return False if its state has been changed meanwhile."""
     if state in FINAL:
         values |= {"finished_at": now(), "retry_at": None}
     statement = (
@@ -98,7 +98,7 @@ def move(connection: Connection, job: Job, state: str, message: str = "", **valu
 def read_events(
     connection: Connection, tenant: Tenant, job_id: str, after: int, limit: int
 ) -> list[RowMapping]:
-    """Return up to `limit` lines of the history that come after number `after`."""
+    """Return up to `limit` events of the history after number `after`."""
     statement = (
         rows(tenant, events)
         .where(events.c.job_id == job_id, events.c.seq > after)

@@ -1,4 +1,4 @@
-"""Keys for programs: made, listed, taken back and replaced. Only their hashes are stored."""
+"""Keys for programs: creating, listing, revoking and replacing them. Only their hashes are stored."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,11 +21,11 @@ Row = Mapping[str, Any]
 
 
 class NewKey(Given):
-    """A key to make."""
+    """A key to create."""
 
     name: Name
     expires_in_s: Annotated[float, Field(ge=60, le=10 * 365 * 86400)] | None = None
-    """Left out: until it is revoked."""
+    """If omitted, the key is valid until it is revoked."""
 
 
 class Key(Shown):
@@ -41,34 +41,34 @@ class Key(Shown):
 
 
 class KeyList(Shown):
-    """The keys of this tenant, the newest first."""
+    """The keys of this tenant, newest first."""
 
     items: list[Key]
 
 
 class CreatedKey(Key):
-    """A new key with its secret, which is shown this once."""
+    """A new key with its secret, which is shown only once."""
 
     key: str
 
 
 def show(row: Row) -> Key:
-    """Return a key as the interface shows it."""
+    """Return a key in the form of the REST interface."""
     times = ("expires_at", "revoked_at", "last_used_at")
     optional = {name: None if row[name] is None else rfc3339(row[name]) for name in times}
     return Key(id=row["id"], name=row["name"], created_at=rfc3339(row["created_at"]), **optional)
 
 
 def known(connection: Connection, tenant: Tenant) -> list[Row]:
-    """Return the keys of `tenant`, the newest first, with those that are revoked."""
+    """Return the keys of `tenant`, newest first, including revoked ones."""
     statement = rows(tenant, api_keys).order_by(api_keys.c.id.desc()).limit(1000)
     return [dict(row) for row in connection.execute(statement).mappings()]
 
 
 def create(connection: Connection, tenant: Tenant, order: NewKey) -> CreatedKey:
-    """Make a key."""
+    """Create a key."""
     if order.name.startswith(FILE):
-        raise invalid("key_name_reserved", "#/name", f"names that begin with {FILE} are those of key files")
+        raise invalid("key_name_reserved", "#/name", f"names starting with {FILE} are those of key files")
     until = None if order.expires_in_s is None else now() + order.expires_in_s
     return _issue(connection, tenant, order.name, new_secret(PREFIX), until)
 
@@ -90,17 +90,17 @@ def _require(connection: Connection, tenant: Tenant, key_id: str) -> Row:
 
 
 def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
-    """Take a key back, and log every browser out: it may have let one in. Again it changes nothing."""
+    """Revoke a key, and log out every browser, because the key may have logged one in. Idempotent."""
     if _require(connection, tenant, key_id)["revoked_at"] is None:
         connection.execute(change(tenant, api_keys).where(api_keys.c.id == key_id).values(revoked_at=now()))
         connection.execute(remove(tenant, sessions))
 
 
 def rotate(connection: Connection, tenant: Tenant, key_id: str, data: Path) -> CreatedKey:
-    """Make a key in place of another, which is revoked; that of the data folder's file is written there."""
+    """Replace a key, which is revoked, with a new one; for the data folder's key, rewrite its file."""
     row = _require(connection, tenant, key_id)
     if row["revoked_at"] is not None:
-        raise conflict("key_revoked", f"key {key_id} is revoked for good; make another one")
+        raise conflict("key_revoked", f"key {key_id} is revoked permanently; create another one")
     fresh = _issue(connection, tenant, row["name"], new_secret(PREFIX), row["expires_at"])
     if row["name"] == _file_name(data):
         write_secret(data / FILE, fresh.key, replace=True)
@@ -109,19 +109,19 @@ def rotate(connection: Connection, tenant: Tenant, key_id: str, data: Path) -> C
 
 
 def last_revoked_at(connection: Connection, tenant: Tenant) -> float:
-    """Return when a key of `tenant` was revoked last; 0.0 where none was."""
+    """Return when a key of `tenant` was last revoked; 0.0 if never."""
     return connection.execute(rows(tenant, api_keys, func.max(api_keys.c.revoked_at))).scalar_one() or 0.0
 
 
 def _file_name(data: Path) -> str:
-    """Return the name of the key in a data folder: servers that share a database have one each."""
+    """Return the name of the key in a data folder; servers that share a database have one each."""
     return f"{FILE} {sha256_text(read_or_create_secret(data / 'worker.secret'))[:8]}"
 
 
 def accept_file(database: Database, tenant: Tenant, data: Path) -> None:
-    """Accept the key in `api.key` from now on, and no other that the file held before.
+    """Accept the key in `api.key` from now on, and none that the file contained earlier.
 
-    A file that was removed, or whose key was revoked, is made anew.
+    A file that was removed, or whose key was revoked, is replaced by a new one.
     """
     name, secret = _file_name(data), read_or_create_secret(data / FILE, PREFIX)
     with database.write() as connection:

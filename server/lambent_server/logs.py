@@ -1,4 +1,4 @@
-"""Logs for operators: an event name and fields; JSON lines unless somebody watches at a terminal."""
+"""Logs for operators: an event name and fields; JSON lines unless standard error is a terminal."""
 
 import logging
 import sys

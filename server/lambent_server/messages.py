@@ -1,4 +1,4 @@
-"""Bodies of the REST interface. What mirrors a message of `proto/` has its fields, names and defaults."""
+"""Bodies of the REST interface; those that mirror a message of `proto/` have its fields and defaults."""
 
 from typing import Annotated, Any, Literal
 
@@ -18,13 +18,13 @@ SceneState = Literal["open", "uploaded", "ready", "rejected"]
 
 
 class Given(BaseModel):
-    """What a client sends: nothing unknown, nothing converted."""
+    """A body that a client sends: unknown fields are refused, and no value is converted."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class Shown(BaseModel):
-    """What the server answers."""
+    """A body that the server sends."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -36,7 +36,7 @@ class NewScene(Given):
 
 
 class PlannedFile(Given):
-    """A file that the scene shall have."""
+    """A file that the scene will have."""
 
     path: Annotated[str, Field(min_length=1, max_length=240)]
     size: Annotated[int, Field(ge=0, le=2**53), WHOLE]
@@ -44,7 +44,7 @@ class PlannedFile(Given):
 
 
 class Plan(Shown):
-    """What is still to be sent, and what will not be part of the scene."""
+    """The files still to be uploaded, and those that will not be part of the scene."""
 
     missing: list[Sha256]
     unsupported: list[str]
@@ -65,7 +65,7 @@ class Scene(Shown):
 
 
 class SceneList(Shown):
-    """One page of scenes, the newest first."""
+    """One page of scenes, newest first."""
 
     items: list[Scene]
     next_cursor: str | None
@@ -141,17 +141,17 @@ class CaptureFigures(Shown):
 
 
 class SceneReportAnswer(SceneReport):
-    """The report together with the state it led to; `checked` is false before anything was looked at."""
+    """The report and the resulting state of the scene; `checked` is false before the first check."""
 
     scene_id: str
     state: SceneState
     checked: bool
     figures: CaptureFigures | None
-    """What was measured; null where nothing could be, or nothing was looked at yet."""
+    """Measurements of the capture; null if there are none, or before the scene has been checked."""
 
 
 class NewJob(Given):
-    """What is to be done with a scene; mirrors lambent_proto.v1.JobSpec."""
+    """A job to submit for a scene; mirrors lambent_proto.v1.JobSpec."""
 
     scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"
@@ -179,7 +179,7 @@ class Progress(Shown):
 
 
 class JobError(Shown):
-    """Why the last run ended badly."""
+    """The reason why the last run failed."""
 
     code: str
     message: str
@@ -188,7 +188,7 @@ class JobError(Shown):
 
 
 class Job(Shown):
-    """A job and how far it is."""
+    """A job and its progress."""
 
     id: str
     kind: JobKind
@@ -209,12 +209,12 @@ class Job(Shown):
     error: JobError | None
     bundle_id: str | None
     batch_id: str | None
-    """The batch that the job makes a part of."""
+    """The batch of which the job renders a part."""
     last_event: int
 
 
 class JobList(Shown):
-    """One page of jobs, the newest first."""
+    """One page of jobs, newest first."""
 
     items: list[Job]
     next_cursor: str | None
@@ -236,13 +236,13 @@ class Event(Shown):
 
 
 class EventList(Shown):
-    """Lines of a job's history, in order."""
+    """Events of a job's history, in order."""
 
     items: list[Event]
 
 
 class Artifact(Shown):
-    """A file that a job has made, besides its bundle."""
+    """A file that a job has produced, besides its bundle."""
 
     name: str
     sha256: Sha256
@@ -252,13 +252,13 @@ class Artifact(Shown):
 
 
 class ArtifactList(Shown):
-    """The files that a job has made."""
+    """The files that a job has produced."""
 
     items: list[Artifact]
 
 
 class Environment(Shown):
-    """Light from all directions, as an equirectangular picture."""
+    """Light from all directions, as a latitude-longitude picture."""
 
     id: str
     name: str
@@ -272,50 +272,50 @@ class Environment(Shown):
 
 
 class EnvironmentList(Shown):
-    """The environments of this tenant, the newest first."""
+    """The environments of this tenant, newest first."""
 
     items: list[Environment]
 
 
 class Preset(Shown):
-    """A set of numbers to train with."""
+    """A named set of training settings."""
 
     name: str
     description: str
     gpus: int
     budget_s: float | None = None
-    """Time a whole job is meant to take on the hardware that the preset is made for; null where unknown."""
+    """Time budget of a job on the hardware that the preset is intended for; null if unknown."""
 
 
 class PresetList(Shown):
-    """What `preset` may be."""
+    """The values that `preset` may have."""
 
     items: list[Preset]
     default: str
 
 
 class NewEstimate(Given):
-    """A job that is thought of."""
+    """A job whose duration is to be estimated."""
 
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
 
 
 class Estimate(Shown):
-    """How long a job is likely to take, from its start to its end."""
+    """The estimated duration of a job, from its start to its end."""
 
     preset: str
     seconds: float | None
-    """The median of the jobs measured, else the preset's budget; null where there is neither."""
+    """The median of the measured jobs, else the preset's budget; null if there is neither."""
     shortest_s: float | None
     longest_s: float | None
     num_measured: int
-    """Earlier jobs of this preset on this server that the figures come from; 0: they are the budget."""
+    """Earlier jobs of this preset on this server that were measured; 0: the figures are the budget."""
     num_ahead: int
-    """Jobs that have not ended and may go first."""
+    """Unfinished jobs that may run first."""
 
 
 class Limits(Shown):
-    """What the server accepts."""
+    """The limits of what the server accepts."""
 
     max_json_bytes: int
     max_scene_bytes: int
@@ -331,7 +331,7 @@ class Limits(Shown):
 
 
 class Version(Shown):
-    """Which server this is."""
+    """The version of this server."""
 
     name: Literal["lambent"]
     version: str
@@ -339,7 +339,7 @@ class Version(Shown):
 
 
 class Health(Shown):
-    """Whether the server lives, and in which state its parts are."""
+    """Whether the server is alive, and the state of its parts."""
 
     status: Literal["ok", "unavailable"]
     checks: dict[str, str] = {}

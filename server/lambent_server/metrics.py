@@ -1,4 +1,4 @@
-"""Figures for Prometheus."""
+"""Metrics for Prometheus."""
 
 import shutil
 from collections.abc import Iterator
@@ -15,26 +15,26 @@ from lambent_server.services import Services
 
 REQUEST_SECONDS = Histogram(
     "lambent_request_seconds",
-    "Time from the head of a request to the end of its answer.",
+    "Time from the header of a request to the end of its response.",
     ["method", "route", "status"],
     buckets=(0.005, 0.02, 0.1, 0.5, 2.0, 10.0, 60.0),
     registry=None,
 )
-OPEN_STREAMS = Gauge("lambent_open_streams", "Event streams that are being sent.", registry=None)
+OPEN_STREAMS = Gauge("lambent_open_streams", "Open event streams.", registry=None)
 RUNS_LOST = Counter("lambent_runs_lost_total", "Runs whose process vanished.", registry=None)
 RUNS_STARTED = Counter("lambent_runs_started_total", "Runs that were started.", registry=None)
 RUNS_FAILED = Counter("lambent_runs_failed_total", "Runs that failed, by cause.", ["cause"], registry=None)
-UPLOAD_BYTES = Counter("lambent_upload_bytes_total", "Bytes of files that came in over REST.", registry=None)
+UPLOAD_BYTES = Counter("lambent_upload_bytes_total", "Bytes of files uploaded over REST.", registry=None)
 
 
 class _State(Collector):
-    """Reads what the database and the disk say at the moment of the question."""
+    """A collector that reads the database and the disk at the time of the request."""
 
     def __init__(self, services: Services) -> None:
         self._services = services
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
-        """Yield the figures."""
+        """Yield the metrics."""
         with self._services.database.read() as connection:
             found = connection.execute(
                 across_tenants(jobs, jobs.c.state, func.count(), func.min(jobs.c.created_at)).group_by(
@@ -54,7 +54,7 @@ class _State(Collector):
 
 
 def registry(services: Services) -> CollectorRegistry:
-    """Return the figures of one server."""
+    """Return the metrics of one server."""
     result = CollectorRegistry()
     for metric in (REQUEST_SECONDS, OPEN_STREAMS, RUNS_LOST, RUNS_STARTED, RUNS_FAILED, UPLOAD_BYTES):
         result.register(metric)

@@ -1,4 +1,4 @@
-"""What becomes of a job when its run ends: done, tried again by cause, or given up."""
+"""The outcome of a job when its run ends: done, retried depending on the cause, or failed."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,16 +13,16 @@ from lambent_server.settings import Settings
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a run did not end well; `cause` is the lower-case name of a FailCause."""
+    """The reason why a run failed; `cause` is the lower-case name of a FailCause."""
 
     cause: str
     code: str
     message: str
 
 
-# Causes that another try cannot mend.
+# Causes that a retry cannot fix.
 _HOPELESS = frozenset({"bad_scene", "bad_config"})
-# Causes that each stage is tried with once more, with something changed: the setting and its factor.
+# Causes that are retried once per stage with an adjustment: the setting and its factor.
 _ADJUSTED = {"gpu_out_of_memory": ("ray_chunk", 0.5), "diverged": ("learning_rate", 0.3)}
 
 
@@ -36,30 +36,30 @@ def _error(failure: Failure, job: Job) -> dict[str, Any]:
 
 
 def succeed(connection: Connection, job: Job, **values: Any) -> bool:
-    """End the job well."""
+    """Complete the job successfully."""
     return move(connection, job, SUCCEEDED, error=None, **values)
 
 
 def settle_cancel(connection: Connection, job: Job) -> bool:
-    """End a job whose cancellation was asked for, now that no process of it is left."""
+    """Complete the cancellation of a job that has no process any more."""
     return move(connection, job, CANCELLED, "cancelled", stop_reason=None)
 
 
 def requeue(connection: Connection, job: Job, message: str, **values: Any) -> bool:
-    """Let the job start again at once; it is not the job's fault."""
+    """Queue the job to restart at once, without counting a failure."""
     return move(connection, job, QUEUED, message, stop_reason=None, **values)
 
 
 def adjustments_of(job: Job) -> dict[str, dict[str, float]]:
-    """Return what the job's failures have changed: factors by setting, by the stage they are for."""
+    """Return the adjustments that the job's failures have made: by stage, factors by setting."""
     kept = dict(job["adjustments"])
-    # Rows of the version before have the factors of one stage beside its name.
+    # Rows of the previous version have the factors of one stage next to its name.
     stage = kept.pop("stage", None)
     return kept if stage is None else {stage: kept}
 
 
 def fail(connection: Connection, job: Job, failure: Failure, settings: Settings) -> bool:
-    """Try the job again after a failure of its own, or give it up; a cancelled job just ends."""
+    """Retry the job after a failure of its own, or fail it; a job being cancelled just ends."""
     RUNS_FAILED.labels(failure.cause).inc()
     failures = job["failures"] + 1
     adjustments = adjustments_of(job)
@@ -78,7 +78,7 @@ def fail(connection: Connection, job: Job, failure: Failure, settings: Settings)
         connection,
         job,
         RETRY_WAIT,
-        f"{failure.code}: {failure.message}; next try in {delay:g} s",
+        f"{failure.code}: {failure.message}; retrying in {delay:g} s",
         retry_at=now() + delay,
         adjustments=adjustments,
         **common,
@@ -86,7 +86,7 @@ def fail(connection: Connection, job: Job, failure: Failure, settings: Settings)
 
 
 def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool:
-    """Start a job again whose machine or process vanished, unless that happens too often."""
+    """Restart a job whose machine or process was lost, unless that has happened too often."""
     RUNS_LOST.inc()
     losses = job["losses"] + 1
     barren = job["losses_without_checkpoint"] + 1

@@ -1,4 +1,4 @@
-"""Long lists in pages: the newest rows first, and a cursor that says where the next page begins."""
+"""Pagination of lists: newest rows first, with a cursor for the next page."""
 
 import base64
 from typing import Annotated, Any
@@ -14,7 +14,7 @@ Row = dict[str, Any]
 
 
 class PageFilter(BaseModel):
-    """Which page of a list."""
+    """The page of a list to return."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -30,7 +30,7 @@ def _from_cursor(cursor: str) -> str:
     try:
         return base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("ascii")
     except ValueError as error:
-        message = "take the cursor from `next_cursor` as it is"
+        message = "pass the cursor from `next_cursor` unchanged"
         raise invalid("cursor_invalid", "#/query/cursor", message) from error
 
 
@@ -43,9 +43,9 @@ def select_newest(
     cursor: str | None,
     narrow: Any = None,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` rows, the newest first, and the cursor of the next page.
+    """Return up to `limit` rows, newest first, and the cursor of the next page.
 
-    Identifiers sort by the time they were made. `narrow` turns the selection into that of fewer rows.
+    Identifiers sort by creation time. `narrow` adds conditions to the selection.
     """
     statement: Select[Any] = rows(tenant, table).order_by(table.c.id.desc()).limit(limit + 1)
     if cursor is not None:

@@ -1,4 +1,4 @@
-"""Names of files that came from outside: what is allowed and what belongs to a scene."""
+"""Checks of file names that come from outside: which are allowed, and which belong to a scene."""
 
 import re
 import unicodedata
@@ -35,7 +35,7 @@ _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
 
 
 def path_problem(path: str) -> str | None:
-    """Return why `path` cannot name a file inside a folder on every system, or None where it can."""
+    """Return why `path` cannot name a file inside a folder on every system, or None if it can."""
     if not path or len(path) > MAX_PATH_CHARACTERS:
         return f"a path has 1 to {MAX_PATH_CHARACTERS} characters"
     if _FORBIDDEN.search(path):
@@ -55,7 +55,7 @@ def path_problem(path: str) -> str | None:
 
 
 def check_path(path: str, pointer: str) -> str:
-    """Return the path, or raise the problem that names it."""
+    """Return the path; raises a problem that names it if it is not allowed."""
     problem = path_problem(path)
     if problem is not None:
         raise invalid("path_unsafe", pointer, f"{path[:80]!r}: {problem}")
@@ -63,7 +63,7 @@ def check_path(path: str, pointer: str) -> str:
 
 
 def folded(path: str) -> str:
-    """Return what two paths share that clash on a file system which ignores case or composition."""
+    """Return a key that is equal for paths that clash on file systems which ignore case or composition."""
     return unicodedata.normalize("NFC", path).casefold()
 
 

@@ -1,4 +1,4 @@
-"""Errors as the interface tells them: RFC 9457 problem documents with a stable code."""
+"""Errors of the REST interface: RFC 9457 problem documents with a stable code."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ MEDIA_TYPE = "application/problem+json"
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """One thing that is wrong; `pointer` is a JSON pointer into the body, or "#/query/name" and the like."""
+    """One error in a request; `pointer` is a JSON pointer into the body, or for example "#/query/name"."""
 
     pointer: str
     message: str
@@ -18,7 +18,7 @@ class Detail:
 
 @dataclass
 class Problem(Exception):  # noqa: N818 (it is what RFC 9457 calls it)
-    """Why a request was not done; becomes the answer."""
+    """The reason why a request was refused; becomes the response."""
 
     status: int
     code: str
@@ -29,7 +29,7 @@ class Problem(Exception):  # noqa: N818 (it is what RFC 9457 calls it)
     members: dict[str, Any] = field(default_factory=dict)
 
     def document(self, request_id: str) -> dict[str, Any]:
-        """Return the body of the answer."""
+        """Return the body of the response."""
         return {
             "type": "about:blank",
             "title": HTTPStatus(self.status).phrase,
@@ -44,15 +44,15 @@ class Problem(Exception):  # noqa: N818 (it is what RFC 9457 calls it)
 
 
 def not_found(kind: str, identifier: str) -> Problem:
-    """Return the answer to an id that does not exist, or belongs to somebody else."""
+    """Return the problem for an id that does not exist, or belongs to another tenant."""
     return Problem(404, f"{kind}_not_found", f"there is no {kind} {identifier!r}")
 
 
 def conflict(code: str, detail: str, **members: Any) -> Problem:
-    """Return the answer to a request that the present state does not allow."""
+    """Return the problem for a request that the current state does not allow."""
     return Problem(409, code, detail, members=members)
 
 
 def invalid(code: str, pointer: str, message: str) -> Problem:
-    """Return the answer to a well-formed value that cannot be used."""
+    """Return the problem for a well-formed value that cannot be used."""
     return Problem(422, code, message, errors=(Detail(pointer, message),))

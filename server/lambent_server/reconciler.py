@@ -1,4 +1,4 @@
-"""Finds what kills and failing disks leave behind: bytes that no row names, and rows whose bytes are gone."""
+"""Repair after crashes and disk failures: bytes without a database row, and rows whose bytes are gone."""
 
 import shutil
 import threading
@@ -27,7 +27,7 @@ _FEW = 16
 
 
 class Reconciler:
-    """Looks at the start and then once in `reconcile_s`, in a thread of its own."""
+    """Compares database and store at startup and then every `reconcile_s`, in its own thread."""
 
     def __init__(self, services: Services) -> None:
         self._services = services
@@ -37,11 +37,11 @@ class Reconciler:
         """Blobs that rows name and whose bytes are gone or not whole."""
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """End, and write down when keys were used."""
+        """Stop, and store when keys were last used."""
         self._stopping.set()
         self._thread.join(timeout=1)
 
@@ -55,7 +55,7 @@ class Reconciler:
                     looked_at = now()
                     self.num_missing = reconcile(self._services)
             except (SQLAlchemyError, OSError):
-                # The database or the disk is away; the next round finds the same.
+                # The database or the disk is unavailable; the next round finds the same.
                 log.exception("reconcile_failed")
             if stopping:
                 return
@@ -63,7 +63,7 @@ class Reconciler:
 
 
 def note_key_uses(services: Services) -> None:
-    """Write down when keys were used since the last time."""
+    """Store when keys were used since the last call."""
     if not services.key_uses:
         return
     with services.database.write() as connection:
@@ -73,11 +73,11 @@ def note_key_uses(services: Services) -> None:
 
 
 def reconcile(services: Services) -> int:
-    """Remove bytes and folders that nothing names any more; return how many blobs lack their bytes.
+    """Remove bytes and folders without rows; return the number of blobs whose bytes are missing or truncated.
 
-    What is younger than `orphan_after_s` may be on its way and is left alone. Rows stay when bytes are gone:
-    a store that was not mounted comes back, and the next upload writes what is missing. Nothing is removed
-    where the database knows less than half of the store: it is probably that of another store.
+    Anything younger than `orphan_after_s` may be an upload in progress and is kept. Rows of missing bytes are
+    kept: a store that was not mounted may return, and the next upload writes missing bytes again. Nothing is
+    removed if the database knows less than half of the store, because it probably belongs to another store.
     """
     before = now() - services.settings.orphan_after_s
     num_files, orphans, lost = 0, [], []
@@ -109,7 +109,7 @@ def _sizes(services: Services, prefix: str) -> dict[str, int]:
 
 
 def _remove_folders(services: Services, before: float) -> None:
-    """Remove uploads that broke off, half-written blobs, and the folders of jobs that were deleted."""
+    """Remove interrupted uploads, incomplete blobs, and the folders of deleted jobs."""
     settings = services.settings
     partial = (settings.data / "store").glob("blobs/??/*#*") if settings.store is None else ()
     for path in _older((*settings.scratch.iterdir(), *partial), before):

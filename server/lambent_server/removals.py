@@ -1,4 +1,4 @@
-"""Deleting jobs, bundles and environments; what an order that has not ended needs stays."""
+"""Deletion of jobs, bundles and environments, unless an unfinished job needs them."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -25,10 +25,10 @@ from lambent_server.problems import conflict, not_found
 
 
 def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
-    """Remove a job that has ended, with its history, artifacts and log; its bundle stays."""
+    """Delete a job that has ended, with its history, artifacts and log; its bundle stays."""
     job = _require(connection, tenant, jobs, "job", job_id)
     if job["state"] not in FINAL or job["handle"] is not None:
-        raise conflict("job_in_use", f"job {job_id} is {job['state']}; cancel it and wait for its end first")
+        raise conflict("job_in_use", f"job {job_id} is {job['state']}; cancel it and wait until it has ended")
     drop_checkpoints(connection, tenant, job_id)
     for table in (events, artifacts):
         _forget(connection, tenant, table, job_id=job_id)
@@ -42,7 +42,7 @@ def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
 
 
 def delete_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> None:
-    """Remove a bundle with its files and the links to it; the job that made it stays."""
+    """Delete a bundle with its files and the links to it; the job that made it stays."""
     _require(connection, tenant, bundles, "bundle", bundle_id)
     _require_unused(connection, tenant, "bundle", bundle_id)
     _forget(connection, tenant, bundle_files, bundle_id=bundle_id)
@@ -52,7 +52,7 @@ def delete_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> Non
 
 
 def delete_environment(connection: Connection, tenant: Tenant, environment_id: str) -> None:
-    """Remove an environment; pictures that were made with it stay."""
+    """Delete an environment; pictures that were rendered with it stay."""
     _require(connection, tenant, environments, "environment", environment_id)
     _require_unused(connection, tenant, "environment", environment_id)
     _forget(connection, tenant, environments, id=environment_id)
@@ -66,7 +66,7 @@ def _require(connection: Connection, tenant: Tenant, table: Table, kind: str, id
 
 
 def _forget(connection: Connection, tenant: Tenant, table: Table, **having: str) -> None:
-    """Remove rows, and let go of the blobs that they name."""
+    """Delete rows, and release the blobs that they refer to."""
     named = rows(tenant, table, table.c.sha256).filter_by(**having)
     for sha256 in set(connection.execute(named).scalars()) - {""}:
         discard(connection, tenant, sha256)
@@ -74,14 +74,14 @@ def _forget(connection: Connection, tenant: Tenant, table: Table, **having: str)
 
 
 def _require_unused(connection: Connection, tenant: Tenant, kind: str, identifier: str) -> None:
-    """Refuse while a job that has not ended is to read the thing."""
+    """Refuse to delete what an unfinished job needs."""
     for job_id, needed in _needs(connection, tenant):
         if identifier in needed:
             raise conflict(f"{kind}_in_use", f"job {job_id} needs this {kind}; cancel it first")
 
 
 def _needs(connection: Connection, tenant: Tenant) -> Iterator[tuple[str, set[str]]]:
-    """Yield each job that has not ended, with what its order names."""
+    """Yield each unfinished job with what its request refers to."""
     going_on = rows(tenant, jobs, jobs.c.id, jobs.c.params, render_orders.c.spec)
     joined = going_on.outerjoin_from(jobs, render_orders, render_orders.c.id == jobs.c.order_id)
     for job_id, params, spec in connection.execute(joined.where(jobs.c.state.not_in(FINAL))):

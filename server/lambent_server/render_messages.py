@@ -1,4 +1,4 @@
-"""Bodies of the REST interface about pictures; what mirrors a message of `proto/` has its fields."""
+"""Bodies of the REST interface for pictures; those that mirror a message of `proto/` have its fields."""
 
 from typing import Annotated
 
@@ -30,7 +30,7 @@ class NewBatch(RenderSpec, _Order):
     """A batch to queue."""
 
     shards: Annotated[int, Field(ge=0, le=64), WHOLE] = 0
-    """Jobs it is split into; 0: as many as run at the same time."""
+    """Number of jobs that render it; 0: as many as run at the same time."""
 
 
 class NewRender(_Order):
@@ -46,32 +46,32 @@ class NewRender(_Order):
 
 
 class Batch(Shown):
-    """A batch and how far it is."""
+    """A batch and its progress."""
 
     id: str
     name: str
     state: JobState
-    """That of its jobs together: final when all are, `succeeded` when all have."""
+    """The combined state of its jobs: final when all are, `succeeded` when all have."""
     created_at: str
     num_pictures: int
     num_done: int
-    """Pictures that were made, or found that they cannot be."""
+    """Pictures that were rendered, or could not be."""
     num_failed: int
-    """Pictures that cannot be made; a `finding` among the events says why."""
+    """Pictures that could not be rendered; a `finding` among the events says why."""
     job_ids: list[str]
-    """One job for each part of the batch, the newest where a part was tried again. Behind several parts comes
-    the job that makes their table and contact sheet."""
+    """One job for each part of the batch, the newest if a part was retried. After several parts comes
+    the job that creates their table and contact sheet."""
 
 
 class BatchList(Shown):
-    """One page of batches, the newest first."""
+    """One page of batches, newest first."""
 
     items: list[Batch]
     next_cursor: str | None
 
 
 class BatchArtifact(Artifact):
-    """A file that one of the jobs of a batch has made."""
+    """A file that one of the jobs of a batch has produced."""
 
     job_id: str
 

@@ -1,4 +1,4 @@
-"""Orders of pictures as rows: what was asked for, the jobs that make it, and how far they are."""
+"""Database rows of picture orders: the request, the jobs that render it, and their progress."""
 
 import json
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """Pictures to queue, as asked for."""
+    """Pictures to queue, as requested."""
 
     kind: str
     spec: RenderSpec
@@ -57,7 +57,7 @@ def order_of_batch(body: NewBatch) -> Order:
 
 
 def order_of_render(body: NewRender) -> Order:
-    """Return the order of pictures of one bundle: one job."""
+    """Return the order for pictures of one bundle: one job."""
     asset = RenderAsset(
         bundle_id=body.bundle_id, material=body.material, object_rotate_deg=body.object_rotate_deg
     )
@@ -75,7 +75,7 @@ def order_of_render(body: NewRender) -> Order:
 def submit_once(
     connection: Connection, tenant: Tenant, order: Order, services: Services, key: str | None, digest: str
 ) -> Row:
-    """Queue an order, or return the one that this key made before."""
+    """Queue an order, or return the one that was submitted earlier with this key."""
     order_id = new_id(order.kind)
     known = made_before(connection, tenant, key, digest, order_id)
     if known is not None:
@@ -84,7 +84,7 @@ def submit_once(
 
 
 def submit(connection: Connection, tenant: Tenant, order: Order, services: Services, order_id: str) -> Row:
-    """Queue the jobs of an order, or say why not."""
+    """Queue the jobs of an order; raises the problem if it cannot be accepted."""
     spec = _named(connection, tenant, order.spec, single=order.kind == RENDER)
     num_pictures = _count_pictures(connection, tenant, spec, services, single=order.kind == RENDER)
     limit = services.settings.max_batch_pictures
@@ -138,14 +138,14 @@ def _queue(
 
 
 def queue_again(connection: Connection, tenant: Tenant, job: Job, services: Services) -> Row:
-    """Queue a new job that makes the part of an order that `job` was to make."""
+    """Queue a new job for the part of an order that `job` was to render."""
     return _queue_parts(connection, tenant, job["order_id"], [job], services)[0]
 
 
 def _queue_parts(
     connection: Connection, tenant: Tenant, order_id: str, parts: Sequence[Job], services: Services
 ) -> list[Row]:
-    """Queue parts of an order again, and with them the job that sums all parts up where it has ended."""
+    """Queue parts of an order again, and the summary job too if it has ended."""
     last = newest_jobs(connection, tenant, order_id)[-1]
     again = list(parts)
     if last["state"] in FINAL and last["shard"] not in {job["shard"] for job in parts}:
@@ -158,7 +158,7 @@ def _queue_parts(
 
 
 def is_summary(job: Job, num_shards: int) -> bool:
-    """Return whether a job makes no pictures but the table and contact sheet of all parts before it."""
+    """Return whether a job is the summary, which only creates the table and contact sheet of all parts."""
     return bool(job["shard"] == num_shards)
 
 
@@ -169,7 +169,7 @@ def _num_shards(connection: Connection, tenant: Tenant, order_id: str) -> int:
 
 
 def waits_for_parts() -> ColumnElement[bool]:
-    """Return the condition that a job sums up an order of which a part has not ended yet."""
+    """Return the condition that a job is the summary of an order with an unfinished part."""
     parts = jobs.alias()
     sums_up = exists().where(
         render_orders.c.id == jobs.c.order_id, render_orders.c.num_shards == jobs.c.shard
@@ -191,20 +191,20 @@ def require_order(
 
 
 def first_job(connection: Connection, tenant: Tenant, order_id: str) -> Row:
-    """Return the job that an order was queued as first."""
+    """Return the job as which an order was first queued."""
     statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id).limit(1)
     return dict(connection.execute(statement).mappings().one())
 
 
 def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[Row]:
-    """Return the job that counts for every part of an order: the newest, by part; that of all parts last."""
+    """Return the newest job of every part of an order, by part; the summary comes last."""
     statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id)
     found = {row["shard"]: dict(row) for row in connection.execute(statement).mappings()}
     return [found[shard] for shard in sorted(found)]
 
 
 def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
-    """Return a batch as the interface shows it."""
+    """Return a batch in the form of the REST interface."""
     found = newest_jobs(connection, tenant, row["id"])
     identifiers = [job["id"] for job in found]
     parts = [job for job in found if not is_summary(job, row["num_shards"])]
@@ -224,7 +224,7 @@ def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
 
 
 def _state(states: Sequence[str]) -> Any:
-    """Return the state of a whole from those of its parts."""
+    """Return the combined state of an order from those of its parts."""
     going_on = [state for state in states if state not in FINAL]
     if going_on:
         if CANCELLING in going_on:
@@ -242,7 +242,7 @@ def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) 
 
 
 def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: bool) -> RenderSpec:
-    """Return the order with every name filled in; what it refers to must be there."""
+    """Return the order with every name filled in; everything that it refers to must exist."""
     assets, lights = [], []
     for index, asset in enumerate(spec.assets):
         if find(connection, tenant, bundles, asset.bundle_id) is None:
@@ -271,7 +271,7 @@ def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: 
 
 
 def _check_path(spec: RenderSpec) -> None:
-    """Refuse a pattern that gives two pictures the same name, or folders that are no names."""
+    """Refuse a pattern that gives two pictures the same name, or that contains invalid folder names."""
     path = spec.output.path
     counts = {
         "asset": len(spec.assets),
@@ -329,7 +329,7 @@ def _count_cameras(entry: RenderCameras, names: list[str], pointer: str) -> int:
 
 
 def _camera_names(connection: Connection, tenant: Tenant, bundle_id: str, services: Services) -> list[str]:
-    """Return the names of the cameras a bundle was photographed from; none where it does not say."""
+    """Return the names of the cameras of a bundle's photographs; none if it does not list them."""
     statement = rows(tenant, bundle_files).where(
         bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == "cameras.json"
     )

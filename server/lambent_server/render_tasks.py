@@ -1,4 +1,4 @@
-"""What the runs of an order of pictures are told: the files they get and what they make of them."""
+"""The input of the runs of a picture order: their files and their task."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,16 +13,16 @@ from lambent_server.render_rows import Row, is_summary, newest_jobs, require_ord
 from lambent_server.rest_json import from_rest
 
 PART_FILES = ("pictures.jsonl", "tiles.zip")
-"""What every part of several leaves for the table and the contact sheet of all."""
+"""Artifacts of every part from which the summary job creates the table and the contact sheet."""
 
 
 def describe_task(
     connection: Connection, job: Job
 ) -> tuple[list[worker_pb2.SceneFile], render_pb2.RenderTask]:
-    """Return the files that a run needs, and its task.
+    """Return the input files of a run, and its task.
 
-    Files are `bundles/<id>/...` and `environments/<id>.<format>`; instead of bundles the job that sums
-    up all parts gets `parts/<part>/...`.
+    Files are `bundles/<id>/...` and `environments/<id>.<format>`; the summary job gets `parts/<part>/...`
+    instead of bundles.
     """
     tenant = owner(job)
     row = require_order(connection, tenant, job["order_id"], job["kind"])
@@ -57,12 +57,12 @@ def _part_files(
 def _failures(
     connection: Connection, tenant: Tenant, parts: Sequence[Row]
 ) -> Iterator[render_pb2.RenderFailure]:
-    """Yield what parts have found that cannot be made, and parts that ended badly without a finding."""
+    """Yield the pictures that the parts could not render, and the parts that failed without a finding."""
     for part in parts:
         statement = rows(tenant, events, events.c.name, events.c.message).where(
             events.c.job_id == part["id"], events.c.type == "finding"
         )
-        # A run that was lost after its findings were told has told them twice.
+        # A run that was lost after reporting its findings has reported them twice.
         found = dict.fromkeys(map(tuple, connection.execute(statement.order_by(events.c.seq))))
         for name, text in found:
             code, _, message = text.partition(": ")

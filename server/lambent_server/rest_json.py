@@ -1,4 +1,4 @@
-"""Messages as the REST interface writes them.
+"""Conversion between protobuf messages and the JSON of the REST interface.
 
 That is ProtoJSON with proto field names and every field written, except that enumerations are lower-case
 words without their prefix ("queued") and a message that is not set is null.
@@ -18,14 +18,14 @@ def _prefix(enum_name: str) -> str:
 
 
 def enum_text(enum: Any, number: int) -> str:
-    """Return the word for a number of an enumeration ("" for the unspecified one)."""
+    """Return the word for a value of an enumeration ("" for the unspecified one)."""
     descriptor = enum.DESCRIPTOR if isinstance(enum, EnumTypeWrapper) else enum
     name = descriptor.values_by_number[number].name.removeprefix(_prefix(descriptor.name)).lower()
     return "" if name == "unspecified" else str(name)
 
 
 def enum_number(enum: Any, text: str) -> int:
-    """Return the number for a word of an enumeration."""
+    """Return the value of an enumeration for a word."""
     descriptor = enum.DESCRIPTOR if isinstance(enum, EnumTypeWrapper) else enum
     name = _prefix(descriptor.name) + (text.upper() or "UNSPECIFIED")
     return int(descriptor.values_by_name[name].number)

@@ -1,4 +1,4 @@
-"""What the runs of every kind of job begin with."""
+"""Inputs of a run, for every kind of job."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ _INPUTS = "inputs"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunInputs:
-    """The files of a run, the name of their folder, and what is done with them besides the job's own work."""
+    """The files of a run, the name of their folder, and the additional work to do with them."""
 
     files: Files
     name: str
@@ -26,7 +26,7 @@ class RunInputs:
 
 
 def inputs_of(connection: Connection, job: Job) -> RunInputs:
-    """Return what a run of this job begins with: pictures, or a bundle and a light, or a scene."""
+    """Return the inputs of a run of this job: those of pictures, of a light bake, or a scene."""
     tenant = owner(job)
     if job["order_id"] is not None:
         files, task = describe_task(connection, job)

@@ -1,4 +1,4 @@
-"""What the messages of a run change in the database; called inside the transaction that checked its fence."""
+"""Database changes for the messages of a run; called inside the transaction that checked its run number."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ _OLD_S = 3600.0
 
 
 def describe_run(connection: Connection, job: Job, settings: Settings) -> worker_pb2.StartResponse:
-    """Return what the run has to do and where an earlier one stopped."""
+    """Return the work of the run, and where an earlier run stopped."""
     tenant = owner(job)
     inputs = inputs_of(connection, job)
     kept = connection.execute(
@@ -69,7 +69,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
 
 
 def _progress_gap_s(job: Job, settings: Settings) -> float:
-    """Return how far apart progress events are kept: the longer a job runs, the fewer."""
+    """Return the minimum time between stored progress events: the longer a job runs, the fewer are kept."""
     age = now() - (job["started_at"] or now())
     factor = 1 if age < _YOUNG_S else 10 if age < _OLD_S else 60
     return factor * settings.progress_interval_s
@@ -78,7 +78,7 @@ def _progress_gap_s(job: Job, settings: Settings) -> float:
 def store_report(
     connection: Connection, job: Job, report: worker_pb2.ReportRequest, settings: Settings
 ) -> None:
-    """Store progress and events, unless this very report was stored before."""
+    """Store progress and events, unless this report has been stored already."""
     if report.sequence <= job["report_seq"]:
         return
     values: dict[str, Any] = {"report_seq": report.sequence, "heartbeat_at": now()}
@@ -93,7 +93,7 @@ def store_report(
     set_fields(connection, job, **values)
     for event in report.events:
         if event.type not in _WORKER_EVENTS:
-            raise Problem(422, "event_type", f"a run reports no {event.type!r} events")
+            raise Problem(422, "event_type", f"a run must not report {event.type!r} events")
         append_event(
             connection,
             job,
@@ -104,18 +104,18 @@ def store_report(
 
 
 def _plain(text: str) -> str:
-    """Return the text without what PostgreSQL cannot hold."""
+    """Return the text without characters that PostgreSQL cannot store."""
     return text.replace("\0", "")
 
 
 def store_scene_report(connection: Connection, job: Job, request: worker_pb2.ReportSceneRequest) -> None:
-    """Store what was found out about the scene, what was measured on it, and whether jobs may use it."""
+    """Store findings and measurements of the scene, and whether jobs may use it."""
     report = request.report
     scene = find(connection, owner(job), scenes, job["scene_id"], lock=True)
     if scene is None or scene["state"] not in ("uploaded", "ready"):
         return
     fresh = to_rest(report)
-    # What the server noticed while the files came in stays true.
+    # Findings from the upload stay valid.
     codes = {(each["code"], each["subject"]) for each in fresh["findings"]}
     earlier = [
         each
@@ -133,7 +133,7 @@ def store_scene_report(connection: Connection, job: Job, request: worker_pb2.Rep
 def store_failure(
     connection: Connection, job: Job, request: worker_pb2.FailRequest, settings: Settings
 ) -> None:
-    """End the run as its cause demands."""
+    """End the run according to the cause of its failure."""
     cause = enum_text(worker_pb2.FailCause, request.cause)
     if cause == "killed":
         set_fields(connection, job, error=None)
@@ -151,7 +151,7 @@ def _require_blob(connection: Connection, job: Job, sha256: str, path: str) -> i
 
 
 def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.CheckpointManifest) -> None:
-    """Keep the checkpoint, and drop those that no later run would use."""
+    """Store the checkpoint, and delete those that no later run would use."""
     tenant = owner(job)
     for file in manifest.files:
         check_path(file.path, "#/files")
@@ -192,7 +192,7 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
 def publish(
     connection: Connection, job: Job, request: worker_pb2.PublishRequest, store: BlobStore
 ) -> str | None:
-    """Write the rows that make bundle and artifacts visible; return the bundle's id."""
+    """Insert the rows that make bundle and artifacts visible; return the bundle's id."""
     tenant = owner(job)
     for file in (*request.bundle_files, *request.artifacts):
         check_path(file.path, "#/files")
@@ -224,7 +224,7 @@ def _file_values(file: worker_pb2.PublishedFile) -> dict[str, Any]:
 
 
 def _check_manifest(request: worker_pb2.PublishRequest, store: BlobStore) -> None:
-    """Refuse a bundle whose manifest does not describe exactly its files."""
+    """Refuse a bundle whose manifest does not match its files exactly."""
     given = {file.path: file for file in request.bundle_files}
     manifest_file = given.pop("manifest.json", None)
     if manifest_file is None:

@@ -1,4 +1,4 @@
-"""What a run has measured on a scene, and its page: kept beside the scene, replaced by the next look."""
+"""Measurements of a scene, and their page: stored with the scene and replaced by the next check."""
 
 import json
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ Row = Mapping[str, Any]
 
 
 def find_figures(connection: Connection, tenant: Tenant, scene_id: str) -> Row | None:
-    """Return the row of a scene's figures, or None where nothing was measured."""
+    """Return the row of a scene's figures, or None if nothing was measured."""
     statement = rows(tenant, scene_figures).where(scene_figures.c.scene_id == scene_id)
     row = connection.execute(statement).mappings().one_or_none()
     return None if row is None else dict(row)
 
 
 def forget_figures(connection: Connection, tenant: Tenant, scene_id: str) -> None:
-    """Remove what was measured, and let go of the page."""
+    """Delete a scene's figures, and release the page."""
     row = find_figures(connection, tenant, scene_id)
     if row is None:
         return
@@ -41,7 +41,7 @@ def store_figures(
     figures: capture_pb2.CaptureFigures | None,
     page_sha256: str,
 ) -> None:
-    """Replace what was measured on a scene; `page_sha256` names a blob, or is empty without a page."""
+    """Replace the figures of a scene; `page_sha256` names a blob, or is empty without a page."""
     forget_figures(connection, tenant, scene_id)
     if figures is None:
         return
@@ -51,5 +51,7 @@ def store_figures(
     try:
         json.dumps(shown, allow_nan=False)
     except ValueError as error:
-        raise Problem(422, "figures_not_finite", "figures hold NaN or infinity, which JSON cannot") from error
+        raise Problem(
+            422, "figures_not_finite", "figures contain NaN or infinity, which JSON lacks"
+        ) from error
     connection.execute(add(tenant, scene_figures, scene_id=scene_id, figures=shown, sha256=page_sha256))

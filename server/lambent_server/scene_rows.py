@@ -1,4 +1,4 @@
-"""Scenes as rows: planning files, committing, rejecting, removing."""
+"""Database rows of scenes: planning files, committing, rejecting, deleting."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class SceneFile:
-    """A file a scene shall have."""
+    """A planned file of a scene."""
 
     path: str
     sha256: str
@@ -43,12 +43,12 @@ def require_open(row: Row) -> None:
     """Refuse to change the files of a scene that has been committed."""
     if row["state"] != "open":
         raise conflict(
-            "scene_committed", f"scene {row['id']} is {row['state']}: its files cannot change any more"
+            "scene_committed", f"scene {row['id']} is {row['state']}: its files can no longer change"
         )
 
 
 def show(row: Row) -> Scene:
-    """Return the scene as the interface shows it."""
+    """Return the scene in the form of the REST interface."""
     return Scene(
         id=row["id"],
         name=row["name"],
@@ -70,7 +70,7 @@ def create(connection: Connection, tenant: Tenant, name: str) -> Row:
 
 
 def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
-    """Refuse a list of files that cannot be a scene, naming each that is wrong."""
+    """Refuse a list of files that cannot be a scene; the problem names each invalid one."""
     details: list[Detail] = []
     seen: dict[str, str] = {}
     paths: dict[str, str] = {}
@@ -98,14 +98,14 @@ def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
 
 
 def unsupported_report(paths: Sequence[str]) -> dict[str, Any] | None:
-    """Return a report that tells which files are left out, or None where there are none."""
+    """Return a report that lists the omitted files, or None if there are none."""
     if not paths:
         return None
     findings = [
         {
             "code": "unsupported_file",
             "severity": "warning",
-            "message": "this kind of file has no place in a scene; it was left out",
+            "message": "this type of file does not belong in a scene; it was omitted",
             "subject": path,
         }
         for path in paths[:100]
@@ -115,18 +115,18 @@ def unsupported_report(paths: Sequence[str]) -> dict[str, Any] | None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FilePlan:
-    """What a list of files means for the one who sends them."""
+    """The files of a plan by what the client has to do with them."""
 
     missing: list[str]
     """Hashes the server does not know."""
     known: dict[str, int]
     """Hashes it knows, with their sizes."""
     unsupported: list[str]
-    """Paths that are left out."""
+    """Paths that are omitted."""
 
 
 def plan(connection: Connection, tenant: Tenant, scene: Row, files: Sequence[SceneFile]) -> FilePlan:
-    """Make `files` the list of the scene."""
+    """Replace the planned files of the scene with `files`."""
     require_open(scene)
     _forget_files(connection, tenant, scene["id"])
     kept = {file.path: file for file in files if is_scene_file(file.path)}
@@ -163,7 +163,7 @@ def _forget_files(connection: Connection, tenant: Tenant, scene_id: str) -> None
 
 
 def commit(connection: Connection, tenant: Tenant, scene: Row) -> Row:
-    """End the upload; every planned file must be there. Doing it again changes nothing."""
+    """Finish the upload; every planned file must exist. Repeating it changes nothing."""
     if scene["state"] != "open":
         return scene
     mine = scene_files.c.scene_id == scene["id"]
@@ -200,7 +200,7 @@ def commit(connection: Connection, tenant: Tenant, scene: Row) -> Row:
 
 
 def reject(connection: Connection, tenant: Tenant, scene: Row, code: str, message: str, subject: str) -> None:
-    """Mark the scene as not usable, with the reason."""
+    """Mark the scene as unusable, with the reason."""
     finding = {"code": code, "severity": "error", "message": message, "subject": subject}
     report = {
         "usable": False,
@@ -215,11 +215,11 @@ def reject(connection: Connection, tenant: Tenant, scene: Row, code: str, messag
 
 
 def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
-    """Remove the scene and its files; bundles made from it stay."""
+    """Delete the scene and its files; bundles made from it stay."""
     busy = rows(tenant, jobs, jobs.c.id).where(jobs.c.scene_id == scene["id"], jobs.c.state.not_in(FINAL))
     job_id = connection.execute(busy.limit(1)).scalar_one_or_none()
     if job_id is not None:
-        raise conflict("scene_in_use", f"job {job_id} works on this scene; cancel it first")
+        raise conflict("scene_in_use", f"job {job_id} uses this scene; cancel it first")
     _forget_files(connection, tenant, scene["id"])
     forget_figures(connection, tenant, scene["id"])
     connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))

@@ -1,4 +1,4 @@
-"""Keys: the installation's secrets, the run process's token made from one, and hashes of the rest."""
+"""Secrets of the installation, the tokens of run processes derived from one, and hashes of keys and codes."""
 
 import contextlib
 import hashlib
@@ -9,11 +9,11 @@ from pathlib import Path
 
 
 class SecretError(Exception):
-    """A secret's file that cannot be used; the text says what to do."""
+    """A secret's file cannot be used; the message says what to do."""
 
 
 def sha256_text(text: str) -> str:
-    """Return the hash that is stored in place of a key, a code or a session."""
+    """Return the hash that is stored instead of a key, a code or a session token."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -23,9 +23,9 @@ def new_secret(prefix: str = "") -> str:
 
 
 def read_or_create_secret(path: Path, prefix: str = "") -> str:
-    """Return the secret in `path`, making one that only its owner can read where there is none.
+    """Return the secret in `path`; creates one that only its owner can read if there is none.
 
-    Raises SecretError for a file without a secret: an empty one would open the server to everybody.
+    Raises SecretError for a file without a secret: an empty secret would open the server to everyone.
     """
     if not path.exists():
         write_secret(path, new_secret(prefix))
@@ -33,14 +33,14 @@ def read_or_create_secret(path: Path, prefix: str = "") -> str:
         if secret := path.read_text(encoding="ascii").strip():
             return secret
     raise SecretError(
-        f"serve.secret_invalid: {path} holds no secret; remove it and start again, which makes a new one"
+        f"serve.secret_invalid: {path} contains no secret; remove it and start again, which creates a new one"
     )
 
 
 def write_secret(path: Path, secret: str, *, replace: bool = False) -> None:
-    """Write a file that only its owner can read; one that is there is kept unless it is to be replaced.
+    """Write a file that only its owner can read; an existing one is kept unless it is to be replaced.
 
-    Under its name it is never seen empty, nor after a power cut.
+    The file is never visible empty, not even after a power failure.
     """
     partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     partial.unlink(missing_ok=True)
@@ -62,17 +62,17 @@ def write_secret(path: Path, secret: str, *, replace: bool = False) -> None:
 
 
 def run_token(secret: str, job_id: str, run: int) -> str:
-    """Return what one run of one job proves itself with.
+    """Return the token that authenticates one run of one job.
 
-    It is derived, not stored, so that a stale run is recognised as such and not merely as a stranger. It
-    names the run, so that it can be judged before anything else of a request is read.
+    It is derived, not stored, so that a stale run is recognised as such and not just as unauthenticated. It
+    names the run, so that it can be verified before anything else of a request is read.
     """
     proof = hmac.new(secret.encode(), f"{job_id}\n{run}".encode(), hashlib.sha256).hexdigest()
     return f"{job_id}.{run}.{proof}"
 
 
 def is_run_token(secret: str, token: str) -> bool:
-    """Return whether a token is that of some run."""
+    """Return whether a token is valid for any run."""
     job_id, _, rest = token.partition(".")
     run = rest.partition(".")[0]
     return run.isdecimal() and hmac.compare_digest(token, run_token(secret, job_id, int(run)))

@@ -1,4 +1,4 @@
-"""What the routes, the worker service and the controller share."""
+"""The objects that routes, worker service and controller share."""
 
 import shutil
 from dataclasses import dataclass, field
@@ -20,28 +20,28 @@ class Services:
     wakeups: Wakeups
     local_gpus: int
     key_uses: dict[str, float] = field(default_factory=dict)
-    """When keys were used, until that is written down."""
+    """Times of the last use of keys that are not yet stored in the database."""
 
     def require_disk(self) -> None:
-        """Refuse what would fill the disk; runs that are going on are not asked."""
+        """Refuse requests that would fill the disk; running jobs are not affected."""
         free = shutil.disk_usage(self.settings.data).free
         if free < self.settings.disk_floor_bytes:
             raise Problem(
                 507,
                 "disk_floor",
-                f"{free} bytes are free, {self.settings.disk_floor_bytes} must stay free; "
-                "remove scenes or raise the space",
+                f"{free} bytes are free, but {self.settings.disk_floor_bytes} must stay free; "
+                "delete scenes or add disk space",
                 retryable=True,
             )
 
 
 def open_services(settings: Settings) -> Services:
-    """Create the folders, bring the database up to date and return the parts."""
+    """Create the folders, migrate the database and return the parts."""
     from .executors.local import count_gpus
 
     for folder in (settings.data, settings.runs, settings.scratch):
         folder.mkdir(parents=True, exist_ok=True)
-    # Uploads that were in flight when an earlier server ended.
+    # Uploads that were in progress when an earlier server stopped.
     for path in settings.scratch.iterdir():
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     database = Database(settings.database_url)

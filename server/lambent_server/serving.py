@@ -1,4 +1,4 @@
-"""One server process from start to end: HTTP, worker service and controller around the same parts."""
+"""One server process from start to end: HTTP, worker service and controller on the same parts."""
 
 import asyncio
 import contextlib
@@ -39,19 +39,19 @@ from lambent_server.worker_service import serve_workers
 
 log = structlog.get_logger()
 
-# Longest path of a Unix socket that every system takes.
+# Longest path of a Unix socket that every system accepts.
 MAX_SOCKET_PATH = 100
-# Open files of a server that are no connections of clients: database, uploads, run processes.
+# Open files of a server besides client connections: database, uploads, run processes.
 OTHER_FILES = 512
 
 
 class ServeError(Exception):
-    """A server that cannot start; the text says why and what to do."""
+    """The server cannot start; the message says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """What is told when the server answers."""
+    """The addresses to print once the server answers."""
 
     url: str
     login_url: str
@@ -59,7 +59,7 @@ class Ready:
 
 
 def check_address(settings: Settings) -> None:
-    """Refuse an address that others can reach without TLS, unless that is wanted."""
+    """Refuse an address that other machines can reach without TLS, unless that is allowed."""
     if settings.host not in LOOPBACK and not settings.insecure:
         raise ServeError(
             f"serve.insecure_address: {settings.host} can be reached from other machines and nothing is "
@@ -69,7 +69,7 @@ def check_address(settings: Settings) -> None:
 
 @contextlib.contextmanager
 def sole_user(folder: Path) -> Iterator[None]:
-    """Hold the data folder for this process."""
+    """Lock the data folder for this process."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         lock = (folder / "server.lock").open("a")
@@ -94,7 +94,7 @@ def _data_unusable(folder: Path, error: OSError) -> ServeError:
 
 
 def allow_connections(wanted: int) -> int:
-    """Let this process have `wanted` connections beside its files; return how many it may have."""
+    """Raise the limit of open files for `wanted` connections; return how many are possible."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     limit = wanted + OTHER_FILES if hard == resource.RLIM_INFINITY else min(wanted + OTHER_FILES, hard)
     if soft != resource.RLIM_INFINITY and soft < limit:
@@ -103,7 +103,7 @@ def allow_connections(wanted: int) -> int:
 
 
 def free_port(host: str) -> int:
-    """Return a port that nobody listens on."""
+    """Return an unused port."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family) as probe:
         probe.bind((host, 0))
@@ -111,7 +111,7 @@ def free_port(host: str) -> int:
 
 
 def require_free(host: str, port: int) -> None:
-    """Refuse a port that somebody listens on, before anything is started."""
+    """Refuse a port that is in use, before anything is started."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -125,10 +125,10 @@ def require_free(host: str, port: int) -> None:
 
 
 def worker_address(settings: Settings) -> str:
-    """Return where run processes find the server, the same after every restart."""
+    """Return the address at which run processes reach the server; the same after every restart."""
     path = (settings.data / "worker.sock").resolve()
     if len(os.fsencode(path)) > MAX_SOCKET_PATH:
-        # A port would be open to every user of the machine; this folder is not.
+        # A port would be open to every user of the machine; this folder is private.
         name = sha256_text(str(path))[:16]
         path = _private_folder(f"lambent-{os.getuid()}") / f"{name}.sock"
     path.unlink(missing_ok=True)
@@ -136,7 +136,7 @@ def worker_address(settings: Settings) -> str:
 
 
 def _private_folder(name: str) -> Path:
-    """Return a folder among the temporary ones that nobody else can enter."""
+    """Return a temporary folder that no other user can enter."""
     folder = Path(tempfile.gettempdir()).resolve() / name
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
@@ -155,10 +155,10 @@ def _write_whole(path: Path, data: Any) -> None:
 
 
 async def run(settings: Settings, on_ready: Any) -> None:
-    """Serve until SIGTERM or SIGINT.
+    """Run the server until SIGTERM or SIGINT.
 
-    SIGTERM leaves run processes alone: the next server adopts them. SIGINT (Ctrl-C) ends them too, after a
-    checkpoint where they can write one.
+    SIGTERM leaves run processes running: the next server adopts them. SIGINT (Ctrl-C) stops them too, after a
+    checkpoint if they can write one.
     """
     check_address(settings)
     with sole_user(settings.data):
@@ -172,7 +172,7 @@ async def run(settings: Settings, on_ready: Any) -> None:
 
 
 def _open(settings: Settings) -> tuple[Services, FastAPI, App, str]:
-    """Return the parts, the application, the same behind its gate, and the secret of run processes."""
+    """Return the parts, the application, the same wrapped in its gate, and the secret of run processes."""
     try:
         services = open_services(settings)
         accept_file(services.database, Tenant(DEFAULT_TENANT_ID), settings.data)
@@ -182,11 +182,11 @@ def _open(settings: Settings) -> tuple[Services, FastAPI, App, str]:
     except OSError as error:
         raise _data_unusable(settings.data, error) from error
     except (SQLAlchemyError, CommandError) as error:
-        # The password has no place in a message.
+        # The password must not appear in a message.
         url = re.sub(r"//[^/@]*@", "//...@", settings.database_url)
         raise ServeError(
-            f"serve.database_unusable: {url} cannot be used ({str(error).splitlines()[0]}); look whether it "
-            "runs and exists, and whether a newer version of Lambent has used it"
+            f"serve.database_unusable: {url} cannot be used ({str(error).splitlines()[0]}); check that "
+            "it exists and is running, and that no newer version of Lambent has used it"
         ) from error
     except (ValueError, BaseError) as error:
         raise ServeError(
@@ -241,7 +241,7 @@ async def _serve(services: Services, app: FastAPI, gate: App, secret: str, port:
     log.info("ending", stop_runs=interrupted)
     (settings.data / "server.json").unlink(missing_ok=True)
     services.wakeups.close()
-    # Run processes that are asked to end still commit their checkpoint, so their service ends after them.
+    # Run processes that are asked to stop still commit their checkpoint, so their service stops after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
     await asyncio.to_thread(reconciler.close)
     server.stop()
@@ -261,4 +261,4 @@ async def _until_listening(host: str, port: int, serving: asyncio.Task[None]) ->
         writer.close()
         return
     serving.result()
-    raise ServeError("serve.not_started: the HTTP server ended at once; see the log")
+    raise ServeError("serve.not_started: the HTTP server exited at once; see the log")

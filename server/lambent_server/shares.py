@@ -1,4 +1,4 @@
-"""Links to one bundle: signed, read-only, with an end, and taken back at any time."""
+"""Links to one bundle: signed, read-only, with an expiry time, and revocable at any time."""
 
 import hmac
 import re
@@ -20,12 +20,12 @@ Row = Mapping[str, Any]
 
 
 def cookie_path(bundle_id: str) -> str:
-    """Return the only place that a browser sends the secret of a link to."""
+    """Return the only path to which a browser sends the secret of a link."""
     return f"/v1/bundles/{bundle_id}/"
 
 
 def bundle_read(method: str, path: str) -> str | None:
-    """Return the bundle whose files a request reads, or None where it does anything else."""
+    """Return the bundle whose files a request reads, or None for any other request."""
     match = _READS.fullmatch(path)
     return match.group(1) if match is not None and method in ("GET", "HEAD") else None
 
@@ -46,7 +46,7 @@ def create(connection: Connection, tenant: Tenant, bundle_id: str, lifetime_s: f
 
 
 def working(connection: Connection, tenant: Tenant, bundle_id: str) -> list[Row]:
-    """Return the links of a bundle that have neither ended nor been taken back, the newest first."""
+    """Return the links of a bundle that have neither expired nor been revoked, newest first."""
     statement = rows(tenant, shares).where(
         shares.c.bundle_id == bundle_id, shares.c.revoked_at.is_(None), shares.c.expires_at > now()
     )
@@ -54,7 +54,7 @@ def working(connection: Connection, tenant: Tenant, bundle_id: str) -> list[Row]
 
 
 def revoke(connection: Connection, tenant: Tenant, share_id: str) -> None:
-    """Take a link back; doing it again changes nothing."""
+    """Revoke a link; repeating it changes nothing."""
     if find(connection, tenant, shares, share_id) is None:
         raise not_found("share", share_id)
     statement = change(tenant, shares).where(shares.c.id == share_id, shares.c.revoked_at.is_(None))
@@ -62,7 +62,7 @@ def revoke(connection: Connection, tenant: Tenant, share_id: str) -> None:
 
 
 def granted(connection: Connection, secret: str, token: str) -> Row | None:
-    """Return the share that a token proves, or None where it is forged, has ended or was taken back."""
+    """Return the share of a token, or None if the token is forged, expired or revoked."""
     match = _TOKEN.fullmatch(token)
     if match is None:
         return None

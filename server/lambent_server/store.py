@@ -1,4 +1,4 @@
-"""Bytes named by their SHA-256, in a local folder or any store that obstore knows."""
+"""Blobs named by their SHA-256, in a local folder or any store that obstore supports."""
 
 import contextlib
 import hashlib
@@ -25,7 +25,7 @@ CHUNK_BYTES = 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """What is known of the bytes a tenant may read."""
+    """Metadata of bytes that a tenant may read."""
 
     sha256: str
     size_bytes: int
@@ -39,16 +39,16 @@ def hash_file(path: Path) -> str:
 
 
 class BlobStore:
-    """Puts and reads blobs; which tenant may see which is a matter of rows, not of the store."""
+    """Writes and reads blobs; rows, not the store, decide which tenant may read which."""
 
     def __init__(self, folder: Path, url: str | None = None) -> None:
         if url is None:
             (folder / "blobs").mkdir(parents=True, exist_ok=True)
             _sync(folder)
         self._store: Any = LocalStore(folder) if url is None else from_url(url)
-        # Where the files of a local store are; other stores see to the safety of their bytes themselves.
+        # Folder of a local store; other stores ensure the durability of their bytes themselves.
         self._folder = Path(self._store.prefix or "/") if isinstance(self._store, LocalStore) else None
-        # Held while a blob appears or is swept away, so that neither sees half of the other.
+        # Held while a blob is added or swept, so that neither sees the other half done.
         self.lock = threading.Lock()
 
     @staticmethod
@@ -56,7 +56,7 @@ class BlobStore:
         return f"blobs/{sha256[:2]}/{sha256}"
 
     def listed(self, digits: str) -> dict[str, tuple[int, float]]:
-        """Return size and time of change (Unix seconds) of the blobs whose hashes begin with two digits."""
+        """Return size and modification time (Unix seconds) of blobs whose hashes begin with `digits`."""
         found: dict[str, tuple[int, float]] = {}
         with _as_os_error():
             for batch in obstore.list(self._store, f"blobs/{digits}"):
@@ -70,8 +70,8 @@ class BlobStore:
     ) -> bool:
         """Store the file and make it visible to `tenant`; return whether it is new to the tenant.
 
-        `write` opens a database transaction. The bytes are complete and on the disk before the row names
-        them; bytes that are there and are not those of the file are written anew.
+        `write` opens a database transaction. The bytes are complete and on the disk before the row refers to
+        them; existing bytes that differ from the file are rewritten.
         """
         with self.lock:
             with write() as connection:
@@ -105,12 +105,12 @@ class BlobStore:
             obstore.put(self._store, self._key(sha256), path)
         if self._folder is not None:
             file = self._folder / self._key(sha256)
-            # The bytes, their name, and the name of a folder that may be new.
+            # The bytes, their directory entry, and that of a folder that may be new.
             for each in (file, file.parent, file.parent.parent):
                 _sync(each)
 
     def size(self, sha256: str) -> int | None:
-        """Return how many bytes the store has under this hash, None where there are none."""
+        """Return the size of the blob in the store, or None if it does not exist."""
         try:
             with _as_os_error():
                 return int(obstore.head(self._store, self._key(sha256))["size"])
@@ -118,7 +118,7 @@ class BlobStore:
             return None
 
     def damaged(self, expected: Mapping[str, int]) -> list[str]:
-        """Return which blobs, of hashes with their sizes, the store does not have in that size."""
+        """Return the expected hashes whose blobs are missing or have another size."""
         with ThreadPoolExecutor(16) as pool:
             sizes = pool.map(self.size, expected)
             return [sha256 for sha256, size in zip(expected, sizes, strict=True) if size != expected[sha256]]
@@ -126,8 +126,8 @@ class BlobStore:
     def read(self, sha256: str, size_bytes: int, start: int = 0, end: int | None = None) -> Iterator[bytes]:
         """Return the bytes from `start` up to (not including) `end`, in pieces.
 
-        Raises `blob_damaged` at once where the store has not all `size_bytes` of them, OSError where it is
-        away, before anything is promised to a client.
+        Raises `blob_damaged` if the store does not have all `size_bytes` of them, and OSError if it is
+        unavailable, both before the response to a client begins.
         """
         if self.size(sha256) != size_bytes:
             raise damaged(sha256)
@@ -142,31 +142,31 @@ class BlobStore:
         return _pieces(result)
 
     def read_all(self, sha256: str) -> bytes:
-        """Return the whole blob; raises `blob_damaged` where its bytes are not those of its hash."""
+        """Return the whole blob; raises `blob_damaged` if its bytes do not match its hash."""
         data = b"".join(self.read(sha256, self.size(sha256) or 0))
         if hashlib.sha256(data).hexdigest() != sha256:
             raise damaged(sha256)
         return data
 
     def delete(self, sha256: str) -> None:
-        """Remove the bytes; the caller holds `lock` and has removed every row."""
+        """Delete the bytes; the caller holds `lock` and has deleted every row."""
         with contextlib.suppress(FileNotFoundError), _as_os_error():
             obstore.delete(self._store, self._key(sha256))
 
 
 def damaged(sha256: str) -> Problem:
-    """Return the answer to a request for bytes that were lost."""
+    """Return the problem for a request for bytes that were lost."""
     return Problem(
         410,
         "blob_damaged",
-        f"the bytes of blob {sha256} are gone from the server's store, or not whole; send the file again, or "
-        "run the job again that made it",
+        f"the bytes of blob {sha256} are missing from the server's store or incomplete; send the file "
+        "again, or rerun the job that produced it",
         headers={"cache-control": "no-store"},
     )
 
 
 def _sync(path: Path) -> None:
-    """Wait until what was written to a file or folder is on the disk."""
+    """Flush a file or folder to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -176,7 +176,7 @@ def _sync(path: Path) -> None:
 
 @contextlib.contextmanager
 def _as_os_error() -> Iterator[None]:
-    """Turn whatever a store raises into what the rest of the server handles."""
+    """Convert a store's exceptions into OSError, which the rest of the server handles."""
     try:
         yield
     except NotFoundError as error:
@@ -192,14 +192,14 @@ def _pieces(result: Any) -> Iterator[bytes]:
 
 
 def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:
-    """Return the size of the tenant's blob, None where it has none; it is not swept away for a while."""
+    """Return the size of the tenant's blob, None if there is none; keeps the sweeper off it for a while."""
     statement = change(tenant, schema.blobs).where(schema.blobs.c.sha256 == sha256).values(touched_at=now())
     size = connection.execute(statement.returning(schema.blobs.c.size_bytes)).scalar_one_or_none()
     return None if size is None else int(size)
 
 
 def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | None:
-    """Return what is known of a blob, or None where the tenant has none of this name."""
+    """Return a blob's metadata, or None if the tenant has no blob of this hash."""
     row = (
         connection.execute(rows(tenant, schema.blobs).where(schema.blobs.c.sha256 == sha256))
         .mappings()

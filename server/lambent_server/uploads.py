@@ -1,4 +1,4 @@
-"""Bodies that are files: hashed while they are written to the scratch folder, and gone if anything fails."""
+"""File uploads: hashed while they are written to the scratch folder, and deleted if anything fails."""
 
 import hashlib
 import os
@@ -27,7 +27,7 @@ class Upload:
 
 @asynccontextmanager
 async def received(services: Services, request: Request, max_bytes: int) -> AsyncIterator[Upload]:
-    """Yield the body as a file that lasts as long as the block."""
+    """Yield the body as a file that exists inside the `with` block."""
     services.require_disk()
     descriptor, name = tempfile.mkstemp(dir=services.settings.scratch)
     path, digest, size = Path(name), hashlib.sha256(), 0
@@ -42,7 +42,9 @@ async def received(services: Services, request: Request, max_bytes: int) -> Asyn
                     digest.update(chunk)
                     file.write(chunk)
             except ClientDisconnect as error:
-                raise Problem(400, "body_incomplete", "the connection ended before the body did") from error
+                raise Problem(
+                    400, "body_incomplete", "the connection closed before the end of the body"
+                ) from error
         UPLOAD_BYTES.inc(size)
         yield Upload(path, digest.hexdigest(), size)
     except OSError as error:

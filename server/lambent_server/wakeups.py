@@ -1,4 +1,4 @@
-"""Tells waiting requests that something has happened; the database says what."""
+"""Signals to waiting requests that something has happened; the database says what."""
 
 import asyncio
 import threading
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 
 class Wakeups:
-    """A signal from any thread to any number of coroutines. Missing one costs a polling interval, no more."""
+    """A signal from any thread to any number of coroutines. A missed one costs only a polling interval."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -19,7 +19,7 @@ class Wakeups:
         self._listeners.append(callback)
 
     def signal(self) -> None:
-        """Wake everybody."""
+        """Wake all listeners."""
         with self._lock:
             waiting, self._waiting = self._waiting, set()
         for loop, event in waiting:
@@ -29,12 +29,12 @@ class Wakeups:
             listener()
 
     def close(self) -> None:
-        """Wake everybody for the last time: streams end."""
+        """Wake all listeners for the last time, so that streams end."""
         self.closing = True
         self.signal()
 
     async def wait(self, timeout_s: float) -> bool:
-        """Return at the next signal or after `timeout_s`, and whether there was a signal."""
+        """Wait for the next signal, at most `timeout_s`; return whether there was one."""
         if self.closing:
             return True
         entry = (asyncio.get_running_loop(), asyncio.Event())

@@ -1,4 +1,4 @@
-"""The gRPC side that run processes talk to; each request is checked against the job's current run."""
+"""The gRPC service for run processes; each request is checked against the job's current run."""
 
 import hmac
 import tempfile
@@ -45,31 +45,31 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
         context.abort(error.code, str(error))
     if isinstance(error, Problem):
         context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{error.code}: {error.detail}")
-    # The run keeps trying: a database that is away or a full disk is not its fault.
+    # The run keeps retrying: an unavailable database or a full disk is not its fault.
     log.error("worker_request_failed", exc_info=error)
     context.abort(grpc.StatusCode.UNAVAILABLE, type(error).__name__)
     raise AssertionError
 
 
 class _Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
-    """Turns strangers away before a thread waits for what they send."""
+    """Rejects unauthenticated calls before a thread waits for their data."""
 
     def __init__(self, secret: str) -> None:
         self._secret = secret
 
     def intercept_service(self, continuation: Any, details: Any) -> Any:
-        """Return what answers the call."""
+        """Return the handler of the call."""
         given = str(dict(details.invocation_metadata).get("authorization", ""))
         if is_run_token(self._secret, given.removeprefix("Bearer ")):
             return continuation(details)
-        # A handler of a stream: others read a message first.
+        # A stream handler, because other handlers read a message first.
         return grpc.stream_unary_rpc_method_handler(
-            lambda _, context: context.abort(grpc.StatusCode.UNAUTHENTICATED, "this is no token of a run")
+            lambda _, context: context.abort(grpc.StatusCode.UNAUTHENTICATED, "this is not a token of a run")
         )
 
 
 class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
-    """Answers run processes."""
+    """The implementation of the service for run processes."""
 
     def __init__(self, services: Services, secret: str) -> None:
         self._services = services
@@ -79,11 +79,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         given = dict(context.invocation_metadata()).get("authorization", "")
         expected = f"Bearer {run_token(self._secret, fence.job_id, fence.run)}"
         if not hmac.compare_digest(str(given), expected):
-            raise Refused(grpc.StatusCode.UNAUTHENTICATED, "the token is not the one of this run")
+            raise Refused(grpc.StatusCode.UNAUTHENTICATED, "the token does not belong to this run")
 
     @staticmethod
     def _current_job(connection: Connection, fence: worker_pb2.Fence) -> Job:
-        # Locked: nobody starts another run between this look and the end of the transaction.
+        # Locked, so that no other run starts between this check and the end of the transaction.
         statement = across_tenants(jobs).where(jobs.c.id == fence.job_id).with_for_update()
         job = connection.execute(statement).mappings().one_or_none()
         if job is None:
@@ -112,7 +112,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         even_if_ended: bool = False,
         signal: bool = True,
     ) -> Reply:
-        """Run `act` in one transaction, if the fence is that of the current run."""
+        """Run `act` in one transaction, if the request comes from the current run."""
         try:
             self._authenticate(context, fence)
             with self._services.database.write() as connection:
@@ -127,7 +127,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return reply
 
     def Register(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Note where the process runs, for a server that started it and ended before it could."""
+        """Store the handle of the process, in case the server that started it ended before it could."""
 
         def act(connection: Connection, job: Job) -> Message:
             values: dict[str, Any] = {"heartbeat_at": now()}
@@ -142,7 +142,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act, signal=False)
 
     def Start(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Return what to do."""
+        """Return the work to do."""
 
         def act(connection: Connection, job: Job) -> Message:
             set_fields(connection, job, heartbeat_at=now(), progress_at=now())
@@ -151,7 +151,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act, signal=False)
 
     def Heartbeat(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Note that the process is alive and tell it whether to end."""
+        """Record that the process is alive, and tell it whether to stop."""
 
         def act(connection: Connection, job: Job) -> Message:
             set_fields(connection, job, heartbeat_at=now())
@@ -160,7 +160,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act, signal=False)
 
     def Report(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Store progress and events; a report that came before is stored once."""
+        """Store progress and events; a report that is sent again is stored only once."""
 
         def act(connection: Connection, job: Job) -> Message:
             run_reports.store_report(connection, job, request, self._services.settings)
@@ -169,7 +169,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act)
 
     def ReportScene(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Store what was found out about the scene."""
+        """Store the findings and measurements of the scene."""
 
         def act(connection: Connection, job: Job) -> Message:
             run_reports.store_scene_report(connection, job, request)
@@ -178,14 +178,14 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act)
 
     def PutBlob(self, request_iterator: Iterator[Any], context: Any) -> Any:  # noqa: N802
-        """Store a file of the run; complete and of the promised hash, or not at all."""
+        """Store a file of the run, only if it is complete and matches its hash."""
         header = next(request_iterator).header
         with tempfile.NamedTemporaryFile(dir=self._services.settings.scratch) as file:
 
             def act(_connection: Connection, job: Job) -> Job:
                 return job
 
-            # Fence first: a stale run must not even fill the disk.
+            # Check the run first: a stale one must not even fill the disk.
             job = self._answer(context, header.fence, act, signal=False)
             try:
                 for message in request_iterator:
@@ -193,11 +193,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
                     if file.tell() > header.size_bytes:
                         raise Refused(
                             grpc.StatusCode.INVALID_ARGUMENT,
-                            f"{header.size_bytes:.0f} bytes were announced and more are coming",
+                            f"{header.size_bytes:.0f} bytes were announced, but more were sent",
                         )
                 file.flush()
                 if hash_file(Path(file.name)) != header.sha256:
-                    raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not have the promised hash")
+                    raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not match the announced hash")
                 created = self._services.store.put_file(
                     self._services.database.write,
                     owner(job),
@@ -210,7 +210,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return worker_pb2.PutBlobResponse(created=created)
 
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
-        """Send a file that the tenant of the job may read."""
+        """Send a file that the job's tenant may read."""
 
         def act(connection: Connection, job: Job) -> Blob:
             blob = find_blob(connection, owner(job), request.sha256)
@@ -221,14 +221,14 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         blob = self._answer(context, request.fence, act, signal=False)
         try:
             for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
-                # The store decides the size of its pieces, the channel limits that of a message.
+                # The store decides the size of its pieces, and the channel limits the size of a message.
                 for start in range(0, len(chunk), CHUNK_BYTES):
                     yield worker_pb2.GetBlobResponse(data=chunk[start : start + CHUNK_BYTES])
         except (Problem, OSError) as error:
             _abort(context, error)
 
     def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Make a checkpoint the newest one."""
+        """Store a checkpoint as the newest one."""
 
         def act(connection: Connection, job: Job) -> Message:
             run_reports.store_checkpoint(connection, job, request.manifest)
@@ -237,7 +237,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act)
 
     def Publish(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """Make the result visible and the job succeeded; asked twice, it answers twice the same."""
+        """Publish the result and complete the job; repeating it returns the same answer."""
 
         def act(connection: Connection, job: Job) -> Message:
             if job["state"] == SUCCEEDED:
@@ -255,7 +255,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         """End a run without a bundle."""
 
         def act(connection: Connection, job: Job) -> Message:
-            # A stop that was asked for is settled when the process is gone.
+            # A requested stop is completed when the process is gone.
             if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
                 if request.outcome == worker_pb2.OUTCOME_SUCCEEDED:
                     succeed(connection, job)
@@ -266,7 +266,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act, even_if_ended=True)
 
     def Fail(self, request: Any, context: Any) -> Any:  # noqa: N802
-        """End a run that failed, and decide whether there is another."""
+        """End a failed run, and decide whether the job is retried."""
 
         def act(connection: Connection, job: Job) -> Message:
             if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
@@ -281,7 +281,7 @@ def _must_stop(job: Job) -> bool:
 
 
 def serve_workers(services: Services, secret: str, address: str) -> grpc.Server:
-    """Start answering run processes at `address` ("unix:/path")."""
+    """Start the service for run processes at `address` ("unix:/path")."""
     server = grpc.server(
         ThreadPoolExecutor(max_workers=16, thread_name_prefix="worker-service"),
         interceptors=[_Gatekeeper(secret)],

@@ -1,1 +1,1 @@
-"""Tables, connections and the one way to reach a tenant's rows."""
+"""Tables, connections and the statements that reach a tenant's rows."""

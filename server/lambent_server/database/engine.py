@@ -32,14 +32,14 @@ class Database:
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
-        """Open a transaction that is committed at the end, or undone by an exception."""
+        """Open a transaction that is committed at the end, or rolled back by an exception."""
         with self.engine.connect().execution_options(lambent_write=True) as connection, connection.begin():
             yield connection
 
     def probe(self, timeout_s: float) -> str:
-        """Return "ok" where the database takes a write, "locked" where it does not within `timeout_s`.
+        """Return "ok" if the database accepts a write, "locked" if it does not within `timeout_s`.
 
-        Raises what its driver raises where it is away.
+        Raises the driver's exception if the database is unavailable.
         """
         if not self.is_sqlite:
             with self.read() as connection:
@@ -58,8 +58,8 @@ class Database:
         return "ok"
 
     def migrate(self) -> None:
-        """Bring the tables to the version of this code."""
-        # Alembic is needed for a moment at start only, and is not light.
+        """Migrate the tables to the version of this code."""
+        # Alembic is needed only briefly at startup, and is slow to import.
         from alembic import command
         from alembic.config import Config
 
@@ -79,18 +79,18 @@ def _sqlite(url: str) -> Engine:
 
     @event.listens_for(engine, "connect")
     def prepare(raw: Any, _record: Any) -> None:
-        # The driver's own transactions begin too late to see who else writes; we begin them below.
+        # The driver begins transactions too late to notice other writers; we begin them below.
         raw.isolation_level = None
         cursor = raw.cursor()
         cursor.execute("PRAGMA journal_mode=WAL")
-        # A commit that was answered must survive the machine, not only the process.
+        # A confirmed commit must survive a crash of the machine, not only of the process.
         cursor.execute("PRAGMA synchronous=FULL")
         cursor.execute("PRAGMA foreign_keys=ON")
         cursor.close()
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
-        # A writer takes its lock first: upgrading a read transaction later fails without waiting.
+        # A writer takes its lock first: upgrading a read transaction later would fail without waiting.
         write = connection.get_execution_options().get("lambent_write", False)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 

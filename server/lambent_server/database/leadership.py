@@ -1,4 +1,4 @@
-"""Which of several servers on one database controls the jobs."""
+"""The election of the one server, of several on a database, that controls the jobs."""
 
 import contextlib
 
@@ -16,8 +16,8 @@ _LOCK = 0x1A4BE47
 class Leadership:
     """A lock that ends with the connection that holds it.
 
-    PostgreSQL: an advisory lock; it may be lost at any time together with the connection, so it is looked at
-    before every round. SQLite: the lock on the data folder has settled it already.
+    PostgreSQL: an advisory lock; it may be lost at any time together with the connection, so it is checked
+    before every round. SQLite: the lock on the data folder already decides.
     """
 
     def __init__(self, database: Database) -> None:
@@ -57,7 +57,7 @@ class Leadership:
             raise
 
     def close(self) -> None:
-        """Give the lock up."""
+        """Release the lock."""
         if self._connection is not None:
             with contextlib.suppress(SQLAlchemyError):
                 # Not back to the pool: the next user would hold the lock without knowing.

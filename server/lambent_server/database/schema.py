@@ -75,7 +75,7 @@ scenes = Table(
     _id(),
     _text("tenant_id"),
     _text("name"),
-    # open (being uploaded), uploaded, ready (looked at and usable), rejected
+    # open (being uploaded), uploaded, ready (checked and usable), rejected
     _text("state"),
     _optional_text("layout"),
     _time("created_at"),
@@ -106,7 +106,7 @@ scene_figures = Table(
     _text("tenant_id"),
     # CaptureFigures as REST shows them
     Column("figures", JSON, nullable=False),
-    # The page that shows them; "" where there is none
+    # The page that shows them; "" if there is none
     _text("sha256"),
     Index(None, "sha256"),
 )
@@ -143,7 +143,7 @@ jobs = Table(
     # Why the controller is ending the run: "cancel" or "stall".
     _optional_text("stop_reason"),
     _optional_time("stop_at"),
-    # What the executor finds the process by; null when there is none.
+    # The executor's handle of the process; null if there is none.
     Column("handle", JSON(none_as_null=True)),
     _optional_time("run_started_at"),
     _optional_time("heartbeat_at"),
@@ -151,13 +151,13 @@ jobs = Table(
     _optional_time("progress_event_at"),
     _count("event_seq"),
     _count("report_seq"),
-    # Which part of which order of pictures it makes; null for other kinds.
+    # The order of pictures and the part of it that the job renders; null for other kinds.
     _optional_text("order_id"),
     Column("shard", Integer),
     Index(None, "tenant_id", "id"),
     Index(None, "state"),
     Index(None, "order_id"),
-    # What event streams ask for all the time.
+    # The most frequent query of event streams.
     Index(None, "updated_at"),
 )
 
@@ -169,7 +169,7 @@ render_orders = Table(
     # "render" or "batch"
     _text("kind"),
     _text("name"),
-    # RenderSpec as REST takes it, every name filled in
+    # RenderSpec as REST accepts it, with every name filled in
     Column("spec", JSON, nullable=False),
     _count("num_pictures"),
     _count("num_shards"),
@@ -268,7 +268,7 @@ bundle_files = Table(
     Index(None, "sha256"),
 )
 
-# Links that let whoever has one read one bundle.
+# Links that give everyone who has one read access to a bundle.
 shares = Table(
     "shares",
     metadata,
@@ -296,7 +296,7 @@ environments = Table(
     Index(None, "sha256"),
 )
 
-# A tenant sees a blob when it has a row here; the bytes themselves are shared.
+# A tenant can read a blob if it has a row here; the bytes themselves are shared.
 blobs = Table(
     "blobs",
     metadata,
@@ -304,7 +304,7 @@ blobs = Table(
     _text("tenant_id"),
     Column("size_bytes", Double, nullable=False),
     _text("media_type"),
-    # Moves with every upload of the same bytes, so that nothing just sent is swept away.
+    # Updated by every upload of the same bytes, so that nothing just sent is swept.
     _time("touched_at"),
     PrimaryKeyConstraint("tenant_id", "sha256"),
     Index(None, "sha256"),

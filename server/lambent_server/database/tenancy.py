@@ -1,4 +1,4 @@
-"""The only statements that routes may build: each needs to be told whose rows it is about."""
+"""The only statements that routes may build: each is limited to the rows of one tenant."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -23,37 +23,37 @@ DEFAULT_TENANT_ID = "default"
 
 @dataclass(frozen=True, slots=True)
 class Tenant:
-    """Whose rows a statement reads or changes."""
+    """The tenant whose rows a statement reads or changes."""
 
     id: str
 
 
 def rows(tenant: Tenant, table: Table, *columns: Any) -> Select[Any]:
-    """Return a selection from the rows of `tenant`."""
+    """Return a SELECT of rows of `tenant`."""
     return select(*(columns or (table,))).where(table.c.tenant_id == tenant.id)
 
 
 def change(tenant: Tenant, table: Table) -> Update:
-    """Return an update of the rows of `tenant`."""
+    """Return an UPDATE of rows of `tenant`."""
     return update(table).where(table.c.tenant_id == tenant.id)
 
 
 def remove(tenant: Tenant, table: Table) -> Delete:
-    """Return a removal of rows of `tenant`."""
+    """Return a DELETE of rows of `tenant`."""
     return delete(table).where(table.c.tenant_id == tenant.id)
 
 
 def add(tenant: Tenant, table: Table, **values: Any) -> Insert:
-    """Return an insertion of a row of `tenant`."""
+    """Return an INSERT of a row of `tenant`."""
     return insert(table).values(tenant_id=tenant.id, **values)
 
 
 def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values: Any) -> bool:
-    """Insert a row of `tenant` unless its key is there already; return whether it was inserted.
+    """Insert a row of `tenant` unless its key exists; return whether it was inserted.
 
-    Where another transaction is about to insert the same key, its end is waited for.
+    If another transaction is about to insert the same key, this waits for its end.
     """
-    # One of them is imported already by the engine; the other would cost start-up time for nothing.
+    # The engine has imported one of them already; the other would only cost start-up time.
     kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
     statement = kind(table).values(tenant_id=tenant.id, **values).on_conflict_do_nothing()
     return connection.execute(statement.returning(table.c.tenant_id)).first() is not None
@@ -62,9 +62,9 @@ def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values
 def find(
     connection: Connection, tenant: Tenant, table: Table, identifier: str, *, lock: bool = False
 ) -> RowMapping | None:
-    """Return the row of `tenant` with this id, or None; another tenant's row is none.
+    """Return the row of `tenant` with this id, or None, also for rows of other tenants.
 
-    With `lock` nobody else changes it before this transaction ends.
+    With `lock`, no other transaction can change it before this one ends.
     """
     statement = rows(tenant, table).where(table.c.id == identifier)
     if lock:
@@ -73,5 +73,5 @@ def find(
 
 
 def across_tenants(table: Table, *columns: Any) -> Select[Any]:
-    """Return a selection from everybody's rows: for the controller and the sweeper, never for a route."""
+    """Return a SELECT of rows of all tenants: for the controller and the sweeper, never for a route."""
     return select(*(columns or (table,)))

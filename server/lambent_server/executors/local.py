@@ -17,7 +17,7 @@ from lambent_server.settings import Settings
 
 _SHARE_OF_MEMORY = 0.9
 
-# What a run process is given of the server's environment: what programs and numerics need, and no secrets.
+# The variables of the server's environment that run processes get: those that programs need, and no secrets.
 PASSED_ON = (
     *("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "LANGUAGE", "LC_*", "TZ", "TMPDIR", "TEMP", "TMP"),
     *("PYTHON*", "VIRTUAL_ENV", "LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_*", "MALLOC_*", "XDG_*"),
@@ -32,15 +32,15 @@ def count_gpus() -> int:
 
 
 def machine_memory_bytes() -> int:
-    """Return the memory of this machine, or of this container where it may use less."""
+    """Return the memory of this machine, or the limit of this container if it is lower."""
     total = int(psutil.virtual_memory().total)
-    with contextlib.suppress(OSError, ValueError):  # "max" where there is no limit.
+    with contextlib.suppress(OSError, ValueError):  # "max" if there is no limit.
         total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
     return total
 
 
 def host_identity() -> str:
-    """Return what tells the place where pids are counted from every other one, and from its next boot.
+    """Return an identity of the pid namespace that differs from all others, and after a reboot.
 
     Linux: boot id and pid namespace, so that two containers of one machine differ.
     """
@@ -51,9 +51,9 @@ def host_identity() -> str:
 
 
 def process_identity(pid: int) -> str | None:
-    """Return what tells a process from every other one, or None where there is none; a zombie is none.
+    """Return an identity of a process that no other process has, or None if it is gone or a zombie.
 
-    It ends with the start time: on Linux in clock ticks since the boot, which no change of the clock moves.
+    It ends with the start time: on Linux in clock ticks since boot, which changes of the clock do not affect.
     """
     try:
         process = psutil.Process(pid)
@@ -69,7 +69,7 @@ def process_identity(pid: int) -> str | None:
 
 
 def run_environment(environment: Mapping[str, str], more: Sequence[str]) -> dict[str, str]:
-    """Return the variables that a run process is given: `PASSED_ON` and those that match one of `more`."""
+    """Return the variables that a run process gets: `PASSED_ON` and those that match one of `more`."""
     patterns = (*PASSED_ON, *more)
     return {
         name: value
@@ -81,8 +81,8 @@ def run_environment(environment: Mapping[str, str], more: Sequence[str]) -> dict
 class LocalExecutor:
     """Subprocesses of the server that outlive it.
 
-    Nothing is ended that is not proven to be ours: a process by its identity, what is left of a session by
-    being that of a child which was not reaped yet, or by the run that its environment names.
+    Only processes that are proven to be ours are killed: a process by its identity; the rest of its session
+    if its leader is our child and not yet reaped, or if the environment of a process names the run.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -127,13 +127,13 @@ class LocalExecutor:
         }
 
     def poll(self, handle: Handle) -> Gone | None:
-        """Return None while the process is there, otherwise how it ended where this server started it."""
+        """Return None while the process exists, otherwise how it ended, if this server started it."""
         run = handle.get("run", "")
         child = self._children.get(run)
         if child is not None and process_identity(child.pid) is not None:
             return None
         if child is not None:
-            # Not reaped yet, so nobody else can have its pid.
+            # Not reaped yet, so no other process can have its pid.
             _end_session(child.pid, lambda _: True)
             return Gone(self._children.pop(run).wait())
         if self.adopt(handle):
@@ -149,13 +149,13 @@ class LocalExecutor:
                 os.killpg(int(handle["pid"]), signal.SIGKILL if force else signal.SIGTERM)
 
     def adopt(self, handle: Handle) -> bool:
-        """Return whether the very process of the handle is there."""
+        """Return whether exactly the process of the handle still exists."""
         identity = process_identity(int(handle["pid"]))
         return identity is not None and identity == handle["identity"]
 
 
 def _end_session(leader: int, is_ours: Callable[[psutil.Process], bool]) -> None:
-    """End what is left of the session of a leader that is gone."""
+    """Kill the remaining processes of a session whose leader is gone."""
     for process in psutil.process_iter():
         with contextlib.suppress(ProcessLookupError, PermissionError, psutil.Error):
             if os.getsid(process.pid) == leader and process.pid != leader and is_ours(process):

@@ -1,1 +1,1 @@
-"""What surrounds every request: who asks, how much they may send, and how errors are told."""
+"""The layers around every request: identity, limits, and error responses."""

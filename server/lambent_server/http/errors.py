@@ -1,4 +1,4 @@
-"""Every error of the framework as a problem document; none of its own bodies gets out."""
+"""Every error of the framework as a problem document; none of its own bodies is sent."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ log = structlog.get_logger()
 _CODES = {
     404: "route_not_found",
     405: "method_not_allowed",
-    # What the framework itself says only of bodies that it cannot read.
+    # The framework's own message, used only for bodies that it cannot read.
     400: "invalid_json",
     415: "unsupported_media_type",
 }
@@ -23,13 +23,13 @@ MAX_ERRORS = 100
 
 
 def respond(request: Request, problem: Problem) -> Response:
-    """Return the answer that tells a problem."""
+    """Return the response for a problem."""
     document = problem.document(request.state.request_id)
     return JSONResponse(document, problem.status, headers=problem.headers, media_type=MEDIA_TYPE)
 
 
 def _pointer(location: tuple[Any, ...]) -> str:
-    """Return a JSON pointer into the body, or into what came beside it ("#/query/limit")."""
+    """Return a JSON pointer into the body, or into another part of the request ("#/query/limit")."""
     parts = location[1:] if location and location[0] == "body" else location
     return "#" + "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
@@ -38,14 +38,14 @@ def _validation(error: RequestValidationError) -> Problem:
     found = error.errors()
     if any(each["type"] == "json_invalid" for each in found):
         return Problem(
-            400, "invalid_json", "the body is not JSON", errors=(Detail("#", str(found[0]["msg"])),)
+            400, "invalid_json", "the body is not valid JSON", errors=(Detail("#", str(found[0]["msg"])),)
         )
     details = tuple(Detail(_pointer(each["loc"]), str(each["msg"])) for each in found[:MAX_ERRORS])
     return Problem(422, "invalid_request", f"{len(found)} value(s) cannot be used", errors=details)
 
 
 def install(app: FastAPI) -> None:
-    """Override the handlers of the framework."""
+    """Replace the framework's error handlers."""
 
     @app.exception_handler(Problem)
     async def problem(request: Request, error: Problem) -> Response:

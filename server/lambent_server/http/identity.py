@@ -1,4 +1,4 @@
-"""Who asks: bearer keys for programs, a cookie for the browser that opened the one-time link."""
+"""The identity of a client: bearer keys for programs, a cookie for a browser that opened a one-time link."""
 
 import secrets
 import threading
@@ -19,7 +19,7 @@ COOKIE = "lambent_session"
 
 
 class LoginCodes:
-    """Codes of one-time links; they are forgotten when the server ends."""
+    """Codes of one-time links; they are lost when the server stops."""
 
     def __init__(self, lifetime_s: float) -> None:
         self._lifetime_s = lifetime_s
@@ -27,7 +27,7 @@ class LoginCodes:
         self._valid_until: dict[str, tuple[Tenant, float]] = {}
 
     def issue(self, tenant: Tenant) -> tuple[str, float]:
-        """Return a new code and when it ends (Unix seconds)."""
+        """Return a new code and its expiry time (Unix seconds)."""
         code, until = secrets.token_urlsafe(32), now() + self._lifetime_s
         with self._lock:
             self._valid_until = {key: value for key, value in self._valid_until.items() if value[1] > now()}
@@ -35,7 +35,7 @@ class LoginCodes:
         return code, until
 
     def redeem(self, code: str) -> tuple[Tenant | None, float]:
-        """Return whose code it is and when it was made, and forget it; None if unknown, used or too old."""
+        """Return the code's tenant and creation time, and invalidate it; None if unknown, used or too old."""
         with self._lock:
             tenant, until = self._valid_until.pop(sha256_text(code), (None, 0.0))
         return (tenant if until > now() else None), until - self._lifetime_s
@@ -57,14 +57,14 @@ def open_session(connection: Connection, tenant: Tenant, lifetime_s: float) -> s
 
 
 def end_session(database: Database, tenant: Tenant, token: str) -> None:
-    """Forget a browser session; one that has ended already stays so."""
+    """End a browser session, if it has not ended already."""
     with database.write() as connection:
         mine = sessions.c.token_sha256 == sha256_text(token)
         connection.execute(remove(tenant, sessions).where(mine))
 
 
 def cookie_token(header: str, name: str = COOKIE) -> str | None:
-    """Return the token in a Cookie header, that of the session or of another name."""
+    """Return the token in a Cookie header: the session's, or the one named `name`."""
     jar: SimpleCookie = SimpleCookie()
     try:
         jar.load(header)
@@ -74,7 +74,7 @@ def cookie_token(header: str, name: str = COOKIE) -> str | None:
 
 
 def tenant_of_key(services: Services, key: str) -> Tenant | None:
-    """Return whose key it is, or None where it is not valid (any more)."""
+    """Return the tenant of a key, or None if it is invalid or no longer valid."""
     if not key:
         return None
     statement = across_tenants(api_keys).where(api_keys.c.key_sha256 == sha256_text(key))
@@ -87,7 +87,7 @@ def tenant_of_key(services: Services, key: str) -> Tenant | None:
 
 
 def tenant_of_session(database: Database, token: str) -> Tenant | None:
-    """Return whose browser it is, or None where the session is not valid (any more)."""
+    """Return the tenant of a browser session, or None if it is invalid or no longer valid."""
     statement = across_tenants(sessions).where(sessions.c.token_sha256 == sha256_text(token))
     with database.read() as connection:
         row = connection.execute(statement).mappings().one_or_none()
@@ -95,7 +95,7 @@ def tenant_of_session(database: Database, token: str) -> Tenant | None:
 
 
 def tenant_of_share(database: Database, secret: str, token: str, bundle_id: str) -> Tenant | None:
-    """Return whose bundle a link lets this request read; None where it is not that very bundle."""
+    """Return the tenant of the bundle that a link lets this request read; None for other requests."""
     with database.read() as connection:
         share = granted(connection, secret, token)
     return Tenant(share["tenant_id"]) if share is not None and share["bundle_id"] == bundle_id else None

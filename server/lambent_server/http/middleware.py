@@ -1,4 +1,4 @@
-"""The outermost layer: host, identity, size and pace of a request are settled before any route sees it."""
+"""The outermost layer: checks host, identity, size and speed of a request before any route sees it."""
 
 import asyncio
 import json
@@ -31,12 +31,12 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 log = structlog.get_logger()
 
 CSRF_HEADER = "x-lambent-csrf"
-# The pages hold no secrets: what they show they ask for with a cookie.
+# The pages contain no secrets: they request their data with a cookie.
 _PUBLIC = re.compile(
     r"/|/assets/.*|/[a-z0-9._-]+\.(html|js|css|svg|json|wasm)|/healthz|/readyz"
     r"|/v1/(version|login|shares:open)"
 )
-# What a request to one of these may bring: a code, before anybody is known.
+# The largest body of a request to one of these, which has no authentication yet: a code.
 _PUBLIC_BYTES = 16 * 1024
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _METHODS = _SAFE | {"POST", "PUT", "PATCH", "DELETE"}
@@ -89,7 +89,7 @@ class Gate:
             raise Problem(
                 421,
                 "host_not_allowed",
-                f"this server does not answer for {host[:100]!r}; name it in LAMBENT_ALLOWED_HOSTS",
+                f"this server does not serve the host {host[:100]!r}; name it in LAMBENT_ALLOWED_HOSTS",
             )
 
     async def _identify(self, scope: Scope, headers: Headers) -> None:
@@ -107,7 +107,7 @@ class Gate:
         scope.setdefault("state", {})["tenant"] = tenant
 
     async def _tenant_of(self, scope: Scope, headers: Headers) -> Tenant | None:
-        """Return whose request it is: by key, else by the cookie of a link to one bundle, else by session."""
+        """Return the tenant of a request: by key, else by the cookie of a share link, else by session."""
         database, method = self._services.database, scope["method"]
         state = scope.setdefault("state", {})
         scheme, _, key = headers.get("authorization", "").partition(" ")
@@ -130,32 +130,34 @@ class Gate:
 
     @staticmethod
     def _check_same_site(headers: Headers) -> None:
-        """Refuse a write that another site may have made the browser send."""
+        """Refuse a write that another site may have caused the browser to send."""
         origin = headers.get("origin")
         foreign = origin is not None and _address(origin, "Origin").netloc != headers.get("host")
         if headers.get(CSRF_HEADER) != "1" or foreign:
             raise Problem(
-                403, "csrf", f"a browser's write needs the header {CSRF_HEADER}: 1 from this very site"
+                403,
+                "csrf",
+                f"a browser's write needs the header {CSRF_HEADER}: 1 and must come from this site",
             )
 
 
 def _address(text: str, header: str) -> SplitResult:
-    """Return the parts of an address in a header."""
+    """Return the parts of the address in a header."""
     try:
         return urlsplit(text)
     except ValueError as error:
-        raise Problem(400, "header_invalid", f"the header {header} holds no address") from error
+        raise Problem(400, "header_invalid", f"the header {header} is not an address") from error
 
 
 def unexpected(error: Exception) -> Problem:
-    """Return the answer to what nobody has foreseen; the log has the rest."""
+    """Return the response to an unexpected exception; the log has the details."""
     if isinstance(error, SQLAlchemyError):
         return Problem(503, "database_unavailable", "the database does not answer", retryable=True)
-    return Problem(500, "internal", "the server made a mistake; its log tells which", retryable=True)
+    return Problem(500, "internal", "internal error; see the server's log", retryable=True)
 
 
 class _Request:
-    """One request on its way: counts what it brings and adds what every answer carries."""
+    """One request: counts the bytes of its body and adds the headers of every response."""
 
     def __init__(self, services: Services, scope: Scope, receive: Receive, send: Send) -> None:
         self.id = new_id("req")
@@ -176,7 +178,7 @@ class _Request:
         scope.setdefault("state", {})["request_id"] = self.id
 
     def check_length(self, headers: Headers) -> None:
-        """Refuse a body that says itself that it is too large, before reading it."""
+        """Refuse a body whose announced length is too large, before reading it."""
         text = headers.get("content-length")
         if text is not None and text.isdigit() and int(text) > self._limit:
             raise self._too_large()
@@ -191,7 +193,7 @@ class _Request:
         )
 
     async def receive(self) -> Message:
-        """Return the next piece of the body, if it is in time and within the limit."""
+        """Return the next piece of the body, if it is in time and within the limits."""
         if self._cut:
             return {"type": "http.disconnect"}
         if self._complete:
@@ -203,7 +205,7 @@ class _Request:
                 Problem(
                     408,
                     "body_too_slow",
-                    f"a body must bring {self._settings.body_bytes_per_s:g} bytes per second",
+                    f"a body must be sent at {self._settings.body_bytes_per_s:g} bytes per second",
                     retryable=True,
                     headers={"connection": "close"},
                 )
@@ -218,7 +220,7 @@ class _Request:
         return message
 
     async def _next_piece(self) -> Message:
-        """Wait for a piece; TimeoutError when a whole window of waiting has brought too little."""
+        """Wait for a piece; raises TimeoutError if too little arrived within a window."""
         waited, brought = self._window
         began = time.monotonic()
         message = await asyncio.wait_for(self._receive(), max(self._window_s - waited, 0.001))
@@ -236,7 +238,7 @@ class _Request:
         return {"type": "http.disconnect"}
 
     async def send(self, message: Message) -> None:
-        """Pass an answer on, with the headers that all have."""
+        """Forward a response, with the headers that all responses have."""
         if self._cut:
             return
         if message["type"] == "http.response.start":
@@ -249,7 +251,7 @@ class _Request:
         await self._send(message)
 
     async def refuse(self, problem: Problem) -> None:
-        """Answer with a problem, unless an answer is under way."""
+        """Respond with a problem, unless a response has already started."""
         if self._answered or self._cut:
             return
         body = json.dumps(problem.document(self.id)).encode()
@@ -259,7 +261,7 @@ class _Request:
         await self.send({"type": "http.response.body", "body": body})
 
     def observe(self) -> None:
-        """Count the request, and log it if it changed something or went wrong."""
+        """Count the request, and log it if it changed something or failed."""
         route = getattr(self._scope.get("route"), "path", "none")
         method, seconds = self._scope["method"], time.perf_counter() - self._began
         known = method if method in _METHODS else "other"
@@ -278,7 +280,7 @@ class _Request:
 
 
 def body_limit(services: Services, method: str, path: str) -> int:
-    """Return how many bytes a request may bring."""
+    """Return how many bytes a request's body may have."""
     settings = services.settings
     if _PUBLIC.fullmatch(path):
         return min(settings.max_json_bytes, _PUBLIC_BYTES)

@@ -1,4 +1,4 @@
-"""What the server is, accepts and does at the moment."""
+"""Information about the server: version, limits, presets, health and metrics."""
 
 from importlib.metadata import version
 
@@ -19,7 +19,7 @@ router = APIRouter(tags=["about"])
 
 @router.get("/v1/limits", responses=problems())
 def get_limits(services: ServicesOf, tenant: TenantOf) -> Limits:
-    """Return what the server accepts."""
+    """Return the limits of what the server accepts."""
     settings = services.settings
     names = set(Limits.model_fields) - {"max_gpus", "scene_suffixes"}
     return Limits(
@@ -31,28 +31,28 @@ def get_limits(services: ServicesOf, tenant: TenantOf) -> Limits:
 
 @router.get("/v1/presets", responses=problems())
 def list_presets(tenant: TenantOf) -> PresetList:
-    """Return what `preset` of a job may be."""
+    """Return the presets that a job can use."""
     known, default = job_queries.presets()
     return PresetList(items=list(known.values()), default=default)
 
 
 @router.get("/v1/version")
 def get_version() -> Version:
-    """Return which server this is."""
+    """Return the version of this server."""
     return Version(name="lambent", version=version("lambent"), api="v1")
 
 
 @router.get("/healthz")
 async def get_health() -> Health:
-    """Say that the process answers; nothing is waited for."""
+    """Report that the process answers, without waiting for anything."""
     return Health(status="ok")
 
 
-@router.get("/readyz", responses={503: {"model": Health, "description": "Some part does not work."}})
+@router.get("/readyz", responses={503: {"model": Health, "description": "A part does not work."}})
 async def get_readiness(request: Request) -> JSONResponse:
-    """Say within two seconds whether the parts work; 503 where one does not.
+    """Report within two seconds whether all parts work; 503 if one does not.
 
-    `files` counts files whose bytes are gone, and leaves the status as it is.
+    `files` counts files whose bytes are gone; it does not affect the status.
     """
     services: Services = request.app.state.services
     checks = {"controller": "ok", **await request.app.state.health.checks()}
@@ -75,5 +75,5 @@ async def get_readiness(request: Request) -> JSONResponse:
     responses={**problems(), 200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 def get_metrics(services: ServicesOf, tenant: TenantOf) -> Response:
-    """Return figures for Prometheus."""
+    """Return metrics for Prometheus."""
     return Response(generate_latest(registry(services)), media_type=CONTENT_TYPE_LATEST)

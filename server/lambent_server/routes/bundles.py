@@ -1,4 +1,4 @@
-"""Bundles: list them, and make links that show one of them to others."""
+"""Bundles: lists, and links that share one of them."""
 
 from typing import Annotated, Any
 
@@ -25,7 +25,7 @@ router = APIRouter(tags=["bundles"])
 
 @router.get("/v1/bundles", responses=problems(422))
 def list_bundles(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> BundleList:
-    """List bundles, the newest first."""
+    """List bundles, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(connection, tenant, bundles, limit=given.limit, cursor=given.cursor)
         items = [bundle_rows.show(connection, tenant, row) for row in found]
@@ -44,7 +44,7 @@ def get_bundle(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> BundleD
     "/v1/bundles/{bundle_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
 )
 def delete_bundle(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> Response:
-    """Remove a bundle with its files and the links to it; the job that made it stays."""
+    """Delete a bundle with its files and the links to it; the job that made it stays."""
     with services.database.write() as connection:
         removals.delete_bundle(connection, tenant, bundle_id)
     return Response(status_code=204)
@@ -72,7 +72,7 @@ def _show(request: Request, row: Any) -> Share:
 def create_share(
     services: ServicesOf, tenant: TenantOf, bundle_id: Id, request: Request, body: NewShare
 ) -> Share:
-    """Make a link that lets whoever has it read this bundle, and nothing else, until it ends."""
+    """Create a link that gives everyone who has it read access to this bundle only, until it expires."""
     with services.database.write() as connection:
         bundle_rows.require_bundle(connection, tenant, bundle_id)
         return _show(request, shares.create(connection, tenant, bundle_id, body.expires_in_s))
@@ -80,7 +80,7 @@ def create_share(
 
 @router.get("/v1/bundles/{bundle_id:id}/shares", responses=problems(404))
 def list_shares(services: ServicesOf, tenant: TenantOf, bundle_id: Id, request: Request) -> ShareList:
-    """List the links of a bundle that work."""
+    """List the active links of a bundle."""
     with services.database.read() as connection:
         bundle_rows.require_bundle(connection, tenant, bundle_id)
         found = shares.working(connection, tenant, bundle_id)
@@ -91,7 +91,7 @@ def list_shares(services: ServicesOf, tenant: TenantOf, bundle_id: Id, request: 
     "/v1/shares/{share_id:id}", status_code=204, response_class=Response, responses=problems(403, 404)
 )
 def revoke_share(services: ServicesOf, tenant: TenantOf, share_id: Id) -> Response:
-    """Take a link back, at once and for everybody who has opened it."""
+    """Revoke a link, with immediate effect for everyone who has opened it."""
     with services.database.write() as connection:
         shares.revoke(connection, tenant, share_id)
     return Response(status_code=204)
@@ -99,14 +99,14 @@ def revoke_share(services: ServicesOf, tenant: TenantOf, share_id: Id) -> Respon
 
 @router.post("/v1/shares:open", responses=problems(400, 413, 422))
 def open_share(services: ServicesOf, request: Request, response: Response, body: ShareToken) -> OpenedShare:
-    """Swap the secret of a link for a cookie that reads this one bundle."""
+    """Exchange the secret of a link for a cookie that gives read access to its bundle."""
     with services.database.read() as connection:
         row = shares.granted(connection, _secret(request), body.token)
     if row is None:
         raise Problem(
             401,
             "share_invalid",
-            "this link is wrong, has ended or was taken back; ask whoever sent it for another one",
+            "this link is invalid, expired or revoked; ask the person who sent it for a new one",
             headers={"www-authenticate": 'Bearer realm="lambent"'},
         )
     response.set_cookie(

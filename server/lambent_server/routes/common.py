@@ -1,4 +1,4 @@
-"""What every route is given."""
+"""Parameters and responses that the routes share."""
 
 from typing import Annotated, Any
 
@@ -12,7 +12,7 @@ from lambent_server.services import Services
 
 
 class _Identifier(Convertor[str]):
-    """Part of a path without a colon, so that `/jobs/x:cancel` is never the job "x:cancel"."""
+    """A path segment without a colon, so that `/jobs/x:cancel` is never the job "x:cancel"."""
 
     regex = "[^/:]+"
 
@@ -43,22 +43,22 @@ Sha = Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI entries of the problems an operation may answer."""
+    """Return the OpenAPI entries of the problems that an operation may return."""
     content = {MEDIA_TYPE: {"schema": {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}}}
     texts = {
-        400: "The body is not JSON.",
+        400: "The body is not valid JSON.",
         401: "No valid key or session.",
         403: "The write may come from another site.",
-        404: "There is no such thing, or it belongs to somebody else.",
-        408: "The body came too slowly.",
-        409: "The present state does not allow it.",
+        404: "It does not exist, or belongs to another tenant.",
+        408: "The body was sent too slowly.",
+        409: "The current state does not allow it.",
         410: "Its bytes were lost.",
         413: "The body is too large.",
         416: "The range lies outside of the file.",
-        421: "The server does not answer for this host name.",
-        422: "Values cannot be used; `errors` points at each.",
+        421: "The server does not serve this host name.",
+        422: "Values cannot be used; `errors` points to each.",
         429: "A quota is used up.",
-        503: "The database does not answer, or the server is about to end.",
+        503: "The database does not answer, or the server is shutting down.",
         507: "The disk is nearly full.",
     }
     always = (401, 421, 503)
@@ -66,6 +66,6 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def binary_body(*media_types: str) -> dict[str, Any]:
-    """Return the OpenAPI entry of a body that is read as it comes."""
+    """Return the OpenAPI entry of a binary body."""
     schema = {"type": "string", "format": "binary"}
     return {"requestBody": {"required": True, "content": {each: {"schema": schema} for each in media_types}}}

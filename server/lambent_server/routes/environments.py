@@ -39,7 +39,7 @@ async def create_environment(
     request: Request,
     name: Annotated[str, Query(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")],
 ) -> Environment:
-    """Send an equirectangular picture; its head is checked, its pixels are read by whoever uses it."""
+    """Upload a latitude-longitude picture; only its header is checked before a job reads its pixels."""
     async with received(services, request, services.settings.max_environment_bytes) as upload:
         return await to_thread.run_sync(_take, services, tenant, name, upload)
 
@@ -68,7 +68,7 @@ def _take(services: Services, tenant: Tenant, name: str, upload: Upload) -> Envi
 
 @router.get("/v1/environments", responses=problems())
 def list_environments(services: ServicesOf, tenant: TenantOf) -> EnvironmentList:
-    """List the environments, the newest first."""
+    """List the environments, newest first."""
     with services.database.read() as connection:
         statement = rows(tenant, environments).order_by(environments.c.id.desc()).limit(1000)
         return EnvironmentList(items=[_show(row) for row in connection.execute(statement).mappings()])
@@ -81,7 +81,7 @@ def list_environments(services: ServicesOf, tenant: TenantOf) -> EnvironmentList
     responses=problems(403, 404, 409),
 )
 def delete_environment(services: ServicesOf, tenant: TenantOf, environment_id: Id) -> Response:
-    """Remove an environment; pictures that were made with it stay."""
+    """Delete an environment; pictures that were rendered with it stay."""
     with services.database.write() as connection:
         removals.delete_environment(connection, tenant, environment_id)
     return Response(status_code=204)

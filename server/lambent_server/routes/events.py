@@ -26,13 +26,13 @@ router = APIRouter(tags=["events"])
 
 BATCH = 500
 MAX_JOBS = 1024
-# Threads that read for streams; requests have the others.
+# Threads that read for streams; the other threads serve requests.
 READERS = 4
-# Two clocks may disagree a little where there are two servers.
+# If there are two servers, their clocks may differ slightly.
 CLOCKS_S = 10.0
-# Changes that are kept for all streams; one that was held up for longer reads for itself.
+# Changes kept for all streams; a stream that was delayed for longer queries the database itself.
 WINDOW_S = 60.0
-# Jobs that a stream without names begins with.
+# Jobs with which a stream that names none begins.
 RECENT = 100
 _POSITIONS = re.compile(r"[a-z0-9_]{1,64}:\d{1,9}(,[a-z0-9_]{1,64}:\d{1,9})*")
 
@@ -40,7 +40,7 @@ JobId = Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
 
 
 class StreamFilter(BaseModel):
-    """Which jobs to follow; all of the tenant where none is named."""
+    """The jobs to follow; all jobs of the tenant if none is named."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -53,7 +53,7 @@ class StreamFilter(BaseModel):
     responses={
         **problems(404, 422, 429),
         200: {
-            "description": "`snapshot` events carry a job, `event` events one line of its history.",
+            "description": "`snapshot` events carry a job, `event` events an event of its history.",
             "content": {"text/event-stream": {"schema": {"type": "string"}}},
         },
     },
@@ -66,7 +66,7 @@ async def stream_events(
     last_event_id: Annotated[
         str | None,
         Header(
-            alias="Last-Event-ID", max_length=60_000, description='"job_a:12,job_b:3": what is known already'
+            alias="Last-Event-ID", max_length=60_000, description='"job_a:12,job_b:3": last events received'
         ),
     ] = None,
 ) -> StreamingResponse:
@@ -75,7 +75,7 @@ async def stream_events(
     feed: Feed = request.app.state.feed
     feed.require_room(tenant)
     stream = _Stream(services, feed, tenant, frozenset(given.job), known)
-    # Before the answer begins, so that a wrong name is a 404 and not a broken stream.
+    # Before the response begins, so that an unknown job is a 404 and not a broken stream.
     first = await to_thread.run_sync(stream.begin, limiter=feed.limiter)
     headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
     return StreamingResponse(stream.run(first), media_type="text/event-stream", headers=headers)
@@ -91,7 +91,7 @@ def _positions(header: str | None) -> dict[str, int]:
 
 
 class Feed:
-    """What has changed lately, read once for all streams: an idle stream asks the database nothing."""
+    """Recent changes, read once for all streams, so that an idle stream does not query the database."""
 
     def __init__(self, services: Services) -> None:
         self._services = services
@@ -102,20 +102,20 @@ class Feed:
         self.num_open: Counter[str] = Counter()
 
     def require_room(self, tenant: Tenant) -> None:
-        """Refuse a stream too many."""
+        """Refuse a stream beyond the quota."""
         limit = self._services.settings.max_streams
         if self.num_open[tenant.id] >= limit:
             raise Problem(
                 429,
                 "quota_streams",
-                f"{limit} event streams are open, no more are allowed; one stream can follow many jobs",
+                f"{limit} event streams are open, which is the limit; one stream can follow many jobs",
                 retryable=True,
                 headers={"retry-after": "5"},
                 members={"quota": {"name": "max_streams", "limit": limit, "used": limit}},
             )
 
     async def changes(self, tenant: Tenant, not_before: float) -> dict[str, int]:
-        """Return the last event of each job that changed lately, as it was at `not_before` or later."""
+        """Return the last event of each recently changed job, as of `not_before` or later."""
         async with self._lock:
             if self.looked_at < not_before:
                 await to_thread.run_sync(self._look, limiter=self.limiter)
@@ -134,7 +134,7 @@ class Feed:
 
 
 class _Stream:
-    """What one client has been told so far."""
+    """One client's stream, with what it has been sent so far."""
 
     def __init__(
         self, services: Services, feed: Feed, tenant: Tenant, names: frozenset[str], known: dict[str, int]
@@ -148,7 +148,7 @@ class _Stream:
         self._looked_at = now()
 
     def begin(self) -> list[str]:
-        """Return the snapshots of jobs whose past the client does not know."""
+        """Return snapshots of the jobs whose history the client does not have."""
         with self._services.database.read() as connection:
             if self._names:
                 found = [
@@ -175,7 +175,7 @@ class _Stream:
         return f"event: {event}\nid: {identifier}\ndata: {json.dumps(data)}\n\n"
 
     async def _news(self, *, signalled: bool) -> list[str]:
-        """Return what has happened since the client was told last."""
+        """Return the messages for everything that happened since the last ones."""
         age_s = 0.0 if signalled else self._services.settings.stream_poll_s / 2
         changes = await self._feed.changes(self._tenant, now() - age_s)
         looked_at = self._feed.looked_at
@@ -212,7 +212,7 @@ class _Stream:
         return messages
 
     async def run(self, first: list[str]) -> AsyncIterator[str]:
-        """Yield messages until the client goes or the server ends."""
+        """Yield messages until the client disconnects or the server stops."""
         settings, wakeups = self._services.settings, self._services.wakeups
         sent_at, signalled, num_open = now(), True, self._feed.num_open
         num_open[self._tenant.id] += 1

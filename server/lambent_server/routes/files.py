@@ -24,16 +24,16 @@ _BINARY: dict[str, Any] = {"application/octet-stream": {"schema": {"type": "stri
 _RESPONSES: dict[int | str, dict[str, Any]] = {
     **problems(404, 410, 416, 422),
     200: {"description": "The whole file.", "content": _BINARY},
-    206: {"description": "The part asked for.", "content": _BINARY},
-    304: {"description": "What the client has is current."},
+    206: {"description": "The requested range.", "content": _BINARY},
+    304: {"description": "The client's copy is current."},
 }
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
 
 
 def parse_range(header: str, size: int) -> tuple[int, int] | None:
-    """Return (first byte, one past the last), or None where the header is to be ignored (RFC 9110, 14.2).
+    """Return (first byte, one past the last), or None if the header is to be ignored (RFC 9110, 14.2).
 
-    Raises `range_not_satisfiable` for a part that lies outside of the file.
+    Raises `range_not_satisfiable` for a range outside the file.
     """
     match = _RANGE.fullmatch(header.strip())
     if match is None or match.groups() == ("", ""):
@@ -60,13 +60,13 @@ def parse_range(header: str, size: int) -> tuple[int, int] | None:
 def send_blob(
     services: Services, blob: Blob, range_: str | None, if_none_match: str | None, if_range: str | None
 ) -> Response:
-    """Return the answer that sends a blob, or the part of it that is asked for."""
+    """Return the response with a blob, or with the requested range of it."""
     etag = f'"{blob.sha256}"'
     headers = {
         "etag": etag,
         "accept-ranges": "bytes",
         "cache-control": "private, max-age=31536000, immutable",
-        # Whatever a scene or a run made is data, never a page of this site.
+        # Files of scenes and runs are data, never pages of this site.
         "content-security-policy": "default-src 'none'; sandbox",
     }
     if if_none_match is not None:
@@ -94,7 +94,7 @@ def _send_from_bundle(
 ) -> Response:
     response = send_blob(services, blob, range_, match, if_range)
     if getattr(request.state, "by_share", False):
-        # A link may be taken back: what it has shown is asked for again, and then refused.
+        # A link may be revoked: browsers must request its files again each time, which is then refused.
         response.headers["cache-control"] = "private, no-cache"
     return response
 
@@ -136,7 +136,7 @@ def get_bundle_file(
     if_none_match: MatchHeader = None,
     if_range: IfRangeHeader = None,
 ) -> Response:
-    """Return a file of a bundle, or a part of it."""
+    """Return a file of a bundle, or a range of it."""
     blob = _bundle_file(services, tenant, bundle_id, path)
     return _send_from_bundle(services, request, blob, range_, if_none_match, if_range)
 

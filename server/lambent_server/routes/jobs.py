@@ -1,4 +1,4 @@
-"""Jobs: submit, look, wait, cancel, retry."""
+"""Jobs: submit, list, read, wait, cancel, retry."""
 
 import hashlib
 import shutil
@@ -44,7 +44,7 @@ IdempotencyKey = Annotated[
 
 
 class JobFilter(PageFilter):
-    """Which jobs to list."""
+    """The jobs to list."""
 
     state: Annotated[list[JobState], Field(max_length=7, default_factory=list)]
     label: Annotated[
@@ -55,7 +55,7 @@ class JobFilter(PageFilter):
 
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
 def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: IdempotencyKey = None) -> Job:
-    """Queue a job. Once this is answered with 202 the job is never lost."""
+    """Queue a job. After the response 202 the job is never lost."""
     services.require_disk()
     digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
     with services.database.write() as connection:
@@ -66,7 +66,7 @@ def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: Idempo
 
 @router.post("/v1/estimates", responses=problems(400, 403, 413, 422))
 def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> Estimate:
-    """Say how long a job of a preset is likely to take."""
+    """Estimate how long a job of a preset will take."""
     preset = job_queries.require_preset(body.preset)
     with services.database.read() as connection:
         return estimate(connection, tenant, preset)
@@ -74,7 +74,7 @@ def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> E
 
 @router.get("/v1/jobs", responses=problems(422))
 def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter, Query()]) -> JobList:
-    """List jobs, the newest first."""
+    """List jobs, newest first."""
     labels = [tuple(each.split("=", 1)) for each in given.label]
     with services.database.read() as connection:
         found, cursor = job_queries.select_page(
@@ -109,7 +109,7 @@ async def get_job(
     "/v1/jobs/{job_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
 )
 def delete_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Response:
-    """Remove a job that has ended, with its history, artifacts and log; its bundle stays."""
+    """Delete a job that has ended, with its history, artifacts and log; its bundle stays."""
     with services.database.write() as connection:
         removals.delete_job(connection, tenant, job_id)
     shutil.rmtree(services.settings.runs / job_id, ignore_errors=True)
@@ -118,7 +118,7 @@ def delete_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Response:
 
 @router.post("/v1/jobs/{job_id:id}:cancel", status_code=202, responses=problems(404, 409))
 def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
-    """Ask for the end of a job; it is `cancelled` when its process is gone."""
+    """Cancel a job; it is `cancelled` once its process is gone."""
     with services.database.write() as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
         if job["state"] in (SUCCEEDED, FAILED):
@@ -131,13 +131,13 @@ def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
 
 @router.post("/v1/jobs/{job_id:id}:retry", status_code=202, responses=problems(404, 409, 429, 507))
 def retry_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
-    """Queue a new job with the order of one that failed or was cancelled; the old one stays as it is."""
+    """Queue a new job with the request of one that failed or was cancelled; the old one stays unchanged."""
     services.require_disk()
     with services.database.write() as connection:
         job = job_queries.require_job(connection, tenant, job_id)
         if job["state"] not in (FAILED, CANCELLED):
             raise conflict(
-                "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled ones can"
+                "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled jobs can"
             )
         if job["order_id"] is None:
             fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
@@ -152,7 +152,9 @@ def list_events(
     services: ServicesOf,
     tenant: TenantOf,
     job_id: Id,
-    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="Number of the last event known.")] = 0,
+    after: Annotated[
+        int, Query(ge=0, le=2**31 - 1, description="Number of the last event already received.")
+    ] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
 ) -> EventList:
     """Return the history of a job, in order."""
@@ -173,7 +175,7 @@ def get_log(
     job_id: Id,
     tail_bytes: Annotated[int, Query(ge=1, le=16 * 1024 * 1024)] = 1024 * 1024,
 ) -> Response:
-    """Return what the run processes of a job wrote, the last bytes of each."""
+    """Return the end of the output of each of a job's run processes."""
     job = _load(services, tenant, job_id)
     parts = []
     for run in range(1, job["run"] + 1):
@@ -188,7 +190,7 @@ def get_log(
 
 @router.get("/v1/jobs/{job_id:id}/artifacts", responses=problems(404))
 def list_artifacts(services: ServicesOf, tenant: TenantOf, job_id: Id) -> ArtifactList:
-    """Return the files a job has made besides its bundle."""
+    """Return the files that a job has produced besides its bundle."""
     with services.database.read() as connection:
         job_queries.require_job(connection, tenant, job_id)
         found = connection.execute(

@@ -1,4 +1,4 @@
-"""Keys for programs; only who has a key may make, see and revoke keys."""
+"""Keys for programs; managing them requires a key."""
 
 from fastapi import APIRouter, Request, Response
 
@@ -11,14 +11,14 @@ router = APIRouter(tags=["keys"])
 
 
 def _require_key(request: Request) -> None:
-    """Refuse a browser: who takes over a session for a moment must not leave with a key that lasts."""
+    """Refuse a browser session: taking one over briefly must not yield a lasting key."""
     if not request.state.by_key:
-        raise Problem(403, "key_needed", "keys are managed with a key, not with a browser's session")
+        raise Problem(403, "key_needed", "managing keys requires a key; a browser session is not enough")
 
 
 @router.post("/v1/keys", status_code=201, responses=problems(400, 403, 413, 422))
 def create_key(services: ServicesOf, tenant: TenantOf, request: Request, body: NewKey) -> CreatedKey:
-    """Make a key; the answer is the only one that shows it."""
+    """Create a key; only this response contains its secret."""
     _require_key(request)
     with services.database.write() as connection:
         return keys.create(connection, tenant, body)
@@ -26,7 +26,7 @@ def create_key(services: ServicesOf, tenant: TenantOf, request: Request, body: N
 
 @router.get("/v1/keys", responses=problems(403))
 def list_keys(services: ServicesOf, tenant: TenantOf, request: Request) -> KeyList:
-    """List the keys, the newest first, with those that are revoked."""
+    """List the keys, newest first, including revoked ones."""
     _require_key(request)
     with services.database.read() as connection:
         return KeyList(items=[keys.show(row) for row in keys.known(connection, tenant)])
@@ -34,7 +34,7 @@ def list_keys(services: ServicesOf, tenant: TenantOf, request: Request) -> KeyLi
 
 @router.delete("/v1/keys/{key_id:id}", status_code=204, response_class=Response, responses=problems(403, 404))
 def revoke_key(services: ServicesOf, tenant: TenantOf, request: Request, key_id: Id) -> Response:
-    """Take a key back for good, and log every browser out."""
+    """Revoke a key permanently, and log out every browser."""
     _require_key(request)
     with services.database.write() as connection:
         keys.revoke(connection, tenant, key_id)
@@ -43,7 +43,7 @@ def revoke_key(services: ServicesOf, tenant: TenantOf, request: Request, key_id:
 
 @router.post("/v1/keys/{key_id:id}:rotate", status_code=201, responses=problems(403, 404, 409))
 def rotate_key(services: ServicesOf, tenant: TenantOf, request: Request, key_id: Id) -> CreatedKey:
-    """Make a key in place of this one, which is revoked at once."""
+    """Replace this key with a new one; it is revoked at once."""
     _require_key(request)
     with services.database.write() as connection:
         return keys.rotate(connection, tenant, key_id, services.settings.data)

@@ -1,4 +1,4 @@
-"""How a browser gets in: a one-time link is swapped for a cookie that scripts cannot read."""
+"""Login of browsers: a one-time link is exchanged for a cookie that scripts cannot read."""
 
 from fastapi import APIRouter, Request, Response
 
@@ -19,15 +19,15 @@ def _codes(request: Request) -> LoginCodes:
 
 @router.post("/v1/login", status_code=204, response_class=Response, responses=problems(400, 413, 422))
 def log_in(services: ServicesOf, request: Request, body: LoginCode) -> Response:
-    """Swap the code of a one-time link for a session cookie."""
+    """Exchange the code of a one-time link for a session cookie."""
     tenant, made_at = _codes(request).redeem(body.code)
     with services.database.write() as connection:
-        # Whoever had a key that was revoked may have made a link with it.
+        # The link may have been created with a key that has been revoked since.
         if tenant is None or made_at <= last_revoked_at(connection, tenant):
             raise Problem(
                 401,
                 "login_code_invalid",
-                "this link was used before or is too old; `POST /v1/login-links` makes another one",
+                "this link has been used or is too old; `POST /v1/login-links` creates a new one",
                 headers={"www-authenticate": 'Bearer realm="lambent"'},
             )
         token = open_session(connection, tenant, services.settings.session_s)
@@ -40,7 +40,7 @@ def log_in(services: ServicesOf, request: Request, body: LoginCode) -> Response:
 
 @router.post("/v1/logout", status_code=204, response_class=Response, responses=problems(403))
 def log_out(services: ServicesOf, request: Request, tenant: TenantOf) -> Response:
-    """End the session of this browser; where there is none, nothing happens."""
+    """End the session of this browser, if there is one."""
     if token := cookie_token(request.headers.get("cookie", "")):
         end_session(services.database, tenant, token)
     response = Response(status_code=204)
@@ -50,6 +50,6 @@ def log_out(services: ServicesOf, request: Request, tenant: TenantOf) -> Respons
 
 @router.post("/v1/login-links", status_code=201, responses=problems(403))
 def create_login_link(request: Request, tenant: TenantOf) -> LoginLink:
-    """Make a link that logs one browser in, once."""
+    """Create a link that logs in one browser, once."""
     code, until = _codes(request).issue(tenant)
     return LoginLink(url=f"{str(request.base_url).rstrip('/')}/#code={code}", expires_at=rfc3339(until))

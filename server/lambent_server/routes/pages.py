@@ -13,7 +13,7 @@ MatchHeader = Annotated[str | None, Header(alias="If-None-Match", max_length=200
 
 
 class _PagePath(Convertor[str]):
-    """An address outside of the interface."""
+    """A path outside the REST interface."""
 
     regex = "(?!v1/)[A-Za-z0-9._/-]+"
 

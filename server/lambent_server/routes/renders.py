@@ -1,4 +1,4 @@
-"""Pictures of bundles: one order, or a batch that is spread over several jobs."""
+"""Pictures of bundles: renders of one bundle, and batches that are split into several jobs."""
 
 import hashlib
 from typing import Annotated
@@ -34,7 +34,7 @@ def _digest(kind: str, body: BaseModel) -> str:
 
 @router.post("/v1/renders", status_code=202, responses=problems(400, 403, 404, 413, 422, 429, 507))
 def submit_render(services: ServicesOf, tenant: TenantOf, body: NewRender, key: IdempotencyKey = None) -> Job:
-    """Queue pictures of one bundle under some environments: one job, whose artifacts they are."""
+    """Queue pictures of one bundle as one job; the pictures are its artifacts."""
     services.require_disk()
     order = render_rows.order_of_render(body)
     with services.database.write() as connection:
@@ -48,7 +48,7 @@ def submit_render(services: ServicesOf, tenant: TenantOf, body: NewRender, key: 
 
 @router.post("/v1/batches", status_code=202, responses=problems(400, 403, 404, 413, 422, 429, 507))
 def submit_batch(services: ServicesOf, tenant: TenantOf, body: NewBatch, key: IdempotencyKey = None) -> Batch:
-    """Queue assets x environments x cameras x qualities, spread over jobs."""
+    """Queue assets x environments x cameras x qualities, split into jobs."""
     services.require_disk()
     order = render_rows.order_of_batch(body)
     with services.database.write() as connection:
@@ -62,7 +62,7 @@ def submit_batch(services: ServicesOf, tenant: TenantOf, body: NewBatch, key: Id
 
 @router.get("/v1/batches", responses=problems(422))
 def list_batches(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> BatchList:
-    """List batches, the newest first."""
+    """List batches, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
             connection,
@@ -91,7 +91,7 @@ def _show(connection: Connection, tenant: Tenant, batch_id: str) -> Batch:
 
 @router.post("/v1/batches/{batch_id:id}:cancel", status_code=202, responses=problems(403, 404, 409))
 def cancel_batch(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> Batch:
-    """Ask for the end of every job of a batch; what they have published stays."""
+    """Cancel every job of a batch; published files stay."""
     with services.database.write() as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
         states = set()
@@ -108,7 +108,7 @@ def cancel_batch(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> Batch:
 
 @router.post("/v1/batches/{batch_id:id}:retry", status_code=202, responses=problems(403, 404, 409, 429, 507))
 def retry_batch(services: ServicesOf, tenant: TenantOf, batch_id: Id) -> Batch:
-    """Queue the parts of a batch that failed or were cancelled again, as new jobs."""
+    """Queue the failed and cancelled parts of a batch again, as new jobs."""
     services.require_disk()
     with services.database.write() as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)

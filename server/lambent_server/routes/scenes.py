@@ -1,4 +1,4 @@
-"""Scenes: plan, send what is missing, commit; or one archive."""
+"""Scenes: plan, upload missing files and commit, or upload one archive."""
 
 import re
 import tempfile
@@ -26,7 +26,7 @@ router = APIRouter(tags=["scenes"])
 
 @router.post("/v1/scenes", status_code=201, responses=problems(400, 413, 422, 507))
 def create_scene(services: ServicesOf, tenant: TenantOf, body: NewScene) -> Scene:
-    """Make an empty scene."""
+    """Create an empty scene."""
     services.require_disk()
     with services.database.write() as connection:
         return scene_rows.show(scene_rows.create(connection, tenant, body.name))
@@ -34,7 +34,7 @@ def create_scene(services: ServicesOf, tenant: TenantOf, body: NewScene) -> Scen
 
 @router.get("/v1/scenes", responses=problems(422))
 def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> SceneList:
-    """List scenes, the newest first."""
+    """List scenes, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(connection, tenant, scenes, limit=given.limit, cursor=given.cursor)
     return SceneList(items=[scene_rows.show(row) for row in found], next_cursor=cursor)
@@ -47,9 +47,9 @@ def plan_files(
     scene_id: Id,
     body: Annotated[list[PlannedFile], Body(max_length=1_000_000)],
 ) -> Plan:
-    """Say which files the scene has; the answer is what the server does not have yet, or not whole any more.
+    """Declare the files of the scene; the response lists those that the server lacks or that are damaged.
 
-    A second plan replaces the first.
+    A new plan replaces the previous one.
     """
     files = [SceneFile(file.path, file.sha256, file.size) for file in body]
     with services.database.write() as connection:
@@ -71,7 +71,7 @@ def plan_files(
 async def put_file(
     services: ServicesOf, tenant: TenantOf, scene_id: Id, sha256: Sha, request: Request
 ) -> Response:
-    """Send a planned file under its hash; sending it again changes nothing."""
+    """Upload a planned file under its hash; repeating it changes nothing."""
     size = await to_thread.run_sync(_planned_size, services, tenant, scene_id, sha256)
     async with received(services, request, size) as upload:
         if upload.sha256 != sha256:
@@ -106,7 +106,7 @@ def _store(services: Services, tenant: Tenant, path: Path, sha256: str) -> None:
     responses=problems(400, 404, 408, 409, 413, 422, 507),
 )
 async def put_archive(services: ServicesOf, tenant: TenantOf, scene_id: Id, request: Request) -> Scene:
-    """Send the whole scene as zip, tar or tar.gz; it is committed when the archive is found to be safe."""
+    """Upload the scene as zip, tar or tar.gz; it is committed once the archive has passed all checks."""
     await to_thread.run_sync(_require_open, services, tenant, scene_id)
     async with received(services, request, services.settings.max_scene_bytes) as upload:
         return await to_thread.run_sync(_take_archive, services, tenant, scene_id, upload)
@@ -140,7 +140,7 @@ def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upl
 
 @router.post("/v1/scenes/{scene_id:id}:commit", responses=problems(404, 409))
 def commit_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
-    """End the upload; every planned file must have been sent. Doing it again changes nothing."""
+    """Finish the upload; every planned file must have been sent. Repeating it changes nothing."""
     with services.database.write() as connection:
         scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         return scene_rows.show(scene_rows.commit(connection, tenant, scene))
@@ -157,7 +157,7 @@ def get_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
     "/v1/scenes/{scene_id:id}", status_code=204, response_class=Response, responses=problems(404, 409)
 )
 def delete_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Response:
-    """Remove a scene and its files; bundles made from it stay."""
+    """Delete a scene and its files; bundles made from it stay."""
     with services.database.write() as connection:
         scene_rows.delete(
             connection, tenant, scene_rows.require_scene(connection, tenant, scene_id, lock=True)
@@ -167,7 +167,7 @@ def delete_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Respon
 
 _PAGE: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "The report; as a page where that is asked for.",
+        "description": "The report; as a page if requested.",
         "content": {"text/html": {"schema": {"type": "string"}}},
     }
 }
@@ -186,7 +186,7 @@ def get_scene_report(
     response: Response,
     as_: Annotated[Literal["json", "html"] | None, Query(alias="format")] = None,
 ) -> Any:
-    """Return what was found out about a scene, with what to mend and what was measured.
+    """Return the report of a scene: findings with what to fix, and measurements.
 
     `format=html`, or an Accept header that prefers text/html, asks for a page with thumbnails.
     """
@@ -208,14 +208,14 @@ def _page_of(services: Services, scene: Any, figures: Any) -> Response:
             "were looked at and can be used; ask for format=json",
         )
     page = services.store.read_all(figures["sha256"])
-    # A page made of what strangers have sent: no scripts, nothing from outside, no share in this site.
+    # A page made from untrusted content: no scripts, nothing from outside, no access to this site.
     policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
     headers = {"content-security-policy": policy, "vary": "accept", "cache-control": "private, no-cache"}
     return Response(page, media_type="text/html; charset=utf-8", headers=headers)
 
 
 def prefers_html(accept: str) -> bool:
-    """Return whether an Accept header names text/html and wants nothing of JSON's more (RFC 9110, 12.5.1)."""
+    """Return whether an Accept header names text/html and does not prefer JSON (RFC 9110, 12.5.1)."""
     weights: dict[str, float] = {}
     for item in accept.split(","):
         kind, *parameters = (part.strip().lower() for part in item.split(";"))

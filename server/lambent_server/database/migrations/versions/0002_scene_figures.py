@@ -1,4 +1,4 @@
-"""What was measured on a scene, and the page that shows it."""
+"""Measurements of a scene, and the page that shows them."""
 
 import sqlalchemy as sa
 from alembic import op

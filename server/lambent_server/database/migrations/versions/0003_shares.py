@@ -1,4 +1,4 @@
-"""Links that let whoever has one read one bundle."""
+"""Links that give read access to one bundle."""
 
 import sqlalchemy as sa
 from alembic import op

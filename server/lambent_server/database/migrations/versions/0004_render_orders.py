@@ -1,4 +1,4 @@
-"""Orders of pictures, and which part of one a job makes."""
+"""Orders of pictures, and the part of an order that a job renders."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""When a key was used last, and which jobs have changed lately."""
+"""The time of a key's last use, and an index of recently changed jobs."""
 
 import sqlalchemy as sa
 from alembic import op
