@@ -99,12 +99,6 @@ void main() {
 }`;
 }
 
-const sumNames = ["planes", "red", "green", "blue", "base"];
-const shadowNames = [
-  ...["material", "materialScales", "materialOffsets", "shadowBits"],
-  ...["numLights", "lightDirections", "neighbours", "weights"],
-];
-
 /** Draws irradiance tables of one object. */
 export class IrradiancePasses {
   readonly #direct: RawShaderMaterial;
@@ -114,10 +108,9 @@ export class IrradiancePasses {
   constructor(private readonly textures: BundleTextures) {
     const { direct, indirect, material } = textures.transport;
     const lights = textures.shadowBits !== null;
-    const more = lights ? [...shadowNames, "shares", "lightIrradiance"] : [];
-    this.#direct = screenProgram(program(direct.layers, lights), [...sumNames, ...more]);
-    this.#indirect = screenProgram(program(indirect.layers, false), sumNames);
-    this.#shares = lights ? screenProgram(shareProgram, shadowNames) : null;
+    this.#direct = screenProgram(program(direct.layers, lights));
+    this.#indirect = screenProgram(program(indirect.layers, false));
+    this.#shares = lights ? screenProgram(shareProgram) : null;
     this.#direct.uniforms.planes!.value = textures.direct;
     this.#indirect.uniforms.planes!.value = textures.indirect;
     for (const pass of [this.#direct, this.#shares]) {

@@ -331,17 +331,12 @@ export class Viewer {
   #sides(): Side[] {
     const { turn, look, compare, split } = this.#state;
     const whole: Side = { light: "a", turn, look, method: "baked", from: 0, to: 1 };
-    if (compare === "environment")
-      return [
-        { ...whole, to: split },
-        { ...whole, light: "b", from: split },
-      ];
-    if (compare === "plain")
-      return [
-        { ...whole, to: split },
-        { ...whole, method: "plain", from: split },
-      ];
-    return [whole];
+    if (compare !== "environment" && compare !== "plain") return [whole];
+    const other = compare === "environment" ? ({ light: "b" } as const) : ({ method: "plain" } as const);
+    return [
+      { ...whole, to: split },
+      { ...whole, ...other, from: split },
+    ];
   }
 
   /** Prepare the lights that the state names and that are not there yet. */
