@@ -374,17 +374,13 @@ export class Viewer {
     );
   }
 
-  #trained(name: string): Uint8Array<ArrayBuffer> | null {
-    const light = name.slice("trained:".length);
-    return this.bundle?.trainedMaps.find((map) => map.name === light)?.data ?? null;
-  }
-
   #origin(name: string): MapOrigin {
     const [kind, rest] = [name.slice(0, name.indexOf(":")), name.slice(name.indexOf(":") + 1)];
     if (kind === "preset" && isPreset(rest)) return { kind: "preset", name: rest };
     if (kind === "url") return { kind: "url", url: new URL(rest, document.baseURI).href };
-    const data = kind === "trained" ? this.#trained(name) : kind === "file" ? this.#files.get(rest) : null;
-    if (data == null) {
+    const trained = this.bundle?.trainedMaps.find((map) => map.name === rest)?.data;
+    const data = kind === "trained" ? trained : kind === "file" ? this.#files.get(rest) : undefined;
+    if (data === undefined) {
       throw new MapFault("environment.missing", `there is no light "${name}"`, "choose or drop another one");
     }
     return { kind: "bytes", data };
