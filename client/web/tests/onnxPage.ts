@@ -1,5 +1,5 @@
 /**
- * What tests/support/engine_page.py opens in a browser: the engine's two readers of a bundle's networks, with
+ * The page that tests/support/engine_page.py opens in a browser: the engine's two readers of a bundle's networks, with
  * arrays as base64 text of little-endian float32 numbers.
  */
 

@@ -1,4 +1,4 @@
-/** What onnxruntime-web needs to run a bundle's graphs on graphics hardware; our pages do not. */
+/** Running a bundle's graphs on graphics hardware with onnxruntime-web, which our pages do not do. */
 
 import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
 import { OnnxEntrySchema, OnnxModelSchema } from "../src/contract/lambent_proto/v1/onnx_pb.js";

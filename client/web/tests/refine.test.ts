@@ -1,7 +1,7 @@
 import { describe, expect, it, vi } from "vitest";
 import { directionOfUv } from "../src/engine/environment.js";
 import { pixelSolidAngle } from "../src/engine/environmentMap.js";
-import { toHalf } from "../src/light/half.js";
+import { toHalf } from "../src/engine/half.js";
 import { Accumulation } from "../src/refine/accumulation.js";
 import { adaptedNote } from "../src/refine/adapted.js";
 import type { Hits } from "../src/refine/hitRadiance.js";

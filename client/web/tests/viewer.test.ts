@@ -11,7 +11,7 @@ import {
   wrapped,
 } from "../src/viewer/state.js";
 import { readExr } from "../src/light/exrInput.js";
-import { toHalf } from "../src/light/half.js";
+import { toHalf } from "../src/engine/half.js";
 
 describe("an address", () => {
   const other: ViewerState = {

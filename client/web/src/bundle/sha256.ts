@@ -43,6 +43,8 @@ export function sha256(data: Uint8Array): Uint8Array {
   return new Uint8Array(digest.buffer);
 }
 
+type Eight = [number, number, number, number, number, number, number, number];
+
 const schedule = new Uint32Array(64);
 
 function turned(word: number, by: number): number {
@@ -58,14 +60,7 @@ function compress(state: Uint32Array, view: DataView, start: number): void {
     const fromEarly = turned(early, 7) ^ turned(early, 18) ^ (early >>> 3);
     w[t] = (fromLate + w[t - 7]! + fromEarly + w[t - 16]!) | 0;
   }
-  let a = state[0]!;
-  let b = state[1]!;
-  let c = state[2]!;
-  let d = state[3]!;
-  let e = state[4]!;
-  let f = state[5]!;
-  let g = state[6]!;
-  let h = state[7]!;
+  let [a, b, c, d, e, f, g, h] = state as Iterable<number> as Eight;
   for (let t = 0; t < 64; t++) {
     const upper = turned(e, 6) ^ turned(e, 11) ^ turned(e, 25);
     const first = (h + upper + ((e & f) ^ (~e & g)) + roundConstants[t]! + w[t]!) | 0;

@@ -29,14 +29,9 @@ export class Fourier {
     const cosines = this.#cosines;
     const sines = this.#sines;
     for (let place = 0; place < swaps.length; place += 2) {
-      const i = swaps[place]!;
-      const j = swaps[place + 1]!;
-      const re = real[i]!;
-      const im = imaginary[i]!;
-      real[i] = real[j]!;
-      imaginary[i] = imaginary[j]!;
-      real[j] = re;
-      imaginary[j] = im;
+      const [i, j] = [swaps[place]!, swaps[place + 1]!];
+      [real[i], real[j]] = [real[j]!, real[i]!];
+      [imaginary[i], imaginary[j]] = [imaginary[j]!, imaginary[i]!];
     }
     for (let half = 1; half < length; half *= 2) {
       const stride = length / (2 * half);

@@ -203,7 +203,8 @@ export class FusedCache {
     private readonly device: GPUDevice,
     private readonly pipeline: GPUComputePipeline,
     private readonly stored: readonly GPUBuffer[],
-    private readonly width: number,
+    /** Floats per ray of the answers: opacity, distance, and radiance where the cache was packed with it. */
+    readonly answerWidth: number,
   ) {}
 
   /** Compile `packed` for a device; throws where the shader is refused. */
@@ -221,54 +222,39 @@ export class FusedCache {
     return new FusedCache(device, pipeline, stored, answerWidth(packed.program));
   }
 
-  /** Floats per ray of the answers: opacity, distance, and radiance where the cache was packed with it. */
-  get answerWidth(): number {
-    return this.width;
-  }
-
-  /**
-   * Add the work for `count` rays to `encoder`: `rays` holds origin and unit direction, six floats each, `answers`
-   * gets `answerWidth` floats each. At most 65535 x 64 rays.
-   */
-  encode(encoder: GPUCommandEncoder, rays: GPUBuffer, answers: GPUBuffer, count: number): void {
-    const size = this.device.createBuffer({ size: 16, usage: usage.uniform | usage.copyTo });
-    this.device.queue.writeBuffer(size, 0, Uint32Array.of(count, 0, 0, 0));
-    const pass = encoder.beginComputePass();
-    pass.setPipeline(this.pipeline);
-    const entries = [...this.stored, rays, answers, size].map((buffer, binding) => ({
-      binding,
-      resource: { buffer },
-    }));
-    const layout = this.pipeline.getBindGroupLayout(0);
-    pass.setBindGroup(0, this.device.createBindGroup({ layout, entries }));
-    pass.dispatchWorkgroups(Math.ceil(count / groupSize));
-    pass.end();
-  }
-
-  /** Return the hits of rays [ray, 6]: origin and unit direction each. */
+  /** Return the hits of rays [ray, 6]: origin and unit direction each; at most 65535 x 64 rays. */
   async run(rays: Float32Array<ArrayBuffer>): Promise<CacheAnswers> {
     const count = rays.length / 6;
-    const answerBytes = 4 * this.width * count;
+    const answerBytes = 4 * this.answerWidth * count;
     const make = (size: number, flags: number): GPUBuffer => this.device.createBuffer({ size, usage: flags });
     const asked = make(rays.byteLength, usage.storage | usage.copyTo);
     const answered = make(answerBytes, usage.storage | usage.copyFrom);
     const read = make(answerBytes, usage.mapRead | usage.copyTo);
+    const size = make(16, usage.uniform | usage.copyTo);
     this.device.queue.writeBuffer(asked, 0, rays);
+    this.device.queue.writeBuffer(size, 0, Uint32Array.of(count, 0, 0, 0));
     const encoder = this.device.createCommandEncoder();
-    this.encode(encoder, asked, answered, count);
+    const pass = encoder.beginComputePass();
+    pass.setPipeline(this.pipeline);
+    const buffers = [...this.stored, asked, answered, size];
+    const entries = buffers.map((buffer, binding) => ({ binding, resource: { buffer } }));
+    const layout = this.pipeline.getBindGroupLayout(0);
+    pass.setBindGroup(0, this.device.createBindGroup({ layout, entries }));
+    pass.dispatchWorkgroups(Math.ceil(count / groupSize));
+    pass.end();
     encoder.copyBufferToBuffer(answered, 0, read, 0, answerBytes);
     this.device.queue.submit([encoder.finish()]);
     await read.mapAsync(mapRead);
     const values = new Float32Array(read.getMappedRange().slice(0));
-    for (const buffer of [asked, answered, read]) buffer.destroy();
+    for (const buffer of [asked, answered, size, read]) buffer.destroy();
     const columns = (first: number, number: number): Float32Array =>
       Float32Array.from({ length: count * number }, (_, i) => {
-        return values[Math.floor(i / number) * this.width + first + (i % number)]!;
+        return values[Math.floor(i / number) * this.answerWidth + first + (i % number)]!;
       });
     return {
       opacity: columns(0, 1),
       distance: columns(1, 1),
-      radianceRgb: this.width === 5 ? columns(2, 3) : null,
+      radianceRgb: this.answerWidth === 5 ? columns(2, 3) : null,
     };
   }
 }

@@ -57,15 +57,8 @@ export function project(map: EnvironmentMap, bands: number): Float64Array {
   const coefficientsRgb = new Float64Array(3 * bands * bands);
   for (let row = 0; row < height; row++) {
     for (let m = 0; m < bands; m++) {
-      const cosines: Rgb = [0, 0, 0];
-      const sines: Rgb = [0, 0, 0];
-      rowWaves(
-        radianceRgb,
-        3 * row * width,
-        waves.subarray(2 * m * width, 2 * (m + 1) * width),
-        cosines,
-        sines,
-      );
+      const wave = waves.subarray(2 * m * width, 2 * (m + 1) * width);
+      const [cosines, sines] = rowWaves(radianceRgb, 3 * row * width, wave);
       for (let l = m; l < bands; l++) {
         const weight = (m === 0 ? 1 : Math.SQRT2) * rows[(row * bands + l) * bands + m]!;
         addScaled(coefficientsRgb, 3 * (l * (l + 1) + m), weight, cosines);
@@ -76,14 +69,8 @@ export function project(map: EnvironmentMap, bands: number): Float64Array {
   return coefficientsRgb;
 }
 
-/** Write the sums of a row's pixels times the waves of its columns. */
-function rowWaves(
-  radianceRgb: ArrayLike<number>,
-  start: number,
-  waves: Float64Array,
-  cosines: Rgb,
-  sines: Rgb,
-): void {
+/** Return the sums of a row's pixels times the cosines and the sines of its columns. */
+function rowWaves(radianceRgb: ArrayLike<number>, start: number, waves: Float64Array): [Rgb, Rgb] {
   let [redC, greenC, blueC, redS, greenS, blueS] = [0, 0, 0, 0, 0, 0];
   for (let at = 0, from = start; at < waves.length; at += 2, from += 3) {
     const cosine = waves[at]!;
@@ -98,8 +85,10 @@ function rowWaves(
     greenS += green * sine;
     blueS += blue * sine;
   }
-  cosines.splice(0, 3, redC, greenC, blueC);
-  sines.splice(0, 3, redS, greenS, blueS);
+  return [
+    [redC, greenC, blueC],
+    [redS, greenS, blueS],
+  ];
 }
 
 function addScaled(target: Float64Array, start: number, scale: number, values: readonly number[]): void {

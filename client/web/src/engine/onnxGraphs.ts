@@ -32,14 +32,16 @@ export type GraphOptions = {
 export class OnnxGraph {
   constructor(
     private readonly session: InferenceSession,
-    private readonly makeTensor: (values: Float32Array, width: number) => Tensor,
+    private readonly runtime: Runtime,
   ) {}
 
   /** Return outputs by name for inputs [row, width], which have the same number of rows. */
   async run(inputs: RowsOf, widths: Readonly<Record<string, number>>): Promise<Record<string, Float32Array>> {
-    const feed = Object.fromEntries(
-      Object.entries(inputs).map(([name, values]) => [name, this.makeTensor(values, widths[name] ?? 3)]),
-    );
+    const feed: Record<string, Tensor> = {};
+    for (const [name, values] of Object.entries(inputs)) {
+      const width = widths[name] ?? 3;
+      feed[name] = new this.runtime.Tensor("float32", values, [values.length / width, width]);
+    }
     const found = await this.session.run(feed);
     const answers: Record<string, Float32Array> = {};
     for (const [name, tensor] of Object.entries(found)) {
@@ -71,8 +73,5 @@ export async function openGraph(
     logSeverityLevel: 3,
     ...(options.provider === "webgpu" ? { extra: { session: { disable_cpu_ep_fallback: "1" } } } : {}),
   });
-  return new OnnxGraph(
-    session,
-    (values, width) => new runtime.Tensor("float32", values, [values.length / width, width]),
-  );
+  return new OnnxGraph(session, runtime);
 }

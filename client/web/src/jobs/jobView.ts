@@ -2,7 +2,7 @@
 
 import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress } from "../page/addresses.js";
-import { h, replaceKeyed, setText } from "../page/dom.js";
+import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
@@ -75,13 +75,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       fault,
       h("div", { class: "actions" }, cancel, retry),
       results,
-      h(
-        "section",
-        {},
-        h("h2", {}, "Progress"),
-        stages.element,
-        h("div", { class: "live" }, pictures.element, plots.element),
-      ),
+      section("Progress", {}, stages.element, h("div", { class: "live" }, pictures.element, plots.element)),
       log.element,
     ),
     update: (changed) => {

@@ -2,7 +2,7 @@
 
 import { button } from "../page/actions.js";
 import { jobAddress } from "../page/addresses.js";
-import { h, setText } from "../page/dom.js";
+import { h, section, setText } from "../page/dom.js";
 import { formatAbout, plural } from "../page/format.js";
 import type { Estimate, Preset } from "../page/rest.js";
 import type { Context } from "./view.js";
@@ -69,10 +69,9 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
   }
   load().catch(fail);
 
-  return h(
-    "section",
+  return section(
+    "Train it",
     {},
-    h("h2", {}, "Train it"),
     h("fieldset", {}, h("legend", {}, "Preset"), options),
     h(
       "details",

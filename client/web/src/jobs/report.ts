@@ -1,6 +1,6 @@
 /** The report on a capture: its layout, findings, and measurements. */
 
-import { h } from "../page/dom.js";
+import { h, section } from "../page/dom.js";
 import { plural } from "../page/format.js";
 import type { Finding, Scene, SceneReport } from "../page/rest.js";
 
@@ -48,10 +48,9 @@ export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
   if (!report.checked && findings.length === 0) return h("div");
   const errors = findings.filter((finding) => finding.severity === "error").length;
   const summary = report.checked ? verdict(errors, findings.length - errors) : "Not checked yet.";
-  return h(
-    "section",
+  return section(
+    "What was found",
     { id: "report" },
-    h("h2", {}, "What was found"),
     h("p", {}, summary),
     rows.length > 0 && table(rows),
     findings.length > 0 &&

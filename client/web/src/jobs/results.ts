@@ -1,7 +1,7 @@
 /** Results of a job: metrics, downloads, the viewer, and share links. */
 
 import { viewerAddress } from "../page/addresses.js";
-import { h } from "../page/dom.js";
+import { h, section } from "../page/dom.js";
 import { formatSize } from "../page/format.js";
 import type { Artifact, BundleDetail, Job } from "../page/rest.js";
 import { sharePanel } from "../share/panel.js";
@@ -56,10 +56,9 @@ export function resultSection(context: Context, job: Job, name: string): HTMLEle
   }
   load().catch(fail);
 
-  return h(
-    "section",
+  return section(
+    "Results",
     { id: "results" },
-    h("h2", {}, "Results"),
     bundleId !== null &&
       h(
         "div",

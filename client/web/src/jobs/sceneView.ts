@@ -1,7 +1,7 @@
 /** One scene: what was found in the capture, and the way to a job. */
 
 import { button } from "../page/actions.js";
-import { h, replaceKeyed, setText } from "../page/dom.js";
+import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
 import type { Scene, SceneReport } from "../page/rest.js";
 import { jobList, progressText, purpose } from "./jobLine.js";
@@ -25,7 +25,7 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
   const findings = h("div");
   const order = h("div");
   const jobs = jobList("Jobs of this scene, the newest first", purpose);
-  const jobsSection = h("section", {}, h("h2", {}, "Jobs"), jobs.element);
+  const jobsSection = section("Jobs", {}, jobs.element);
   const remove = button("Delete the scene", context, () => deleteScene(context, scene));
 
   const seen = new Map<string, string>();

@@ -2,7 +2,7 @@
 
 import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
-import { h } from "../page/dom.js";
+import { h, section } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
 import type { Bundle, Job, Scene } from "../page/rest.js";
 import { jobList, jobName } from "./jobLine.js";
@@ -53,19 +53,12 @@ export function startView(context: Context): View {
       {},
       h("h1", { tabindex: -1 }, "Relight your photographs"),
       h("section", { "aria-label": "New scene" }, panel.element),
-      h(
-        "section",
-        {},
-        h("h2", {}, "Jobs"),
-        noJobs,
-        jobs.element,
-        h("div", { class: "actions" }, older.button),
-      ),
+      section("Jobs", {}, noJobs, jobs.element, h("div", { class: "actions" }, older.button)),
       h(
         "div",
         { class: "columns" },
-        h("section", {}, h("h2", {}, "Scenes"), scenes.element),
-        h("section", {}, h("h2", {}, "Bundles"), bundles.element),
+        section("Scenes", {}, scenes.element),
+        section("Bundles", {}, bundles.element),
       ),
     ),
     update: (jobId) => {

@@ -28,14 +28,11 @@ export function isFinal(job: Pick<Job, "state">): boolean {
 
 /** The jobs and the listeners to their changes. */
 export class JobStore {
-  readonly #api: Pick<Api, "job" | "events">;
   readonly #records = new Map<string, JobRecord>();
   readonly #listeners = new Set<(jobId: string) => void>();
   readonly #loading = new Map<string, Promise<void>>();
 
-  constructor(api: Pick<Api, "job" | "events">) {
-    this.#api = api;
-  }
+  constructor(private readonly api: Pick<Api, "job" | "events">) {}
 
   /** Call `listener` with the id of each job that changes; returns the function that ends it. */
   listen(listener: (jobId: string) => void): () => void {
@@ -72,7 +69,7 @@ export class JobStore {
 
   /** Ask the server for a job. */
   async refresh(jobId: string): Promise<void> {
-    this.put(await this.#api.job(jobId));
+    this.put(await this.api.job(jobId));
   }
 
   /** Fetch a job and its history, or what is missing of it; calling it again while it runs is one request. */
@@ -90,7 +87,7 @@ export class JobStore {
     const record = this.#records.get(jobId)!;
     record.seq = Math.max(record.seq, 0);
     for (;;) {
-      const { items } = await this.#api.events(jobId, record.seq);
+      const { items } = await this.api.events(jobId, record.seq);
       for (const event of items) addToHistory(record, event);
       if (items.length === 0 || record.seq >= record.job.last_event) break;
     }

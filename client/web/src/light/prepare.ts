@@ -9,7 +9,7 @@ import { type EnvironmentMap, pixelSolidAngle, resized } from "../engine/environ
 import { project } from "../engine/harmonics.js";
 import { prefilter } from "../engine/prefilter.js";
 import { MapFault } from "./fault.js";
-import { toHalf } from "./half.js";
+import { toHalf } from "../engine/half.js";
 
 /** Levels of roughness: 0, 1/8, ... 1. */
 export const numLevels = 9;

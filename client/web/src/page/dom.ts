@@ -23,6 +23,15 @@ export function h<Name extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
+/** Return a section under a heading. */
+export function section(
+  title: string,
+  attributes: { id?: string },
+  ...children: readonly Child[]
+): HTMLElement {
+  return h("section", attributes, h("h2", {}, title), ...children);
+}
+
 /** Change the text of an element only where it differs, so that readers hear what is new and nothing twice. */
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;

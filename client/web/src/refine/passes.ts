@@ -57,7 +57,7 @@ export async function onePass(
     indirectRgb: new Float32Array(3 * count),
     visibility: new Float32Array(count),
   };
-  const draw = new Drawing(scene, perPass, seed, pass);
+  const draw = drawing(scene, perPass, seed, pass);
   let before: { drawn: Drawn; traced: Promise<Traced> } | null = null;
   for (let first = 0; first < count || before !== null; ) {
     if (stopped()) {
@@ -66,7 +66,7 @@ export async function onePass(
     }
     const many = Math.max(1, Math.floor(tracer.raysPerCall / perPass));
     // While graphics hardware traces these, the next ones are drawn.
-    const drawn = first < count ? draw.some(first, Math.min(first + many, count)) : null;
+    const drawn = first < count ? draw(first, Math.min(first + many, count)) : null;
     const next = drawn === null ? null : { drawn, traced: tracer.trace(drawn.rays) };
     if (before !== null) add(scene, before.drawn, await before.traced, perPass, means);
     before = next;
@@ -75,41 +75,27 @@ export async function onePass(
   return means;
 }
 
-class Drawing {
-  readonly #randoms = new Randoms();
-  readonly #uniforms: Float64Array;
-  readonly #scattering: Scattering;
-
-  constructor(
-    private readonly scene: RefineScene,
-    private readonly perPass: number,
-    private readonly seed: number,
-    private readonly pass: number,
-  ) {
-    this.#uniforms = new Float64Array(3 * perPass);
-    this.#scattering = new Scattering(scene.points, scene.sampler, scene.light.turn);
-  }
-
-  /** Draw directions for points [from, to). */
-  some(from: number, to: number): Drawn {
-    const { points, originOffset } = this.scene;
-    const { perPass } = this;
+/** Return what draws directions for points [from, to). */
+function drawing(scene: RefineScene, perPass: number, seed: number, pass: number) {
+  const { points, originOffset } = scene;
+  const randoms = new Randoms();
+  const u = new Float64Array(3 * perPass);
+  const scattering = new Scattering(points, scene.sampler, scene.light.turn);
+  return (from: number, to: number): Drawn => {
     const most = (to - from) * perPass;
     const rays = new Float32Array(6 * most);
     const point = new Uint32Array(most);
     const weight = new Float32Array(3 * most);
     const open = new Float32Array(most);
     const chance = new Float32Array(most);
-    const scattering = this.#scattering;
     let count = 0;
     for (let index = from; index < to; index++) {
-      this.#randoms.begin(this.seed, this.pass, index);
-      evenUniforms(this.#randoms, perPass, this.#uniforms);
+      randoms.begin(seed, pass, index);
+      evenUniforms(randoms, perPass, u);
       scattering.aim(index, perPass);
       for (let sample = 0; sample < perPass; sample++) {
-        const u = this.#uniforms;
         const above = scattering.draw(u[3 * sample]!, u[3 * sample + 1]!, u[3 * sample + 2]!);
-        const hit = this.#randoms.next();
+        const hit = randoms.next();
         if (!above) continue;
         for (let axis = 0; axis < 3; axis++) {
           const at = 3 * index + axis;
@@ -124,7 +110,7 @@ class Drawing {
       }
     }
     return { count, rays: rays.slice(0, 6 * count), point, weight, open, chance };
-  }
+  };
 }
 
 const [direction, backwards, arriving]: readonly [Vector, Vector, Vector] = [vector(), vector(), vector()];

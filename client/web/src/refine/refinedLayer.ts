@@ -26,8 +26,6 @@ void main() {
   result = vec4(shown, straight.a);
 }`;
 
-const uniformNames = ["direct", "rest", "corner", "shownSize", "height", "channel"] as const;
-
 /** Channels of which there is a refined picture; the others are not about light. */
 export const refinedChannels: ReadonlySet<string> = new Set(["final", "direct", "indirect", "visibility"]);
 
@@ -35,7 +33,7 @@ export const refinedChannels: ReadonlySet<string> = new Set(["final", "direct", 
 export class RefinedLayer {
   readonly #direct: DataTexture;
   readonly #rest: DataTexture;
-  readonly #material = screenProgram(fragment, uniformNames);
+  readonly #material = screenProgram(fragment);
 
   /** `shown` is the camera of the picture on the canvas, of which `picture` may be a coarser one. */
   constructor(

@@ -5,7 +5,7 @@
  * because this runs for every light direction.
  */
 
-import type { Vector } from "./vectors.js";
+import { mirrorOf, type Vector } from "./vectors.js";
 
 export const dielectricF0 = 0.04;
 export const minAlpha = 1e-4;
@@ -27,8 +27,9 @@ function shadowing(cosine: number, alpha: number): number {
   return cosine / Math.max(cosine * (1 - k) + k, floor);
 }
 
-/** Tangent and bitangent of a normal, so that (tangent, bitangent, normal) is right-handed: [0..2] and [3..5]. */
-export function frameAxes(nx: number, ny: number, nz: number, out: Float64Array): void {
+/** Write x tangent + y bitangent + z normal; (tangent, bitangent, normal) is right-handed. */
+function fromFrame(x: number, y: number, z: number, normal: Vector, out: Vector): void {
+  const [nx, ny, nz] = [normal[0]!, normal[1]!, normal[2]!];
   // up x normal, with up = z unless the normal is steep, then y.
   let [tx, ty, tz] = [-ny, nx, 0];
   if (Math.abs(nz) >= 0.9) [tx, ty, tz] = [nz, 0, -nx];
@@ -36,21 +37,9 @@ export function frameAxes(nx: number, ny: number, nz: number, out: Float64Array)
   tx /= length;
   ty /= length;
   tz /= length;
-  out[0] = tx;
-  out[1] = ty;
-  out[2] = tz;
-  out[3] = ny * tz - nz * ty;
-  out[4] = nz * tx - nx * tz;
-  out[5] = nx * ty - ny * tx;
-}
-
-const axes = new Float64Array(6);
-
-function fromFrame(x: number, y: number, z: number, normal: Vector, out: Vector): void {
-  frameAxes(normal[0]!, normal[1]!, normal[2]!, axes);
-  for (let axis = 0; axis < 3; axis++) {
-    out[axis] = x * axes[axis]! + y * axes[3 + axis]! + z * normal[axis]!;
-  }
+  out[0] = x * tx + y * (ny * tz - nz * ty) + z * nx;
+  out[1] = x * ty + y * (nz * tx - nx * tz) + z * ny;
+  out[2] = x * tz + y * (nx * ty - ny * tx) + z * nz;
 }
 
 /** Draw a direction with density cos / pi about `normal`. */
@@ -74,8 +63,7 @@ export function ggxSample(
   const sine = Math.sqrt(tanSquared) * cosine;
   const angle = 2 * Math.PI * u2 - Math.PI;
   fromFrame(sine * Math.cos(angle), sine * Math.sin(angle), cosine, normal, out);
-  const twice = 2 * (omegaO[0]! * out[0]! + omegaO[1]! * out[1]! + omegaO[2]! * out[2]!);
-  for (let axis = 0; axis < 3; axis++) out[axis] = twice * out[axis]! - omegaO[axis]!;
+  mirrorOf(out, omegaO, out);
 }
 
 /** The values of a surface's lobes for a pair of directions. */

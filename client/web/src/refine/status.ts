@@ -44,14 +44,8 @@ const places: Readonly<Record<Backend, string>> = {
 };
 
 /** Return a status as a sentence. */
-export function statusText({
-  phase,
-  backend,
-  note,
-  samplesPerPixel,
-  relativeError,
-  message,
-}: RefineStatus): string {
+export function statusText(status: RefineStatus): string {
+  const { phase, backend, note, samplesPerPixel, relativeError, message } = status;
   if (phase === "off") return "";
   if (phase === "waiting") return "Starts when nothing moves.";
   if (phase === "loading") return "Fetching the networks…";

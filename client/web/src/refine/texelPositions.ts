@@ -41,14 +41,11 @@ function drawCharts(mesh: AtlasMesh, size: number): { places: Uint32Array; posit
   const face = new Int32Array(size * size).fill(-1);
   const weights = new Float32Array(2 * size * size);
   for (let first = 0; first < indices.length; first += 3) {
-    const [a, b, c] = [indices[first]!, indices[first + 1]!, indices[first + 2]!];
-    const [ax, ay, bx, by] = [
-      uv[2 * a]! * size,
-      uv[2 * a + 1]! * size,
-      uv[2 * b]! * size,
-      uv[2 * b + 1]! * size,
-    ];
-    const [cx, cy] = [uv[2 * c]! * size, uv[2 * c + 1]! * size];
+    const corner = (index: number): [x: number, y: number] => {
+      const vertex = indices[first + index]!;
+      return [uv[2 * vertex]! * size, uv[2 * vertex + 1]! * size];
+    };
+    const [[ax, ay], [bx, by], [cx, cy]] = [corner(0), corner(1), corner(2)];
     const left = Math.max(0, Math.trunc(Math.min(ax, bx, cx) - 1.5));
     const right = Math.min(size - 1, Math.trunc(Math.max(ax, bx, cx) + 0.5));
     const top = Math.max(0, Math.trunc(Math.min(ay, by, cy) - 1.5));

@@ -82,7 +82,7 @@ async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Trace
     void opened.lost.then(({ message }) => {
       trouble = message || "the graphics hardware went away";
     });
-    return new PacedTracer("wgsl", adapter.info.isFallbackAdapter, async (rays) => {
+    return paced("wgsl", adapter.info.isFallbackAdapter, async (rays) => {
       const answers = await cache.run(rays).catch((error: unknown) => {
         trouble ||= firstLine(error);
         return null;
@@ -127,28 +127,28 @@ async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
     await new Promise((resolve) => setTimeout(resolve));
     return { opacity: found.opacity!, distance: found.distance! };
   };
-  return new PacedTracer("wasm", true, run);
+  return paced("wasm", true, run);
 }
 
-/** Finds out how many rays a call may have: longer calls waste less, but nothing can be stopped during one. */
-class PacedTracer implements Tracer {
-  raysPerCall = leastRays;
-
-  constructor(
-    readonly backend: Backend,
-    readonly slow: boolean,
-    private readonly run: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>,
-  ) {}
-
-  async trace(rays: Float32Array<ArrayBuffer>): Promise<Traced> {
-    if (rays.length === 0) return { opacity: new Float32Array(0), distance: new Float32Array(0) };
-    const start = performance.now();
-    const answers = await this.run(rays);
-    const took = performance.now() - start;
-    if (took > slowMs) this.raysPerCall = Math.max(this.raysPerCall / 2, leastRays);
-    else if (took < quickMs && rays.length >= 3 * this.raysPerCall) {
-      this.raysPerCall = Math.min(2 * this.raysPerCall, mostRays);
-    }
-    return answers;
-  }
+/** Find out how many rays a call may have: longer calls waste less, but nothing can be stopped during one. */
+function paced(
+  backend: Backend,
+  slow: boolean,
+  run: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>,
+): Tracer {
+  const tracer = {
+    ...{ backend, slow, raysPerCall: leastRays },
+    trace: async (rays: Float32Array<ArrayBuffer>): Promise<Traced> => {
+      if (rays.length === 0) return { opacity: new Float32Array(0), distance: new Float32Array(0) };
+      const start = performance.now();
+      const answers = await run(rays);
+      const took = performance.now() - start;
+      if (took > slowMs) tracer.raysPerCall = Math.max(tracer.raysPerCall / 2, leastRays);
+      else if (took < quickMs && rays.length >= 3 * tracer.raysPerCall) {
+        tracer.raysPerCall = Math.min(2 * tracer.raysPerCall, mostRays);
+      }
+      return answers;
+    },
+  };
+  return tracer;
 }

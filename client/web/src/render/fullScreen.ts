@@ -14,8 +14,9 @@ import {
 } from "three";
 import { coverVertex } from "./glsl.js";
 
-/** Return a program that writes every pixel of a target, with these uniforms yet to be given. */
-export function screenProgram(fragmentShader: string, names: readonly string[]): RawShaderMaterial {
+/** Return a program that writes every pixel of a target; the uniforms that it declares are yet to be given. */
+export function screenProgram(fragmentShader: string): RawShaderMaterial {
+  const names = [...fragmentShader.matchAll(/uniform \w+ (\w+)/g)].map(([, name]) => name!);
   return new RawShaderMaterial({
     glslVersion: GLSL3,
     vertexShader: coverVertex,

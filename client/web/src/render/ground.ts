@@ -8,7 +8,6 @@
  */
 
 import {
-  AddEquation,
   CustomBlending,
   DataTexture,
   DoubleSide,
@@ -133,8 +132,8 @@ export class Ground {
   readonly #lights = bytes(2 * lightSide, true);
   readonly #sky = halfFloatTarget(skySide, skySide, LinearFilter);
   readonly #skyLight = new DataTexture(new Float32Array(4 * numSky), numSky, 1, RGBAFormat, FloatType);
-  readonly #skyPass = screenProgram(skyProgram, ["tiles", "skyLight"]);
-  readonly #sharePass = screenProgram(shareProgram, ["sky", "lights", "lightsRgb", "numLights", "whole"]);
+  readonly #skyPass = screenProgram(skyProgram);
+  readonly #sharePass = screenProgram(shareProgram);
   readonly #cast: RawShaderMaterial;
   readonly #scene = new Scene();
   readonly #camera = new Camera();
@@ -158,7 +157,6 @@ export class Ground {
       side: DoubleSide,
       depthFunc: LessDepth,
       blending: CustomBlending,
-      blendEquation: AddEquation,
       blendSrc: OneFactor,
       blendDst: OneFactor,
     });

@@ -59,24 +59,17 @@ const skies = new Map<number, Float64Array>();
 
 /** Return the basis at every direction of the sky, [numSky, bands^2]. */
 function skyBasis(bands: number): Float64Array {
-  const known = skies.get(bands);
-  if (known !== undefined) return known;
-  const size = bands * bands;
-  const table = new Float64Array(numSky * size);
-  skyDirections(numSky).forEach((direction, index) => {
-    table.set(basis(direction, bands), index * size);
-  });
-  skies.set(bands, table);
+  let table = skies.get(bands);
+  if (table === undefined) {
+    table = Float64Array.from(skyDirections(numSky).flatMap((direction) => [...basis(direction, bands)]));
+    skies.set(bands, table);
+  }
   return table;
 }
 
 /** Return the irradiance of open, level ground; harmonics below zero count as dark. */
-export function groundLight({
-  coefficientsRgb,
-  bands,
-  directions,
-  irradianceRgb,
-}: FallingLight): GroundLight {
+export function groundLight(light: FallingLight): GroundLight {
+  const { coefficientsRgb, bands, directions, irradianceRgb } = light;
   const table = skyBasis(bands);
   const size = bands * bands;
   const skyRgba = new Float32Array(4 * numSky);

@@ -35,9 +35,7 @@ vec3 planeSum(ivec2 where) {
 `;
 }
 
-/**
- * Share of a dominant light at a texel: a weighted mean of its nearest shadow bits, zero where it faces away.
- */
+/** Share of a dominant light at a texel: a weighted mean of its nearest shadow bits. */
 const shadows = `
 uniform isampler2DArray material;
 uniform vec4 materialScales[2];
@@ -99,12 +97,6 @@ void main() {
 }`;
 }
 
-const sumNames = ["planes", "red", "green", "blue", "base"];
-const shadowNames = [
-  ...["material", "materialScales", "materialOffsets", "shadowBits"],
-  ...["numLights", "lightDirections", "neighbours", "weights"],
-];
-
 /** Draws irradiance tables of one object. */
 export class IrradiancePasses {
   readonly #direct: RawShaderMaterial;
@@ -114,14 +106,12 @@ export class IrradiancePasses {
   constructor(private readonly textures: BundleTextures) {
     const { direct, indirect, material } = textures.transport;
     const lights = textures.shadowBits !== null;
-    const more = lights ? [...shadowNames, "shares", "lightIrradiance"] : [];
-    this.#direct = screenProgram(program(direct.layers, lights), [...sumNames, ...more]);
-    this.#indirect = screenProgram(program(indirect.layers, false), sumNames);
-    this.#shares = lights ? screenProgram(shareProgram, shadowNames) : null;
+    this.#direct = screenProgram(program(direct.layers, lights));
+    this.#indirect = screenProgram(program(indirect.layers, false));
+    this.#shares = lights ? screenProgram(shareProgram) : null;
     this.#direct.uniforms.planes!.value = textures.direct;
     this.#indirect.uniforms.planes!.value = textures.indirect;
-    for (const pass of [this.#direct, this.#shares]) {
-      if (pass === null || !lights) continue;
+    for (const pass of this.programs) {
       const values = { material: textures.material, shadowBits: textures.shadowBits };
       setUniforms(pass, { ...values, materialScales: material.scales, materialOffsets: material.offsets });
     }
@@ -138,14 +128,9 @@ export class IrradiancePasses {
     setUniforms(this.#direct, sumFactors(direct, light.coefficientsRgb, 1));
     if (this.#shares !== null) {
       const lights = lightUniforms(light);
-      setUniforms(this.#shares, lights.shadows);
+      setUniforms(this.#shares, lights);
       screen.draw(this.#shares, into.shares);
-      const { irradiance } = lights;
-      setUniforms(this.#direct, {
-        ...lights.shadows,
-        lightIrradiance: irradiance,
-        shares: into.shares.texture,
-      });
+      setUniforms(this.#direct, { ...lights, shares: into.shares.texture });
     }
     setUniforms(this.#indirect, sumFactors(indirect, bouncedCoefficients(light, indirect.bands), 3));
     screen.draw(this.#direct, into.direct);
@@ -167,12 +152,10 @@ export class IrradianceTables {
   readonly shares: WebGLRenderTarget;
 
   constructor(textures: BundleTextures) {
-    this.direct = halfFloatTarget(tableWidth, textures.transport.direct.rows);
+    const { rows } = textures.transport.direct;
+    this.direct = halfFloatTarget(tableWidth, rows);
     this.indirect = halfFloatTarget(tableWidth, textures.transport.indirect.rows);
-    this.shares = halfFloatTarget(
-      tableWidth,
-      textures.shadowBits === null ? 1 : textures.transport.direct.rows,
-    );
+    this.shares = halfFloatTarget(tableWidth, textures.shadowBits === null ? 1 : rows);
   }
 
   dispose(): void {
@@ -182,17 +165,17 @@ export class IrradianceTables {
   }
 }
 
-/** Return the uniforms of dominant lights: those of their shadows, and their irradiance. */
+/** Return the uniforms of dominant lights and of their shadows. */
 function lightUniforms(light: FallingLight) {
-  const { numLights, lightDirections, lightIrradiance } = dominantUniforms(light);
+  const dominant = dominantUniforms(light);
   const neighbours = new Int32Array(6 * maxDominant);
   const weights = new Float32Array(6 * maxDominant);
-  for (let index = 0; index < numLights; index++) {
+  for (let index = 0; index < dominant.numLights; index++) {
     const near = shadowWeights(storedDirections, light.directions[index]!);
     neighbours.set(near.indices, 6 * index);
     weights.set(near.weights, 6 * index);
   }
-  return { shadows: { numLights, lightDirections, neighbours, weights }, irradiance: lightIrradiance };
+  return { ...dominant, neighbours, weights };
 }
 
 /** Return number, directions and irradiance of dominant lights for a shader. */

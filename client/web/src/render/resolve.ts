@@ -90,15 +90,9 @@ void main() {
   result = vec4(target == ${outputs.canvas} ? encoded * alpha : encoded, alpha);
 }`;
 
-const uniformNames = [
-  ...["levels", "levelPlaces", "toMap", "lightScale", "toneMappingExposure", "picture", "size"],
-  ...["lens", "cameraTurn", "background", "backgroundSrgb", "tone", "content", "target"],
-  ...["hasGround", "ground", "groundPlace", "eye"],
-] as const;
-
 /** The last pass. */
 export class Resolve {
-  readonly material = screenProgram(program, uniformNames);
+  readonly material = screenProgram(program);
 
   /** Set what a picture needs. */
   prepare(

@@ -142,17 +142,6 @@ void main() {
 }`;
 }
 
-const uniformNames = [
-  ...["seen", "samples", "size", "lens", "cameraTurn", "eye"],
-  ...["coarseOfTexel", "material", "materialScales", "materialOffsets", "direct", "directConstant"],
-  ...["visibility", "visibilityScales", "visibilityOffsets", "lobeTable", "splitSumTable"],
-  ...["levels", "levelPlaces", "toMap", "lightScale"],
-  ...["irradiance", "bounced", "plainIrradiance", "channel", "plain", "indirect"],
-  ...["numLights", "lightDirections", "lightIrradiance", "shares"],
-  ...["albedoGain", "roughnessScale", "metalnessShift", "depthRange"],
-  ...["uncertainty", "gridLow", "gridSize"],
-] as const;
-
 /** The pass that shades what the samples show. */
 export class Shading {
   readonly material: RawShaderMaterial;
@@ -164,8 +153,8 @@ export class Shading {
   ) {
     const { transport } = textures;
     const grid = bundle.uncertainty;
-    this.material = screenProgram(fragment(transport.visibility.bands, grid !== null), uniformNames);
-    this.#set({
+    this.material = screenProgram(fragment(transport.visibility.bands, grid !== null));
+    setUniforms(this.material, {
       coarseOfTexel: textures.coarseOfTexel,
       material: textures.material,
       materialScales: transport.material.scales,
@@ -185,13 +174,13 @@ export class Shading {
 
   /** Set which samples are shaded, and for which camera. */
   aim(seen: Texture, samples: number, camera: ViewCamera, depthRange: readonly number[]): void {
-    this.#set({ seen, samples, depthRange, ...cameraUniforms(camera) });
+    setUniforms(this.material, { seen, samples, depthRange, ...cameraUniforms(camera) });
   }
 
   /** Set how they are lit. */
   light(look: Look, method: Method, light: StageLight, turn: LightTurn): void {
     const gain = look.edit.albedoGain.map((value, channel) => value * this.bundle.albedoScaleRgb[channel]!);
-    this.#set({
+    setUniforms(this.material, {
       ...lightUniforms(light, turn),
       ...dominantUniforms(light.dominant(turn)),
       shares: light.tables.shares.texture,
@@ -205,10 +194,6 @@ export class Shading {
       roughnessScale: look.edit.roughnessScale,
       metalnessShift: look.edit.metalnessShift,
     });
-  }
-
-  #set(values: Partial<Record<(typeof uniformNames)[number], unknown>>): void {
-    setUniforms(this.material, values);
   }
 
   dispose(): void {

@@ -6,7 +6,6 @@ import {
   PerspectiveCamera,
   RGBAFormat,
   Scene,
-  type TextureDataType,
   UnsignedByteType,
   WebGLRenderer,
   WebGLRenderTarget,
@@ -192,18 +191,14 @@ export class Stage {
   /** Return the picture as RGBA bytes, rows from the top, straight alpha. */
   readBytes(camera: ViewCamera, sides: readonly Side[], samples: number): Uint8ClampedArray<ArrayBuffer> {
     const result = new Uint8ClampedArray(4 * camera.width * camera.height);
-    this.#tiles(camera, sides, samples, "straight", UnsignedByteType, Uint8Array, (row, start) => {
-      result.set(row, start);
-    });
+    this.#tiles(camera, sides, samples, "straight", result);
     return result;
   }
 
   /** Return linear radiance as RGBA half floats, rows from the top, multiplied by alpha. */
   readHalf(camera: ViewCamera, sides: readonly Side[], samples: number): Uint16Array<ArrayBuffer> {
     const result = new Uint16Array(4 * camera.width * camera.height);
-    this.#tiles(camera, sides, samples, "linear", HalfFloatType, Uint16Array, (row, start) => {
-      result.set(row, start);
-    });
+    this.#tiles(camera, sides, samples, "linear", result);
     return result;
   }
 
@@ -228,16 +223,15 @@ export class Stage {
     this.#seenKey = "";
   }
 
-  /** Draw a picture of any size in tiles and hand out its rows. */
-  #tiles<T extends Uint8Array | Uint16Array>(
+  /** Draw a picture of any size in tiles into an array, rows from the top. */
+  #tiles(
     camera: ViewCamera,
     sides: readonly Side[],
     samples: number,
-    output: keyof typeof outputs,
-    type: TextureDataType,
-    kind: new (length: number) => T,
-    take: (row: T, start: number) => void,
+    output: "straight" | "linear",
+    into: Uint8ClampedArray | Uint16Array,
   ): void {
+    const type = output === "linear" ? HalfFloatType : UnsignedByteType;
     for (let top = 0; top < camera.height; top += tileSide) {
       for (let left = 0; left < camera.width; left += tileSide) {
         const width = Math.min(tileSide, camera.width - left);
@@ -255,13 +249,14 @@ export class Stage {
           const part = { ...side, from: share(side.from), to: share(side.to) };
           if (part.to > part.from) this.#drawSide(tile, part, samples, target, output);
         }
-        const pixels = new kind(4 * width * height);
+        const count = 4 * width * height;
+        const pixels = output === "linear" ? new Uint16Array(count) : new Uint8Array(count);
         this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
         target.dispose();
         for (let row = 0; row < height; row++) {
           const source = 4 * width * (height - 1 - row);
-          const line = pixels.subarray(source, source + 4 * width) as T;
-          take(line, 4 * ((top + row) * camera.width + left));
+          const line = pixels.subarray(source, source + 4 * width);
+          into.set(line, 4 * ((top + row) * camera.width + left));
         }
       }
     }

@@ -14,7 +14,7 @@ import {
   RGBAFormat,
   RGBAIntegerFormat,
   RGFormat,
-  type Texture,
+  Texture,
   UnsignedIntType,
 } from "three";
 import type { UncertaintyGrid } from "../bundle/uncertainty.js";
@@ -76,9 +76,7 @@ export class BundleTextures {
 
   /** All of them. */
   get all(): Texture[] {
-    const { direct, visibility, indirect, material, texelPlane, coarseOfTexel, lobeTable } = this;
-    const always = [direct, visibility, indirect, material, texelPlane, coarseOfTexel, lobeTable];
-    return [...always, ...[this.shadowBits, this.uncertainty].filter((each) => each !== null)];
+    return Object.values(this).filter((each) => each instanceof Texture);
   }
 
   dispose(): void {

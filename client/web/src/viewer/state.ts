@@ -8,7 +8,6 @@ import {
   channels,
   type LightTurn,
   type Look,
-  type MaterialEdit,
   type Rgb,
   type ToneCurve,
   toneCurves,
@@ -45,8 +44,6 @@ export type ViewerState = {
   readonly refine: boolean;
 };
 
-const plainEdit: MaterialEdit = { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 };
-
 export const initialState: ViewerState = {
   environment: "",
   turn: { yawDeg: 0, pitchDeg: 0, rollDeg: 0, intensity: 1 },
@@ -56,7 +53,7 @@ export const initialState: ViewerState = {
     exposureEv: 0,
     background: "blurred",
     backgroundSrgb: [0.93, 0.93, 0.93],
-    edit: plainEdit,
+    edit: { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 },
     indirect: true,
     ground: false,
   },

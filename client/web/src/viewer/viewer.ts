@@ -331,17 +331,12 @@ export class Viewer {
   #sides(): Side[] {
     const { turn, look, compare, split } = this.#state;
     const whole: Side = { light: "a", turn, look, method: "baked", from: 0, to: 1 };
-    if (compare === "environment")
-      return [
-        { ...whole, to: split },
-        { ...whole, light: "b", from: split },
-      ];
-    if (compare === "plain")
-      return [
-        { ...whole, to: split },
-        { ...whole, method: "plain", from: split },
-      ];
-    return [whole];
+    if (compare !== "environment" && compare !== "plain") return [whole];
+    const other = compare === "environment" ? ({ light: "b" } as const) : ({ method: "plain" } as const);
+    return [
+      { ...whole, to: split },
+      { ...whole, ...other, from: split },
+    ];
   }
 
   /** Prepare the lights that the state names and that are not there yet. */
@@ -379,17 +374,13 @@ export class Viewer {
     );
   }
 
-  #trained(name: string): Uint8Array<ArrayBuffer> | null {
-    const light = name.slice("trained:".length);
-    return this.bundle?.trainedMaps.find((map) => map.name === light)?.data ?? null;
-  }
-
   #origin(name: string): MapOrigin {
     const [kind, rest] = [name.slice(0, name.indexOf(":")), name.slice(name.indexOf(":") + 1)];
     if (kind === "preset" && isPreset(rest)) return { kind: "preset", name: rest };
     if (kind === "url") return { kind: "url", url: new URL(rest, document.baseURI).href };
-    const data = kind === "trained" ? this.#trained(name) : kind === "file" ? this.#files.get(rest) : null;
-    if (data == null) {
+    const trained = this.bundle?.trainedMaps.find((map) => map.name === rest)?.data;
+    const data = kind === "trained" ? trained : kind === "file" ? this.#files.get(rest) : undefined;
+    if (data === undefined) {
       throw new MapFault("environment.missing", `there is no light "${name}"`, "choose or drop another one");
     }
     return { kind: "bytes", data };

@@ -192,7 +192,7 @@ describe("a card without targets of full floats, as in telephones", () => {
     await context.addInitScript(() => {
       const prototype = WebGL2RenderingContext.prototype;
       const plain = prototype.getExtension;
-      // What was not asked for is not there, whatever the card can do.
+      // Extensions that were not requested are missing, whatever the card can do.
       prototype.getExtension = function (this: WebGL2RenderingContext, name: string) {
         return /^(EXT_color_buffer_float|OES_texture_float_linear|EXT_float_blend)$/.test(name)
           ? null

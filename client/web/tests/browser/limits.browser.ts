@@ -62,7 +62,7 @@ const card = (): Promise<Record<string, number>> =>
     ...(globalThis as unknown as { things: Record<string, number> }).things,
   }));
 
-/** What a page holds: how many values, and bytes of arrays. */
+/** The memory of a page: how many values, and bytes of arrays. */
 type Held = { readonly values: number; readonly arrayBytes: number };
 
 /** Return the least of what the page holds at three times: what is on its way to a worker passes, a leak stays. */

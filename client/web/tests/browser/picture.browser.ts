@@ -3,7 +3,7 @@ import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { directionOfPixel } from "../../src/engine/environment.js";
 import { lookup } from "../lookup.js";
 import { readExr } from "../../src/light/exrInput.js";
-import { toHalf } from "../../src/light/half.js";
+import { toHalf } from "../../src/engine/half.js";
 import { turnMatrix } from "../../src/render/light.js";
 import { encodeExr } from "../../src/viewer/save.js";
 import { closePages, sharedChromium } from "../support/chromium.js";

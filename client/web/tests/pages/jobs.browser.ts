@@ -137,7 +137,7 @@ describe("an upload", () => {
     await page.setInputFiles("input[accept*=zip]", file("broken.zip", "PK but no directory"));
     await page.waitForSelector("#message:has-text('archive cannot be read')");
     expect(await serious(page)).toEqual([]);
-    // What the server answers to mistakes is logged by the browser, and is no fault of the page.
+    // The browser logs refused requests; they are no fault of the page.
     complaints.splice(0);
   });
 

@@ -1,4 +1,4 @@
-/** What tests of the pages of jobs share. */
+/** Helpers for tests of the job pages. */
 
 import { mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
