@@ -91,7 +91,7 @@ def shade(
     """Return the radiance of the pixels of `view` under `light`; `lit` are its used texels.
 
     Pictures [height, width, 3] by the name of their pass, black outside the object: rgb, direct, indirect,
-    diffuse and specular. `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before.
+    diffuse and specular. `bounce_gain` [3] is the effect of an edit of all albedos on bounced light.
     """
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
     seen = seen_lights(lit, light)
