@@ -226,7 +226,7 @@ def _step(name: str, steps: int) -> Callable[[ViewerModel], None]:
 def _binding(
     written: str, does: str, act: Callable[[ViewerModel], None], symbols: str | None = None
 ) -> Binding:
-    """Return what the keys `symbols` do, by default the one that is called as it is written."""
+    """Return the binding of the keys `symbols` (X11 names), by default of the one named like `written`."""
     return Binding(symbols=tuple((symbols or written).split()), written=written, does=does, act=act)
 
 

@@ -86,11 +86,11 @@ class ViewerState:
         return replace(self, **dict(zip(("width", "height"), sides, strict=True)))
 
     def with_number(self, name: str, value: float) -> "ViewerState":
-        """Return another value of one of `LIMITS`, within these."""
+        """Return the state with another value of a number in `LIMITS`, kept within them."""
         return replace(self, **{name: min(max(value, LIMITS[name].low), LIMITS[name].high)})
 
     def stepped(self, name: str, steps: int) -> "ViewerState":
-        """Return a number of `LIMITS` that was turned by so many steps of a key."""
+        """Return the state with a number in `LIMITS` changed by this many key steps."""
         return self.with_number(name, getattr(self, name) + steps * LIMITS[name].step)
 
     def with_next(self, field: str, names: tuple[str, ...], step: int = 1) -> "ViewerState":
