@@ -5,14 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lambent_relight import RelightError
+from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 from lambent.desktop.lights import Lights
 from lambent.desktop.photographs import Photograph
-from lambent.desktop.state import (
-    LIGHT_STEP_DEG,
-    ViewerState,
-    wrapped,
-)
+from lambent.desktop.state import BACKDROPS, LIGHT_STEP_DEG, ViewerState, wrapped
 from lambent.errors import LambentError
 
 ORBIT_STEP_DEG = 5.0
@@ -229,7 +226,7 @@ def _step(name: str, steps: int) -> Callable[[ViewerModel], None]:
 def _binding(
     written: str, does: str, act: Callable[[ViewerModel], None], symbols: str | None = None
 ) -> Binding:
-    """Return what the keys `symbols` do, by default the one that is called as it is written."""
+    """Return the binding of the keys `symbols` (X11 names), by default of the one named like `written`."""
     return Binding(symbols=tuple((symbols or written).split()), written=written, does=does, act=act)
 
 
@@ -249,14 +246,14 @@ BINDINGS = (
     _binding("o", "open an environment file", _open),
     _binding(",", "darker", _step("exposure_ev", -1), "comma"),
     _binding(".", "brighter", _step("exposure_ev", 1), "period"),
-    _binding("t", "next tone curve", _change(lambda m: m.state.with_next_tone_mapping())),
-    _binding("c", "next channel", _change(lambda m: m.state.with_next_channel(m.channels))),
-    _binding("C", "channel before", _change(lambda m: m.state.with_next_channel(m.channels, -1))),
+    _binding("t", "next tone curve", _change(lambda m: m.state.with_next("tone_mapping", TONE_MAPPINGS))),
+    _binding("c", "next channel", _change(lambda m: m.state.with_next("channel", m.channels))),
+    _binding("C", "channel before", _change(lambda m: m.state.with_next("channel", m.channels, -1))),
     _binding("f", "back to the final picture", _change(lambda m: replace(m.state, channel="final"))),
     _binding(
         "i", "indirect light on, off", _change(lambda m: replace(m.state, indirect=not m.state.indirect))
     ),
-    _binding("b", "next backdrop", _change(lambda m: m.state.with_next_backdrop())),
+    _binding("b", "next backdrop", _change(lambda m: m.state.with_next("backdrop", tuple(BACKDROPS)))),
     _binding("g", "darker albedo", _step("albedo_gain", -1)),
     _binding("G", "brighter albedo", _step("albedo_gain", 1)),
     _binding("r", "smoother", _step("roughness_scale", -1)),

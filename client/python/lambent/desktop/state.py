@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from lambent_relight import MaterialEdit
-from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 from lambent.desktop.orbit import Orbit
 
@@ -87,24 +86,16 @@ class ViewerState:
         return replace(self, **dict(zip(("width", "height"), sides, strict=True)))
 
     def with_number(self, name: str, value: float) -> "ViewerState":
-        """Return another value of one of `LIMITS`, within these."""
+        """Return the state with another value of a number in `LIMITS`, kept within them."""
         return replace(self, **{name: min(max(value, LIMITS[name].low), LIMITS[name].high)})
 
     def stepped(self, name: str, steps: int) -> "ViewerState":
-        """Return a number of `LIMITS` that was turned by so many steps of a key."""
+        """Return the state with a number in `LIMITS` changed by this many key steps."""
         return self.with_number(name, getattr(self, name) + steps * LIMITS[name].step)
 
-    def with_next_tone_mapping(self) -> "ViewerState":
-        """Return the next tone curve."""
-        return replace(self, tone_mapping=_next(TONE_MAPPINGS, self.tone_mapping))
-
-    def with_next_backdrop(self) -> "ViewerState":
-        """Return the next backdrop."""
-        return replace(self, backdrop=_next(tuple(BACKDROPS), self.backdrop))
-
-    def with_next_channel(self, names: tuple[str, ...], step: int = 1) -> "ViewerState":
-        """Return the next of the channels `names`, or the one before."""
-        return replace(self, channel=_next(names, self.channel, step))
+    def with_next(self, field: str, names: tuple[str, ...], step: int = 1) -> "ViewerState":
+        """Return the state with the next of `names` in a field, or the one before."""
+        return replace(self, **{field: names[(names.index(getattr(self, field)) + step) % len(names)]})
 
     def with_next_light(self, count: int, step: int = 1) -> "ViewerState":
         """Return the next of `count` environments, or the one before."""
@@ -141,7 +132,3 @@ def wrapped(degrees: float) -> float:
 
 def _no_photograph(state: ViewerState) -> dict[str, Comparison]:
     return {"comparison": ""} if state.comparison == "photograph" else {}
-
-
-def _next(names: tuple[str, ...], name: str, step: int = 1) -> str:
-    return names[(names.index(name) + step) % len(names)]

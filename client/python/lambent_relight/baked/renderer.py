@@ -108,7 +108,7 @@ class BakedRenderer:
             indirect=indirect,
             bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
         )
-        return replace(known.still, **vars(found))
+        return replace(known.still, **found)
 
     def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
         """Return the materials and texels of a view; cached for the last view and edit."""

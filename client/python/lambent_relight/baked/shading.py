@@ -55,17 +55,6 @@ class Lobes:
     """Specular reflectance at normal incidence, [pixel, 3]."""
 
 
-@dataclass(frozen=True, eq=False)
-class BakedRadiance:
-    """Outgoing radiance by path, as pictures [height, width, 3], black outside the object."""
-
-    rgb: NDArray[np.float32]
-    direct: NDArray[np.float32]
-    indirect: NDArray[np.float32]
-    diffuse: NDArray[np.float32]
-    specular: NDArray[np.float32]
-
-
 def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
     """Return the reflection factors of a view's pixels, with `edit` applied."""
     albedo, roughness = edit.apply(view.albedo, view.perceptual_roughness)
@@ -98,10 +87,11 @@ def shade(
     preview: bool,
     indirect: bool,
     bounce_gain: NDArray[np.float32],
-) -> BakedRadiance:
+) -> dict[str, NDArray[np.float32]]:
     """Return the radiance of the pixels of `view` under `light`; `lit` are its used texels.
 
-    `bounce_gain` [3] is what an edit of all albedos does to light that was reflected once before.
+    Pictures [height, width, 3] by the name of their pass, black outside the object: rgb, direct, indirect,
+    diffuse and specular. `bounce_gain` [3] is the effect of an edit of all albedos on bounced light.
     """
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
     seen = seen_lights(lit, light)
@@ -126,4 +116,5 @@ def shade(
         view.camera.height * view.camera.width,
     )
     shape = (view.camera.height, view.camera.width, 3)
-    return BakedRadiance(*(part.reshape(shape) for part in parts))
+    names = ("rgb", "direct", "indirect", "diffuse", "specular")
+    return {name: part.reshape(shape) for name, part in zip(names, parts, strict=True)}

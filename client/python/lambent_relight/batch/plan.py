@@ -190,15 +190,9 @@ def light_digests(
     lights: Sequence[Light], known: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, str | Exception]:
     """Return the hash of every environment's map by its name; a map is read once, however it is turned."""
-    found: dict[Path | None, str | Exception] = {}
-    for light in lights:
-        if light.path is not None and light.path not in found:
-            found[light.path] = light_digest(light)
-    return {
-        light.name: known.get(light.environment_id)
-        or (found[light.path] if light.path is not None else light_digest(light))
-        for light in lights
-    }
+    places = {(light.path, light.environment_id): light for light in lights}
+    found = {place: known.get(place[1]) or light_digest(light) for place, light in places.items()}
+    return {light.name: found[light.path, light.environment_id] for light in lights}
 
 
 def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
@@ -211,15 +205,8 @@ def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
         return stated
     if not entry.turntable:
         return _picked(bundle.cameras(), entry, "the bundle")
-    around = around_object(
-        bundle,
-        entry.turntable,
-        size=entry.size,
-        start_deg=entry.start_deg,
-        elevation_deg=entry.elevation_deg,
-        radius=entry.radius,
-        field_of_view_deg=entry.field_of_view_deg,
-    )
+    places = {"size", "start_deg", "elevation_deg", "radius", "field_of_view_deg"}
+    around = around_object(bundle, entry.turntable, **entry.model_dump(include=places))
     return [_named(camera, entry) for camera in around]
 
 

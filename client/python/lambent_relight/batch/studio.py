@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.batch.journal import MadeFile, Record
-from lambent_relight.batch.manifest import LINEAR, Files, Light, place
+from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
@@ -39,8 +39,8 @@ class Studio:
         self._folder = folder
         self._files = files
         self._num_threads = num_threads
-        self._renderer: tuple[Path, str, Renderer] | None = None
-        self._light: tuple[Light, str, OpenedEnvironment] | None = None
+        self._renderer: tuple[tuple[Path, str], Renderer] | None = None
+        self._light: tuple[tuple[object, ...], OpenedEnvironment] | None = None
         self._probes: tuple[Environment, LightProbes] | None = None
 
     def make(
@@ -136,30 +136,24 @@ class Studio:
     def _open_bundle(self, row: Row) -> Renderer:
         path = row.asset.path
         assert path is not None
-        known = self._renderer
-        if known is None or known[0] != path or known[1] != row.bundle_digest:
+        key = (path, row.bundle_digest)
+        if self._renderer is None or self._renderer[0] != key:
             self._renderer = None  # two bundles are never held at once
             bundle = load_bundle(path)
-            digest = bundle_digest(bundle)
-            if digest != row.bundle_digest:
+            if bundle_digest(bundle) != row.bundle_digest:
                 raise BundleError(
                     "bundle.changed", f"{path} was changed while the batch ran", "run the batch again"
                 )
             renderer = Renderer(bundle, num_threads=self._num_threads, kept_rays=self._kept_rays)
-            known = self._renderer = (path, digest, renderer)
-        return known[2]
+            self._renderer = (key, renderer)
+        return self._renderer[1]
 
     def _open_light(self, row: Row) -> OpenedEnvironment:
         """Return the map; turning a known one keeps what renderers have prepared of it."""
         light = row.light
         assert light.path is not None
-        known = self._light
-        same = known is not None and (known[0].path, known[0].given, known[1]) == (
-            light.path,
-            light.given,
-            row.light_digest,
-        )
-        if known is None or not same:
+        key = (light.path, light.given, row.light_digest)
+        if self._light is None or self._light[0] != key:
             self._light = None
             if light_digest(light) != row.light_digest:
                 raise EnvironmentFileError(
@@ -167,8 +161,8 @@ class Studio:
                     f"{light.path} is not the file it was when this batch began",
                     "run the batch again",
                 )
-            known = self._light = (light, row.light_digest, open_environment(light.path, light.given))
-        return known[2]
+            self._light = (key, open_environment(light.path, light.given))
+        return self._light[1]
 
     def _write(
         self, row: Row, suffix: str, picture: RelitPicture, notes: Sequence[str], *, kept: bool
