@@ -1,13 +1,12 @@
-"""Runs a whole benchmark: plan, run, combine, write the tables."""
+"""Runs a whole benchmark: run, combine, write the tables."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lambent_worker.benchmark.plan import Cell, Variant, plan
+from lambent_worker.benchmark.plan import Cell
 from lambent_worker.benchmark.results import average_rows, differences, finished, scene_rows
 from lambent_worker.benchmark.runner import Part, parts_of, run_parts
-from lambent_worker.benchmark.suite import Setting, SuiteScene
 from lambent_worker.benchmark.tables import ABLATION_COLUMNS, Content, as_csv, as_json, markdown
 from lambent_worker.console_reporter import format_duration
 from lambent_worker.errors import UsageError
@@ -28,37 +27,22 @@ class Outcome:
 
 
 def run_benchmark(
-    scenes: Sequence[SuiteScene],
-    variants: Sequence[Variant],
-    seeds: Sequence[int],
-    settings: Sequence[Setting] | None,
+    cells: Sequence[Cell],
     *,
     out: Path,
     preset: str,
-    overrides: Mapping[str, str],
     evaluation: EvaluationRequest,
-    keep_predictions: bool,
     jobs: int,
     devices: Sequence[str],
     tell: Callable[[str], None],
 ) -> Outcome:
-    """Compute what is missing and write `table.md`, `table.csv` and `table.json` into `out`.
+    """Compute the cells that are missing and write `table.md`, `table.csv` and `table.json` into `out`.
 
     Called again after a kill, it resumes: finished cells are kept by the hash of their inputs, others
     continue from their checkpoints. Raises `UsageError` where `out` holds something else, and `Stopped` on
     Ctrl-C.
     """
     _check_folder(out)
-    cells = plan(
-        scenes,
-        variants,
-        seeds,
-        settings,
-        preset=preset,
-        overrides=overrides,
-        evaluation=evaluation,
-        keep_predictions=keep_predictions,
-    )
     with locked(out):
         write_json(out / MARKER, {"preset": preset, "cells": [cell.name for cell in cells]})
         parts = parts_of(cells, out)

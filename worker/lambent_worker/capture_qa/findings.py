@@ -38,19 +38,12 @@ def note_findings(
     small.
     """
     _note_views(figures, limits, problems)
-    for code, complaints, advice in (
-        (
-            "scene.image_clipped",
-            _of_pictures(figures, lambda p: p.clipped_share, limits.clipped_share, _clipped),
-            "expose less, or light more softly: what is clipped is lost",
-        ),
-        (
-            "scene.image_blurred",
-            _of_pictures(figures, _blur, 1.0 - limits.sharpness, _blurred),
-            "take it again in focus and without motion, or leave the frame out",
-        ),
-    ):
-        _note(code, complaints, advice, limits, problems)
+    clipped = _of_pictures(figures, lambda p: p.clipped_share, limits.clipped_share, _clipped)
+    advice = "expose less, or light more softly: what is clipped is lost"
+    _note("scene.image_clipped", clipped, advice, limits, problems)
+    blurred = _of_pictures(figures, _blur, 1.0 - limits.sharpness, _blurred)
+    advice = "take it again in focus and without motion, or leave the frame out"
+    _note("scene.image_blurred", blurred, advice, limits, problems)
     doubted = _note_masks(figures, limits, problems) if figures.has_masks else frozenset()
     if figures.has_hull:
         _note_exposure(figures, doubted, limits, problems)

@@ -4,7 +4,11 @@ import math
 from collections.abc import Set
 from xml.sax.saxutils import escape, quoteattr
 
+import numpy as np
 from lambent_proto.v1 import capture_pb2, scene_pb2
+from scipy.spatial.transform import Rotation
+
+from lambent_worker.capture_qa.sphere import angles_deg
 
 _RADIUS = 130.0
 _MARGIN = 24.0
@@ -52,20 +56,14 @@ def _cap(figures: capture_pb2.CaptureFigures) -> str:
     """Return the outline of the largest gap, cut off at the horizon."""
     if figures.upper_gap_deg <= 0.0:
         return ""
-    polar, azimuth = (
-        math.radians(90.0 - figures.upper_gap_elevation_deg),
-        math.radians(figures.upper_gap_azimuth_deg),
-    )
     opening = math.radians(min(figures.upper_gap_deg, 179.0))
-    corners = []
-    for step in range(72):
-        turn = 2.0 * math.pi * step / 72
-        # A point on the rim of the cap: tilt by its opening, then turn its middle to where it is.
-        x, y, z = math.sin(opening) * math.cos(turn), math.sin(opening) * math.sin(turn), math.cos(opening)
-        x, z = x * math.cos(polar) + z * math.sin(polar), -x * math.sin(polar) + z * math.cos(polar)
-        x, y = x * math.cos(azimuth) - y * math.sin(azimuth), x * math.sin(azimuth) + y * math.cos(azimuth)
-        column, row = on_disc(
-            math.degrees(math.atan2(y, x)), max(math.degrees(math.asin(max(-1.0, min(1.0, z)))), 0.0)
-        )
-        corners.append(f"{column:.1f},{row:.1f}")
+    turn = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)
+    # The rim of a cap around +z, tilted and turned to where the gap is.
+    radius, height = math.sin(opening), math.cos(opening)
+    rim = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(72, height)], axis=-1)
+    angles = [90.0 - figures.upper_gap_elevation_deg, figures.upper_gap_azimuth_deg]
+    rim = Rotation.from_euler("yz", angles, degrees=True).apply(rim)
+    azimuth, elevation = angles_deg(rim)
+    places = [on_disc(a, max(e, 0.0)) for a, e in zip(azimuth, elevation, strict=True)]
+    corners = [f"{column:.1f},{row:.1f}" for column, row in places]
     return f'<polygon class="gap" points={quoteattr(" ".join(corners))}/>'

@@ -49,7 +49,7 @@ def benchmark(
 
     prepare()
     from lambent_worker.benchmark.benchmark import run_benchmark
-    from lambent_worker.benchmark.plan import parse_variants
+    from lambent_worker.benchmark.plan import parse_variants, plan
     from lambent_worker.benchmark.suite import Setting, find_environments, find_scenes
     from lambent_worker.report.request import EvaluationRequest, as_shadows
 
@@ -68,16 +68,21 @@ def benchmark(
         environments=None if maps is None else maps.resolve(),
         lpips_weights=tuple(path.resolve() for path in lpips_weights or ()),
     )
-    outcome = run_benchmark(
+    cells = plan(
         find_scenes(suite_dir, names),
         parse_variants(ablations or ()),
         parse_seeds(seeds),
         cast("tuple[Setting, ...] | None", chosen[lights]),
-        out=out,
         preset=preset,
         overrides=parse_settings(settings or []),
         evaluation=request,
         keep_predictions=keep_predictions,
+    )
+    outcome = run_benchmark(
+        cells,
+        out=out,
+        preset=preset,
+        evaluation=request,
         jobs=jobs,
         devices=tuple(device.split(",")),
         tell=lambda line: typer.echo(json.dumps({"event": line}) if as_json else line, err=not as_json),

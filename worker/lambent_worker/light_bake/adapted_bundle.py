@@ -16,6 +16,7 @@ from lambent_relight.bundle.adapted import METADATA_KEY, AdaptedLight
 from lambent_relight.bundle.archive import read_checked
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.bundle.onnx_check import metadata
+from packaging.version import Version
 
 from lambent_worker.bundle import manifest as manifests
 from lambent_worker.bundle.graphs import PARITY_ROWS, secondary_rays
@@ -40,7 +41,7 @@ def write_adapted(
     manifest = bundle_pb2.BundleManifest()
     manifest.CopyFrom(bundle.manifest)
     # Adapted caches came with this version; the reader has refused bundles of a later major one.
-    manifest.schema_version = later_version(manifest.schema_version, manifests.SCHEMA_VERSION)
+    manifest.schema_version = max(manifest.schema_version, manifests.SCHEMA_VERSION, key=Version)
     for file in manifest.files:
         path = folder / file.path
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,8 +108,3 @@ def _name_weights(path: Path, data: bytes) -> None:
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, {**kept, _WEIGHTS_KEY: sha256(data).hexdigest()})
     path.write_bytes(model.SerializeToString(deterministic=True))
-
-
-def later_version(one: str, other: str) -> str:
-    """Return the later of two versions MAJOR.MINOR."""
-    return max(one, other, key=lambda version: tuple(int(part) for part in version.split(".")))

@@ -52,8 +52,16 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
     """Return all usable frames of `folder`; all problems are added to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT])
     places = _object_folders(folder)
-    if len(places) != 1:
-        _note_number_of_objects(folder, places, problems)
+    if not places:
+        problems.error("scene.camera_missing", "there is no <number>-camera.pkl; add the cameras")
+        return capture
+    if len(places) > 1:
+        names = ", ".join(place.relative_to(folder).as_posix() for place in places[:10])
+        problems.error(
+            "scene.object_ambiguous",
+            f"the folder holds several objects ({names}); give the folder of one, with a "
+            "copy of the split file",
+        )
         return capture
     (place,) = places
     capture.name = place.resolve().name
@@ -86,18 +94,6 @@ def _object_folders(folder: Path) -> list[Path]:
         if found:
             return found
     return []
-
-
-def _note_number_of_objects(folder: Path, places: list[Path], problems: Problems) -> None:
-    if places:
-        names = ", ".join(place.relative_to(folder).as_posix() for place in places[:10])
-        problems.error(
-            "scene.object_ambiguous",
-            f"the folder holds several objects ({names}); give the folder of one, with a "
-            "copy of the split file",
-        )
-    else:
-        problems.error("scene.camera_missing", "there is no <number>-camera.pkl; add the cameras")
 
 
 def _read_split(folder: Path, place: Path, names: set[str], problems: Problems) -> tuple[set[str], set[str]]:

@@ -110,8 +110,9 @@ def _choose_splits(folder: Path, transforms: dict[str, Any], capture: Capture, p
         validation = lists.pop("val_filenames", set()) - lists["test_filenames"]
     else:
         validation = set()
-    known = {frame.images[0].path for frame in capture.frames}
-    absent = sorted(name for names in lists.values() for name in names if not _is_frame(name, known))
+    paths = {frame.images[0].path for frame in capture.frames}
+    known = paths | {path.rsplit(".", maxsplit=1)[0] for path in paths}
+    absent = sorted(name for names in lists.values() for name in names if name not in known)
     if absent and problems.usable:
         problems.error(
             "scene.file_missing",
@@ -141,7 +142,3 @@ def _choose_splits(folder: Path, transforms: dict[str, Any], capture: Capture, p
 
 def _is_listed(path: str, names: set[str]) -> bool:
     return path in names or path.rsplit(".", maxsplit=1)[0] in names
-
-
-def _is_frame(name: str, known: set[str]) -> bool:
-    return name in known or any(path.rsplit(".", maxsplit=1)[0] == name for path in known)

@@ -156,7 +156,7 @@ def test_a_run_that_was_given_up_stops_and_says_so(stage: Stage, reporter: Serve
 
 def test_a_call_waits_for_a_server_that_is_away(stage: Stage, job: str, connection: Connection):
     stage.server.stop(0).wait()
-    assert connection.once(connection.stub.Heartbeat, heartbeat(connection), 0.5) is None
+    assert connection.once(connection.stub.Heartbeat, heartbeat(connection)) is None
     answers: list[object] = []
     thread = threading.Thread(
         target=lambda: answers.append(connection.call(connection.stub.Heartbeat, heartbeat(connection)))

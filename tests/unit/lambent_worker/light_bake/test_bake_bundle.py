@@ -14,7 +14,6 @@ from flashcache.training.light_bake import BakeScene, LightBakeConfig
 from lambent_relight import load_bundle, load_environment, write_environment
 from lambent_relight.bundle.adapted import adapted_lights, environment_digest
 from lambent_worker.errors import Stopped, UsageError
-from lambent_worker.light_bake.adapted_bundle import later_version
 from lambent_worker.light_bake.bake import BakeRequest, bake_light, light_image, mean_radiance
 from lambent_worker.light_bake.bundle_scene import bundle_scene, cache_of
 from support.network_bundle import write_network_bundle
@@ -142,11 +141,6 @@ def test_what_cannot_be_done_is_refused_with_a_code(bundle, sky, tmp_path):
 def test_a_request_that_means_nothing_is_refused_whoever_makes_it(sky, name, value):
     with pytest.raises(ConfigError, match=name):
         BakeRequest(environment=sky, **{name: value})
-
-
-@pytest.mark.parametrize(("one", "other", "later"), [("1.1", "1.2", "1.2"), ("1.10", "1.2", "1.10")])
-def test_a_bundle_with_an_adapted_cache_states_the_version_that_has_them(one, other, later):
-    assert later_version(one, other) == later
 
 
 def test_a_turned_map_keeps_its_light_and_moves_it(sky):

@@ -49,7 +49,9 @@ def run(context: TaskContext) -> None:
         _attach_or_refuse(manifest, spec.scene, estimated)
         fit_to_masks(spec.scene, manifest)
     manifest = select_lights(manifest, spec.lights)
-    _forget_own_masks(context, manifest)
+    if own_masks(context) is not None:  # Found by name when they are needed, since a run may be moved.
+        for frame in manifest.frames:
+            frame.mask = ""
     write_json(context.folder / "manifest.json", message_to_dict(manifest))
     context.progress(1, 1)
 
@@ -78,13 +80,6 @@ def own_masks(context: TaskContext) -> Path | None:
     estimated = task_folder(context.run_dir, "ingest") / ESTIMATED_FOLDER
     given = given_masks(context.run_dir, context.spec.masks)
     return given if given is not None else estimated if estimated.is_dir() else None
-
-
-def _forget_own_masks(context: TaskContext, manifest: scene_pb2.SceneManifest) -> None:
-    """Leave the run's own masks out of the manifest: a run may be moved, and they are found by name."""
-    if own_masks(context) is not None:
-        for frame in manifest.frames:
-            frame.mask = ""
 
 
 def use_own_masks(
