@@ -38,7 +38,8 @@ def recession(
     """Return minus the mean distance seen by fully covered pixels: the farther the surface, the lower.
 
     Where colours do not determine the distance of a surface, as on a mirror or in its reflection,
-    photographs and outline agree with every surface between the visual hull and the true one; this term prefers the farthest.
+    photographs and outline agree with every surface between the visual hull and the true one; this term
+    prefers the farthest.
     `distances` count from where the ray enters the scene and are constants: only render weights move.
     """
     mean = (weights * distances.detach()).sum(dim=-1) / weights.sum(dim=-1).clamp_min(0.05)

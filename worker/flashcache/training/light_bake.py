@@ -1,10 +1,10 @@
 """Adaptation of the fast cache's radiance to an environment that no photograph shows.
 
-For a secondary ray, the cache should return the premultiplied radiance of its hit point: A L_o(x, -omega), with
-the point x and its outgoing radiance L_o under the new environment. L_o is the two-term estimate of paper
-Eq. 9: many directions that the adapting cache itself answers, which includes all further bounces, and a few
-whose hit points are shaded once more, minus the cache's answer to the same rays. The ends of rays (opacity,
-distances, weights of the samples) are geometry and stay as they were trained.
+For a secondary ray, the cache should return the premultiplied radiance of its hit point: A L_o(x, -omega),
+with the point x and its outgoing radiance L_o under the new environment. L_o is the two-term estimate of
+paper Eq. 9: many directions that the adapting cache itself answers, which includes all further bounces, and
+a few whose hit points are shaded once more, minus the cache's answer to the same rays. The ends of rays
+(opacity, distances, weights of the samples) are geometry and stay as they were trained.
 """
 
 import copy
