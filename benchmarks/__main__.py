@@ -1,12 +1,12 @@
-"""One entry to all benchmarks.
+"""The entry point of all benchmarks.
 
-    python -m benchmarks                       the names, a sentence each
-    python -m benchmarks NAME --help           what can be chosen
-    python -m benchmarks NAME [options]        a measurement
-    python -m benchmarks NAME --quick          the same on a small scale: whether it works, not what it says
-    python -m benchmarks --quick-all           all of these, each in a process of its own
+    python -m benchmarks                       lists the names, with a sentence each
+    python -m benchmarks NAME --help           lists the options
+    python -m benchmarks NAME [options]        runs a benchmark
+    python -m benchmarks NAME --quick          runs it on a small scale: to test it, not for its figures
+    python -m benchmarks --quick-all           runs all quick variants, each in its own process
 
-What is printed, and the machine it was measured on, is kept in OUT/result.json.
+The output, and a description of the machine, are stored in OUT/result.json.
 """
 
 import argparse
@@ -30,7 +30,7 @@ SAMPLE = ROOT / "client" / "python" / "lambent" / "sample"
 
 
 def benchmarks() -> dict[str, str]:
-    """Return the first sentence of every benchmark by its name: of the modules that have a quick variant."""
+    """Return the first docstring line of every benchmark (module with a quick variant) by name."""
     found = {}
     for path in sorted(Path(__file__).parent.glob("*.py")):
         text = path.read_text(encoding="utf-8")
@@ -40,7 +40,7 @@ def benchmarks() -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """Return what figures depend on: processor, cores and threads, system, versions."""
+    """Return a description of the machine: processor, cores and threads, system, versions."""
     names = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
     model = next((line.partition(": ")[2] for line in names if line.startswith("model name")), "")
     packages = ("torch", "numpy", "numba", "onnxruntime")
@@ -65,20 +65,20 @@ def quick_options(text: str) -> list[str]:
 
 
 class Tee(io.StringIO):
-    """Keeps what is printed, and shows it."""
+    """Records the output and passes it on."""
 
     def write(self, text: str) -> int:
-        """Return the number of characters."""
+        """Record and print `text`; return the number of characters."""
         sys.__stdout__.write(text)
         return super().write(text)
 
     def flush(self) -> None:
-        """Show what was printed."""
+        """Flush the output."""
         sys.__stdout__.flush()
 
 
 def run(name: str, words: list[str]) -> None:
-    """Run a benchmark and keep what it printed and returned."""
+    """Run a benchmark and store what it printed and returned."""
     module = importlib.import_module(f"benchmarks.{name}")
     parser = argparse.ArgumentParser(
         f"python -m benchmarks {name}",
@@ -109,7 +109,7 @@ def run(name: str, words: list[str]) -> None:
 
 
 def run_all_quick() -> int:
-    """Return 1 when a quick variant fails; prints how long each took."""
+    """Run all quick variants and print the time of each; return 1 if one fails."""
     rows = {}
     for name in benchmarks():
         print(f"\n# {name}\n", flush=True)

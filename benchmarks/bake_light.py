@@ -1,4 +1,4 @@
-"""What a fast cache adapted to a light is worth: refined pictures with and without it, against the truth.
+"""Measure the gain of a fast cache adapted to a light: refined pictures with and without it, against truth.
 
     OMP_NUM_THREADS=1 python -m benchmarks bake_light RUN SCENE --environments DIR -o DIR [--steps N]
 
@@ -50,7 +50,7 @@ def psnr(
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("run", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, required=True)

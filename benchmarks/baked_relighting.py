@@ -1,4 +1,4 @@
-"""How long baked relighting takes for a changed or turned light, and how far it is from refined.
+"""Time baked relighting under a changed or rotated light, and compare it with refined pictures.
 
     OMP_NUM_THREADS=1 python -m benchmarks baked_relighting BUNDLE [--environments DIR] [--views 2]
 
@@ -29,7 +29,7 @@ REPEATS = 7
 
 
 def milliseconds(function: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Return the shortest time of several calls: on a shared machine the others measure the neighbours."""
+    """Return the shortest time of several calls; on a shared machine longer ones include other programs."""
     times = []
     for _ in range(repeats):
         began = time.process_time()
@@ -126,7 +126,7 @@ def likeness(renderer: Renderer, folder: Path, num_views: int, num_samples: int)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--environments", type=Path)
     parser.add_argument("--size", type=int, default=512)

@@ -1,8 +1,8 @@
-"""Whether a batch of many frames keeps its memory, and how many frames per second more processes make.
+"""Measure the memory of a batch over many frames, and the frames per second of several processes.
 
     OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks batch BUNDLE --environments DIR
 
-Runs `lambent batch` on its own and looks at it from outside: the resident memory of all of its processes
+Runs `lambent batch` and observes it from outside: the resident memory of all of its processes
 after every picture, and the time from the first picture to the last. Prints Markdown for
 docs/benchmarks/batch.md.
 """
@@ -29,7 +29,7 @@ SECONDS_BETWEEN_LOOKS = 0.2
 
 @dataclass(frozen=True)
 class Course:
-    """What was seen of one batch: (pictures done, resident MiB of all processes) and its speed."""
+    """The measurements of one batch: (pictures done, resident MiB of all processes) and its speed."""
 
     memory: list[tuple[int, float]]
     frames_per_s: float
@@ -86,7 +86,7 @@ def at(memory: list[tuple[int, float]], frame: int) -> float:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--frames", type=int, default=500)

@@ -1,4 +1,4 @@
-"""Measure a bundle: what its files weigh, and what a secondary ray costs each reader of its fast cache.
+"""Measure the size of a bundle's files, and the time per secondary ray of each reader of its fast cache.
 
     OMP_NUM_THREADS=1 python -m benchmarks bundle_readers BUNDLE [BUNDLE ...] [--browser] [--rays 4096]
 
@@ -157,7 +157,7 @@ def difference(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> f
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("bundles", type=Path, nargs="+")
     parser.add_argument("--rays", type=int, default=65_536)
     parser.add_argument("--turns", type=int, default=7)

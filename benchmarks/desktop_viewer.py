@@ -1,4 +1,4 @@
-"""Time what a person at the desktop viewer waits for: another light, another camera, another display.
+"""Time the desktop viewer's response to another light, another camera and other display settings.
 
     OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks desktop_viewer BUNDLE --env MAP [--size N]
 
@@ -35,7 +35,7 @@ def timed_ms(work: Callable[[int], object], repeats: int) -> list[float]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--env", type=Path, required=True)
     parser.add_argument("--size", type=int, default=512)
@@ -43,7 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Print one line per thing that is waited for."""
+    """Print one line per action."""
     renderer = Renderer(load_bundle(arguments.bundle), num_threads=1)
     size = (arguments.size, arguments.size)
     model = open_model(renderer.bundle, DesktopOptions(environments=(arguments.env,), size=size))

@@ -63,7 +63,7 @@ def estimators(own: EstimatorConfig) -> dict[str, EstimatorConfig]:
 
 
 def surface_points(model: InverseModel, cameras: list, count: int) -> ShadingPoints:
-    """Return surface points that the cameras see, drawn by their render weights."""
+    """Return surface points seen by the cameras, drawn by their render weights."""
     parts: list[tuple[Tensor, ...]] = []
     for number, camera in enumerate(cameras):
         rays = camera_rays(model, camera, torch.device("cpu"))
@@ -121,7 +121,7 @@ def describe(config: EstimatorConfig) -> str:
 
 @torch.no_grad()
 def trained(run_dir: Path, num_points: int) -> tuple[InverseModel, ShadingPoints, EstimatorConfig]:
-    """Return a run's model, points on its surface, and how it estimates."""
+    """Return a run's model, points on its surface, and its estimator settings."""
     context = open_task(run_dir, "joint", ConsoleReporter(), "cpu")
     scene = read_scene(context)
     model = load_trained(context, scene, "joint")
@@ -161,7 +161,7 @@ def compare(model: InverseModel, points: ShadingPoints, own: EstimatorConfig, re
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("run_dir", type=Path)
     parser.add_argument("--points", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=64)

@@ -1,4 +1,4 @@
-"""Measure what the programs take before they do any work: start-up times, memory, sizes.
+"""Measure the start-up times, memory and sizes of the programs before they do any work.
 
     python -m benchmarks footprint [--bundle DIR]
 
@@ -68,7 +68,7 @@ def show(name: str, values: list[float], unit: str) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--bundle", type=Path, help="a bundle whose files are to be weighed")
 

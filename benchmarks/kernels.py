@@ -76,7 +76,7 @@ def milliseconds(step: Callable[[], None], repeats: int) -> float:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("--rays", type=int, default=1024)
     parser.add_argument("--repeats", type=int, default=10)
 

@@ -1,4 +1,4 @@
-"""Time what a changed environment costs: reading, harmonics, prefiltered levels, look-ups, dominant lights.
+"""Time the preparation of an environment: reading, harmonics, prefiltered levels, look-ups, dominant lights.
 
     OMP_NUM_THREADS=1 python -m benchmarks light
 
@@ -69,7 +69,7 @@ def rows(heights: list[int], folder: Path) -> list[tuple[str, str, Callable[[], 
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("--heights", type=int, nargs="+", default=[128, 512, 2048], help="rows of the maps")
     parser.add_argument("--repeats", type=int, default=7)
 

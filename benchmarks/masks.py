@@ -1,4 +1,4 @@
-"""How close the built-in masks come to true ones: captures before known backgrounds, IoU for each picture.
+"""Compare the built-in masks with true ones: captures before known backgrounds, IoU for each picture.
 
     python -m benchmarks masks SCENE_DIR... [--environment sky.hdr] [--every N] [-o DIR]
 
@@ -24,7 +24,7 @@ SAMPLE = Path(__file__).parents[1] / "client" / "python" / "lambent" / "sample"
 
 
 def backgrounds(folder: Path, environment: Path) -> dict[str, Background]:
-    """Return what a capture is painted on; the table stands just below its box."""
+    """Return the backgrounds of a capture; the table is just below its box."""
     bounds = describe_scene(folder).bounds
     size = max(high - low for low, high in zip(bounds.minimum, bounds.maximum, strict=True))
     far = surroundings(environment)
@@ -68,7 +68,7 @@ def row(scene: str, background: str, found: dict) -> str:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--environment", type=Path, default=SAMPLE / "envmaps" / "morning.hdr")
     parser.add_argument("--every", type=int, default=1)

@@ -1,4 +1,4 @@
-"""Compare with somebody else's code: Mitsuba 3 recovers materials and light on our mesh in equal time.
+"""Compare with Mitsuba 3, which recovers materials and light on our mesh in equal time.
 
     python -m benchmarks mitsuba_inverse RUN_DIR SCENE --environments DIR --report REPORT -o OUT
 
@@ -51,16 +51,16 @@ ROWS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Settings:
-    """How Mitsuba is asked to optimise; found by a few short tries on cowcrate."""
+    """Mitsuba's optimisation settings, found by a few short trials on cowcrate."""
 
     rate: float = 0.02
     """Of base colour, an Adam step."""
     lobe_rate: float = 0.005
-    """Of roughness and metalness, which photographs say less about."""
+    """Of roughness and metalness, which photographs determine less well."""
     light_rate: float = 0.03
     """Of the logarithm of radiance."""
     final_rate: float = 0.1
-    """Share of the rates that is left at the end, reached log-linearly."""
+    """Final rates as a share of the initial ones, reached log-linearly."""
     smoothness: float = 0.05
     """Weight of the mean absolute difference along the mesh's edges."""
     samples: int = 16
@@ -134,7 +134,7 @@ def sensor(camera: Camera) -> Any:
 
 
 class Inversion:
-    """Materials and environment on their way to the photographs."""
+    """Materials and environment during the optimisation."""
 
     def __init__(self, asset: Asset, views: tuple[View, ...], light: str, settings: Settings) -> None:
         import drjit as dr
@@ -145,7 +145,7 @@ class Inversion:
         self.optimiser = mi.ad.Adam(lr=settings.rate)
         for name in ATTRIBUTES:
             self.optimiser[name] = self.parameters[f"asset.vertex_{name}"]
-        # Radiance spans decades: its logarithm is what steps of one size suit.
+        # Radiance spans decades, so its logarithm is optimised with steps of one size.
         self.optimiser["light"] = dr.log(self.parameters[LIGHT])
         rates = {"roughness": settings.lobe_rate, "metallic": settings.lobe_rate}
         self._rates = {"base_color": settings.rate, "light": settings.light_rate, **rates}
@@ -178,7 +178,7 @@ class Inversion:
         samples = self.settings.samples
         options = {"spp": samples, "spp_grad": samples, "seed": self.steps, "integrator": self._integrator}
         seen = mi.render(self.asset.scene, self.parameters, sensor=camera, **options)
-        # A pixel that the mesh covers in part, or not at all, says nothing about materials.
+        # Pixels that the mesh covers in part, or not at all, are not used for materials.
         counted = opaque * dr.select(seen[..., 3:] > 0.99, 1.0, 0.0)
         loss = dr.mean(counted * dr.abs(_srgb(seen[..., :3]) - _srgb(wanted)), axis=None)
         for name, (channels, _) in ATTRIBUTES.items():
@@ -274,7 +274,7 @@ def predict(asset: Asset, scene: Scene, environments: Path, folder: Path, out: P
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("run_dir", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, required=True)

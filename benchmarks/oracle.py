@@ -1,4 +1,4 @@
-"""Say what a perfect reconstruction would score: true surfaces under our reflection model.
+"""Measure the score of a perfect reconstruction: true surfaces under our reflection model.
 
     python -m benchmarks oracle SUITE/cowcrate SUITE/goldbowl --environments SUITE/envmaps/high_res -o OUT
 
@@ -39,7 +39,7 @@ GRID = 4
 
 @dataclass(frozen=True, slots=True)
 class Oracle:
-    """How much of the light's way is followed, and how well a pixel is sampled."""
+    """Settings of the light transport and of the sampling of pixels."""
 
     bounces: int | None
     """Reflections on the object before the one that is seen; None leaves shadows out as well."""
@@ -94,7 +94,7 @@ def predict(
     directions: int,
     out: Path,
 ) -> None:
-    """Write the pictures of all test views that are not there yet."""
+    """Write the missing pictures of all test views."""
     count = round(directions * oracle.share)
     for number, view in enumerate(scene.test):
         paths = {light: out / view.name / f"rgba_{light}.npy" for light in lights}
@@ -109,7 +109,7 @@ def predict(
 def fit_albedo(
     scene: Scene, surface: ProxySurface, light: MapLight, oracle: Oracle, directions: int, out: Path
 ) -> None:
-    """Write the albedo that all training photographs together ask for, unless it is there."""
+    """Write the albedo that best explains all training photographs, unless it exists."""
     paths = [out / view.name / "albedo.npy" for view in scene.test]
     if all(path.is_file() for path in paths):
         return
@@ -150,7 +150,7 @@ def measure(folder: Path, arguments: argparse.Namespace) -> dict[str, dict[str, 
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--directions", type=int, default=128, help="directions per pixel")

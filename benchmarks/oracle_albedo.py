@@ -83,7 +83,7 @@ class AlbedoFit:
         return (count == CORNER_GRID**2) & (torch.zeros(len(pixels)).index_add_(0, samples.owner, far) == 0.0)
 
     def solve(self) -> Float[Tensor, "vertices 3"]:
-        """Return the albedo in [0, 1] at the vertices; what no photograph shows takes that of the nearest."""
+        """Return the albedo in [0, 1] at the vertices; unseen vertices take that of the nearest seen one."""
         known = (self.evidence > 1e-6).all(dim=-1)
         albedo = (self._products / self.evidence.clamp_min(1e-12)).clamp(0.0, 1.0)
         vertices = self.surface.vertices

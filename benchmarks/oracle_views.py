@@ -1,4 +1,4 @@
-"""What the pixels of a view see: true surfaces of test views, and points of the proxy behind any pixel."""
+"""Surfaces behind the pixels of a view: the true ones of test views, and points of the proxy."""
 
 from dataclasses import dataclass
 
@@ -47,7 +47,7 @@ def behind_pixels(
 
 
 class TrueSurface:
-    """What the covered pixels of a test view see.
+    """The surfaces behind the covered pixels of a test view.
 
     A pixel that sees one surface is shaded at its centre with its own true maps. One that sees several is
     shaded at a grid of points on the proxy, because its maps are means over different surfaces.

@@ -1,4 +1,4 @@
-"""Take the paper's training steps: time and memory of each stage, and a curve where there is time for one.
+"""Measure time and memory of the paper's training steps in each stage, and optionally a training curve.
 
     OMP_NUM_THREADS=1 python -m benchmarks paper_step [SCENE] [--preset paper_tensoir]
     python -m benchmarks paper_step SCENE --device cuda [--minutes 10] -o OUT
@@ -120,7 +120,7 @@ def measure(
 
 
 def measure_apart(arguments: argparse.Namespace, stage: str, share: int) -> dict[str, Any]:
-    """Return what `measure` does, from a process of its own: a peak cannot be reset."""
+    """Return the result of `measure` in its own process, because a memory peak cannot be reset."""
     command = [
         sys.executable,
         "-m",
@@ -146,7 +146,7 @@ def describe(found: dict[str, Any]) -> str:
 
 
 def describe_estimate(found: MemoryEstimate) -> str:
-    """Return one line about what the memory model says."""
+    """Return one line with the result of the memory model."""
     names = ("parameters", "gradients", "moments", "activations")
     sizes = ", ".join(f"{name} {getattr(found, name) / GIB:.2f}" for name in names)
     stage = STAGES[("cache", "joint").index(found.stage)]
@@ -155,7 +155,7 @@ def describe_estimate(found: MemoryEstimate) -> str:
 
 
 def on_processor(arguments: argparse.Namespace, whole: Config, config: Config) -> None:
-    """Print steps of a small batch, and what the memory model says of it and of the whole batch."""
+    """Print steps of a small batch, and the memory model's results for it and for the whole batch."""
     for name in STAGES:
         print(describe(measure_apart(arguments, name, arguments.share)))
     for title, one, device in (
@@ -168,7 +168,7 @@ def on_processor(arguments: argparse.Namespace, whole: Config, config: Config) -
 
 
 def on_gpu(arguments: argparse.Namespace, scene: Scene, config: Config, device: torch.device) -> None:
-    """Print steps of the batch on a GPU, and what the memory model says of it."""
+    """Print steps of the batch on a GPU, and the memory model's result for it."""
     print(torch.cuda.get_device_name(device))
     for name, expected in zip(STAGES, estimate(config, device="cuda"), strict=True):
         torch.cuda.empty_cache()
@@ -250,7 +250,7 @@ def plot(points: list[dict[str, Any]], path: Path, title: str) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("scene", type=Path, nargs="?")
     parser.add_argument("--preset", default="paper_tensoir")
     parser.add_argument("--device", default="cpu")

@@ -1,4 +1,4 @@
-"""How far found cameras are from true ones, once the worlds are laid over each other."""
+"""Errors of estimated cameras after alignment with the true ones by a similarity transform."""
 
 import numpy as np
 from jaxtyping import Float

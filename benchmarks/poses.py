@@ -1,4 +1,4 @@
-"""How close found cameras come to true ones: path-traced photographs of a textured scene, solved by COLMAP.
+"""Compare estimated cameras with true ones: path-traced photographs of a textured scene, solved by COLMAP.
 
     python -m benchmarks poses [--views 24] [--side 384] [--spp 8] [--repeats 1] [--keep] [-o DIR]
 
@@ -144,7 +144,7 @@ def render(out: Path, views: int, side: int, spp: int, repeats: float) -> dict[s
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("--views", type=int, default=24)
     parser.add_argument("--side", type=int, default=384)
     parser.add_argument("--spp", type=int, default=8)

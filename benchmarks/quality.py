@@ -4,8 +4,8 @@
 
 Every run is a process of its own: `lambent train`, then `lambent evaluate` with 64 secondary rays per pixel.
 Predictions are scored by `tests/references/evaluate.py`, which shares no code with the product: physically
-based pictures, the cache's pictures, and relit pictures with and without the bounce. Results are kept in
-OUT/<scene>_<seed>/; a run that is there is not repeated. Time is wall-clock time of the training job,
+based pictures, the cache's pictures, and relit pictures with and without the bounce. Results are stored in
+OUT/<scene>_<seed>/; an existing run is not repeated. Time is wall-clock time of the training job,
 memory the largest resident set of its processes.
 """
 
@@ -55,7 +55,7 @@ def run_one(scene: Path, seed: int, arguments: argparse.Namespace) -> dict[str, 
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])

@@ -10,7 +10,7 @@ REFERENCE = Path(__file__).parent.parent / "tests" / "references" / "evaluate.py
 
 
 def reference_report(scene: Path, predictions: Path, views: int = 0) -> dict[str, Any]:
-    """Return what the reference evaluation says over `views` test views, 0 for all.
+    """Return the report of the reference evaluation over `views` test views, 0 for all.
 
     What the script does not find in `predictions` has no row.
     """

@@ -114,7 +114,7 @@ def print_bounce_gain(
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("bundle", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, required=True)

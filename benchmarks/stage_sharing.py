@@ -1,4 +1,4 @@
-"""Several runs on one stage one: a run takes over the NeRF cache that another has trained."""
+"""Sharing of stage one: a run adopts the NeRF cache that another run has trained."""
 
 from pathlib import Path
 

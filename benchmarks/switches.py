@@ -1,4 +1,4 @@
-"""What each switch beyond the paper is worth: stage two trained anew for each, from one shared stage one.
+"""Measure the gain of each switch beyond the paper: stage two trained anew for each, from a shared stage one.
 
     python -m benchmarks switches SUITE/cowcrate --environments SUITE/envmaps/high_res --preset fast -o OUT
 
@@ -97,7 +97,7 @@ def table(runs: dict[str, list[dict[str, float]]]) -> str:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, help="maps of unseen lights; none: no relit pictures")
     parser.add_argument("--only", nargs="+", choices=list(SWITCHES), help="switches to run, base included")

@@ -52,7 +52,7 @@ class Means:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """How the scores of one estimator look."""
+    """The distribution of the scores of one estimator."""
 
     z: list[float]
     chi_square: float
@@ -87,7 +87,7 @@ def means(
 
 
 def verdict(estimate: Means, reference: Means) -> Verdict:
-    """Return what the differences between two independent sets of means say."""
+    """Return the verdict on the differences between two independent sets of means."""
     difference = estimate.mean - reference.mean
     variance = estimate.variance + reference.variance
     z = difference / np.sqrt(variance)
@@ -168,7 +168,7 @@ def plot(verdicts: dict[str, Verdict], path: Path) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("run_dir", type=Path)
     parser.add_argument("--pixels", type=int, default=256)
     parser.add_argument("--estimates", type=int, default=2048, help="shaded points per pixel and estimator")

@@ -1,4 +1,4 @@
-"""Does the predicted uncertainty of albedo tell where albedo is wrong? And how much do its priors matter?
+"""Correlate the predicted uncertainty of albedo with its error, and vary the priors.
 
     lambent train SCENE --preset fast -o RUN
     lambent evaluate RUN SCENE --repeats 1 -o REPORT
@@ -154,7 +154,7 @@ def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what can be chosen."""
+    """Add the options of the benchmark."""
     parser.add_argument("run", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("report", type=Path)

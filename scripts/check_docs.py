@@ -14,7 +14,7 @@ _OUTSIDE = re.compile(r"^(https?|mailto):")
 
 
 def anchors(text: str) -> set[str]:
-    """Return the fragments that the headings of a Markdown `text` answer to."""
+    """Return the link fragments of the headings of a Markdown `text`."""
     titles = (re.sub(r"[^\w\s-]", "", heading.lower()) for heading in _HEADING.findall(text))
     return {re.sub(r"\s", "-", title.strip()) for title in titles}
 

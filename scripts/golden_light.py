@@ -129,7 +129,7 @@ def dominant_numbers() -> dict[str, Any]:
 
 
 def axes_numbers() -> dict[str, Any]:
-    """Return where single lit pixels of other programs' maps shine from, in our world."""
+    """Return the directions in our world of single lit pixels in other programs' maps."""
     cases = []
     for axes in environment_axes.QUARTER_TURNS:
         for row, column in ((3, 1), (4, 6), (1, 11)):

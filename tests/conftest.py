@@ -64,7 +64,7 @@ def device(request: pytest.FixtureRequest):
 
 
 def processes_of_session() -> dict[psutil.Process, str]:
-    """Return the processes that the tests have started and that still run, with their commands."""
+    """Return the running processes that the tests have started, with their commands."""
     found = {}
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
@@ -78,7 +78,7 @@ def processes_of_session() -> dict[psutil.Process, str]:
 
 @pytest.fixture(scope="session", autouse=True)
 def nothing_is_left_behind() -> Iterator[None]:
-    """Fail when processes outlive the tests that started them by ten seconds."""
+    """Fail if processes are still running ten seconds after the tests that started them."""
     yield
     deadline = time.monotonic() + 10.0
     while (left := processes_of_session()) and time.monotonic() < deadline:
@@ -110,7 +110,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the files that take minutes, so that no worker is left with one at the end."""
+    """Run the files that take minutes first, so that no worker is left with one at the end."""
     order = ("e2e", "conformance", "integration")
     items.sort(
         key=lambda item: next((n for n, part in enumerate(order) if part in item.path.parts), len(order))

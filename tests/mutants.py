@@ -1,7 +1,7 @@
-"""Mistakes made on purpose, and the tests that notice them: `python tests/mutants.py --help`.
+"""Deliberate mistakes, and the tests that catch them: `python tests/mutants.py --help`.
 
-A mutant is a row of `mutants.toml`: one passage of our source and what a tired engineer might have written
-there. The working tree is never changed; each mutant is made in a copy, and only its nearest tests run.
+A mutant is an entry of `mutants.toml`: one passage of our source and a plausible mistake that replaces
+it. The working tree is never changed; each mutant is made in a copy, and only its nearest tests run.
 """
 
 import argparse
@@ -45,10 +45,10 @@ class Mutant:
     tests: tuple[str, ...]
     """Nearest tests: the ends of their files' paths, with `::test_name` where one test will do."""
     breaks: str
-    """What is wrong then, in one sentence."""
+    """What the mistake breaks, in one sentence."""
 
     def text(self) -> str:
-        """Return the file with the mistake; raises ValueError where the passage is not there exactly once."""
+        """Return the file with the mistake; raises ValueError unless the passage occurs exactly once."""
         path = ROOT / self.file
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         if text.count(self.old) != 1:
@@ -75,12 +75,12 @@ class Mutant:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """What became of a mutant."""
+    """The outcome of a mutant."""
 
     name: str
     outcome: str
     by: str
-    """The test that failed, or why nothing can be said."""
+    """The test that failed, or why there is no verdict."""
     seconds: float
 
 
@@ -117,7 +117,7 @@ class Copy:
         place = self.folder / mutant.file
         start = time.monotonic()
         with tempfile.TemporaryDirectory(dir=self.folder.parent) as compiled:
-            # Compiled loops are kept by their own file's date, and would outlive a change of what they call.
+            # Compiled loops are cached by their file's date, and would survive a change in what they call.
             environment = (
                 {"NUMBA_CACHE_DIR": compiled} if "numba" in place.read_text(encoding="utf-8") else {}
             )
@@ -164,9 +164,9 @@ class Copy:
 
 
 def judge_all(mutants: list[Mutant], *, jobs: int, timeout_s: float) -> list[Verdict]:
-    """Return a verdict for each mutant, and print each as soon as it is there.
+    """Return a verdict for each mutant, and print each as soon as it is known.
 
-    A test that also fails without a mutant has noticed nothing: the verdicts it gave are taken back.
+    A test that also fails without a mutant has caught nothing: its verdicts are withdrawn.
     """
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(jobs) as pool:
         copies: queue.Queue[Copy] = queue.Queue()
@@ -194,7 +194,7 @@ def judge_all(mutants: list[Mutant], *, jobs: int, timeout_s: float) -> list[Ver
     if code == 0:
         return verdicts
     print(said)
-    why = "a test that noticed a mutant fails without one, too"
+    why = "the test also fails without the mutant"
     return [
         Verdict(name=v.name, outcome=UNDECIDED, by=why, seconds=v.seconds) if v.outcome == CAUGHT else v
         for v in verdicts
@@ -202,7 +202,7 @@ def judge_all(mutants: list[Mutant], *, jobs: int, timeout_s: float) -> list[Ver
 
 
 def updated(page: str, mutants: list[Mutant], verdicts: list[Verdict]) -> str:
-    """Return `page` with the table between its markers renewed: fresh verdicts, and those it had."""
+    """Return `page` with an updated table between its markers: new verdicts, and the other earlier ones."""
     before, _, rest = page.partition(BEGIN)
     table, marker, after = rest.partition(END)
     if not marker:
@@ -222,8 +222,10 @@ def updated(page: str, mutants: list[Mutant], verdicts: list[Verdict]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the program and return its exit status: 1 where a mutant survives or nothing can be said of it."""
-    parser = argparse.ArgumentParser(description="Make mistakes on purpose and see which test notices them.")
+    """Run the program and return its exit status: 1 if a mutant survives or has no verdict."""
+    parser = argparse.ArgumentParser(
+        description="Make mistakes on purpose and report which test catches each."
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help="mutants to make; all of them by default")
     parser.add_argument("--group", choices=GROUPS, help="make the mutants of this group only")
     parser.add_argument("--list", action="store_true", help="list the mutants and make none")

@@ -1,8 +1,8 @@
-"""What pictures are to be made, checked: the messages of render.proto as people give them.
+"""Validated requests for pictures: the messages of render.proto as users write them.
 
-Every setting is declared here once, with its range, its default and its sentence of help: commands, REST
-bodies, manifests and Python take it from here. The place is beside the messages that are mirrored, because
-server and renderer both read them and neither may import the other.
+Every setting is declared here once, with its range, default and help text, for commands, REST bodies,
+manifests and Python. The module is next to the messages that it mirrors, because server and renderer both
+read them and neither may import the other.
 """
 
 import re
@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 
 def _whole(value: Any) -> Any:
-    """Return 2 for 2.0, which JSON Schema calls an integer too, and for the 2 of an array."""
+    """Return an int for an integral float, which JSON Schema accepts as integer, and for a numpy integer."""
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return int(value) if hasattr(value, "__index__") and not isinstance(value, bool) else value
@@ -22,12 +22,12 @@ WHOLE = BeforeValidator(_whole)
 
 
 def safe_name(name: str) -> str:
-    """Return a name that is one part of a path everywhere."""
+    """Return `name` converted into a single path part that is valid on every system."""
     return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:64] or "_"
 
 
 class Wanted(BaseModel):
-    """What somebody asks for: nothing unknown, nothing converted."""
+    """A part of a request: unknown fields are refused, and no value is converted."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -59,7 +59,7 @@ Pass = Literal[
 
 
 class RenderMaterial(Wanted):
-    """What differs from the bundle's material; mirrors lambent_proto.v1.RenderMaterial."""
+    """Changes to the bundle's material; mirrors lambent_proto.v1.RenderMaterial."""
 
     albedo_gain: Annotated[
         list[Positive], Field(min_length=3, max_length=3, default_factory=lambda: [1.0, 1.0, 1.0])
@@ -74,7 +74,7 @@ class RenderAsset(Wanted):
     """A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset."""
 
     name: PictureName | None = None
-    """The bundle's id where it is not given."""
+    """Default: the bundle's id."""
     bundle_id: Identifier
     material: Annotated[RenderMaterial, Field(default_factory=RenderMaterial)]
     object_rotate_deg: Angle = 0.0
@@ -84,7 +84,7 @@ class RenderEnvironment(Wanted):
     """An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment."""
 
     name: PictureName | None = None
-    """The environment's own where it is not given."""
+    """Default: the environment's own."""
     environment_id: Identifier
     axes: Axes = "blender"
     mend: bool = False
@@ -126,38 +126,38 @@ class RenderCameras(Wanted):
 class RenderSettings(Wanted):
     """How a picture is made and shown.
 
-    Exposure, tone mapping and background change a picture that is there; anything else makes another.
+    Exposure, tone mapping and background only change how a picture is shown; any other setting renders anew.
     """
 
     model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
 
     quality: Literal["preview", "baked", "refined"] = "refined"
-    """From baked transport, at once and without noise, or sampled."""
+    """Baked transport (immediate, without noise) or Monte Carlo."""
     spp: Annotated[int, Field(ge=2, le=65536), WHOLE] = 64
     """Light directions per pixel."""
     until_stderr: Annotated[float, Field(ge=0.0, le=0.999)] = 0.0
-    """Go on until the standard error is this share of the radiance; 0: do not."""
+    """Continue until the standard error is this share of the radiance; 0: do not."""
     antialias: Annotated[int, Field(ge=1, le=8), WHOLE] = 2
     """Rays per pixel along each side, at the object."""
     indirect: bool = True
-    """Light that bounced once, or not."""
+    """Whether indirect light is included."""
     bounces: Bounces = "auto"
-    """Of refined pictures: auto (a cache adapted to the light, else baked transport), or one by name."""
+    """Source of indirect light in refined pictures; auto: an adapted cache, else baked transport."""
     seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
     """Seed of every random number."""
     background: Literal["transparent", "environment", "white"] = "transparent"
-    """What is behind the object."""
+    """Background behind the object."""
     exposure_ev: Annotated[float, Field(ge=-64.0, le=64.0)] = 0.0
     """Brighten the PNG by this many stops; the EXR stays as it is."""
     tone_mapping: ToneMapping = "linear"
-    """Curve of the PNG."""
+    """Tone curve of the PNG."""
 
 
 class RenderQuality(RenderSettings):
     """How pictures are made; mirrors lambent_proto.v1.RenderQuality."""
 
     name: PictureName | None = None
-    """The quality itself where it is not given."""
+    """Default: the quality itself."""
 
 
 _PLACE = r"\{(?:asset|environment|quality|camera)\}"
@@ -167,7 +167,7 @@ _PATH = "a relative path of plain names that may name {asset}, {environment}, {q
 
 
 class RenderOutput(Wanted):
-    """What is written of every picture; mirrors lambent_proto.v1.RenderOutput."""
+    """The files written for every picture; mirrors lambent_proto.v1.RenderOutput."""
 
     files: Annotated[
         list[Literal["png", "exr"]],

@@ -1,6 +1,6 @@
 """Faults of run processes, against a real server with a pipeline that sleeps.
 
-Jobs that have to be caught at work step on until a file is there, however slow the machine is.
+Jobs that must be caught while running continue until a file exists, however slow the machine is.
 """
 
 import os
@@ -78,7 +78,7 @@ def test_jobs_whose_run_processes_are_killed_all_succeed_and_take_effect_once(
         kept = num_checkpoints(server, job)
         if kept > noted[job]:
             kills[job], noted[job] = 0, kept
-        # That more kills before a checkpoint are poison has its own test.
+        # More kills before a checkpoint would be poison, which has its own test.
         if victim.is_running() and kills[job] < LOSSES_IN_A_ROW - 1:
             victim.kill()
             killed += 1
@@ -179,7 +179,7 @@ def test_a_stale_run_that_wakes_up_again_is_refused_and_ends(
     family = [stale, *stale.children(recursive=True)]
     for process in family:
         process.suspend()
-    # The machine is out of reach: the executor finds nothing where the process was.
+    # The machine is unreachable: the executor does not find the process.
     with sqlite3.connect(server.data / "lambent.sqlite", timeout=10) as database:
         handle = '{"pid": 999999999, "identity": "gone", "gpus": []}'
         database.execute("UPDATE jobs SET handle = ? WHERE id = ?", (handle, job))
@@ -276,6 +276,6 @@ def test_nothing_is_left_of_finished_runs_but_their_logs_and_what_they_made(serv
         return rows + garbage
 
     wait_until(lambda: count() == 0)
-    # What the job has made is still there.
+    # The results of the job still exist.
     bundle = server.job(job)["bundle_id"]
     assert server.client.get(f"/v1/bundles/{bundle}/files/models/weights.bin").status_code == 200

@@ -32,7 +32,7 @@ class Started:
 
     server: LiveServer
     busy_s: float
-    """Time of the processor: on a machine with nothing else to do that is the time one waits."""
+    """Processor time, which is the waiting time on an otherwise idle machine."""
     size_bytes: int
     libraries: str
 
@@ -55,7 +55,7 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Started]:
 
 @pytest.fixture
 def server(started: Started) -> LiveServer:
-    """Return the server, which a test before may have killed."""
+    """Return the server, which an earlier test may have killed."""
     server = started.server
     assert server.process is not None
     if server.process.poll() is not None:
@@ -79,7 +79,7 @@ def database_of(server: LiveServer) -> contextlib.closing[sqlite3.Connection]:
 
 
 def follow(server: LiveServer, jobs: list[str], seen: list[tuple[str, int]], ended: threading.Event) -> None:
-    """Follow jobs as a patient client does: after every break with the last id, until told to end."""
+    """Follow jobs like a client that reconnects with the last id after every break, until told to end."""
     last = None
     while not ended.is_set():
         with contextlib.suppress(httpx2.HTTPError, OSError, AssertionError):
@@ -99,7 +99,7 @@ def follow(server: LiveServer, jobs: list[str], seen: list[tuple[str, int]], end
 def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(
     server: LiveServer, scene: str, end: Path
 ):
-    """The first job is one whose process the server that was killed had not noted yet."""
+    """The first job's process had not been recorded when the server was killed."""
     jobs = [server.submit(scene, **ENDLESS, until=end, checkpoint_every=10) for _ in range(4)]
     seen: list[tuple[str, int]] = []
     ended = threading.Event()
@@ -117,7 +117,7 @@ def test_runs_survive_kills_of_the_server_and_no_event_is_missing_or_doubled(
         wait_until(lambda: f'"pid": {supervisor.pid}' in str(handle_of(server, jobs[0])))
     end.touch()
     found = [server.wait(job) for job in jobs]
-    with contextlib.suppress(AssertionError):  # What is missing is told below.
+    with contextlib.suppress(AssertionError):  # Missing events are reported below.
         wait_until(lambda: {(job["id"], job["last_event"]) for job in found} <= set(seen), timeout_s=20)
     ended.set()
     follower.join(timeout=20)

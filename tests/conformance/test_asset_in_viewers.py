@@ -29,7 +29,7 @@ CAMERAS = turntable(3, radius=6.0, elevation_deg=25.0, width=192, height=160, st
 
 
 def bent(surface):
-    """Return the box with normals that turn over its faces, so that the normal map has something to say."""
+    """Return the box with normals that vary over its faces, so that the normal map has an effect."""
     normals = surface.texel_normals + 0.5 * np.sin(4.0 * surface.positions[:, [1, 2, 0]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return replace(surface, texel_normals=normals.astype(np.float32))
@@ -42,7 +42,7 @@ PLACES = (SURFACE.positions / SIZES + 0.5).astype(np.float32)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("assets")
-    # Positions as colours: what a viewer shows says where it found it.
+    # Positions as colours: the colour that a viewer shows is the position of its lookup.
     textures = coloured(SURFACE, linear_from_srgb(PLACES))
     (folder / "box.glb").write_bytes(write_glb(SURFACE, textures, unit="unknown"))
     model = sphere_model()

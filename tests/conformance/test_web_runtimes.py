@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 TOLERANCE = 1e-5
 GRAPHS = ("gbuffer", "material", "fast_cache_sky", "relight")
 ROWS = {"gbuffer": 24, "material": 192, "fast_cache_sky": 192, "relight": 192}
-"""Few, because a processor that plays graphics hardware is slow."""
+"""Few, because graphics emulated on a processor are slow."""
 
 
 def xor_graph() -> onnx.ModelProto:

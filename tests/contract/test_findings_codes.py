@@ -1,4 +1,4 @@
-"""Every code a user can meet is documented, and every documented code exists."""
+"""Every code that a user can encounter is documented, and every documented code exists."""
 
 import re
 from pathlib import Path

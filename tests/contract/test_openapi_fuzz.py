@@ -35,7 +35,7 @@ CASES = [
 def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """Return the description bound to an application in memory, and ids of things that exist."""
     folder = tmp_path_factory.mktemp("fuzz") / "data"
-    # Waiting is part of an operation; here nobody has the time.
+    # Waiting is part of the operation, but would only slow this test.
     with opened(folder, max_wait_s=0.01, allowed_hosts=("testserver",)) as api:
         scene = api.scene(commit=False)
         add_bundle(api, folder, {"manifest.json": b"{}"}, bundle_id="bundle_y")
@@ -77,7 +77,7 @@ def test_every_answer_is_one_that_is_described(known: dict[str, Any], kind: str,
     @given(operation.as_strategy(generation_mode=mode, **fixed))
     def check(case: schemathesis.Case) -> None:
         response = case.call(headers={"Authorization": f"Bearer {KEY}"})
-        # Whether an allowed value can be used is said by codes of its own, such as "preset_unknown".
+        # Allowed but unusable values have codes of their own, such as "preset_unknown".
         case.validate_response(response, excluded_checks=[positive_data_acceptance])
         assert response.status_code < 500
         if response.status_code >= 400:

@@ -1,4 +1,4 @@
-"""What the server says of itself agrees with the rest of the repository."""
+"""The server's description of itself agrees with the rest of the repository."""
 
 import json
 import subprocess

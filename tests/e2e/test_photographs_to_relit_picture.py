@@ -1,7 +1,7 @@
 """The whole chain on the bundled sample, small and real: upload, train, lose the run, resume, relight, bake.
 
 Preset `tiny`: its pictures are rough, so that the floors here say "it works" and no more. The figures of
-the presets people use stand in docs/benchmarks/.
+the other presets are in docs/benchmarks/.
 """
 
 import json
@@ -80,7 +80,7 @@ def over_white(path):
 
 @pytest.fixture(scope="module")
 def trained(server, tmp_path_factory):
-    """Return what becomes of the sample when its run is killed in training."""
+    """Return the result of the sample whose run was killed during training."""
     with Client(server.url, server.key) as client:
         scene = client.push(SAMPLE)
         job = client.submit(scene.id, preset="tiny", seed=0)

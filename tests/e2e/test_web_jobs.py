@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 
 def run(test: str, timeout_s: float) -> None:
-    """Run one file of browser tests and fail with what it says."""
+    """Run one file of browser tests and fail with its output."""
     if program() is None:
         pytest.skip("needs Chromium")
     if shutil.which("npx") is None or not (WEB / "node_modules").is_dir():

@@ -1,4 +1,4 @@
-"""Refining in the web viewer as a person meets it: it starts, tells, ends by itself, gives way to input."""
+"""Refining in the web viewer: it starts, reports progress, ends by itself, and yields to input."""
 
 import json
 import shutil
@@ -64,12 +64,12 @@ def tick(page: RefinePage, on: bool) -> None:
 
 
 def fetched(page: RefinePage, part: str) -> bool:
-    """Return whether a path with `part` in it was asked of the server."""
+    """Return whether a path that contains `part` was requested from the server."""
     return any(part in path for path in page.asked)
 
 
 def shown_text(page: RefinePage) -> str:
-    """Return what the panel says about refining."""
+    """Return the panel's text about refining."""
     return page.page.evaluate(
         "[...document.querySelector('lambent-viewer').shadowRoot.querySelectorAll('p.hint')]"
         ".map((each) => each.hidden ? '' : each.textContent).find((text) => /noise|refine/i.test(text)) ?? ''"

@@ -112,7 +112,7 @@ def test_away_from_edges_the_mesh_decides_and_without_networks_everywhere(scene)
 
 
 def test_exact_edges_stay_as_they_are(bundle):
-    """Where mesh and volume are the same, asking the volume changes a picture hardly."""
+    """Where mesh and volume agree, using the volume hardly changes a picture."""
     renderer = Renderer(bundle, num_threads=1, reader="onnx")
     sky = environment_from_array(np.random.default_rng(0).uniform(0.2, 1.0, (8, 16, 3)))
     soft, sharp = (renderer.render(AROUND, sky, quality="baked", soft_edges=asks) for asks in (True, False))

@@ -1,4 +1,4 @@
-"""A batch of many frames keeps its memory: what one picture needed is gone when the next one is made."""
+"""Memory stays constant over a batch of many frames: each picture's memory is freed before the next one."""
 
 import subprocess
 import sys
@@ -49,7 +49,7 @@ def test_five_hundred_frames_need_the_memory_of_sixty(tmp_path):
     assert done.returncode == 0, done.stderr
     resident = {int(line.split()[0]): int(line.split()[1]) for line in done.stdout.splitlines()}
     growth = resident[FRAMES] - resident[WARM]
-    # A view that stayed would keep its camera rays and what they see, 70 bytes each.
+    # A cached view would keep its camera rays and their hits, 70 bytes each.
     one_view = 70 * SIDE * SIDE
     grown = f"{growth / 2**20:.1f} MiB more than after {WARM} frames"
     assert growth < 0.2 * one_view * (FRAMES - WARM), grown

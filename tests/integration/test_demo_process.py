@@ -1,4 +1,4 @@
-"""The demo as a process: whatever ends it, nothing it started is left, and the next one goes on."""
+"""The demo as a process: however it ends, it leaves no process behind, and the next one resumes."""
 
 import contextlib
 import json

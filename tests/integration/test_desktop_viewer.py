@@ -154,7 +154,7 @@ def test_the_two_sides_are_the_two_pictures(model, painter):
 
 
 def test_a_photograph_lies_where_its_camera_sees_the_object(renderer, plain, options, maps, tmp_path, model):
-    """A photograph made by the renderer itself must meet its own relit picture without a seam."""
+    """A photograph made by the renderer itself must match its own relit picture without a seam."""
     light = load_environment(maps[0])
     camera = CAMERAS[1]
     Image.fromarray(encode_png(plain.render(camera, light, quality="baked"))).save(

@@ -1,4 +1,4 @@
-"""Every layout goes the way of a job: checked in the child process, described, loaded, trained on."""
+"""Every layout works in a job: it is checked in the child process, described, loaded and trained on."""
 
 import json
 import shutil

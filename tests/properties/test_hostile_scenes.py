@@ -1,4 +1,4 @@
-"""However a capture is damaged, looking at it ends in a report."""
+"""However a capture is damaged, checking it ends in a report."""
 
 import json
 import tempfile

@@ -1,4 +1,4 @@
-"""Whatever a stranger's file holds, readers answer or refuse; they never fail in another way."""
+"""Readers accept or refuse untrusted files of any content; they never fail in another way."""
 
 import json
 import struct

@@ -1,4 +1,4 @@
-"""However runs of a job fail one after another, its stages go on with the settings their failures led to.
+"""However the runs of a job fail, its stages continue with the adjustments of their failures.
 
 The server is the real one in memory, and so are the run's reporter, its checkpoints and its loop around a
 stage; only the steps of a stage are made up.
@@ -30,7 +30,7 @@ PARAMS = {
     "stage_two.num_steps": str(STEPS),
     "checkpoint_steps": str(EVERY),
 }
-# An interrupt is caught by nobody, as a kill is not.
+# Nothing catches an interrupt, as nothing catches a kill.
 ERRORS = {
     "gpu_out_of_memory": type("OutOfMemoryError", (RuntimeError,), {}),
     "diverged": TrainingError,
@@ -48,7 +48,7 @@ def settings_of(config, stage):
 
 
 class Remembering(ServerReporter):
-    """Notes which checkpoints are safe."""
+    """A reporter that records which checkpoints are safe."""
 
     safe: dict
     made_with: tuple
@@ -81,7 +81,7 @@ class FakeStage:
 
 
 class FailingJob:
-    """A job whose runs end as they are told, and what has to be true of it then."""
+    """A job whose runs end as the test says, with its invariants."""
 
     def __init__(self, server: Stage):
         self.server = server
@@ -112,7 +112,7 @@ class FailingJob:
         assert found["state"] == ("running" if self.alive else "failed"), found["error"]
 
     def finish(self):
-        """Let the job come to its end."""
+        """Run the job to its end."""
         if self.alive:
             assert not self.ends("", "", 0)
         assert self.steps <= self.may_take

@@ -36,7 +36,7 @@ class FakeServer:
 
     @property
     def transport(self) -> httpx2.MockTransport:
-        """Return what to hand to a client."""
+        """Return the transport to pass to a client."""
         return httpx2.MockTransport(self.handle)
 
     def handle(self, request: httpx2.Request) -> httpx2.Response:
@@ -135,7 +135,7 @@ def event(job_id: str, seq: int, **more: Any) -> dict[str, Any]:
 
 
 def event_stream(*events: dict[str, Any], then: Exception | None = None) -> httpx2.Response:
-    """Return a server-sent event stream that ends after `events`, in peace or with an exception."""
+    """Return a server-sent event stream that ends after `events`, normally or with an exception."""
 
     def body() -> Iterator[bytes]:
         yield b": ping\n\n"

@@ -1,4 +1,4 @@
-"""Files that promise more than they hold."""
+"""Files whose headers announce more data than they contain."""
 
 import struct
 import zlib

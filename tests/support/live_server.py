@@ -46,7 +46,7 @@ def wait_until(condition: Any, timeout_s: float = 90.0) -> Any:
 
 
 class LiveServer:
-    """Starts, kills and restarts one server on one data folder; speaks to it as a program would."""
+    """Starts, kills and restarts one server on one data folder, and is a client of it."""
 
     def __init__(self, data: Path, **settings: Any) -> None:
         self.data = data
@@ -93,13 +93,13 @@ class LiveServer:
         self.url = json.loads((self.data / "server.json").read_text())["url"]
         self.key = (self.data / "api.key").read_text().strip()
         self.client.close()
-        # There is no TLS to verify, and reading the certificates of the world takes 25 ms.
+        # There is no TLS to verify, and loading the system's certificates takes 25 ms.
         self.client = httpx2.Client(
             base_url=self.url, headers={"Authorization": f"Bearer {self.key}"}, timeout=30.0, verify=False
         )
 
     def kill(self) -> None:
-        """End the server as a power cut would."""
+        """Kill the server like a power failure."""
         assert self.process is not None
         self.process.kill()
         self.process.wait()

@@ -1,4 +1,4 @@
-"""A reporter that remembers what it was told."""
+"""A reporter that records its calls."""
 
 from pathlib import Path
 from typing import Any

@@ -21,7 +21,7 @@ SECRET = "secret of the test"
 
 @dataclass
 class FakeExecutor:
-    """Keeps what was asked of it; a process ends when the test says so."""
+    """Records its calls; a process ends when the test says so."""
 
     launches: list[Launch] = field(default_factory=list)
     stops: list[tuple[int, bool]] = field(default_factory=list)
@@ -89,12 +89,12 @@ class Stage:
 
 
 def token(job_id: str, run: int) -> str:
-    """Return what a run proves itself with."""
+    """Return the token of a run."""
     return run_token(SECRET, job_id, run)
 
 
 def metadata(job_id: str, run: int, given: str | None) -> tuple[tuple[str, str], ...]:
-    """Return what proves that a call comes from a run."""
+    """Return the metadata that authenticates a call as a run's."""
     return (("authorization", f"Bearer {given or token(job_id, run)}"),)
 
 

@@ -1,4 +1,4 @@
-"""A run process whose pipeline only sleeps: the faults of the service are tried on it, without a model.
+"""A run process whose pipeline only sleeps, for tests of the service's faults without a model.
 
 `python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer
 it: `num_steps`, `until` (a file: once it is there, the step in work is the last), `step_s`, `stage`,
@@ -29,7 +29,7 @@ PNG = bytes.fromhex(
 
 
 def fail(how: str) -> None:
-    """End in the way that is asked for."""
+    """Fail in the requested way."""
     if how == "exit":
         os._exit(7)
     if how == "memory":

@@ -23,7 +23,7 @@ LIGHTS = ("day", "a night")
 
 
 class Listener:
-    """A reporter that remembers, and can ask to stop."""
+    """A reporter that records its calls, and can request a stop."""
 
     def __init__(self) -> None:
         self.events: dict[str, dict] = {}
@@ -45,7 +45,7 @@ class Listener:
 
 
 def scene() -> Scene:
-    """Return a capture of nothing: what the export needs of it are cameras and lights."""
+    """Return an empty capture, of which the export needs only cameras and lights."""
     views = []
     for name, position in (("test_000", (3.0, 0.0, 1.0)), ("test_001", (0.0, -3.0, 0.5))):
         camera = Camera(

@@ -1,4 +1,4 @@
-"""The paper's ablations as changes of settings; every one shares stage one with the full method."""
+"""The paper's ablations as changed settings; all share stage one with the full method."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ class Ablation:
     label: str
     """The row's name in a table."""
     settings: Callable[[Config], Mapping[str, str]]
-    """What differs from a configuration, in the form that `with_overrides` takes."""
+    """Settings that differ from a configuration, in the form that `with_overrides` accepts."""
 
 
 def ablation_settings(config: Config, name: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Everything that can be chosen about a run, as one frozen tree of dataclasses."""
+"""The configuration of a run, as one frozen tree of dataclasses."""
 
 import dataclasses
 import json
@@ -23,7 +23,7 @@ T = typing.TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rates:
-    """Learning rates of one kind of parameter and how they fall."""
+    """Learning rates of one part of the model."""
 
     grid: float
     """Peak rate of feature grids."""
@@ -41,7 +41,7 @@ class StageOneConfig:
     final_rate: float = 0.1
     """Rate at the end as a share of the peak."""
     decay: typing.Literal["log_linear", "linear"] = "log_linear"
-    """How rates fall: log-linearly from the first step on, or as in the paper linearly once they are warm."""
+    """How rates fall: log-linearly from the first step, or linearly after the warm-up as in the paper."""
     warmup_steps: int = 10_000
     carving_share: float = 0.0
     """Share of the steps in which shape comes first; 0 as in the paper (decision 0002)."""
@@ -90,13 +90,13 @@ class DistilConfig:
     """The last steps of stage two, in which the fast cache alone learns (decision 0017)."""
 
     num_steps: int = 0
-    """After those of the stage; the paper has none."""
+    """Steps after those of the stage; the paper has none."""
     num_points: int = 640
-    """Camera rays per step; from where they meet the surface, secondary rays leave."""
+    """Camera rays per step; secondary rays start where they meet the surface."""
     taught: DirectionCounts = field(default_factory=lambda: DirectionCounts(cosine=6, sampler=0, specular=2))
     """Secondary rays per point, around the normal and around the mirror lobe."""
     opacity_weight: float = 1.0
-    """Weight of opacity beside radiance; in joint training it is the paper's."""
+    """Weight of opacity relative to radiance; joint training uses the paper's."""
     final_rate: float = 0.1
     """Share of the peak rates at the last step."""
     decay_from: float = 0.3
@@ -130,7 +130,7 @@ class StageTwoConfig:
     secondary_jitter: bool = False
     """Move the intervals along exact secondary rays at random, as the paper does; less biased and noisier."""
     symmetric: bool = False
-    """Let gradients flow into both passes instead of the first only; their mean is the same."""
+    """Let gradients flow into both passes instead of only the first; their mean is the same."""
     material_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
     cache_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
     fast_rates: Rates = field(default_factory=lambda: Rates(grid=1.5625e-4, network=1.5625e-4))
@@ -139,7 +139,7 @@ class StageTwoConfig:
     decay_from: float = 0.0
     """Share of the steps after which the rates begin to fall."""
     physical_weight: float = 0.1
-    """Of the loss on the physical pictures. Differs from the paper, which states none (decision 0019)."""
+    """Weight of the loss on the physical pictures; the paper does not state it (decision 0019)."""
     mask_weight: float = 1.0
     distortion_weight: float = 0.0
     orientation_weight: float = 0.0
@@ -150,21 +150,21 @@ class StageTwoConfig:
     normal_weight_gradient: float = 0.1
     random_background: bool = False
     consistency_weight: float = 0.1
-    """Differs from the paper, which states none (decision 0019)."""
+    """Weight of the consistency losses; the paper does not state it (decision 0019)."""
     smoothness_weight: float = 0.05
     smoothness_step: float = 0.01
     """Standard deviation of the step between compared points, scene units."""
     smoothness_guide: SmoothnessGuide = "decreasing"
     pseudo_albedo: typing.Literal["diffuse", "radiance"] = "diffuse"
-    """The cache's radiance behind its guess at the albedo; the paper takes all of it."""
+    """The cache's radiance from which the pseudo-albedo is computed; the paper uses all of it."""
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     grey_weight: float = 0.0
     """Weight of the environment's mean deviation from grey (decision 0006)."""
     metalness_prior: MetalnessPriorConfig = field(default_factory=MetalnessPriorConfig)
     distance_weight: float = 0.1
-    """Weight of the fast cache's distance beside its radiance (decision 0004); 0 in the paper's code."""
+    """Weight of the fast cache's distance relative to its radiance (decision 0004); 0 in the paper's code."""
     fast_by_half: bool = False
-    """Let the diffuse and the specular half count alike in the fast cache's loss, as in the paper."""
+    """Give the diffuse and the specular half equal weight in the fast cache's loss, as in the paper."""
     grid_decay: float = 0.0
     """The same for the levels of density, material and sampler grids."""
     proposal_exponent: float = 0.4
@@ -180,7 +180,7 @@ class StageTwoConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EvaluationConfig:
-    """The evaluation inside a job; `lambent evaluate` does the full one."""
+    """The evaluation inside a job; `lambent evaluate` runs the full one."""
 
     num_views: int = 4
     num_repeats: int = 1
@@ -189,7 +189,7 @@ class EvaluationConfig:
     antialias: int = 1
     """Camera rays along each side of a pixel; 1 is a ray through its centre, as in the paper."""
     uncertainty_points: int = 1000
-    """Surface points at which the uncertainty of materials is measured; 0 leaves it out."""
+    """Surface points at which the uncertainty of materials is measured; 0 skips it."""
 
     def __post_init__(self) -> None:
         if self.antialias < 1:
@@ -198,18 +198,18 @@ class EvaluationConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExportConfig:
-    """What the bundle is made with."""
+    """Settings of the bundle export."""
 
     gbuffer_samples: int = 128
     """Uniform samples per primary ray in the gbuffer graph."""
     mesh_resolution: int = 128
-    """Most cells along the longest side of the object's box."""
+    """Maximum number of cells along the longest side of the object's box."""
     max_faces: int = 10_000
     """Triangles of the simplified mesh."""
     atlas_size: int = 512
     """Texels along each side of the atlas of textures and light transport."""
     occlusion_points: int = 12_000
-    """Most texels at which ambient occlusion is measured; others take it from their neighbours."""
+    """Maximum number of texels at which ambient occlusion is measured; others interpolate it."""
     occlusion_rays: int = 64
     """Secondary rays per such texel."""
     usdz: bool = False
@@ -217,10 +217,10 @@ class ExportConfig:
     transport_tier: str = "full"
     """Baked light transport: "full" (49 harmonics, shadow bits), "lite" (25, none) or "none"."""
     weights: str = "auto"
-    """Feature tables: "fp16", "fp32", "auto" (fp16 unless it moves the model's answers), or "none": the
+    """Feature tables: "fp16", "fp32", "auto" (fp16 unless it changes the model's outputs), or "none": the
     bundle carries no networks, only what was baked from them."""
     judge_samples: int = 64
-    """Light directions per pixel of refined pictures that baked ones are compared with; 0: none are."""
+    """Light directions per pixel of the refined pictures for comparison with baked ones; 0: no comparison."""
     environment_height: int = 64
     """Rows of the recovered environment; twice as many columns."""
 
@@ -246,7 +246,7 @@ class ExportConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Config:
-    """One run: `presets.py` holds the functions that return one."""
+    """The settings of one run; the functions in `presets.py` return one."""
 
     preset: str
     max_side: int = 800
@@ -281,7 +281,7 @@ REMOVED: Mapping[str, Any] = {
     "stage_two.unobserved": {"weight": 0.0},
     "stage_two.weight_gradient": 0.0,
 }
-"""Settings of earlier releases, with the value at which they did nothing: runs that have it can be read."""
+"""Settings of earlier releases, with the value that had no effect: runs with that value can be read."""
 
 
 def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
@@ -297,7 +297,7 @@ def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
 
 
 def _check_removed(path: str, value: Any) -> None:
-    """Raise `ConfigError` where a setting that is gone had an effect."""
+    """Raise `ConfigError` if a removed setting had an effect."""
     neutral = REMOVED[path]
     if isinstance(neutral, Mapping) and isinstance(value, Mapping):
         value = {name: value.get(name) for name in neutral}

@@ -1,8 +1,8 @@
-"""Exceptions of the method that are meant for the person who configured it."""
+"""Exceptions of the method that are meant for users."""
 
 
 class FlashCacheError(Exception):
-    """Something a user can mend; the message says what was found and what to do."""
+    """A problem that a user can fix; the message says what was found and what to do."""
 
 
 class ConfigError(FlashCacheError, ValueError):
@@ -10,4 +10,4 @@ class ConfigError(FlashCacheError, ValueError):
 
 
 class TrainingError(FlashCacheError):
-    """Training cannot go on (non-finite losses, an empty scene)."""
+    """Training cannot continue (non-finite losses, an empty scene)."""

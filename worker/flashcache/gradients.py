@@ -1,4 +1,4 @@
-"""Control over what flows backwards."""
+"""Scaling of gradients."""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,4 @@
-"""How much memory training takes, estimated from a few rays before anything large is allocated.
+"""The memory that training needs, estimated from a few rays before anything large is allocated.
 
 Parameters, gradients and Adam's moments are counted. What a step needs besides them grows with the rays: it
 is measured on steps of a few rays of the real model and extrapolated. Sizes are in bytes.
@@ -34,11 +34,11 @@ LATE = 0.9
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemoryEstimate:
-    """What one stage of training needs, in bytes."""
+    """The memory that one stage of training needs, in bytes."""
 
     stage: str
     num_parameters: int
-    """Of the whole model, those included that this stage leaves alone."""
+    """Of the whole model, including parameters that this stage does not train."""
     parameters: int
     gradients: int
     moments: int
@@ -48,12 +48,12 @@ class MemoryEstimate:
 
     @property
     def total(self) -> int:
-        """Return the sum; a process and a device context come on top."""
+        """Return the sum; a process and a device context need more."""
         return self.parameters + self.gradients + self.moments + self.activations
 
 
 def estimate(config: Config, *, num_lights: int = 1, device: str = "cpu") -> tuple[MemoryEstimate, ...]:
-    """Return what both stages of `config` need on a device ("cpu" or "cuda"), whose kernels differ.
+    """Return the memory that both stages need on a device ("cpu" or "cuda", whose kernels differ).
 
     Builds the model in this process's memory and takes a few steps of a few rays on an invented scene: a
     minute at most for the largest preset. The state of the caller's random numbers is kept.
@@ -113,7 +113,7 @@ class _Probe:
         self.pixels = TrainingPixels(self.scene, config.pixels, torch.device("cpu"))
 
     def peak(self, stage: str, num_rays: int, factor: int = 1) -> tuple[int, int]:
-        """Return the bytes that a step of `num_rays` has alive at most, and the directions pass A traced."""
+        """Return the peak bytes of a step of `num_rays`, and the number of directions that pass A traced."""
         made = self._stage(stage, num_rays, factor)
         made.step()
         fixed = [*self.model.parameters(), *self.model.buffers()]
@@ -165,7 +165,7 @@ def _multiplied(counts: DirectionCounts, factor: int) -> DirectionCounts:
 
 
 class AllocationMeter(TorchDispatchMode):
-    """Follows the storages of all tensors that this thread's operations touch, except `fixed` ones."""
+    """Tracks the storages of all tensors that this thread's operations touch, except `fixed` ones."""
 
     def __init__(self, fixed: list[Any]) -> None:
         super().__init__()
@@ -176,7 +176,7 @@ class AllocationMeter(TorchDispatchMode):
         self.peak = 0
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Run an operation and take account of the tensors that went in and came out."""
+        """Run an operation and record its input and output tensors."""
         result = func(*args, **(kwargs or {}))
         for value in tree_leaves((args, kwargs, result)):
             if isinstance(value, torch.Tensor):
@@ -197,7 +197,7 @@ class AllocationMeter(TorchDispatchMode):
 
 
 def _invented_scene(config: Config, num_lights: int) -> Scene:
-    """Return a scene of two cameras with noise for photographs, in a box of the configured size."""
+    """Return a scene of two cameras with noise as photographs, in a box of the configured size."""
     radius = config.space.contraction_radius or 1.0
     side, lights = 16, tuple(f"light_{index}" for index in range(num_lights))
     noise = np.random.default_rng(0).random((side, side, 4), dtype=np.float32)

@@ -53,7 +53,7 @@ def _grid(
 
 
 def fast() -> Config:
-    """A first look at one's own scene: minutes on two CPU cores (docs/decisions/0001-cpu-presets.md)."""
+    """Return the preset for a first result on your own scene: minutes on two CPU cores (decision 0001)."""
     nerf = NerfCacheConfig(
         proposals=(
             DensityConfig(grid=_grid(128, 6, 1, 15), width=32, num_layers=1),
@@ -151,7 +151,7 @@ def fast() -> Config:
 
 
 def tiny() -> Config:
-    """The whole method in less than a minute, for tests; its pictures are rough."""
+    """Return the complete method in less than a minute, for tests; its pictures are rough."""
     base = fast()
     nerf = replace(
         base.model.nerf,
@@ -223,7 +223,7 @@ def tiny() -> Config:
 
 
 def long() -> Config:
-    """A longer run without a GPU; what it buys: docs/benchmarks/long-curve.md."""
+    """Return a longer run without a GPU; figures: docs/benchmarks/long-curve.md."""
     base = fast()
     return replace(
         base,
@@ -244,7 +244,7 @@ def long() -> Config:
 
 
 def standard() -> Config:
-    """The paper's sizes with fewer rays and steps, meant for one GPU with 24 GB; not run on one yet."""
+    """Return the paper's sizes with fewer rays and steps, for one GPU with 24 GB; not run on one yet."""
     paper = paper_tensoir()
     sizes = paper_model(output_scale=1.0)
     base = fast()

@@ -1,7 +1,7 @@
-"""The paper's settings by dataset, and by published scene where the authors' code tells scenes apart.
+"""The paper's settings by dataset, and by published scene where the authors' code distinguishes scenes.
 
-Where each number comes from: tests/golden/paper_presets.txt. Meant for one GPU with 80 GB; what its steps
-take there: docs/benchmarks/paper-step.md.
+Where each number comes from: tests/golden/paper_presets.txt. Meant for one GPU with 80 GB; time and
+memory per step: docs/benchmarks/paper-step.md.
 """
 
 from collections.abc import Callable, Mapping
@@ -55,7 +55,7 @@ def paper_model(half_extent: float = 1.0, output_scale: float = 10.0) -> ModelCo
 
 
 def paper_tensoir() -> Config:
-    """The supplement's settings for TensoIR-synthetic."""
+    """Return the supplement's settings for TensoIR-synthetic."""
     return Config(
         preset="paper_tensoir",
         space=SpaceConfig(contraction_radius=2.0, primary=(2.0, 6.0), secondary=(0.05, 2.0), fast_radius=2.0),
@@ -83,7 +83,7 @@ def paper_tensoir() -> Config:
 
 
 def paper_openillumination() -> Config:
-    """The supplement's settings for OpenIllumination."""
+    """Return the supplement's settings for OpenIllumination."""
     base = _with_exponent(paper_tensoir(), 0.8)
     return replace(
         base,
@@ -110,7 +110,7 @@ def paper_openillumination() -> Config:
 
 
 def paper_glossy() -> Config:
-    """The supplement's settings for Glossy Synthetic."""
+    """Return the supplement's settings for Glossy Synthetic."""
     base = paper_tensoir()
     shape = {
         "mask_weight": 10.0,
@@ -176,7 +176,7 @@ SCENES: Mapping[str, Mapping[str, Callable[[Config], Config]]] = {
         **dict.fromkeys(("angel", "cat", "horse", "tbell", "teapot"), _softer_normals),
     },
 }
-"""Published scenes whose settings the authors' configuration tells apart, by preset."""
+"""Published scenes with settings of their own in the authors' configuration, by preset."""
 
 
 def of_scene(config: Config, scene: str) -> Config:

@@ -26,8 +26,8 @@ if _version_not_supported:
 
 
 class WorkerServiceStub:
-    """Every request carries the fence of its run. A fence that is not the job's current one is answered with
-    FAILED_PRECONDITION, upon which the process ends itself without writing anything more.
+    """Every request carries the fence of its run. If it is not the job's current one, the answer is
+    FAILED_PRECONDITION, and the process exits without writing anything more.
     """
 
     def __init__(self, channel):
@@ -94,12 +94,12 @@ class WorkerServiceStub:
 
 
 class WorkerServiceServicer:
-    """Every request carries the fence of its run. A fence that is not the job's current one is answered with
-    FAILED_PRECONDITION, upon which the process ends itself without writing anything more.
+    """Every request carries the fence of its run. If it is not the job's current one, the answer is
+    FAILED_PRECONDITION, and the process exits without writing anything more.
     """
 
     def Register(self, request, context):
-        """The supervisor says that it is alive and where it runs.
+        """The supervisor reports that it is alive, and where it runs.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -125,7 +125,7 @@ class WorkerServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def ReportScene(self, request, context):
-        """The result of looking at the scene.
+        """The result of checking the scene.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -238,8 +238,8 @@ def add_WorkerServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class WorkerService:
-    """Every request carries the fence of its run. A fence that is not the job's current one is answered with
-    FAILED_PRECONDITION, upon which the process ends itself without writing anything more.
+    """Every request carries the fence of its run. If it is not the job's current one, the answer is
+    FAILED_PRECONDITION, and the process exits without writing anything more.
     """
 
     @staticmethod

@@ -20,7 +20,7 @@ from flashcache.geometry.directions import environment_directions, look_up
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EnvironmentConfig:
-    """How the environment is represented (supplement 2.1)."""
+    """Representation of the environment (supplement 2.1)."""
 
     width: int = 256
     num_layers: int = 3
@@ -28,7 +28,7 @@ class EnvironmentConfig:
     num_frequencies: int = 4
     bias: float = -1.0
     lights: Literal["separate", "rotated"] = "separate"
-    """"rotated" makes all lights one environment turned about +z, each by its own angle."""
+    """"rotated" makes all lights rotations of one environment about +z, each by its own angle."""
     rotations_deg: tuple[float, ...] = ()
     """Angles of rotated lights in the scene's order; empty reads them from names such as `sunset_120`."""
     known_height: int = 128
@@ -81,7 +81,7 @@ class Environment(nn.Module):
     def set_known(self, light: int, image: Float[Tensor, "height width 3"]) -> None:
         """Give the environment of a known light; `image` has `known_height` rows and twice as many columns.
 
-        Where lights are rotated, it is the shared environment, unturned.
+        With rotated lights, it is the shared environment before rotation.
         """
         place = 0 if self.rotations else self.known.index(light)
         with torch.no_grad():
@@ -103,7 +103,7 @@ class Environment(nn.Module):
         return torch.where(is_known[:, None], given, self._learned(directions, light_index))
 
     def _turned_back(self, directions: Tensor, light_index: Tensor) -> Tensor:
-        """Return where directions point in the unturned environment: `L_deg(d) = L_0(R_z(-deg) d)`."""
+        """Return directions in the unrotated environment: `L_deg(d) = L_0(R_z(-deg) d)`."""
         angle = directions.new_tensor(self.rotations)[light_index]
         cosine, sine = angle.cos(), angle.sin()
         x, y, z = directions.unbind(dim=-1)

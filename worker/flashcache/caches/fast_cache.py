@@ -34,7 +34,7 @@ class FastCacheConfig:
 
 
 class FastCacheAnswer(NamedTuple):
-    """What the fast cache sees along a batch of rays."""
+    """The fast cache's answers for a batch of rays."""
 
     near_radiance: Float[Tensor, "rays 3"]
     """Linear, premultiplied by opacity, without environment."""
@@ -46,7 +46,7 @@ class FastCacheAnswer(NamedTuple):
 
 
 class FastCache(nn.Module):
-    """Maps secondary rays to what they meet, about ten times cheaper than the NeRF cache."""
+    """The fast cache: answers for secondary rays, about ten times cheaper than the NeRF cache's."""
 
     def __init__(
         self,

@@ -61,14 +61,14 @@ class NerfCacheConfig:
 
 
 class Geometry(NamedTuple):
-    """What a batch of primary rays meets: N points per ray, flattened where it says `points`."""
+    """The sampled points of a batch of primary rays: N per ray, flattened where the axis is `points`."""
 
     samples: RaySamples
     weights: Float[Tensor, "rays samples"]
     hidden: Float[Tensor, "points width"]
     normal: Float[Tensor, "points 3"]
     derived: Float[Tensor, "some 3"] | None
-    """Derived normals of the first rays only; None when they were not asked for."""
+    """Derived normals of the first rays only; None if they were not requested."""
 
     @property
     def opacity(self) -> Float[Tensor, " rays"]:
@@ -77,7 +77,7 @@ class Geometry(NamedTuple):
 
 
 class CacheAnswer(NamedTuple):
-    """What the NeRF cache sees along a batch of secondary rays."""
+    """The NeRF cache's answers for a batch of secondary rays."""
 
     near_radiance: Float[Tensor, "rays 3"]
     opacity: Float[Tensor, " rays"]
@@ -85,7 +85,7 @@ class CacheAnswer(NamedTuple):
 
 
 class Meeting(NamedTuple):
-    """What secondary rays meet: `repeats` points of each ray, flattened where it says `points`."""
+    """The points that secondary rays meet: `repeats` per ray, flattened where the axis is `points`."""
 
     opacity: Float[Tensor, " rays"]
     distance: Float[Tensor, " rays"]
@@ -223,7 +223,7 @@ class NerfCache(nn.Module):
     def meet(
         self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool = False
     ) -> Meeting:
-        """Return what secondary rays meet: all their points with the render weights, or some of them.
+        """Return the points that secondary rays meet: all with their render weights, or some of them.
 
         `num_points` K > 0 draws K points per ray by weight, which needs a generator. `jitter` as in
         `incident`.

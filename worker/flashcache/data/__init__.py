@@ -1,1 +1,1 @@
-"""What the method is trained on: scenes in memory and batches of rays."""
+"""Training data: scenes in memory and batches of rays."""

@@ -15,12 +15,12 @@ from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PixelChoice:
-    """Which pixels a training batch takes."""
+    """The choice of the pixels of a training batch."""
 
     inside_share: float = 0.75
     """Share of rays through the dilated mask, 0..1; the rest fall anywhere. 0 is uniform, as in the paper."""
     dilation_px: int = 9
-    """How far around the mask `inside_share` reaches, pixels."""
+    """Width by which the mask is dilated for `inside_share`, pixels."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.inside_share <= 1.0:
@@ -29,7 +29,7 @@ class PixelChoice:
 
 @dataclass(frozen=True, slots=True)
 class RayBatch:
-    """Rays with the colours that were photographed along them."""
+    """Rays with their photographed colours."""
 
     rays: Rays
     colour: Float[Tensor, "rays 3"]
@@ -107,7 +107,7 @@ class TrainingPixels:
                 randint(len(self.pixels), num_rays - num_inside),
             ]
         )
-        # Shuffled, so that a leading part of the batch is an unbiased part of it.
+        # Shuffled, so that the first rays of a batch are an unbiased sample of it.
         return self.at(index[torch.randperm(num_rays, generator=generator, device=self.device)])
 
     def at(self, index: Int[Tensor, " rays"]) -> RayBatch:

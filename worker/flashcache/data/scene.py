@@ -32,7 +32,7 @@ class Camera:
 
     @property
     def position(self) -> Float64[ndarray, "3"]:
-        """Return where the camera stands, in world coordinates."""
+        """Return the position of the camera in world coordinates."""
         return self.camera_to_world[:3, 3]
 
     def resized(self, width: int, height: int) -> "Camera":

@@ -1,4 +1,4 @@
-"""Where a scene lies: what the capture says, and what a preset for a published dataset says instead."""
+"""The spatial extent of a scene: the capture's own, or that of a preset for a published dataset."""
 
 import re
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def domain_of(
     environment: EnvironmentConfig,
     known_lights: Sequence[str] = (),
 ) -> Domain:
-    """Return what a model must know of a scene, placed by `space`.
+    """Return the domain of a model for a scene, with the distances of `space`.
 
     Raises `ConfigError` for rotated lights without an angle.
     """

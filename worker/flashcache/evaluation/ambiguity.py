@@ -1,4 +1,4 @@
-"""How well photographs determine the materials: a Gaussian approximation at what was learned.
+"""The uncertainty of materials given the photographs: a Gaussian approximation around the trained model.
 
 The radiance that a surface point x sends to a camera depends on parameters of the point (`theta`) and of the
 light (`beta`), which all points share. Linearised, with independent noise, the posterior is Gaussian, and the
@@ -24,7 +24,7 @@ from flashcache.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Priors:
-    """What is known before the photographs, as standard deviations."""
+    """Standard deviations of the priors on materials, normals and light."""
 
     log_albedo: float = 1.0
     metalness: float = 0.3
@@ -32,7 +32,7 @@ class Priors:
     tilt: float = 0.15
     """Error of a learned normal, radians."""
     log_near: float = 0.2
-    """Error of what the radiance cache says of other surfaces."""
+    """Error of the radiance that the cache returns for other surfaces."""
     log_light: float = 1.0
     """Of a patch of the environment."""
     independent_points: float = 200.0
@@ -61,14 +61,14 @@ class LinearModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Elimination:
-    """What points say about themselves and about the light, before they are put together."""
+    """Contributions of points to the posterior, before they are combined."""
 
     inverse: Float[Tensor, "points parameters parameters"]
     """Covariance of a point's parameters under a known light."""
     gain: Float[Tensor, "points parameters patches"]
-    """How a point's parameters give way, with the opposite sign, when the light changes."""
+    """Response of a point's parameters to a change of the light, with the opposite sign."""
     information: Float[Tensor, "patches patches"]
-    """What the points together say about the light."""
+    """Combined information of the points about the light."""
     observed: Float[Tensor, " points"]
     """1 for points that any photograph sees, else 0."""
 
@@ -101,15 +101,15 @@ class MaterialUncertainty:
     """Posterior standard deviations of points' materials."""
 
     albedo: Float[Tensor, "points 3"]
-    """Relative (of log albedo), after the factor per channel that no photograph can tell."""
+    """Relative (of log albedo), without the factor per channel that no photograph determines."""
     albedo_from_light: Float[Tensor, "points 3"]
-    """The part of it that is owed to the light's being unknown."""
+    """The part of it that is due to the unknown light."""
     metalness: Float[Tensor, " points"]
     perceptual_roughness: Float[Tensor, " points"]
 
 
 def light_covariance(found: Elimination, priors: Priors) -> Float[Tensor, "patches patches"]:
-    """Return what remains unknown about the light when every point has had its say."""
+    """Return the posterior covariance of the light, given all points."""
     share = min(1.0, priors.independent_points / max(float(found.observed.sum()), 1.0))
     known = torch.eye(found.gain.shape[-1], dtype=found.gain.dtype, device=found.gain.device)
     return torch.linalg.inv(known / priors.log_light**2 + share * found.information)

@@ -1,4 +1,4 @@
-"""What a camera sees of a trained model's surface, deterministic.
+"""Deterministic pictures of a trained model's surface.
 
 Pictures are numpy float32; radiance is linear Rec. 709.
 """
@@ -25,7 +25,7 @@ OPACITY_FLOOR = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GBuffer:
-    """What a camera sees of the surface, as means over the render weights."""
+    """The surface seen by a camera, as means over the render weights."""
 
     camera: Camera
     opacity: Float32[ndarray, "height width 1"]

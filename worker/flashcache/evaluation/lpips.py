@@ -1,6 +1,6 @@
-"""LPIPS, a distance between pictures in the features of a network, from weights in a file of the user's.
+"""LPIPS, a distance between pictures in the features of a network, with weights from the user's files.
 
-Nothing is downloaded and no weights ship with this code. Accepted are safetensors and .pth files (read as
+Nothing is downloaded, and this code includes no weights. It accepts safetensors and .pth files (read as
 plain tensors, never as pickled code) that together hold a backbone and the linear layers, in the names of
 the reference implementation (`net.slice1.0.weight`, `lin0.model.1.weight`) or of the backbone's own
 checkpoint (`features.0.weight`).

@@ -1,4 +1,4 @@
-"""Distances between predicted and true pictures and maps, as the published baselines measure them.
+"""Metrics of predicted against true pictures and maps, as published baselines compute them.
 
 Pictures are float arrays in 0..1. "Encoded" means sRGB-encoded; albedo is linear. Masks are true on the
 object. The protocol these functions are put together to is docs/reference/protocol.md.

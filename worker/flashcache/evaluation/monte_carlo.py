@@ -1,4 +1,4 @@
-"""Pictures as means of many estimates, and how far such a mean still is from its limit.
+"""Pictures as means of many estimates, with the standard error of the mean.
 
 Every repeat shades K points of a ray, the k-th drawn from the k-th of K equal parts (strata) of the render
 weight. Values of different strata and repeats are independent, but not equally distributed.
@@ -25,7 +25,7 @@ from flashcache.volume.quadrature import draw_points, median_point
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RenderRule:
-    """How a model is looked at: an ablated model is rendered as it was trained."""
+    """How a model is rendered: an ablated model in the same way as it was trained."""
 
     control_variate: Literal["on", "off", "fast_only"] = "on"
     """"off" asks the NeRF cache only, in pictures and for shadows: the fast cache was not trained."""
@@ -33,7 +33,7 @@ class RenderRule:
     points: Literal["categorical", "depth"] = "categorical"
     """Shade points drawn by their weight, or the point where half the weight is passed (biased)."""
     shadows: Literal["fast", "nerf"] = "fast"
-    """Cache that tells what hides a new light; the paper's figures use the NeRF cache."""
+    """Cache for shadows under a new light; the paper's figures use the NeRF cache."""
 
     @property
     def shadow_cache(self) -> Literal["fast", "nerf"]:
@@ -64,7 +64,7 @@ class Spread:
         self.squares = torch.zeros_like(first)
 
     def add(self, values: Float[Tensor, "pixels strata 3"]) -> None:
-        """Take in the values of one more repeat."""
+        """Add the values of one more repeat."""
         self.count += 1
         change = values - self.mean
         self.mean += change / self.count

@@ -31,7 +31,7 @@ STEP = 1e-4
 
 @runtime_checkable
 class LitSurface(Protocol):
-    """What is asked of a trained model."""
+    """The functions of a trained model that the derivatives need."""
 
     @property
     def limits(self) -> RayLimits: ...
@@ -65,12 +65,12 @@ class SeenPoints:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Noise:
-    """How far photographs are from the model: an error of fixed size, and one relative to the radiance."""
+    """The error of photographs against the model: one part of fixed size, one relative to the radiance."""
 
     absolute: float
     relative: float = 0.02
     saturation: float = 1.0
-    """Radiance above which a photograph is clipped and tells nothing."""
+    """Radiance above which a photograph is clipped and provides no information."""
 
     def weight(self, radiance: Tensor) -> Tensor:
         """Return 1 / variance of observed radiance, zero where it is clipped."""
@@ -97,7 +97,7 @@ def patch_of(directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
 
 @torch.no_grad()
 def linear_model(model: LitSurface, points: SeenPoints, source: RadianceSource, noise: Noise) -> LinearModel:
-    """Return the derivatives of what every photograph sees of `points`.
+    """Return the derivatives of the radiance that every photograph sees at `points`.
 
     `source` answers what hides the environment and what other surfaces send. Rows are photographs times
     channels; columns of the light are lights times patches times channels.

@@ -1,4 +1,4 @@
-"""Points on a trained surface, and which photographs see them."""
+"""Points on a trained surface, and the photographs that see them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,24 +20,24 @@ from flashcache.volume.quadrature import median_point
 
 OPAQUE = 0.5
 GRAZING = 0.05
-"""Cosine at the viewer below which a photograph says nothing about a point."""
+"""Cosine at the viewer below which a photograph is ignored for a point."""
 MAX_VIEWS = 10
-"""Photographs per point that are looked at; they stand for all that see it."""
+"""Photographs per point that are evaluated; they represent all that see it."""
 MAX_CHUNK_RAYS = 1 << 16
 LINE_BATCHES = 6
-"""Tries at finding as many points as were asked for; most lines through a box miss a small object."""
+"""Attempts to find the requested number of points; most lines through a box miss a small object."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfacePoints:
-    """Where rays first meet matter."""
+    """The points where rays first meet matter."""
 
     positions: Float[Tensor, "points 3"]
     normal: Float[Tensor, "points 3"]
 
 
 class Projection(NamedTuple):
-    """Where a camera sees points."""
+    """The positions of points in a camera's picture."""
 
     column: Float[Tensor, " points"]
     """Pixels from the left edge; the first pixel's centre is at 0.5."""
@@ -48,7 +48,7 @@ class Projection(NamedTuple):
 
 
 def project(camera: Camera, positions: Float[Tensor, "points 3"]) -> Projection:
-    """Return where `camera` (pinhole) sees world `positions`, inside its picture or not."""
+    """Return the projection of world `positions` into a pinhole camera, inside its picture or not."""
     pose = positions.new_tensor(camera.camera_to_world)
     local = (positions - pose[:3, 3]) @ pose[:3, :3]
     depth = -local[:, 2]

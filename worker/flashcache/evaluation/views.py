@@ -1,4 +1,4 @@
-"""Whole pictures of a trained model: what its surface is, and how it looks under old and new light.
+"""Pictures of a trained model: its surface, and its appearance under training lights and new lights.
 
 Pictures are numpy float32; radiance is linear Rec. 709, straight (not multiplied by opacity).
 """

@@ -56,7 +56,7 @@ def grid_metadata(model: InverseModel) -> str:
 def gbuffer_graph(
     model: InverseModel, rule: GbufferRule, weights: WeightFile, metadata: Metadata
 ) -> onnx.ModelProto:
-    """Return origin, direction -> what a camera ray sees."""
+    """Return the graph: origin, direction -> surface seen by a camera ray."""
     graph = GraphBuilder("gbuffer", "ray", weights)
     origin, direction = graph.input("origin", 3), graph.input("direction", 3)
     start, end = _stretch(graph, rule, origin, direction)
@@ -96,7 +96,7 @@ def gbuffer_graph(
 
 
 def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata) -> onnx.ModelProto:
-    """Return position -> surface properties."""
+    """Return the graph: position -> surface properties."""
     graph = GraphBuilder("material", "point", weights)
     found = _surface(graph, model, graph.input("position", 3))
     opacity = _hidden_share(graph, found.pop("density") * SURFACE_THICKNESS)
@@ -108,7 +108,7 @@ def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata)
 def fast_cache_graph(
     model: InverseModel, light: int, weights: WeightFile, metadata: Metadata
 ) -> onnx.ModelProto:
-    """Return origin, direction -> near radiance under one training light, opacity, distance."""
+    """Return the graph: origin, direction -> near radiance under one training light, opacity, distance."""
     rows, name = slice(3 * light, 3 * light + 3), model.domain.lights[light]
     return _cache_graph(model.fast, rows, name, "fast", f"fast.decoder_head.{name}", weights, metadata)
 
@@ -116,7 +116,7 @@ def fast_cache_graph(
 def adapted_cache_graph(
     fast: FastCache, light: str, weights: WeightFile, metadata: Metadata
 ) -> onnx.ModelProto:
-    """Return origin, direction -> near radiance in the light that `fast` was adapted to, opacity, distance.
+    """Return the graph of a fast cache that was adapted to a light; same inputs and outputs.
 
     Tensors of the radiance are called `adapted.<light>.*`; those of the geometry are the trained cache's, and
     must equal those that `weights` has.
@@ -126,7 +126,7 @@ def adapted_cache_graph(
 
 
 def adapted_prefix(light: str) -> str:
-    """Return how the names of an adapted cache's own tensors and grid begin."""
+    """Return the prefix of the names of an adapted cache's own tensors and grid."""
     return f"adapted.{light}"
 
 

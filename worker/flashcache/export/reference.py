@@ -27,18 +27,18 @@ SURFACE_THICKNESS = 0.01
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GbufferRule:
-    """How the gbuffer function looks along a ray: at fixed fractions of its stretch inside a box.
+    """Sampling of the gbuffer function along a ray: at fixed fractions of its stretch inside a box.
 
-    Fixed places make the result a smooth function of the ray that every runtime rounds alike; places found
-    by proposal networks would be closer to training, but their rounding errors grow with the density.
+    With fixed samples, the result is a smooth function of the ray that every runtime rounds alike; samples
+    from proposal networks would be closer to training, but their rounding errors grow with the density.
     """
 
     box_min: tuple[float, float, float]
     box_max: tuple[float, float, float]
     num_samples: int = 128
-    """Places along a ray at which density is asked."""
+    """Samples along a ray at which density is evaluated."""
     group: int = 4
-    """Neighbouring places that share one lookup of normal and materials, at their mean position."""
+    """Neighbouring samples that share one lookup of normal and materials, at their mean position."""
 
     def __post_init__(self) -> None:
         if self.num_samples < 1 or self.num_samples % self.group:
@@ -53,7 +53,7 @@ def gbuffer(
     origin: Float[Tensor, "rays 3"],
     direction: Float[Tensor, "rays 3"],
 ) -> Outputs:
-    """Return what a camera ray sees: opacity, and means over the render weights (paper Eq. 3).
+    """Return opacity and means over the render weights along camera rays (paper Eq. 3).
 
     The stretch [a, b] of the ray inside the box starts at the ray's origin at the earliest and is empty where
     the ray misses. Density is asked at t_k = a + s_k, s_k = (k + 1/2)/S (b - a), and gives weights w_k of
@@ -138,7 +138,7 @@ def fast_cache(
 def cache_outputs(
     fast: FastCache, light: int, origin: Float[Tensor, "rays 3"], direction: Float[Tensor, "rays 3"]
 ) -> Outputs:
-    """Return what `fast_cache` does, for any fast cache and one of its heads."""
+    """Return the outputs of `fast_cache`, for any fast cache and one of its heads."""
     index = torch.full((len(origin),), light, dtype=torch.long, device=origin.device)
     answer = fast(origin, direction, index)
     return {

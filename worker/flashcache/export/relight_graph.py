@@ -24,7 +24,7 @@ INDIRECT_COEFFICIENTS = 9
 def relight_graph(
     num_direct: int, num_visibility: int, weights: WeightFile, metadata: Mapping[str, str]
 ) -> onnx.ModelProto:
-    """Return the graph for so many coefficients of direct transfer and of visibility."""
+    """Return the graph for the given numbers of coefficients of direct transfer and visibility."""
     graph = GraphBuilder("relight", "pixel", weights)
     direct = graph.input("transfer_direct", num_direct)
     indirect = graph.input("transfer_indirect", 3 * INDIRECT_COEFFICIENTS)
@@ -55,7 +55,7 @@ def relight(
     albedo_diffuse: Float[ndarray, "pixels 3"],
     spec_prefiltered: Float[ndarray, "pixels 3"],
 ) -> Float[ndarray, "pixels 3"]:
-    """Return what the graph must return, in numpy."""
+    """Return the expected output of the graph, computed in numpy."""
     count = len(transfer_direct)
     low = light_sh[:INDIRECT_COEFFICIENTS]
     bounced = np.einsum("pkc,kc->pc", transfer_indirect.reshape(count, INDIRECT_COEFFICIENTS, 3), low)

@@ -1,1 +1,1 @@
-"""Fields: functions of position that a scene is made of."""
+"""Fields: the functions of position that describe a scene."""

@@ -30,7 +30,7 @@ class DensityConfig:
 
 
 class DensitySample(NamedTuple):
-    """What a density network knows about a batch of points."""
+    """The output of a density network for a batch of points."""
 
     density: Float[Tensor, " points"]
     hidden: Float[Tensor, "points width"]

@@ -43,7 +43,7 @@ def facing(
 ) -> Float[Tensor, "*batch 3"]:
     """Return unit normals that face `omega_o`: those that do not are tilted until they just do.
 
-    What is seen is seen from outside: opaque matter has no other side, whatever its normal says.
+    Surfaces are always seen from outside: opaque matter has no back side, whatever its normal says.
     """
     away = dot(normal, omega_o).clamp_max(0.0)
     return normalize(normal - 1.01 * away * omega_o)

@@ -1,4 +1,4 @@
-"""Rays: where they start, where they go, and the stretch of them that matters.
+"""Rays: origins, directions, and near and far distances.
 
 World frame: right-handed, z up, scene units. Camera frame: x right, y up, looking along -z.
 """

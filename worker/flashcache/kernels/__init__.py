@@ -1,1 +1,1 @@
-"""Interpolation in multi-resolution feature grids: one formula, a reference, faster ones that equal it."""
+"""Interpolation in multi-resolution feature grids: one formula, a reference, and faster equal backends."""

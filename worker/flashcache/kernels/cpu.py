@@ -22,7 +22,7 @@ Array = NDArray[np.float32]
 Kernel = Callable[..., Any]
 
 BLOCK = 8192
-"""Points that visit one level after the other, so that the level's rows and their features stay cached."""
+"""Points per block; a block visits one level after another so that rows and features stay cached."""
 
 TOUCHED_VALUES = 2**18
 """Levels of at most this many values (1 MiB, a core's own cache) are read once from end to end before random
@@ -31,7 +31,7 @@ access, if enough points follow: memory is several times faster in order."""
 PARALLEL_POINTS = 4096
 """Below this many point-levels per thread a pool costs more than it saves."""
 
-# Not "nnan" and not "ninf": clamping must catch a NaN before it becomes an address.
+# Without "nnan" and "ninf": clamping must catch a NaN before it becomes an address.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 

@@ -1,4 +1,4 @@
-"""Which backend answers an encoder call, and how it takes part in automatic differentiation.
+"""The choice of the backend for an encoder call, and its automatic differentiation.
 
 float32 on a processor goes to the compiled loops of `cpu`, everything else to `reference`. The environment
 variable LAMBENT_KERNELS=reference, read once at import, sends everything to the reference (tests, debugging).
@@ -25,7 +25,7 @@ if _CHOICE not in ("auto", "reference"):
 
 @contextmanager
 def using(choice: str) -> Iterator[None]:
-    """Answer all calls as LAMBENT_KERNELS=`choice` would, for comparisons in one process."""
+    """Dispatch all calls as LAMBENT_KERNELS=`choice` would, for comparisons in one process."""
     global _CHOICE
     before, _CHOICE = _CHOICE, choice
     try:
@@ -64,7 +64,7 @@ def encode_with_jacobian(
 ) -> tuple[Float[Tensor, "points outputs"], Float[Tensor, "points outputs 3"]]:
     """Return the features of `z` and their derivative by `z`, both differentiable by `table`.
 
-    A `z` that requires a gradient is answered by the reference, which alone has the second derivative by `z`.
+    A `z` that requires a gradient uses the reference, the only backend with a second derivative by `z`.
     """
     z = z.to(table.dtype)
     differentiable = torch.is_grad_enabled()

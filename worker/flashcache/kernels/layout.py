@@ -1,4 +1,4 @@
-"""Where the voxels of a multi-resolution feature grid live in its table.
+"""The layout of a multi-resolution feature grid: the row of each voxel in the grid's table.
 
 One table of rows holds all levels after each other. A voxel (x, y, z) of a level is row
 `first_row + (x + multiplier_y y + multiplier_z z) mod num_rows`. A level with n^3 <= T voxels is dense

@@ -1,8 +1,8 @@
-"""A preference for few materials: points are drawn towards others that are already like them.
+"""A preference for few materials: each point is pulled towards points with similar materials.
 
-Materials are compared as vectors of albedo, GGX width and metalness. Albedo counts relative to the batch's
-mean: a photograph does not tell dark surfaces in bright light from bright ones in dim light, and materials
-would all be alike if they were black.
+Materials are compared as vectors of albedo, GGX width and metalness. Albedo is relative to the batch's
+mean: a photograph does not distinguish dark surfaces in bright light from bright ones in dim light, and all
+materials would be equal if they were black.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class ClusterConfig:
     """A prior on the distribution of materials, beyond the paper."""
 
     weight: float = 0.0
-    """Of the loss; 0 leaves it out."""
+    """Weight of the loss; 0 disables it."""
     width: float = 0.1
-    """Distance of two materials at which they hardly count as one cluster, above 0."""
+    """Distance beyond which two materials hardly count as one cluster, above 0."""
 
     def __post_init__(self) -> None:
         if self.width <= 0.0:
@@ -38,8 +38,8 @@ def material_entropy(
     """Return the quadratic entropy of the batch's materials, in nats: low where they form few clusters.
 
     `-log mean_ij exp(-|m_i - m_j|^2 / (4 width^2))`, from 0 (all alike) to the logarithm of the number of
-    points; `point_weight` says how much each point counts. Points further apart than a few widths do not
-    see each other, so that clusters sharpen without moving together.
+    points; `point_weight` says how much each point counts. Points further apart than a few widths do
+    not interact, so that clusters sharpen without moving together.
     Source: the parsimony prior of Barron and Malik (SIRFS), on materials instead of colours.
     """
     total = point_weight.sum().clamp_min(1e-6)

@@ -1,4 +1,4 @@
-"""Priors on the light from far away."""
+"""Priors on the environment."""
 
 from jaxtyping import Float
 from torch import Tensor

@@ -15,15 +15,15 @@ class MetalnessPriorConfig:
     """The prior on metalness beyond the paper; off by default (decision 0015)."""
 
     warmup_weight: float = 0.0
-    """Weight while the fast cache warms up and nothing else moves the materials."""
+    """Weight during the warm-up of the fast cache, when nothing else changes the materials."""
     weight: float = 0.0
     """Weight afterwards."""
     num_directions: int = 16
-    """Directions per point in which the cache's radiance is compared."""
+    """Directions per point at which the cache's radiance is compared."""
     variation: tuple[float, float] = (0.1, 0.35)
-    """Variation of radiance, relative to the point's own, of a surface without and of one with metal."""
+    """Variation of radiance, relative to the point's own, of a dielectric and of a metal."""
     bright_variation: tuple[float, float] | None = None
-    """The same relative to bright points; where it is set, a metal must pass both."""
+    """The same relative to bright points; if set, a metal must pass both tests."""
     range: tuple[float, float] = (0.12, 0.95)
     """Metalness at the two ends."""
 
@@ -51,8 +51,8 @@ def directional_variation(
 ) -> Variation:
     """Return how much the radiance of points varies with direction; see decision 0015.
 
-    A dielectric reflects a few hundredths of what meets it and adds diffuse light, which does not vary; all
-    light from a metal is specular. Beside the radiance of something dark every highlight is large. So the
+    A dielectric reflects a few hundredths of the incoming light and adds diffuse light, which does not
+    vary; all light from a metal is specular. Relative to a dark surface every highlight is large, so the
     second level is the larger of the point's own and that of the brightest tenth of the points that have a
     `weight`: about what a white surface would send. Under a uniform environment nothing varies.
     """
@@ -70,7 +70,7 @@ def metalness_prior(
     weight: Float[Tensor, " points"],
     config: MetalnessPriorConfig,
 ) -> Float[Tensor, ""]:
-    """Return the weighted mean squared distance of metalness from what `variation` suggests."""
+    """Return the weighted mean squared distance of metalness from the value that `variation` suggests."""
     rise = _smooth_step(variation.own.detach(), config.variation)
     if config.bright_variation is not None:
         rise = torch.minimum(rise, _smooth_step(variation.bright.detach(), config.bright_variation))

@@ -35,7 +35,7 @@ def carving(
     photograph: Float[Tensor, "rays 3"],
     coverage: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
-    """Return the loss of the first phase, which lets light pass where photographs agree only behind.
+    """Return the loss of the first phase, which carves away matter until the photographs agree.
 
     On covered pixels the colour is compared after division by opacity, so that a hollow need not
     be opaque at its rim; opacity itself is only kept above 0.6 there and driven to zero outside.

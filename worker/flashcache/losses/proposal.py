@@ -1,4 +1,4 @@
-"""Losses on the weights along a ray: proposals that cover them, and their spread."""
+"""Losses on the weights along a ray: their coverage by the proposals, and their spread."""
 
 from jaxtyping import Float
 from torch import Tensor

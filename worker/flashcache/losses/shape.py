@@ -1,4 +1,4 @@
-"""Priors on shape for short trainings: how far away a surface lies, and how its normals vary.
+"""Priors on shape for short trainings: the distance of surfaces, and the variation of their normals.
 
 Lengths are shares of half the diagonal of the scene's box, so that weights do not depend on its units.
 """
@@ -35,10 +35,11 @@ def recession(
     distances: Float[Tensor, "rays samples"],
     coverage: Float[Tensor, " rays"],
 ) -> Float[Tensor, ""]:
-    """Return minus the mean distance of what fully covered pixels see: less the farther away it lies.
+    """Return minus the mean distance seen by fully covered pixels: the farther the surface, the lower.
 
-    Where colours do not say how far a surface is, as on a mirror or inside its reflection, photographs and
-    outline agree with every surface between the visual hull and the true one; this term prefers the farthest.
+    Where colours do not determine the distance of a surface, as on a mirror or in its reflection,
+    photographs and outline agree with every surface between the visual hull and the true one; this term
+    prefers the farthest.
     `distances` count from where the ray enters the scene and are constants: only render weights move.
     """
     mean = (weights * distances.detach()).sum(dim=-1) / weights.sum(dim=-1).clamp_min(0.05)

@@ -1,4 +1,4 @@
-"""Smoothness of the materials where the pictures give no reason for a change (supplement 2.10)."""
+"""Smoothness of the materials where the pictures do not change (supplement 2.10)."""
 
 from typing import Literal
 
@@ -9,14 +9,14 @@ from torch import Tensor
 from flashcache.physical.brdf import Materials
 
 SmoothnessGuide = Literal["decreasing", "printed", "none"]
-""""decreasing" smooths less where the cache's guess at the albedo changes, "printed" is the supplement's
+""""decreasing" smooths less where the pseudo-albedo changes, "printed" is the supplement's
 Eq. 9, which smooths more there, "none" smooths everywhere alike."""
 
 
 def pseudo_albedo(
     radiance: Float[Tensor, "points 3"], irradiance: Float[Tensor, "points 3"]
 ) -> Float[Tensor, "points 3"]:
-    """Return radiance over irradiance/pi, both of the cache: its guess at the albedo (supplement Eq. 10)."""
+    """Return radiance over irradiance/pi, both of the cache: the pseudo-albedo (supplement Eq. 10)."""
     return (radiance / irradiance.clamp_min(1e-3)).clamp(0.0, 1.0).detach()
 
 
@@ -31,7 +31,7 @@ def smoothness(
 ) -> Float[Tensor, ""]:
     """Return the relative change of the materials over a small step, weighed down where pictures change.
 
-    `guided` says how the guesses at the albedo enter. Source: supplement Eq. 8.
+    `guided` says how the pseudo-albedos enter. Source: supplement Eq. 8.
     Differs from the paper: Eq. 9 as printed ("printed") smooths only where the picture changes; by default
     we use the decreasing form `2 sigmoid(-4 change) + 0.1` (docs/decisions/0003-smoothness-weight.md).
     """
@@ -51,7 +51,7 @@ def smoothness(
 def guide_weight(
     guess_here: Float[Tensor, "points 3"], guess_nearby: Float[Tensor, "points 3"], guided: SmoothnessGuide
 ) -> Float[Tensor, " points"]:
-    """Return the weight of the smoothness between two points, from guesses at their albedo (Eq. 9)."""
+    """Return the weight of the smoothness between two points, from their pseudo-albedos (Eq. 9)."""
     change = (guess_here - guess_nearby).abs()
     if guided == "none":
         return torch.ones_like(change[:, 0])

@@ -76,7 +76,7 @@ class EstimatorConfig:
     fast: DirectionCounts = field(default_factory=lambda: DirectionCounts.split(64))
     """Directions that only the fast cache answers."""
     exact: DirectionCounts = field(default_factory=lambda: DirectionCounts.split(16))
-    """Directions of the correction, that both caches answer; all there are without the control variate."""
+    """Directions of the correction, which both caches answer; all directions without the control variate."""
     control_variate: Literal["on", "off", "fast_only"] = "on"
     """"off" asks the NeRF cache only. "fast_only" leaves the correction out and is biased; it traces exact
     directions in training only, for the fast cache and the light sampler to learn from."""

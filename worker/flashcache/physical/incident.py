@@ -1,4 +1,4 @@
-"""What arrives at surface points: secondary rays, and the answers of radiance caches to them."""
+"""Incoming light at surface points: secondary rays, and the answers of radiance caches to them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from flashcache.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RayLimits:
-    """Where secondary rays start and end, in scene units; a property of the scene."""
+    """The limits of secondary rays, in scene units; a property of the scene."""
 
     near: float
     """Distance from the origin at which a ray begins to see."""
@@ -29,7 +29,7 @@ class RayLimits:
 
 @dataclass(frozen=True)
 class SecondaryRays:
-    """Rays that look for incoming light, from just above surface points; distances in scene units."""
+    """Rays that gather incoming light, from just above surface points; distances in scene units."""
 
     origins: Float[Tensor, "rays 3"]
     directions: Float[Tensor, "rays 3"]
@@ -58,7 +58,7 @@ class SecondaryRays:
 
 @runtime_checkable
 class NearField(Protocol):
-    """What a cache answers about secondary rays; see `Incident` for the meaning."""
+    """A cache's answers for secondary rays; see `Incident` for the meaning."""
 
     @property
     def near_radiance(self) -> Tensor: ...
@@ -70,7 +70,7 @@ class NearField(Protocol):
 
 @dataclass(frozen=True)
 class Incident:
-    """What arrives along secondary rays: a cache's answer, and the environment behind it."""
+    """Light along secondary rays: a cache's answer, and the environment behind it."""
 
     near_radiance: Float[Tensor, "rays 3"]
     """Linear radiance between the ends of the ray, premultiplied by `opacity`."""
@@ -79,7 +79,7 @@ class Incident:
     distance: Float[Tensor, " rays"]
     """Mean distance of what hides it, from the ray's origin."""
     environment: Float[Tensor, "rays 3"] | None = None
-    """Radiance of the far field; a source leaves it out, the estimator asks for it once."""
+    """Radiance of the far field; sources omit it, and the estimator evaluates it once."""
 
     @property
     def radiance(self) -> Float[Tensor, "rays 3"]:
@@ -96,7 +96,7 @@ EnvironmentSource = Callable[[Tensor, Tensor], Tensor]
 
 
 def visibility_only(source: RadianceSource) -> RadianceSource:
-    """Return a source that hides what `source` hides and sends nothing: direct light with shadows."""
+    """Return a source with the occlusion of `source` and no radiance: direct light with shadows."""
 
     def shadows(rays: SecondaryRays) -> Incident:
         answer = source(rays)
@@ -106,6 +106,6 @@ def visibility_only(source: RadianceSource) -> RadianceSource:
 
 
 def unoccluded(rays: SecondaryRays) -> Incident:
-    """Return the answer of empty space: no near radiance, nothing hidden."""
+    """Return the answer of empty space: no near radiance, no occlusion."""
     near = torch.zeros_like(rays.origins)
     return Incident(near, near[:, 0], torch.full_like(near[:, 0], rays.far))

@@ -27,7 +27,7 @@ class ModelConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Domain:
-    """The space a scene occupies, scene units; what a model must know of its scene."""
+    """The space that a scene occupies, in scene units: all that a model needs to know about its scene."""
 
     bounds_min: tuple[float, float, float]
     bounds_max: tuple[float, float, float]
@@ -72,16 +72,16 @@ class InverseModel(nn.Module):
     def ask_nerf(
         self, rays: SecondaryRays, generator: torch.Generator | None, *, jitter: bool = False
     ) -> CacheAnswer:
-        """Return what the NeRF cache sees along secondary rays; see `NerfCache.incident`."""
+        """Return the NeRF cache's answers for secondary rays; see `NerfCache.incident`."""
         near = rays.origins.new_full((len(rays),), rays.near)
         far = rays.origins.new_full((len(rays),), rays.far)
         inside = Rays(rays.origins, rays.directions, near, far)
         return self.nerf.incident(inside, rays.light_index, generator, jitter=jitter)
 
     def nerf_source(self, generator: torch.Generator | None, *, jitter: bool = False) -> RadianceSource:
-        """Return the NeRF cache as the estimators see it; see `NerfCache.incident` for the arguments."""
+        """Return the NeRF cache as a source for estimators; arguments as for `NerfCache.incident`."""
         return lambda rays: self.ask_nerf(rays, generator, jitter=jitter)
 
     def fast_source(self) -> RadianceSource:
-        """Return the fast cache as the estimators see it."""
+        """Return the fast cache as a source for the estimators."""
         return lambda rays: self.fast(rays.origins, rays.directions, rays.light_index)

@@ -39,7 +39,7 @@ class ModelScene:
 
     model: InverseModel
     viewpoints: Float[Tensor, "views 3"]
-    """Positions from which the object is looked at, world coordinates."""
+    """Viewpoints, world coordinates."""
     box: tuple[Float[Tensor, "3"], Float[Tensor, "3"]]
     """Lower and upper corner of a box around the object."""
     albedo_ratio: Float[Tensor, "3"]
@@ -59,7 +59,7 @@ class ModelScene:
         return solid_points(geometry, directions, light, generator, count)
 
     def meet(self, rays: SecondaryRays, generator: torch.Generator) -> Hits:
-        """Return what the NeRF cache says that secondary rays meet, one point each."""
+        """Return the points that secondary rays meet according to the NeRF cache, one each."""
         ends = [rays.origins.new_full((len(rays),), end) for end in (rays.near, rays.far)]
         inside = Rays(rays.origins, rays.directions, *ends)
         met = self.model.nerf.meet(inside, 1, generator)

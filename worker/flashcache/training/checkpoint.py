@@ -1,8 +1,8 @@
 """Checkpoints: tensors in safetensors, everything else in JSON; nothing is ever unpickled.
 
 A checkpoint is a folder: `model.safetensors`, `optimiser.safetensors` (absent once training of the
-stage is over), `extra.safetensors` where a stage keeps more than these, and `state.json`. It is complete or
-not there: it is written aside and renamed.
+stage is over), `extra.safetensors` where a stage keeps more than these, and `state.json`. It is either
+complete or absent: it is written under another name and renamed.
 """
 
 import json
@@ -24,7 +24,7 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CheckpointState:
-    """What a checkpoint says about itself."""
+    """The metadata of a checkpoint."""
 
     stage: str
     step: int
@@ -43,7 +43,7 @@ def save_checkpoint(
     optimiser: torch.optim.Optimizer | None,
     state: CheckpointState,
 ) -> Path:
-    """Write a checkpoint to `folder`, replacing what was there, and return the folder.
+    """Write a checkpoint to `folder`, replacing an earlier one, and return the folder.
 
     It is built next to its place, flushed to disk and renamed, so that a kill leaves the old or the new one.
     """
@@ -66,7 +66,7 @@ def save_checkpoint(
 def load_checkpoint(
     folder: Path, model: nn.Module, optimiser: torch.optim.Optimizer | None = None
 ) -> CheckpointState:
-    """Fill `model` (and `optimiser`) from a checkpoint and return what it says about itself.
+    """Load a checkpoint into `model` (and `optimiser`) and return its metadata.
 
     Raises `TrainingError` when a file is damaged or of another version, before anything is filled in, and
     when the checkpoint does not fit the model.
@@ -99,7 +99,7 @@ def latest_checkpoint(folder: Path) -> Path | None:
 
 
 def checkpoint_folder(folder: Path, step: int) -> Path:
-    """Return where the checkpoint of `step` belongs below a stage's folder."""
+    """Return the folder of the checkpoint of `step` below a stage's folder."""
     return folder / f"step_{step:07d}"
 
 

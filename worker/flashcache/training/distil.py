@@ -1,6 +1,6 @@
-"""The end of stage two: the fast cache alone learns from the NeRF cache, which no longer moves.
+"""The end of stage two: only the fast cache trains, on the frozen NeRF cache.
 
-Bundles and pictures under new light ask the fast cache alone what a secondary ray meets. In joint training
+Bundles and pictures under new light use only the fast cache for secondary rays. In joint training
 it sees few rays, those of the correction term; here it sees several thousand a step, with the weight on
 opacity, which shadows are made of (docs/decisions/0017-distillation.md). The paper has no such step.
 """
@@ -22,7 +22,7 @@ STAGE = "distil"
 
 
 class Distillation:
-    """Adds the gradient of one batch after the other to the fast cache's gradients."""
+    """Adds the gradients of successive batches to those of the fast cache."""
 
     def __init__(
         self, model: InverseModel, pixels: TrainingPixels, config: DistilConfig, *, seed: int
@@ -43,7 +43,7 @@ class Distillation:
         with torch.no_grad():
             rays = taught_rays(model, self.halves.part_of(batch, half), self.config, generator)
             seen = model.ask_nerf(rays, generator) if len(rays) else None
-        if seen is None:  # A cache without a surface yet: there is nothing to learn, and nothing wrong.
+        if seen is None:  # A cache without a surface yet: there is nothing to learn, which is not an error.
             return 0.0 * torch.stack([one.sum() for one in model.fast.parameters()]).sum(), 0.0
         answer = model.fast(rays.origins, rays.directions, rays.light_index)
         loss = fast_cache_loss(

@@ -1,4 +1,4 @@
-"""Where secondary rays leave, and which, when a cache is taught what relighting will ask it."""
+"""The secondary rays with which a cache is trained, distributed as in relighting."""
 
 import torch
 from jaxtyping import Float, Int

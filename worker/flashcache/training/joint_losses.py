@@ -1,4 +1,4 @@
-"""The losses of stage two by what they move; every function returns its terms by name, weighted."""
+"""The losses of stage two by the parts they change; every function returns its weighted terms by name."""
 
 import torch
 from jaxtyping import Float
@@ -45,7 +45,7 @@ def cache_terms(
     *,
     with_normals: bool,
 ) -> Terms:
-    """Return the losses that keep the NeRF cache true to the photographs, and those on its shape."""
+    """Return the losses of the NeRF cache against the photographs, and those on its shape."""
     background = torch.ones_like(batch.colour)
     if config.random_background:
         background = torch.rand(background.shape, generator=generator, device=background.device)
@@ -67,7 +67,7 @@ def cache_terms(
 
 
 def decay_terms(model: InverseModel, config: StageTwoConfig) -> Terms:
-    """Return the decay of the grids that train; proposals are frozen, decay alone would erase them."""
+    """Return the decay of the trained grids; proposals are frozen, and decay alone would erase them."""
     if not config.grid_decay:
         return {}
     grids = [model.materials.grid, model.light_sampler.grid, model.nerf.density.grid]
@@ -157,7 +157,7 @@ def metalness_terms(
     *,
     warming_up: bool,
 ) -> Terms:
-    """Return the prior that takes strongly view-dependent surfaces for metal (decision 0015)."""
+    """Return the prior that prefers metal on strongly view-dependent surfaces (decision 0015)."""
     prior, points = config.metalness_prior, first.points
     weight = prior.warmup_weight if warming_up else prior.weight
     if not weight:

@@ -1,10 +1,10 @@
-"""Adapting the fast cache's radiance to an environment that no photograph shows.
+"""Adaptation of the fast cache's radiance to an environment that no photograph shows.
 
-Along a secondary ray the cache should answer what the ray meets, premultiplied: A L_o(x, -omega), with the
-point x and its outgoing radiance L_o under the new environment. L_o is the two-term estimate of paper Eq. 9:
-many directions that the adapting cache itself answers, which brings in all further bounces, and a few on
-which what the ray meets is shaded once more, minus the cache's answer to the same rays. Where rays stop
-(opacity, distances, weights of the samples) is geometry and stays as it was trained.
+For a secondary ray, the cache should return the premultiplied radiance of its hit point: A L_o(x, -omega),
+with the point x and its outgoing radiance L_o under the new environment. L_o is the two-term estimate of
+paper Eq. 9: many directions that the adapting cache itself answers, which includes all further bounces, and
+a few whose hit points are shaded once more, minus the cache's answer to the same rays. The ends of rays
+(opacity, distances, weights of the samples) are geometry and stay as they were trained.
 """
 
 import copy
@@ -40,22 +40,22 @@ STAGE = "bake"
 _ESTIMATOR = EstimatorConfig(stratified=True)
 _BISECTIONS = 24
 _BOUNCES = 4
-"""Times that the mean is set before the first step; each lets light be reflected once more."""
+"""Number of times that the mean is set before the first step; each adds one more reflection."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LightBakeConfig:
-    """How the fast cache adapts to an environment; every number is ours, the paper has no such step."""
+    """Settings of a light bake; every number is ours, because the paper has no such step."""
 
     num_steps: int = 300
     num_points: int = 96
-    """Surface points per step whose secondary rays are taught."""
+    """Surface points per step whose secondary rays are trained."""
     taught: DirectionCounts = field(default_factory=lambda: DirectionCounts(cosine=2, sampler=0, specular=2))
-    """Secondary rays per point: those that relighting will ask about."""
+    """Secondary rays per point, distributed as in relighting."""
     fast: DirectionCounts = field(default_factory=lambda: DirectionCounts.split(16))
-    """Directions at what a taught ray meets that the adapting cache answers."""
+    """Directions per hit point that the adapting cache answers."""
     exact: DirectionCounts = field(default_factory=lambda: DirectionCounts(cosine=1, sampler=1, specular=2))
-    """Directions of the correction; none leaves it out."""
+    """Directions of the correction; none disables it."""
     last: DirectionCounts = field(default_factory=lambda: DirectionCounts(cosine=1, sampler=1, specular=2))
     """Directions that shade what a ray of the correction meets."""
     rates: Rates = field(default_factory=lambda: Rates(grid=1e-2, network=2e-3))
@@ -74,7 +74,7 @@ class LightBakeConfig:
 
 
 class Hits(NamedTuple):
-    """What secondary rays meet: one point each, drawn in proportion to its share of the ray."""
+    """The hit points of secondary rays: one each, drawn in proportion to its share of the ray."""
 
     opacity: Float[Tensor, " rays"]
     distance: Float[Tensor, " rays"]
@@ -90,13 +90,13 @@ class BakeScene(Protocol):
 
     @property
     def limits(self) -> RayLimits:
-        """Where secondary rays start and end."""
+        """The limits of secondary rays."""
 
     def starts(self, count: int, generator: torch.Generator) -> ShadingPoints:
         """Return at most `count` surface points, as cameras around the object see them."""
 
     def meet(self, rays: SecondaryRays, generator: torch.Generator) -> Hits:
-        """Return what secondary rays meet."""
+        """Return the hit points of secondary rays."""
 
     def materials(self, positions: Float[Tensor, "points 3"]) -> Materials:
         """Return the materials at points."""

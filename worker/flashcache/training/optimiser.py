@@ -13,7 +13,7 @@ from flashcache.encoding.hash_grid import HashGrid
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StepRecord:
-    """What a training step tells: its loss terms and, every few steps, how good the picture is."""
+    """The result of a training step: its loss terms and, every few steps, the quality of the picture."""
 
     step: int
     """Number of steps done, counting this one."""
@@ -23,7 +23,7 @@ class StepRecord:
     """Of the batch, dB, on sRGB values inside the mask."""
     terms: Mapping[str, float]
     skipped: bool = False
-    """True when the step was left out because its gradient was not finite."""
+    """True if the step was skipped because its gradient was not finite."""
 
 
 def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str, Any]]:
@@ -79,7 +79,7 @@ def apply_gradients(
 
 
 def take_step(optimiser: torch.optim.Adam) -> bool:
-    """Take a step with the present gradients; returns False, and changes nothing, if one is not finite."""
+    """Take a step with the current gradients; returns False, and changes nothing, if one is not finite."""
     gradients = [p.grad for group in optimiser.param_groups for p in group["params"] if p.grad is not None]
     # One sum per tensor: a NaN or infinity anywhere makes the total non-finite.
     total = torch.stack([gradient.sum() for gradient in gradients]).sum()

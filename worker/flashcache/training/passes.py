@@ -42,7 +42,7 @@ def shade(
 ) -> Pass:
     """Return one estimate of the batch.
 
-    `supervise` asks for the exact rays even where the estimate itself leaves them out, for the losses of the
+    `supervise` traces the exact rays even if the estimate itself omits them, for the losses of the
     fast cache and the light sampler.
     """
     weights = geometry.weights.detach()

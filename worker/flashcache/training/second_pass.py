@@ -1,4 +1,4 @@
-"""Pass B beside pass A, on a second core where there is one, with the same result bit for bit.
+"""Pass B in parallel with pass A, on a second core if there is one, with bit-identical results.
 
 Pass B works on a twin of the model that shares its values and has gradients of its own: both passes can then
 be computed and differentiated at the same time, and their gradients are added in one fixed order.
@@ -38,7 +38,7 @@ def half_of(num_threads: int) -> int:
 
 @contextmanager
 def half_the_threads(active: bool) -> Iterator[None]:
-    """Let operations of this thread use half the cores while `active`: another thread has the others."""
+    """Let operations of this thread use half the cores while `active`; another thread uses the others."""
     before = torch.get_num_threads()
     if active:
         torch.set_num_threads(half_of(before))
@@ -74,7 +74,7 @@ class SecondPass:
         self._job: Future | None = None
 
     def start(self, batch: RayBatch, geometry: Geometry, generator: torch.Generator) -> None:
-        """Begin the pass; what gradient reaches the normals of `geometry` is collected."""
+        """Start the pass; the gradient that reaches the normals of `geometry` is collected."""
         normal = geometry.normal.detach()
         self._normal = normal.requires_grad_(geometry.normal.requires_grad and self.config.symmetric)
         own = geometry._replace(
@@ -88,7 +88,7 @@ class SecondPass:
         self._job = self._submit(run)
 
     def result(self) -> Pass:
-        """Return the pass, when it is done."""
+        """Wait for the pass and return it."""
         assert self._job is not None, "start comes first"
         return self._job.result()
 

@@ -72,7 +72,7 @@ class StageTwo:
 
     @property
     def num_steps(self) -> int:
-        """Steps in which everything learns, and those after them in which the fast cache alone does."""
+        """Number of joint steps, plus the later ones in which only the fast cache trains."""
         return self.config.num_steps + self.config.distil.num_steps
 
     @property
@@ -103,7 +103,7 @@ class StageTwo:
         )
 
     def _distil(self, step: int) -> StepRecord:
-        """Take one of the last steps, in which the fast cache alone learns."""
+        """Take one of the last steps, in which only the fast cache trains."""
         config = self.config.distil
         if self.distillation is None:
             self.distillation = Distillation(self.model, self.pixels, config, seed=self.seed)
@@ -179,8 +179,8 @@ class StageTwo:
     def scale(self) -> dict[str, float]:
         """Return the mean radiance of each light and the mean albedo on the surface.
 
-        Their product is fixed by the photographs and their ratio is not: a steady drift of the ratio late in
-        training says that the priors lost hold of it.
+        The photographs determine their product but not their ratio: a steady drift of the ratio late in
+        training shows that the priors no longer constrain it.
         """
         generator = generator_for(self.seed, STAGE, self.steps_done, "scale", self.pixels.device)
         with torch.no_grad():

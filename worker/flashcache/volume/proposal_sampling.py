@@ -1,4 +1,4 @@
-"""Where along a ray the fields are asked: two proposal rounds and a final one.
+"""Sampling along rays: two proposal rounds and a final one.
 
 Normalised distance s in [0, 1] maps to the distance t along the ray by a `DistanceCurve`.
 """
@@ -34,7 +34,7 @@ class SampleCounts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DistanceCurve:
-    """How normalised distance is spread along a ray.
+    """The mapping between normalised distance and distance along a ray.
 
     With `power` 1 linearly, else by the power ladder, which puts more samples near the start
     (Zip-NeRF's curve as the paper uses it for secondary rays).

@@ -9,7 +9,7 @@ export interface components {
     schemas: {
         /**
          * Artifact
-         * @description A file that a job has made, besides its bundle.
+         * @description A file that a job has produced, besides its bundle.
          */
         Artifact: {
             /** Media Type */
@@ -25,7 +25,7 @@ export interface components {
         };
         /**
          * ArtifactList
-         * @description The files that a job has made.
+         * @description The files that a job has produced.
          */
         ArtifactList: {
             /** Items */
@@ -33,7 +33,7 @@ export interface components {
         };
         /**
          * Batch
-         * @description A batch and how far it is.
+         * @description A batch and its progress.
          */
         Batch: {
             /** Created At */
@@ -58,7 +58,7 @@ export interface components {
         };
         /**
          * BatchArtifact
-         * @description A file that one of the jobs of a batch has made.
+         * @description A file that one of the jobs of a batch has produced.
          */
         BatchArtifact: {
             /** Job Id */
@@ -84,7 +84,7 @@ export interface components {
         };
         /**
          * BatchList
-         * @description One page of batches, the newest first.
+         * @description One page of batches, newest first.
          */
         BatchList: {
             /** Items */
@@ -94,7 +94,7 @@ export interface components {
         };
         /**
          * Bundle
-         * @description A relightable asset that a job has made.
+         * @description A relightable asset that a job has produced.
          */
         Bundle: {
             /** Created At */
@@ -152,7 +152,7 @@ export interface components {
         };
         /**
          * BundleList
-         * @description One page of bundles, the newest first.
+         * @description One page of bundles, newest first.
          */
         BundleList: {
             /** Items */
@@ -194,7 +194,7 @@ export interface components {
         };
         /**
          * CreatedKey
-         * @description A new key with its secret, which is shown this once.
+         * @description A new key with its secret, which is shown only once.
          */
         CreatedKey: {
             /** Created At */
@@ -214,7 +214,7 @@ export interface components {
         };
         /**
          * Environment
-         * @description Light from all directions, as an equirectangular picture.
+         * @description Light from all directions, as a latitude-longitude picture.
          */
         Environment: {
             /** Created At */
@@ -241,7 +241,7 @@ export interface components {
         };
         /**
          * EnvironmentList
-         * @description The environments of this tenant, the newest first.
+         * @description The environments of this tenant, newest first.
          */
         EnvironmentList: {
             /** Items */
@@ -249,7 +249,7 @@ export interface components {
         };
         /**
          * Estimate
-         * @description How long a job is likely to take, from its start to its end.
+         * @description The estimated duration of a job, from its start to its end.
          */
         Estimate: {
             /** Longest S */
@@ -295,7 +295,7 @@ export interface components {
         };
         /**
          * EventList
-         * @description Lines of a job's history, in order.
+         * @description Events of a job's history, in order.
          */
         EventList: {
             /** Items */
@@ -320,7 +320,7 @@ export interface components {
         };
         /**
          * Health
-         * @description Whether the server lives, and in which state its parts are.
+         * @description Whether the server is alive, and the state of its parts.
          */
         Health: {
             /**
@@ -338,7 +338,7 @@ export interface components {
         };
         /**
          * Job
-         * @description A job and how far it is.
+         * @description A job and its progress.
          */
         Job: {
             /** Batch Id */
@@ -392,7 +392,7 @@ export interface components {
         };
         /**
          * JobError
-         * @description Why the last run ended badly.
+         * @description The reason why the last run failed.
          */
         JobError: {
             /** Cause */
@@ -406,7 +406,7 @@ export interface components {
         };
         /**
          * JobList
-         * @description One page of jobs, the newest first.
+         * @description One page of jobs, newest first.
          */
         JobList: {
             /** Items */
@@ -434,7 +434,7 @@ export interface components {
         };
         /**
          * KeyList
-         * @description The keys of this tenant, the newest first.
+         * @description The keys of this tenant, newest first.
          */
         KeyList: {
             /** Items */
@@ -442,7 +442,7 @@ export interface components {
         };
         /**
          * Limits
-         * @description What the server accepts.
+         * @description The limits of what the server accepts.
          */
         Limits: {
             /** Max Archive Ratio */
@@ -522,7 +522,7 @@ export interface components {
         };
         /**
          * NewEstimate
-         * @description A job that is thought of.
+         * @description A job whose duration is to be estimated.
          */
         NewEstimate: {
             /** Preset */
@@ -530,7 +530,7 @@ export interface components {
         };
         /**
          * NewJob
-         * @description What is to be done with a scene; mirrors lambent_proto.v1.JobSpec.
+         * @description A job to submit for a scene; mirrors lambent_proto.v1.JobSpec.
          */
         NewJob: {
             /** Gpus */
@@ -575,7 +575,7 @@ export interface components {
         };
         /**
          * NewKey
-         * @description A key to make.
+         * @description A key to create.
          */
         NewKey: {
             /** Expires In S */
@@ -621,7 +621,7 @@ export interface components {
         };
         /**
          * NewShare
-         * @description How long a link shall work.
+         * @description How long a link will work.
          */
         NewShare: {
             /**
@@ -632,7 +632,7 @@ export interface components {
         };
         /**
          * OpenedShare
-         * @description What a link leads to.
+         * @description The bundle that a link gives access to.
          */
         OpenedShare: {
             /** Bundle Id */
@@ -660,7 +660,7 @@ export interface components {
         };
         /**
          * Plan
-         * @description What is still to be sent, and what will not be part of the scene.
+         * @description The files still to be uploaded, and those that will not be part of the scene.
          */
         Plan: {
             /** Missing */
@@ -670,7 +670,7 @@ export interface components {
         };
         /**
          * PlannedFile
-         * @description A file that the scene shall have.
+         * @description A file that the scene will have.
          */
         PlannedFile: {
             /** Path */
@@ -682,7 +682,7 @@ export interface components {
         };
         /**
          * Preset
-         * @description A set of numbers to train with.
+         * @description A named set of training settings.
          */
         Preset: {
             /** Budget S */
@@ -696,7 +696,7 @@ export interface components {
         };
         /**
          * PresetList
-         * @description What `preset` may be.
+         * @description The values that `preset` may have.
          */
         PresetList: {
             /** Default */
@@ -883,7 +883,7 @@ export interface components {
         };
         /**
          * RenderMaterial
-         * @description What differs from the bundle's material; mirrors lambent_proto.v1.RenderMaterial.
+         * @description Changes to the bundle's material; mirrors lambent_proto.v1.RenderMaterial.
          */
         RenderMaterial: {
             /** Albedo */
@@ -898,7 +898,7 @@ export interface components {
         };
         /**
          * RenderOutput
-         * @description What is written of every picture; mirrors lambent_proto.v1.RenderOutput.
+         * @description The files written for every picture; mirrors lambent_proto.v1.RenderOutput.
          */
         RenderOutput: {
             /** Files */
@@ -930,14 +930,14 @@ export interface components {
             antialias: number;
             /**
              * Background
-             * @description What is behind the object.
+             * @description Background behind the object.
              * @default transparent
              * @enum {string}
              */
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
-             * @description Of refined pictures: auto (a cache adapted to the light, else baked transport), or one by name.
+             * @description Source of indirect light in refined pictures; auto: an adapted cache, else baked transport.
              * @default auto
              * @enum {string}
              */
@@ -950,18 +950,18 @@ export interface components {
             exposure_ev: number;
             /**
              * Indirect
-             * @description Light that bounced once, or not.
+             * @description Whether indirect light is included.
              * @default true
              */
             indirect: boolean;
             /**
              * Name
-             * @description The quality itself where it is not given.
+             * @description Default: the quality itself.
              */
             name?: string | null;
             /**
              * Quality
-             * @description From baked transport, at once and without noise, or sampled.
+             * @description Baked transport (immediate, without noise) or Monte Carlo.
              * @default refined
              * @enum {string}
              */
@@ -980,14 +980,14 @@ export interface components {
             spp: number;
             /**
              * Tone Mapping
-             * @description Curve of the PNG.
+             * @description Tone curve of the PNG.
              * @default linear
              * @enum {string}
              */
             tone_mapping: "linear" | "neutral" | "aces" | "agx";
             /**
              * Until Stderr
-             * @description Go on until the standard error is this share of the radiance; 0: do not.
+             * @description Continue until the standard error is this share of the radiance; 0: do not.
              * @default 0
              */
             until_stderr: number;
@@ -1021,7 +1021,7 @@ export interface components {
         };
         /**
          * SceneList
-         * @description One page of scenes, the newest first.
+         * @description One page of scenes, newest first.
          */
         SceneList: {
             /** Items */
@@ -1031,7 +1031,7 @@ export interface components {
         };
         /**
          * SceneReportAnswer
-         * @description The report together with the state it led to; `checked` is false before anything was looked at.
+         * @description The report and the resulting state of the scene; `checked` is false before the first check.
          */
         SceneReportAnswer: {
             /** Checked */
@@ -1057,7 +1057,7 @@ export interface components {
         };
         /**
          * Share
-         * @description A link that lets whoever has it read one bundle.
+         * @description A link that gives everyone who has it read access to one bundle.
          */
         Share: {
             /** Bundle Id */
@@ -1073,7 +1073,7 @@ export interface components {
         };
         /**
          * ShareList
-         * @description The links of a bundle that work, the newest first.
+         * @description The active links of a bundle, newest first.
          */
         ShareList: {
             /** Items */
@@ -1089,7 +1089,7 @@ export interface components {
         };
         /**
          * Version
-         * @description Which server this is.
+         * @description The version of this server.
          */
         Version: {
             /**
