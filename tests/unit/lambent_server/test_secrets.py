@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from lambent_server.secrets import SecretError, read_or_create_secret, write_secret
+from lambent_server.secrets import SecretError, is_run_token, read_or_create_secret, run_token, write_secret
 
 
 @pytest.mark.parametrize("content", [b"", b" \n", b"\xff\xfe"])
@@ -24,3 +24,10 @@ def test_a_secret_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypa
     assert seen == [[partial], ["api.key"], ["api.key", partial], ["api.key"]]
     assert (tmp_path / "api.key").read_text() == "two\n"
     assert (tmp_path / "api.key").stat().st_mode & 0o777 == 0o600
+
+
+def test_the_token_of_one_run_cannot_be_rewritten_for_another():
+    token = run_token("secret", "job_x", 1)
+    assert is_run_token("secret", token)
+    assert not is_run_token("secret", token.replace(".1.", ".2."))
+    assert not is_run_token("other", token)
