@@ -5,14 +5,10 @@ import pytest
 import torch
 from flashcache.evaluation.relighting import MapLight
 from flashcache.physical.brdf import Materials
-from make_sample_scene import llvm_library
 from support.lit_sphere import RADIUS, TOP
-from support.measured_sphere import measured_views
 
-from benchmarks.oracle_geometry import fuse
 from benchmarks.oracle_light import ProxySurface, points_at, shade
 
-BOX = ((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8))
 CPU = torch.device("cpu")
 
 
@@ -20,14 +16,6 @@ def lamp() -> MapLight:
     image = np.full((8, 16, 3), 0.3, np.float32)
     image[1, 3] = (9.0, 5.0, 2.0)
     return MapLight.from_image(image, CPU)
-
-
-@pytest.fixture(scope="module")
-def surface() -> ProxySurface:
-    if llvm_library() is None:
-        pytest.skip("needs an LLVM library to cast rays with (Debian: libllvm19)")
-    views = measured_views()
-    return ProxySurface(fuse(views, views, *BOX, resolution=40))
 
 
 @pytest.mark.slow

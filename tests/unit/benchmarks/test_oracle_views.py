@@ -3,23 +3,11 @@
 import numpy as np
 import pytest
 import torch
-from make_sample_scene import llvm_library
 from support.lit_sphere import RADIUS
 from support.measured_sphere import measured_views
 
-from benchmarks.oracle_geometry import fuse
 from benchmarks.oracle_light import ProxySurface
 from benchmarks.oracle_views import TrueSurface, behind_pixels
-
-BOX = ((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8))
-
-
-@pytest.fixture(scope="module")
-def surface() -> ProxySurface:
-    if llvm_library() is None:
-        pytest.skip("needs an LLVM library to cast rays with (Debian: libllvm19)")
-    views = measured_views()
-    return ProxySurface(fuse(views, views, *BOX, resolution=40))
 
 
 @pytest.mark.slow

@@ -79,6 +79,22 @@ def test_a_database_that_knows_little_of_the_store_removes_nothing(api: Api):
     assert all(path.exists() for path in (*unknown, folder))
 
 
+def test_bytes_that_get_a_row_while_the_store_is_compared_stay(api: Api, monkeypatch: pytest.MonkeyPatch):
+    path = put(api, CONTENT, OLD)
+    listed = api.services.store.listed
+
+    def then_uploaded(digits: str) -> dict[str, tuple[int, float]]:
+        found = listed(digits)
+        if path.name in found:
+            api.scene()
+            os.utime(path, (OLD, OLD))
+        return found
+
+    monkeypatch.setattr(api.services.store, "listed", then_uploaded)
+    reconcile(api.services)
+    assert path.exists()
+
+
 def test_files_that_were_planned_and_never_sent_are_not_missing(api: Api):
     scene_id = expect(api.post("/v1/scenes", json={"name": "x"}), 201)["id"]
     plan = [{"path": "a.png", "size": 2, "sha256": "0" * 64}]

@@ -172,6 +172,12 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     }
     if (run_dir / "run.json").exists():
         found = run_record(run_dir)
+        if to_dict(from_dict(Config, found["config"])) != found["config"]:
+            raise UsageError(
+                "run.version",
+                f'"{run_dir}" has settings of another release, so it cannot be trained further; train again '
+                "in another folder, or use this one with lambent evaluate and lambent export",
+            )
         differing = [
             name for name, value in wanted.items() if name not in _MAY_CHANGE and found[name] != value
         ]

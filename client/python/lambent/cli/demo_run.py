@@ -16,7 +16,8 @@ from lambent.models import Job
 from lambent.scenes import content_sha256, list_files
 
 SAMPLE = Path(__file__).parents[1] / "sample"
-LABEL = "lambent.cli.demo_run"
+LABEL = "lambent.demo"
+"""Label of the demo's jobs, by which the next demo finds them, also one of another release."""
 
 
 def run_demo(

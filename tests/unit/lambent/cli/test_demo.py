@@ -154,6 +154,7 @@ def test_the_same_scene_preset_and_seed_are_the_same_job(world, state, job_id, l
     assert job.id == job_id
     assert client.calls[-1][0] == last_call
     label = client.calls[0][1]["label"]
+    assert label.startswith("lambent.demo=")
     assert label.endswith("-fast-0")
     if state is None:
         assert client.calls[-1][1]["labels"] == dict([label.split("=")])

@@ -126,6 +126,16 @@ def test_other_settings_for_a_folder_in_use_are_refused_and_named(tmp_path, chan
         keep(tmp_path, **changes)
 
 
+def test_a_run_of_another_release_is_not_trained_further_but_read(tmp_path):
+    keep(tmp_path)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    record["config"]["stage_two"]["weight_gradient"] = 0.0
+    (tmp_path / "run" / "run.json").write_text(json.dumps(record))
+    with pytest.raises(UsageError, match=r"run\.version.*another folder.*evaluate"):
+        keep(tmp_path)
+    assert read_run(tmp_path / "run")[0].config == PRESETS["tiny"]()
+
+
 def test_another_environment_is_another_run_and_the_same_one_elsewhere_is_not(tmp_path, sky):
     keep(tmp_path, known_lights=[str(sky)])
     keep(tmp_path, known_lights=[str(sky.rename(tmp_path / "moved.exr"))])
