@@ -21,6 +21,7 @@ from pathlib import Path
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.files import read_record
 from lambent_worker.run.folder import done_inputs, finish_task
+from lambent_worker.run.hashes import PREPARATION
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import device_for
 from lambent_worker.run.spec import RunSpec
@@ -99,7 +100,7 @@ def train(scene: Path, out: Path, arguments: argparse.Namespace) -> None:
     every = {stage: max(1, round(0.99 * count / arguments.points)) for stage, count in steps.items()}
     with Keeper(out / "run", out / "kept", every) as reporter:
         device = device_for(out / "run", arguments.device)
-        run_pipeline(spec, out / "run", device, reporter, ("ingest", *STAGES))
+        run_pipeline(spec, out / "run", device, reporter, (*PREPARATION, *STAGES))
     for stage in STAGES:  # The end of a stage is always worth a look.
         ended = max((out / "run" / stage).glob("step_*"))
         copy_checkpoint(ended, out / "kept" / f"{stage}_{ended.name.removeprefix('step_')}")

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.run.folder import task_seconds
+from lambent_worker.run.hashes import PREPARATION
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import device_for
 from lambent_worker.run.spec import RunSpec
@@ -64,10 +65,10 @@ def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -
     if result.exists():
         return json.loads(result.read_text())
     spec = spec_of(SWITCHES[name], seed, arguments)
-    do_tasks(spec, folder / "run", "ingest")
+    do_tasks(spec, folder / "run", *PREPARATION)
     with ConsoleReporter(folder / "run") as reporter:
         adopt_nerf_cache(folder / "run", shared, reporter)
-    do_tasks(spec, folder / "run", "ingest", "cache", "joint")
+    do_tasks(spec, folder / "run", *PREPARATION, "cache", "joint")
     scene = arguments.scene
     evaluate = [*(sys.executable, "-m", "lambent", "evaluate", str(folder / "run"), str(scene))]
     evaluate += ["--repeats", "1", "--views", str(arguments.views), "-o", str(folder / "report")]
@@ -114,7 +115,7 @@ def main(arguments: argparse.Namespace) -> None:
     runs: dict[str, list[dict[str, float]]] = {name: [] for name in names}
     for seed in arguments.seeds:
         shared = arguments.out / f"stage-one_{seed}"
-        do_tasks(spec_of({}, seed, arguments), shared, "ingest", "cache")
+        do_tasks(spec_of({}, seed, arguments), shared, *PREPARATION, "cache")
         for name in names:
             runs[name].append(run_one(name, seed, shared, arguments))
     print(f"\n{arguments.scene.name}, preset {arguments.preset}, seeds {arguments.seeds}\n")

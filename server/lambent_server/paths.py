@@ -26,6 +26,19 @@ SCENE_SUFFIXES = frozenset(
         ".tiff",
         ".txt",
         ".webp",
+        # Raw formats of cameras.
+        ".3fr",
+        ".arw",
+        ".cr2",
+        ".cr3",
+        ".dng",
+        ".nef",
+        ".nrw",
+        ".orf",
+        ".pef",
+        ".raf",
+        ".rw2",
+        ".srw",
     }
 )
 # The cameras of Glossy Synthetic are pickles; the worker reads numbers out of them and runs nothing.

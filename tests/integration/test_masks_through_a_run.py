@@ -11,7 +11,7 @@ from lambent_worker.run.evaluation import _scene_to_compare
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.ingest import read_manifest
+from lambent_worker.run.capture import read_manifest
 from lambent_worker.scenes.load import load_scene
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks

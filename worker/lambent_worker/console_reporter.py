@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 TASK_TITLES = {
-    "poses": "finding the cameras",
+    "cameras": "finding the cameras",
     "ingest": "reading the photographs",
+    "masks": "cutting the object out",
     "cache": "training the radiance cache",
     "joint": "training materials and light",
     "evaluate": "evaluating",

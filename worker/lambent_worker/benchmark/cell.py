@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from lambent_worker.run.spec import RunSpec
 
 RUN, REPORT, RESULT, ORDER = "run", "report", "result.json", "cell.json"
-SHARED = ("scene", "cache")
-SHARED_TASKS = ("ingest", "cache")
+SHARED = ("scene", "estimated_masks", "cache")
+SHARED_TASKS = ("ingest", "masks", "cache")
 
 
 def main(arguments: list[str]) -> int:
@@ -87,7 +87,7 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     check_device(device)
     adopt(stage_one, run_dir)
     spec = spec_of(cell, cell.overrides)
-    run_pipeline(spec, run_dir, device, reporter, ("ingest", "cache", "joint"))
+    run_pipeline(spec, run_dir, device, reporter, (*SHARED_TASKS, "joint"))
     out = folder / REPORT
     report = evaluate_run(run_dir, scene_dir, out, cell.evaluation, device=device, reporter=reporter)
     result = {

@@ -28,16 +28,19 @@ MAX_THUMBNAIL_CHARACTERS = 64 * 1024
 _BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
 
-def check_capture(folder: Path, layout: str | None = None, masks: Path | None = None) -> CaptureCheck:
+def check_capture(
+    folder: Path, layout: str | None = None, masks: Path | None = None, cameras: Path | None = None
+) -> CaptureCheck:
     """Return the report on the capture in `folder` (at most 100 findings), with measurements if it is usable.
 
-    `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures; an
+    `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures,
+    `cameras` one of cameras that were found for photographs; without, these are looked at one by one. An
     unknown layout is a `UsageError`. Nothing a capture holds makes this function raise.
     """
     require_layout(layout)
     killers: list[str] = []
     for _ in range(MAX_DEATHS):
-        check, reading = _run_child(folder, layout, masks, killers)
+        check, reading = _run_child(folder, layout, masks, cameras, killers)
         if check is not None:
             return check
         if not reading or reading in killers:
@@ -55,13 +58,14 @@ def check_capture(folder: Path, layout: str | None = None, masks: Path | None = 
 
 
 def _run_child(
-    folder: Path, layout: str | None, masks: Path | None, killers: list[str]
+    folder: Path, layout: str | None, masks: Path | None, cameras: Path | None, killers: list[str]
 ) -> tuple[CaptureCheck | None, str | None]:
     """Return the child's result, or None and the file it was reading when it crashed."""
     order = {
         "folder": str(folder.resolve()),
         "layout": layout,
         "masks": None if masks is None else str(masks.resolve()),
+        "cameras": None if cameras is None else str(cameras.resolve()),
         "killers": killers,
         "memory_bytes": MAX_MEMORY_BYTES,
         "cpu_s": MAX_CPU_S,

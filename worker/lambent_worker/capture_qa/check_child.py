@@ -27,11 +27,12 @@ def main() -> None:
     order: dict[str, Any] = json.load(sys.stdin)
     limit_resources(order["memory_bytes"], order["cpu_s"])
     from lambent_worker.scenes.inspect import inspect_capture
+    from lambent_worker.scenes.photographs import lacks_cameras
 
     folder, layout = Path(order["folder"]), order["layout"]
-    masks = None if order["masks"] is None else Path(order["masks"])
-    report, manifest = inspect_capture(folder, layout, frozenset(order["killers"]), announce, masks)
-    if manifest is not None and report.usable:
+    masks, cameras = (None if order[name] is None else Path(order[name]) for name in ("masks", "cameras"))
+    report, manifest = inspect_capture(folder, layout, frozenset(order["killers"]), announce, masks, cameras)
+    if manifest is not None and report.usable and not lacks_cameras(manifest.frames):
         measure(folder, manifest, report)
     tell("report", MessageToDict(report))
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
+from lambent_worker.messages import message_to_dict
 from lambent_worker.reporter import Reporter
 
 
@@ -17,6 +19,12 @@ class CaptureCheck:
     """None where the capture cannot be used: then there is nothing to measure."""
     thumbnails: Mapping[str, str] = field(default_factory=dict)
     """JPEG in base64 by name of the frame."""
+
+
+def capture_record(checked: CaptureCheck) -> dict[str, Any]:
+    """Return the report on a capture as JSON, its figures under "figures" (null where there are none)."""
+    figures = None if checked.figures is None else message_to_dict(checked.figures)
+    return {**message_to_dict(checked.report), "figures": figures}
 
 
 def tell_findings(reporter: Reporter, findings: Iterable[scene_pb2.Finding]) -> None:

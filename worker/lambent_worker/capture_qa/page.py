@@ -5,9 +5,10 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
-from lambent_worker.capture_qa.check_result import CaptureCheck
+from lambent_worker.capture_qa.check_result import CaptureCheck, capture_record
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.plot import plot_views
+from lambent_worker.files import write_json
 
 
 def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
@@ -41,11 +42,11 @@ def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
     )
 
 
-def write_capture_report(folder: Path, page: str, record: str) -> None:
+def write_capture_report(folder: Path, name: str, checked: CaptureCheck) -> None:
     """Write `capture.html` and `capture.json` into `folder`, made if it does not exist."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "capture.html").write_text(page, encoding="utf-8")
-    (folder / "capture.json").write_text(record, encoding="utf-8")
+    (folder / "capture.html").write_text(build_page(name, checked, CaptureLimits()), encoding="utf-8")
+    write_json(folder / "capture.json", capture_record(checked))
 
 
 def _by_view(report: scene_pb2.SceneReport, figures: capture_pb2.CaptureFigures) -> dict[str, set[str]]:

@@ -21,29 +21,20 @@ def check(
 ) -> None:
     """Say what is wrong with a capture before any training; exit code 4 if it cannot be used."""
     from lambent_worker.capture_qa.check import check_capture
+    from lambent_worker.capture_qa.check_result import capture_record
 
     checked = check_capture(scene_dir, layout or None, masks)
     record = capture_record(checked)
     if out is not None:
-        from lambent_worker.capture_qa.limits import CaptureLimits
-        from lambent_worker.capture_qa.page import build_page, write_capture_report
+        from lambent_worker.capture_qa.page import write_capture_report
 
-        page = build_page(scene_dir.resolve().name, checked, CaptureLimits())
-        write_capture_report(out, page, json.dumps(record, indent=1))
+        write_capture_report(out, scene_dir.resolve().name, checked)
     if as_json:
         typer.echo(json.dumps(record))
     else:
         _tell(scene_dir, record, out)
     if not checked.report.usable:
         raise typer.Exit(4)
-
-
-def capture_record(checked: Any) -> dict[str, Any]:
-    """Return the report on a capture as JSON, its figures under "figures" (null where there are none)."""
-    from lambent_worker.messages import message_to_dict
-
-    figures = None if checked.figures is None else message_to_dict(checked.figures)
-    return {**message_to_dict(checked.report), "figures": figures}
 
 
 def _tell(scene_dir: Path, record: dict[str, Any], out: Path | None) -> None:

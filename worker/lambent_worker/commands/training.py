@@ -14,7 +14,7 @@ from lambent_worker.errors import UsageError
 
 @reporting_errors
 def train(
-    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture.")],
+    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture, or of photographs.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
     preset: Annotated[
         str, typer.Option(help="tiny, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
@@ -32,9 +32,6 @@ def train(
     no_masks: Annotated[
         bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
     ] = False,
-    poses: Annotated[
-        str, typer.Option(help="auto: SCENE_DIR holds photographs without cameras; COLMAP finds them.")
-    ] = "",
     seed: shared.Seed = 0,
     device: Device = "",
     settings: shared.Settings = None,
@@ -59,10 +56,8 @@ def train(
         found = plan(config_for(preset, overrides), num_lights=max(1, len(lights)), device=device)
         typer.echo(json.dumps(found) if as_json else as_text(found))
         return
-    capture = capture_of(out, poses)
     if resume:
-        places = None if capture is None else (scene_dir, masks)
-        spec = replace(read_run(out)[0], scene=capture or scene_dir, photographs=places)
+        spec = replace(read_run(out)[0], scene=scene_dir)
     else:
         spec = RunSpec.from_options(
             scene_dir,
@@ -73,7 +68,6 @@ def train(
             known_lights=known_light or (),
             masks=masks,
             whole_view=no_masks,
-            capture=capture,
             seed=seed,
         )
     from lambent_worker.console_reporter import ConsoleReporter
@@ -165,16 +159,6 @@ def export(
         export_run(run_dir, out, reporter, tier=tier, weights=weights)
     if not as_json:
         typer.echo(f"bundle: {out}")
-
-
-def capture_of(run_dir: Path, poses: str) -> Path | None:
-    """Return where in the run the capture is made for which cameras are found first; None: there are some.
-
-    Raises `UsageError` where `poses` is neither empty nor "auto".
-    """
-    if poses not in ("", "auto"):
-        raise UsageError("config.poses_unknown", f'--poses "{poses}" must be auto, or left out')
-    return run_dir / "capture" if poses else None
 
 
 def parse_settings(items: list[str]) -> dict[str, str]:

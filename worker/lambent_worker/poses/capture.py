@@ -7,20 +7,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from lambent_proto.v1.job_pb2 import Progress
-
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import digest, file_sha256, read_record, write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.poses.advice import PoseLimits, advise
 from lambent_worker.poses.photographs import Photographs, find_photographs, lay_out
 from lambent_worker.poses.solve import PoseSettings, Solution, load_colmap, solve
-from lambent_worker.reporter import Reporter
 from lambent_worker.scenes.problems import Problems
 
 RECORD = "poses.json"
-NUM_PARTS = 3
-"""Of the search, as often as `solve` tells what it does."""
 
 
 def solve_capture(
@@ -62,24 +57,6 @@ def solve_capture(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return read_record(out / RECORD)
-
-
-def solve_for_run(
-    photographs: Path, masks: Path | None, capture: Path, seed: int, reporter: Reporter
-) -> None:
-    """Find the cameras of a run's photographs where that was not done yet, and tell how well that went."""
-    told = 0
-
-    def tell(text: str) -> None:
-        nonlocal told
-        reporter.log("poses.solving", doing=text)
-        reporter.progress(Progress(stage="poses", step=told, num_steps=NUM_PARTS))
-        told += 1
-
-    record = solve_capture(photographs, capture, masks, PoseSettings(seed=seed), tell)
-    reporter.finding("scene.poses_solved", summary(record))
-    for finding in record["findings"]:
-        reporter.finding(finding["code"], finding["message"], subject=finding["subject"])
 
 
 def summary(record: dict[str, Any]) -> str:

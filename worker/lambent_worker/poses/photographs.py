@@ -95,7 +95,7 @@ def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -
         folder=root,
         names=names,
         masks=masks,
-        cut_out=bool(cut_out) and all(cut_out),
+        cut_out=bool(cut_out) and all(cut_out.values()),
         one_size=len(sizes) == 1,
     )
 

@@ -20,15 +20,16 @@ from lambent_worker.files import digest, read_record, write_json
 from lambent_worker.report import protocol
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.reporter import Reporter
+from lambent_worker.run.capture import found_cameras, read_manifest, use_own_masks
 from lambent_worker.run.context import TaskContext
-from lambent_worker.run.folder import require_done
-from lambent_worker.run.hashes import scene_hash
+from lambent_worker.run.folder import done_inputs, require_done
+from lambent_worker.run.hashes import cameras_inputs, scene_hash
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.tasks.evaluate import evaluated, subject_of
-from lambent_worker.run.tasks.ingest import read_manifest, use_own_masks
 from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
-from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes import photographs
+from lambent_worker.scenes.detect import describe_scene, detect_layout
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.world import in_world, world_matrix
@@ -103,7 +104,8 @@ def _scene_to_compare(
     context: TaskContext, scene_dir: Path, request: EvaluationRequest
 ) -> tuple[Scene, scene_pb2.SceneManifest]:
     """Return the capture with the run's training lights, without the photographs that are not needed."""
-    full = describe_scene(scene_dir, context.spec.layout or None)
+    layout = context.spec.layout or None
+    full = describe_scene(scene_dir, layout, cameras=_cameras_for(context, scene_dir))
     trained = read_manifest(context)
     trained_lights = tuple(trained.lights)
     missing = [light for light in trained_lights if light not in full.lights]
@@ -121,6 +123,20 @@ def _scene_to_compare(
         del manifest.frames[:]
         manifest.frames.extend(frames)
     return load_scene(scene_dir, manifest, max_side=request.max_side or ANY_SIZE), manifest
+
+
+def _cameras_for(context: TaskContext, scene_dir: Path) -> Path | None:
+    """Return the cameras that the run found for these photographs; raises `UsageError` for other ones."""
+    if (context.spec.layout or detect_layout(scene_dir)) != photographs.NAME:
+        return None
+    cameras = found_cameras(context.run_dir)
+    if cameras is None or done_inputs(context.run_dir, "cameras") != cameras_inputs(scene_dir, context.spec):
+        raise UsageError(
+            "evaluate.cameras_missing",
+            f'"{scene_dir}" holds photographs without cameras, and not those that the run was trained on; '
+            "give those, or a capture with cameras in the same coordinates",
+        )
+    return cameras
 
 
 def trained_scene(context: TaskContext) -> Scene:

@@ -3,7 +3,7 @@
 run.json                        the specification of the run; see `spec`
 log.jsonl previews/             log and previews of the command line; a server keeps its own
 known_lights/ masks/            copies of the user's files
-scene/ cache/ joint/ evaluation/ bundle/
+cameras/ scene/ estimated_masks/ cache/ joint/ evaluation/ bundle/
                                 results of the tasks, a folder each
 steps/<task>.inputs.json        hash of everything the task's files are made from, written before the first,
                                 and the seconds it has taken
@@ -20,7 +20,9 @@ from lambent_worker.errors import UsageError, WorkerError
 from lambent_worker.files import read_record, write_json
 
 TASK_FOLDERS = {
+    "cameras": "cameras",
     "ingest": "scene",
+    "masks": "estimated_masks",
     "cache": "cache",
     "joint": "joint",
     "evaluate": "evaluation",
@@ -37,6 +39,11 @@ def task_folder(run_dir: Path, task: str) -> Path:
 def done_inputs(run_dir: Path, task: str) -> str | None:
     """Return the hash of the inputs that a task has finished with, or None where it has not."""
     return _read_hash(run_dir / "steps" / f"{task}.done.json")
+
+
+def begun_inputs(run_dir: Path, task: str) -> str | None:
+    """Return the hash of the inputs that a task was begun with, or None where it never was."""
+    return _read_hash(run_dir / "steps" / f"{task}.inputs.json")
 
 
 def require_done(run_dir: Path, task: str) -> str:

@@ -7,9 +7,13 @@ from flashcache.config import Config, to_dict
 from lambent_worker.files import digest, file_sha256
 from lambent_worker.run.spec import RunSpec
 
-TASKS = ("ingest", "cache", "joint", "evaluate", "export")
+TASKS = ("cameras", "ingest", "masks", "cache", "joint", "evaluate", "export")
+"""In order. Only photographs without cameras have `cameras`."""
+PREPARATION = ("cameras", "ingest", "masks")
+"""What comes before the training."""
 
-# What a task's files depend on: the task before it, and the parts of the configuration it reads.
+# What a training task's files depend on: the task before it, and the parts of the configuration it reads.
+# Masks that are estimated depend on nothing but what `ingest` depends on.
 PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
     "cache": ("max_side", "space", "model", "pixels", "stage_one"),
@@ -20,13 +24,24 @@ CONFIG_PARTS = {
 
 
 def input_hashes(spec: RunSpec) -> dict[str, str]:
-    """Return for every task the hash of everything its result depends on."""
+    """Return for every task of the run the hash of everything its result depends on."""
+    scene = scene_hash(spec.scene)
     given: list[object] = [dict(spec.known_lights)] if spec.known_lights else []
     given += [{"masks": spec.masks}] if spec.masks else []
-    hashes = {"ingest": digest("ingest", scene_hash(spec.scene), list(spec.lights), spec.layout, *given)}
-    for name in TASKS[1:]:
+    hashes = {}
+    if spec.lacks_cameras:
+        hashes["cameras"] = _cameras_inputs(scene, spec)
+        given.append({"cameras": hashes["cameras"]})
+    hashes["ingest"] = digest("ingest", scene, list(spec.lights), spec.layout, *given)
+    hashes["masks"] = digest("masks", hashes["ingest"])
+    for name in CONFIG_PARTS:
         hashes[name] = task_inputs(name, hashes[PREVIOUS[name]], spec.config, spec.seed)
     return hashes
+
+
+def cameras_inputs(scene_dir: Path, spec: RunSpec) -> str:
+    """Return the hash of what the cameras of the photographs in `scene_dir` are found from, in a run."""
+    return _cameras_inputs(scene_hash(scene_dir), spec)
 
 
 def task_inputs(task: str, previous: str, config: Config, seed: int) -> str:
@@ -44,3 +59,8 @@ def scene_hash(scene_dir: Path) -> str:
     files = sorted(path for path in scene_dir.rglob("*") if path.is_file() and not path.name.startswith("."))
     names = [path.relative_to(scene_dir).as_posix() for path in files]
     return digest([[name, file_sha256(path)] for name, path in zip(names, files, strict=True)])
+
+
+def _cameras_inputs(scene: str, spec: RunSpec) -> str:
+    # Masks that are given later do not move cameras that were found before.
+    return digest("cameras", scene, spec.seed)

@@ -1,4 +1,4 @@
-"""Runs the tasks of a run in its folder, each once: ingest, cache, joint, evaluate, export."""
+"""Runs the tasks of a run in its folder, each once; `hashes.TASKS` are all of them."""
 
 import time
 from collections.abc import Callable
@@ -21,7 +21,15 @@ from lambent_worker.run.hashes import TASKS, input_hashes
 from lambent_worker.run.spec import RunSpec, keep_run
 
 # Shares of a job's time, from the time budget of preset `fast` (docs/decisions/0001-cpu-presets.md).
-SHARES = {"ingest": 10.0, "cache": 110.0, "joint": 120.0, "evaluate": 30.0, "export": 80.0}
+SHARES = {
+    "cameras": 90.0,
+    "ingest": 10.0,
+    "masks": 30.0,
+    "cache": 110.0,
+    "joint": 120.0,
+    "evaluate": 30.0,
+    "export": 80.0,
+}
 
 
 def run_pipeline(
@@ -33,7 +41,7 @@ def run_pipeline(
     *,
     checked: CaptureCheck | None = None,
 ) -> None:
-    """Run `tasks` in order, leaving out those whose results are there already.
+    """Run `tasks` in order, leaving out those whose results are there already, and those of other captures.
 
     A task that was interrupted goes on from its last checkpoint. A task whose inputs (scene, lights, the
     settings it reads, an earlier task) have changed starts afresh. `checked` is the result of a
@@ -48,11 +56,8 @@ def run_pipeline(
         )
     with locked(run_dir):
         keep_run(run_dir, spec, device)
-        if spec.photographs is not None:
-            from lambent_worker.poses.capture import solve_for_run
-
-            solve_for_run(*spec.photographs, spec.scene, spec.seed, reporter)
         hashes = input_hashes(spec)
+        tasks = tuple(name for name in TASKS if name in tasks and name in hashes)
         total = sum(SHARES[name] for name in tasks)
         done = {name for name in tasks if done_inputs(run_dir, name) == hashes[name]}
         context = TaskContext(
@@ -64,7 +69,7 @@ def run_pipeline(
             clock=Clock(before=0.0, share=0.0, job_started=sum(SHARES[name] for name in done) / total),
         )
         before = 0.0
-        for name in (name for name in TASKS if name in tasks):
+        for name in tasks:
             share = SHARES[name] / total
             clock = replace(context.clock, before=before, share=share)
             if name in done:

@@ -19,6 +19,8 @@ from lambent_worker.files import write_json
 from lambent_worker.run.folder import done_inputs
 from lambent_worker.run.known_lights import kept_lights, parse_known_lights
 from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
+from lambent_worker.scenes import photographs
+from lambent_worker.scenes.detect import detect_layout
 
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
@@ -45,10 +47,13 @@ class RunSpec:
     """Names of the kept files of given environments by light; see `known_lights`."""
     masks: str = AUTOMATIC
     """Where masks come from: the capture or an estimate (""), nowhere ("none"), or given ones by content."""
-    photographs: tuple[Path, Path | None] | None = field(default=None, compare=False)
-    """Photographs without cameras, and a folder of their masks: `scene` is made from them first."""
     given: Mapping[str, Path] = field(default_factory=dict, compare=False)
     """Files that the run keeps a copy of, by their path in the run folder."""
+
+    @property
+    def lacks_cameras(self) -> bool:
+        """Return whether the scene holds photographs whose cameras have to be found."""
+        return (self.layout or detect_layout(self.scene)) == photographs.NAME
 
     @classmethod
     def from_options(
@@ -62,25 +67,22 @@ class RunSpec:
         known_lights: Sequence[str] = (),
         masks: Path | None = None,
         whole_view: bool = False,
-        capture: Path | None = None,
         seed: int = 0,
     ) -> "RunSpec":
         """Return the specification for options of the command line.
 
         `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
-        for the object where there are none. With `capture`, `scene` holds photographs without cameras, and
-        the capture made of them goes there. Raises `UsageError` for an unknown preset and files that cannot
+        for the object where there are none. Raises `UsageError` for an unknown preset and files that cannot
         be used, `ConfigError` for a wrong setting.
         """
         return cls(
-            scene=capture or scene,
+            scene=scene,
             config=config_for(preset, overrides or {}),
             preset=preset,
             seed=seed,
             lights=lights,
             layout=layout,
-            photographs=None if capture is None else (scene, masks),
-            **_given(known_lights, None if capture else masks, whole_view=whole_view),
+            **_given(known_lights, masks, whole_view=whole_view),
         )
 
     @classmethod
@@ -183,7 +185,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         ]
         if not differing:
             return
-        if differing != ["masks"] or done_inputs(run_dir, "ingest") is not None:
+        if differing != ["masks"] or done_inputs(run_dir, "masks") is not None:
             raise UsageError(
                 "run.other_settings",
                 f'"{run_dir}" holds a run with another {", ".join(differing)}; choose another folder with '

@@ -24,7 +24,11 @@ class Capture:
     box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Corners of a box around the object, where the capture states it."""
     up_is_z: bool = True
-    """Whether z points up in the layout; otherwise the up direction is estimated from the cameras."""
+    """Whether z points up in the layout; otherwise it is `up`, or estimated from the cameras."""
+    up: tuple[float, float, float] | None = None
+    """Direction that points up, unit length, where it is known and not z."""
+    has_cameras: bool = True
+    """False for photographs whose cameras are still to be found."""
     exposures: dict[str, Exposure] = field(default_factory=dict)
     """By frame name, where the capture gives them separately from the pictures."""
     other_files: set[str] = field(default_factory=set)

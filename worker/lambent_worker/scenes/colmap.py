@@ -9,7 +9,7 @@ Poses are world-to-camera with OpenCV axes. The world has any scale and directio
 
 import math
 from collections import defaultdict
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from jaxtyping import Float64
@@ -41,13 +41,21 @@ IMAGES, MASKS = "images", "masks"
 
 def is_layout(folder: Path) -> bool:
     """Return whether `folder` looks like this layout."""
-    return _model_folder(folder) is not None
+    return model_folder(folder) is not None
 
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
     """Return all usable frames of `folder`; all problems are added to `problems`."""
+    return read_model(folder, folder, problems)
+
+
+def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMAGES) -> Capture:
+    """Return the frames that the sparse model below `root` has for the pictures in `folder`/`pictures`.
+
+    All problems are added to `problems`. Masks are those in `folder`/masks, where that is a folder.
+    """
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
-    model = _model_folder(folder)
+    model = model_folder(root)
     if model is None:
         problems.error(
             "scene.file_missing",
@@ -55,7 +63,7 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
             f"{MODEL_FOLDERS[0]}/images.bin",
         )
         return capture
-    entries = _read_model(folder, model, problems)
+    entries = _read_model(root, model, problems)
     if entries is None:
         return capture
     cameras, images = entries
@@ -71,7 +79,7 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
             )
             continue
         seen.add(image.name)
-        frame = _read_frame(folder, model, image, cameras, problems)
+        frame = _read_frame(folder, pictures, model, image, cameras, problems)
         if frame is None or (has_masks and not _set_mask(folder, image.name, frame, problems)):
             continue
         by_camera[image.camera].append(frame)
@@ -84,7 +92,8 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
     return capture
 
 
-def _model_folder(folder: Path) -> str | None:
+def model_folder(folder: Path) -> str | None:
+    """Return where in `folder` the sparse model lies, or None where there is none."""
     return next(
         (
             place
@@ -114,13 +123,18 @@ def _read_model(
 
 
 def _read_frame(
-    folder: Path, model: str, image: ColmapImage, cameras: dict[int, ColmapCamera], problems: Problems
+    folder: Path,
+    pictures: str,
+    model: str,
+    image: ColmapImage,
+    cameras: dict[int, ColmapCamera],
+    problems: Problems,
 ) -> scene_pb2.Frame | None:
     subject = f'{model} image "{image.name[:100]}"'
     clean = inside_folder(image.name, subject, problems)
     if clean is None:
         return None
-    picture = f"{IMAGES}/{clean.as_posix()}"
+    picture = (PurePosixPath(pictures) / clean.as_posix()).as_posix()
     camera = cameras.get(image.camera)
     if camera is None:
         problems.error(

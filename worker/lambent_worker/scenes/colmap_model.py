@@ -31,6 +31,8 @@ class ColmapImage:
     camera: int
     rotation: tuple[float, ...]
     translation: tuple[float, ...]
+    number: int
+    """By which points name it."""
 
 
 class ModelError(Exception):
@@ -121,9 +123,8 @@ def _images_from_text(path: Path) -> list[ColmapImage]:
         words = line.split(maxsplit=9)
         try:
             numbers = [float(word) for word in words[1:8]]
-            images.append(
-                ColmapImage(words[9].strip(), int(words[8]), tuple(numbers[:4]), tuple(numbers[4:]))
-            )
+            rotation, translation = tuple(numbers[:4]), tuple(numbers[4:])
+            images.append(ColmapImage(words[9].strip(), int(words[8]), rotation, translation, int(words[0])))
         except (ValueError, IndexError) as error:
             raise ModelError(
                 f"line {line_number} is no image (number, 4 of rotation, 3 of translation, camera, name); "
@@ -180,13 +181,13 @@ def _images_from_binary(path: Path) -> list[ColmapImage]:
     with path.open("rb") as file:
         for index in range(_entries(file, path, 73, "images")):
             what = f"image {index}"
-            _, *numbers, camera = _unpack(file, "<i7di", what)
+            number, *numbers, camera = _unpack(file, "<i7di", what)
             name = _name(file, what)
             (num_points,) = _unpack(file, "<Q", what)
             if file.tell() + 24 * num_points > size:
                 raise ModelError(f'ends in {what} ("{name}"), after {index} whole images')
             file.seek(24 * num_points, 1)
-            images.append(ColmapImage(name, camera, tuple(numbers[:4]), tuple(numbers[4:])))
+            images.append(ColmapImage(name, camera, tuple(numbers[:4]), tuple(numbers[4:]), number))
         _at_end(file)
     return images
 

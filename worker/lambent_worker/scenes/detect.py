@@ -11,8 +11,10 @@ from lambent_worker.scenes import (
     nerf_blender,
     nerfstudio,
     openillumination,
+    photographs,
     tensoir_synthetic,
 )
+from lambent_worker.scenes.capture import Capture
 from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.frames import check_names, report_extra_files
@@ -27,7 +29,15 @@ SCHEMA_VERSION = "1.0"
 # A folder may satisfy two readers; the richer layout comes first.
 READERS = {
     reader.NAME: reader
-    for reader in (tensoir_synthetic, openillumination, glossy_synthetic, nerf_blender, nerfstudio, colmap)
+    for reader in (
+        tensoir_synthetic,
+        openillumination,
+        glossy_synthetic,
+        nerf_blender,
+        nerfstudio,
+        colmap,
+        photographs,
+    )
 }
 LAYOUTS = tuple(READERS)
 
@@ -49,12 +59,17 @@ def require_layout(layout: str | None) -> None:
 
 
 def collect_scene(
-    folder: Path, layout: str | None, problems: Problems, masks: Path | None = None
+    folder: Path,
+    layout: str | None,
+    problems: Problems,
+    masks: Path | None = None,
+    cameras: Path | None = None,
 ) -> scene_pb2.SceneManifest | None:
     """Return the manifest of `folder` as far as it is readable; all problems are added to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
-    `masks` is a folder of masks that override those of the layout.
+    `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
+    for photographs. Photographs whose cameras are not found yet have frames without cameras, and no bounds.
     """
     require_layout(layout)
     if not folder.is_dir():
@@ -70,11 +85,17 @@ def collect_scene(
             f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
         )
         return None
-    capture = READERS[layout].read_capture(folder, problems)
+    if layout == photographs.NAME:
+        capture = photographs.read_capture(folder, problems, cameras)
+        masks = masks or photographs.folder_of_masks(folder)
+    else:
+        capture = READERS[layout].read_capture(folder, problems)
     if not capture.frames:
         if problems.usable:
             check_rig([], problems)
         return None
+    if not capture.has_cameras:
+        return _without_cameras(folder, capture, problems, masks)
     hold_out(capture.frames)
     check_names(capture.frames, problems)
     if problems.usable:  # else a picture may be left over because its camera is what is wrong
@@ -93,23 +114,46 @@ def collect_scene(
         attach_masks(manifest, folder, masks, problems)
     if problems.usable:
         if not capture.up_is_z:
-            stand_upright(manifest, problems)
+            stand_upright(manifest, problems, capture.up)
         set_extent(manifest, capture, object_capture=layout == tensoir_synthetic.NAME)
         settle(manifest)
     return manifest
 
 
+def _without_cameras(
+    folder: Path, capture: Capture, problems: Problems, masks: Path | None
+) -> scene_pb2.SceneManifest:
+    check_names(capture.frames, problems)
+    manifest = scene_pb2.SceneManifest(
+        schema_version=SCHEMA_VERSION,
+        name=capture.name,
+        layout=photographs.NAME,
+        lights=capture.lights,
+        frames=capture.frames,
+    )
+    if masks is not None:
+        attach_masks(manifest, folder, masks, problems)
+    return manifest
+
+
 def describe_scene(
-    folder: Path, layout: str | None = None, masks: Path | None = None
+    folder: Path, layout: str | None = None, masks: Path | None = None, cameras: Path | None = None
 ) -> scene_pb2.SceneManifest:
     """Return the description of the capture in `folder`, all lights included.
 
-    `masks` is a folder of masks that override those of the layout. Where there are masks they say where the
-    object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
-    show; other pixels are checked by `lambent_worker.capture_qa.check`.
+    `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
+    for photographs. Where there are masks they say where the object is. Raises `SceneRefusedError` with every
+    problem that the files' names, headers, cameras and masks show, and for photographs without cameras; other
+    pixels are checked by `lambent_worker.capture_qa.check`.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems, masks)
+    manifest = collect_scene(folder, layout, problems, masks, cameras)
+    if manifest is not None and photographs.lacks_cameras(manifest.frames):
+        problems.error(
+            "scene.cameras_missing",
+            f"these are {len(manifest.frames)} photographs without cameras; lambent train finds them, and "
+            "lambent poses writes a capture that has them",
+        )
     if manifest is None or not problems.usable:
         raise SceneRefusedError.of(problems.findings(), layout or "")
     fit_to_masks(folder, manifest)

@@ -6,7 +6,7 @@ from pathlib import Path
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.files import file_sha256
-from lambent_worker.scenes import glossy_synthetic
+from lambent_worker.scenes import glossy_synthetic, photographs
 from lambent_worker.scenes.detect import collect_scene, detect_layout
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size, read_coverage
@@ -34,15 +34,16 @@ def inspect_capture(
     skip: frozenset[str] = frozenset(),
     announce: Callable[[str], None] = lambda path: None,
     masks: Path | None = None,
+    cameras: Path | None = None,
 ) -> tuple[scene_pb2.SceneReport, scene_pb2.SceneManifest | None]:
     """Return the report on the capture in `folder` (at most 100 findings), and the manifest it is about.
 
     `skip` names files that must not be opened because they have brought a reader down; each is reported as an
     error. `announce` is called with the path of each file before it is decoded. `masks` is a folder of masks
-    that override those of the layout.
+    that override those of the layout, `cameras` one of cameras that were found for photographs.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems, masks)
+    manifest = collect_scene(folder, layout, problems, masks, cameras)
     if folder.is_dir():
         is_glossy = (layout or detect_layout(folder)) == glossy_synthetic.NAME
         known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
@@ -100,14 +101,15 @@ def _look_at_pictures(
             announce(frame.mask)
             masked.append(True)
             _look_at_mask(folder, frame, skip, problems)
-    if not any(masked):
+    without_cameras = photographs.lacks_cameras(manifest.frames)
+    if not any(masked) and not without_cameras:
         problems.warning(
             "scene.no_mask",
             "no photograph has a transparent background and there are no masks, so training will have to "
             "guess where the object is (lambent masks shows how well); cut the object out and save PNG with "
             "alpha, or add masks, for a better result",
         )
-    if problems.usable:
+    if problems.usable and not without_cameras:
         announce("")
         check_silhouettes(training_silhouettes(folder, manifest, problems), problems)
 

@@ -95,14 +95,18 @@ def settle(manifest: scene_pb2.SceneManifest) -> None:
         manifest.contraction_radius = float(np.abs([low, high]).max())
 
 
-def stand_upright(manifest: scene_pb2.SceneManifest, problems: Problems) -> None:
-    """Turn a scene whose layout leaves "up" open so that z points up, judging by how the cameras were held.
+def stand_upright(
+    manifest: scene_pb2.SceneManifest,
+    problems: Problems,
+    known_up: tuple[float, float, float] | None = None,
+) -> None:
+    """Turn a scene whose layout leaves "up" open so that z points up: `known_up`, or how cameras were held.
 
     A camera held level has its right-hand axis (held upright: its upper one) in the horizontal plane, so "up"
     is the direction all of these are square to. Notes in `problems` when the cameras do not agree on one.
     """
     poses = np.array([frame.camera.camera_to_world for frame in manifest.frames]).reshape(-1, 4, 4)
-    up = common_up(poses)
+    up = common_up(poses) if known_up is None else np.array(known_up)
     if up is None:
         problems.warning(
             "scene.up_unknown",

@@ -56,7 +56,9 @@ _PANELS = {
     ),
     "Without a server": (
         ("check", "Look at a scene folder before any training, and say what to fix.", "", "worker"),
-        ("train", "Train a scene folder on this machine.", "", "worker"),
+        ("poses", "Find the cameras of photographs, to look at them before training.", "", "worker"),
+        ("masks", "Cut the object out of each photograph, to look at and correct it.", "", "worker"),
+        ("train", "Train on photographs or a scene folder on this machine.", "", "worker"),
         ("evaluate", "Compare a trained run with ground truth.", "", "worker"),
         ("export", "Write the relightable bundle of a trained run.", "", "worker"),
         ("bake-light", "Adapt a bundle's fast cache to an environment, all bounces included.", "", "worker"),

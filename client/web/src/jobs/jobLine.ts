@@ -8,7 +8,9 @@ import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
 
 export const stageNames: ReadonlyMap<string, string> = new Map([
+  ["cameras", "finding the cameras"],
   ["ingest", "reading the photographs"],
+  ["masks", "cutting the object out"],
   ["cache", "training the radiance cache"],
   ["joint", "training materials and light"],
   ["evaluate", "evaluating"],

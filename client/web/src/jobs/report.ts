@@ -11,6 +11,7 @@ const layouts: ReadonlyMap<string, string> = new Map([
   ["nerf_blender", "NeRF-Blender (transforms_*.json)"],
   ["nerfstudio", "nerfstudio or instant-ngp (transforms.json)"],
   ["colmap", "COLMAP"],
+  ["photographs", "photographs, whose cameras are found first"],
 ]);
 
 /** Return the name of a layout for display. */

@@ -36,10 +36,14 @@ export function uploadPanel(
     await send(context, await collect(await files), scene?.id ?? null);
   }
 
-  const chooser = (kind: "folder" | "archive") => {
+  const chooser = (kind: "folder" | "photographs" | "archive") => {
     const input = h("input", { type: "file", hidden: true, "aria-hidden": "true", tabindex: -1 });
     if (kind === "folder") input.webkitdirectory = true;
-    else input.accept = ".zip,.tar,.tgz,.tar.gz";
+    else if (kind === "archive") input.accept = ".zip,.tar,.tgz,.tar.gz";
+    else {
+      input.multiple = true;
+      input.accept = "image/*,.heic,.heif,.dng,.cr2,.cr3,.nef,.arw,.raf,.orf,.rw2";
+    }
     input.addEventListener("change", () => {
       const files = chosenFiles(input.files ?? []);
       input.value = "";
@@ -47,7 +51,7 @@ export function uploadPanel(
     });
     return input;
   };
-  const [folder, archive] = [chooser("folder"), chooser("archive")];
+  const [folder, photographs, archive] = [chooser("folder"), chooser("photographs"), chooser("archive")];
   const area = h(
     "div",
     { class: "drop" },
@@ -55,21 +59,28 @@ export function uploadPanel(
       "p",
       {},
       scene === null
-        ? "Drop the folder of one capture here, or a zip of it."
+        ? "Drop a folder of photographs of one object here, or a zip of it."
         : "Drop the same folder again: only what is missing is sent.",
     ),
     h(
       "p",
       { class: "faint" },
-      "Photographs with camera poses: COLMAP, nerfstudio, Blender and three more layouts.",
+      "Forty photographs from all sides are good: JPEG, HEIC or PNG. Cameras and masks are found, or taken " +
+        "from COLMAP, nerfstudio, Blender and three more layouts.",
     ),
     h(
       "div",
       { class: "actions" },
-      h("button", { type: "button", class: "first", onclick: () => folder.click() }, "Choose a folder"),
+      h(
+        "button",
+        { type: "button", class: "first", onclick: () => photographs.click() },
+        "Choose photographs",
+      ),
+      h("button", { type: "button", onclick: () => folder.click() }, "Choose a folder"),
       h("button", { type: "button", onclick: () => archive.click() }, "Choose an archive"),
     ),
     folder,
+    photographs,
     archive,
   );
   area.addEventListener("dragover", (event) => {

@@ -97,6 +97,8 @@ def test_the_zenith_is_the_middle_of_the_disc_and_the_horizon_its_rim():
 
 
 def test_the_report_is_written_into_a_new_folder(tmp_path):
-    write_capture_report(tmp_path / "a" / "b", "<p>", "{}")
-    assert (tmp_path / "a" / "b" / "capture.html").read_text() == "<p>"
-    assert (tmp_path / "a" / "b" / "capture.json").read_text() == "{}"
+    checked = CaptureCheck(report=scene_pb2.SceneReport(usable=False, layout="colmap"))
+    write_capture_report(tmp_path / "a" / "b", "bowl <1>", checked)
+    assert "bowl &lt;1&gt;" in (tmp_path / "a" / "b" / "capture.html").read_text()
+    record = json.loads((tmp_path / "a" / "b" / "capture.json").read_text())
+    assert (record["layout"], record["usable"], record["figures"]) == ("colmap", False, None)

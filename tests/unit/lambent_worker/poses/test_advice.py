@@ -4,7 +4,6 @@ import importlib
 
 import numpy as np
 import pytest
-from lambent_worker.commands.training import capture_of
 from lambent_worker.errors import UsageError
 from lambent_worker.poses.advice import PoseLimits, advise, widest_gap
 from lambent_worker.poses.capture import solve_capture
@@ -186,10 +185,3 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path):
     (tmp_path / "out" / "thesis.txt").write_text("")
     with pytest.raises(UsageError, match=r"config\.poses_folder"):
         solve_capture(tmp_path, tmp_path / "out")
-
-
-def test_poses_are_auto_or_nothing(tmp_path):
-    assert capture_of(tmp_path / "run", "") is None
-    assert capture_of(tmp_path / "run", "auto") == tmp_path / "run" / "capture"
-    with pytest.raises(UsageError, match=r"config\.poses_unknown"):
-        capture_of(tmp_path / "run", "exif")

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from flashcache.presets import PRESETS
 from lambent_worker.errors import Stopped, UsageError, WorkerError
@@ -11,10 +12,12 @@ from lambent_worker.run.folder import done_inputs, locked, task_folder, task_sec
 from lambent_worker.run.hashes import TASKS, input_hashes, scene_hash
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.spec import RunSpec
-from support.captures import write_blender
+from support.captures import save, write_blender
 from support.recording_reporter import RecordingReporter
 
 CONFIG = PRESETS["fast"]()
+POSED = TASKS[1:]
+"""The tasks of a capture that has cameras."""
 
 
 @pytest.fixture
@@ -66,10 +69,21 @@ def spec_of(scene, **changes):
 
 def test_all_tasks_run_in_order_and_only_once(tmp_path, scene, tasks):
     run(tmp_path, scene)
-    assert tasks.names() == list(TASKS)
+    assert tasks.names() == list(POSED)
     again = run(tmp_path, scene)
+    assert tasks.names() == list(POSED)
+    assert [fields["stage"] for fields in again.named("step.reused")] == list(POSED)
+
+
+def test_cameras_are_found_first_where_there_are_none(tmp_path, tasks):
+    scene = tmp_path / "photographs"
+    for number in range(3):
+        save(scene / f"{number}.jpg", np.full((8, 8, 3), 40 * number, dtype=np.uint8))
+    run(tmp_path, scene)
     assert tasks.names() == list(TASKS)
-    assert [fields["stage"] for fields in again.named("step.reused")] == list(TASKS)
+    save(scene / "3.jpg", np.full((8, 8, 3), 250, dtype=np.uint8))
+    run(tmp_path, scene)
+    assert tasks.names()[7:] == list(TASKS)
 
 
 def test_a_failed_task_is_repeated_with_its_files_and_the_ones_before_are_kept(tmp_path, scene, tasks):
@@ -78,8 +92,8 @@ def test_a_failed_task_is_repeated_with_its_files_and_the_ones_before_are_kept(t
         run(tmp_path, scene)
     tasks.fails = None
     run(tmp_path, scene)
-    assert tasks.names() == ["ingest", "cache", "joint", "joint", "evaluate", "export"]
-    assert tasks.ran[3] == ("joint", ["result"])
+    assert tasks.names() == ["ingest", "masks", "cache", "joint", "joint", "evaluate", "export"]
+    assert tasks.ran[4] == ("joint", ["result"])
 
 
 def test_a_changed_setting_repeats_the_tasks_that_read_it_and_those_after_from_scratch(
@@ -90,20 +104,20 @@ def test_a_changed_setting_repeats_the_tasks_that_read_it_and_those_after_from_s
         CONFIG, stage_two=dataclasses.replace(CONFIG.stage_two, smoothness_weight=0.5)
     )
     run(tmp_path, scene, config=changed)
-    assert tasks.ran[5:] == [("joint", []), ("evaluate", []), ("export", [])]
+    assert tasks.ran[6:] == [("joint", []), ("evaluate", []), ("export", [])]
 
 
 def test_an_evaluation_setting_does_not_repeat_the_export(tmp_path, scene, tasks):
     run(tmp_path, scene)
     changed = dataclasses.replace(CONFIG, evaluation=dataclasses.replace(CONFIG.evaluation, num_views=1))
     run(tmp_path, scene, config=changed)
-    assert tasks.names()[5:] == ["evaluate"]
+    assert tasks.names()[6:] == ["evaluate"]
 
 
 def test_another_seed_reads_the_same_scene_but_trains_anew(tmp_path, scene, tasks):
     run(tmp_path, scene)
     run(tmp_path, scene, seed=1)
-    assert tasks.names()[5:] == ["cache", "joint", "evaluate", "export"]
+    assert tasks.names()[6:] == ["cache", "joint", "evaluate", "export"]
 
 
 def test_a_changed_photograph_repeats_everything(tmp_path, scene, tasks):
@@ -111,7 +125,7 @@ def test_a_changed_photograph_repeats_everything(tmp_path, scene, tasks):
     with (scene / "train" / "r_0.png").open("ab") as file:
         file.write(b"\0")
     run(tmp_path, scene)
-    assert tasks.names()[5:] == list(TASKS)
+    assert tasks.names()[6:] == list(POSED)
 
 
 def test_a_copy_of_the_scene_elsewhere_is_the_same_scene(tmp_path, scene):
@@ -125,7 +139,7 @@ def test_checkpoints_brought_from_elsewhere_are_kept(tmp_path, scene, tasks):
     folder.mkdir(parents=True)
     (folder / "step_0000010").mkdir()
     run(tmp_path, scene)
-    assert tasks.ran[2] == ("joint", ["step_0000010"])
+    assert tasks.ran[3] == ("joint", ["step_0000010"])
 
 
 def test_some_tasks_can_be_run_alone(tmp_path, scene, tasks):
@@ -145,7 +159,7 @@ def test_progress_of_the_job_only_grows_and_ends_at_one(tmp_path, scene, tasks):
     assert fractions == sorted(fractions)
     assert fractions[0] == 0.0
     assert fractions[-1] == pytest.approx(1.0)
-    assert {fields["stage"] for fields in reporter.named("progress")} == set(TASKS)
+    assert {fields["stage"] for fields in reporter.named("progress")} == set(POSED)
 
 
 def test_a_stop_before_a_task_leaves_it_undone(tmp_path, scene, tasks):
@@ -153,7 +167,7 @@ def test_a_stop_before_a_task_leaves_it_undone(tmp_path, scene, tasks):
         run(tmp_path, scene, RecordingReporter(stop_after=1))
     assert tasks.names() == ["ingest"]
     run(tmp_path, scene)
-    assert tasks.names() == list(TASKS)
+    assert tasks.names() == list(POSED)
 
 
 def test_a_run_folder_belongs_to_one_process(tmp_path, scene, tasks):
@@ -184,7 +198,7 @@ def test_each_tasks_hash_contains_the_one_before(scene):
     one = input_hashes(spec_of(scene))
     other = input_hashes(spec_of(scene, lights=("capture",)))
     assert not set(one.values()) & set(other.values())
-    assert len(set(one.values())) == len(TASKS)
+    assert len(set(one.values())) == len(POSED)
 
 
 def test_a_given_environment_changes_every_task(scene):
@@ -196,4 +210,4 @@ def test_a_given_environment_changes_every_task(scene):
 def test_given_masks_change_every_task(scene):
     own = input_hashes(spec_of(scene))
     given, other = (input_hashes(spec_of(scene, masks=masks)) for masks in ("one", "other"))
-    assert all(len({own[task], given[task], other[task]}) == 3 for task in TASKS)
+    assert all(len({own[task], given[task], other[task]}) == 3 for task in POSED)

@@ -150,8 +150,8 @@ def test_masks_may_be_others_until_a_capture_was_read_with_them(tmp_path, cut):
     keep(tmp_path, masks=cut)
     kept = given_masks(tmp_path / "run", read_run(tmp_path / "run")[0].masks)
     assert sorted(path.name for path in kept.iterdir()) == ["v0.png", "v1.png"]
-    begin_task(tmp_path / "run", "ingest", "inputs")
-    finish_task(tmp_path / "run", "ingest", "inputs")
+    begin_task(tmp_path / "run", "masks", "inputs")
+    finish_task(tmp_path / "run", "masks", "inputs")
     with pytest.raises(UsageError, match=r"run\.other_settings.*another masks;"):
         keep(tmp_path)
 

@@ -8,9 +8,9 @@ from lambent_proto.v1 import evaluation_pb2
 from lambent_worker.report.evaluate import evaluate, preview_sheet
 from lambent_worker.report.predictions import num_pictures
 from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced, rule_of
+from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_seconds
-from lambent_worker.run.tasks.ingest import read_manifest
 from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import keep_uncertainty, uncertainty_of_run
 

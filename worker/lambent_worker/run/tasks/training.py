@@ -26,10 +26,10 @@ from flashcache.training.stage_two import StageTwo
 
 from lambent_worker.errors import Stopped
 from lambent_worker.files import digest, read_record
+from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.known_lights import give_known_lights, known_names
-from lambent_worker.run.tasks.ingest import read_manifest
 from lambent_worker.scenes.load import load_scene
 
 Stage = StageOne | StageTwo | LightBake

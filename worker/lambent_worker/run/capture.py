@@ -1,0 +1,81 @@
+"""The capture of a run as its tasks see it: the user's files, found cameras, given or estimated masks."""
+
+from pathlib import Path
+
+import numpy as np
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.errors import SceneRefusedError
+from lambent_worker.files import read_record
+from lambent_worker.messages import read_message
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import task_folder
+from lambent_worker.run.masks import given_masks
+from lambent_worker.scenes.mask_folder import attach_masks
+from lambent_worker.scenes.photographs import CAMERAS_FILE
+from lambent_worker.scenes.problems import Problems
+
+MANIFEST = "manifest.json"
+MASKS = "masks"
+
+
+def found_cameras(run_dir: Path) -> Path | None:
+    """Return the folder of the cameras that the run found, or None where its capture brought them."""
+    folder = task_folder(run_dir, "cameras")
+    return folder if (folder / CAMERAS_FILE).is_file() else None
+
+
+def needs_masks(context: TaskContext) -> bool:
+    """Return whether nothing says where the object is in the capture, as `ingest` has found."""
+    record = read_record(task_folder(context.run_dir, "ingest") / "capture.json")
+    figures = record.get("figures") or {}
+    return not figures.get("has_masks", False)
+
+
+def own_masks(context: TaskContext) -> Path | None:
+    """Return the folder of the run's own masks, given or estimated, or None where the capture's are used."""
+    given = given_masks(context.run_dir, context.spec.masks)
+    if given is not None:
+        return given
+    # Runs of earlier releases estimated them in `ingest`.
+    places = (task_folder(context.run_dir, task) / MASKS for task in ("masks", "ingest"))
+    return next((place for place in places if place.is_dir()), None)
+
+
+def read_manifest(context: TaskContext) -> scene_pb2.SceneManifest:
+    """Return the description of the capture that the run trains on, with the run's own masks."""
+    fitted, checked = (task_folder(context.run_dir, task) / MANIFEST for task in ("masks", "ingest"))
+    manifest = read_message(fitted if fitted.is_file() else checked, scene_pb2.SceneManifest())
+    masks = own_masks(context)
+    if masks is not None:
+        attach_or_refuse(manifest, context.spec.scene, masks)
+    return manifest
+
+
+def use_own_masks(
+    context: TaskContext,
+    folder: Path,
+    manifest: scene_pb2.SceneManifest,
+    trained: scene_pb2.SceneManifest,
+) -> None:
+    """Give the frames of the capture in `folder` the run's own masks if the run was trained on them.
+
+    Both manifests are in one world. Frames of another capture have other names or poses, and keep what they
+    say themselves. Raises `SceneRefusedError` where a mask is missing or does not fit its photograph.
+    """
+    masks = own_masks(context)
+    poses = {frame.name: frame.camera.camera_to_world for frame in trained.frames}
+    if masks is None or not all(
+        frame.name in poses and np.allclose(frame.camera.camera_to_world, poses[frame.name], atol=1e-3)
+        for frame in manifest.frames
+    ):
+        return
+    attach_or_refuse(manifest, folder, masks)
+
+
+def attach_or_refuse(manifest: scene_pb2.SceneManifest, folder: Path, masks: Path) -> None:
+    """Give the frames of the capture in `folder` the masks in `masks`; raises `SceneRefusedError`."""
+    problems = Problems()
+    attach_masks(manifest, folder, masks, problems)
+    if not problems.usable:
+        raise SceneRefusedError.of(problems.findings())

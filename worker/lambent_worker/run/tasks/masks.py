@@ -1,0 +1,124 @@
+"""Task: cut the object out, where nothing says where it is."""
+
+from pathlib import Path
+
+from lambent_proto.v1 import scene_pb2
+
+from lambent_worker.capture_qa.check import check_capture
+from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
+from lambent_worker.capture_qa.page import write_capture_report
+from lambent_worker.files import write_json
+from lambent_worker.masks.folder import WrittenMasks, write_masks
+from lambent_worker.messages import message_to_dict
+from lambent_worker.run.capture import (
+    MANIFEST,
+    MASKS,
+    attach_or_refuse,
+    found_cameras,
+    needs_masks,
+    read_manifest,
+)
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.masks import AUTOMATIC
+from lambent_worker.run.sparse_points import sparse_points
+from lambent_worker.scenes.colmap_model import ModelError
+from lambent_worker.scenes.detect import fit_to_masks
+
+MASKS_SHEET = "masks.jpg"
+BLAMED = frozenset(
+    {
+        "scene.pose_inconsistent",
+        "scene.poses_inconsistent",
+        "scene.silhouettes_disagree",
+        "scene.mask_disagrees",
+        "scene.mask_leak",
+        "scene.mask_incomplete",
+        "scene.mask_specks",
+        "scene.mask_border",
+    }
+)
+"""Findings about silhouettes, whatever they blame."""
+
+
+def run(context: TaskContext) -> None:
+    """Write `estimated_masks/`, where there are none: masks, thumbnails, the manifest with a fitted box.
+
+    The estimate is checked like masks that somebody made. Raises `SceneRefusedError` where it is not to be
+    believed; the thumbnails show why.
+    """
+    if context.spec.masks != AUTOMATIC or not needs_masks(context):
+        return
+    folder = context.folder / MASKS
+    if not (context.folder / MANIFEST).is_file():
+        written = _estimate(context)
+        _tell(context, written)
+        manifest = read_manifest(context)
+        attach_or_refuse(manifest, context.spec.scene, folder)
+        fit_to_masks(context.spec.scene, manifest)
+        for frame in manifest.frames:
+            frame.mask = ""
+        _check(context, folder)
+        write_json(context.folder / MANIFEST, message_to_dict(manifest))
+        context.reporter.checkpoint("masks", 1, context.folder)
+    context.reporter.artifact("masks.jpg", context.folder / MASKS_SHEET)
+    context.progress(1, 1)
+
+
+def _estimate(context: TaskContext) -> WrittenMasks:
+    spec, manifest, points = context.spec, read_manifest(context), None
+    try:
+        points = sparse_points(spec.scene, found_cameras(context.run_dir), manifest)
+    except ModelError as error:
+        context.reporter.finding(
+            "scene.points_unreadable",
+            f"the points of the sparse model cannot be used ({error}), so others are looked for; export the "
+            "model again",
+        )
+
+    def progress(done: int, total: int) -> None:
+        context.stop_if_asked()
+        context.progress(done, total + 1)
+
+    try:
+        return write_masks(spec.scene, manifest, context.folder, progress=progress)
+    finally:
+        if (context.folder / MASKS_SHEET).is_file():
+            context.reporter.artifact("masks.jpg", context.folder / MASKS_SHEET)
+
+
+def _tell(context: TaskContext, written: WrittenMasks) -> None:
+    doubtful = f" (least sure of {', '.join(written.doubtful[:3])})" if written.doubtful else ""
+    context.reporter.finding(
+        "scene.mask_estimated",
+        f"no picture says where the object is, so it was estimated; the views agree to "
+        f"{100.0 * written.overlap:.0f} %{doubtful}; look at {MASKS_SHEET}, and correct it with lambent "
+        "masks --edit or give better ones with --masks",
+    )
+
+
+def _check(context: TaskContext, masks: Path) -> None:
+    """Check the capture with the estimated masks, and tell what that adds to what was told before."""
+    spec = context.spec
+    checked = check_capture(spec.scene, spec.layout or None, masks, found_cameras(context.run_dir))
+    write_capture_report(context.folder, spec.scene.name, checked)
+    tell_findings(context.reporter, blaming_masks(checked))
+
+
+def blaming_masks(checked: CaptureCheck) -> list[scene_pb2.Finding]:
+    """Return what a check says of masks that we made: a silhouette that does not fit is their fault.
+
+    Poses were judged before, by the points that they were found from.
+    """
+    found = []
+    for finding in checked.report.findings:
+        if finding.code in BLAMED:
+            advice = "correct its mask (lambent masks --edit)"
+            found.append(
+                scene_pb2.Finding(
+                    code="scene.mask_doubtful",
+                    severity=scene_pb2.SEVERITY_WARNING,
+                    message=f"{finding.message.rsplit('; ', 1)[0]}; {advice}",
+                    subject=finding.subject,
+                )
+            )
+    return found

@@ -1,0 +1,141 @@
+"""Reads photographs without cameras: what a phone or a camera leaves behind.
+
+    <scene>/          pictures, at any depth; or
+    <scene>/images/   pictures, with masks/ beside it: named alike, white is the object
+
+Their cameras are found by the task `cameras` (`lambent_worker.poses`), which leaves a folder of its own:
+
+    <cameras>/sparse/0/     COLMAP's model; names are paths below the folder of the pictures
+    <cameras>/cameras.json  see `FoundCameras`
+
+The pictures stay where they are.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from lambent_proto.v1 import scene_pb2
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from lambent_worker.errors import WorkerError
+from lambent_worker.scenes import colmap
+from lambent_worker.scenes.capture import LIGHT, Capture
+from lambent_worker.scenes.frames import frame_names
+from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, encoding_of
+from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.rig import MIN_TRAIN_FRAMES
+
+NAME = "photographs"
+LOOKS_LIKE = "pictures, from which cameras can be found"
+
+IMAGES, MASKS = "images", "masks"
+CAMERAS_FILE = "cameras.json"
+
+
+class FoundFinding(BaseModel):
+    """Something to tell the owner about found cameras."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    code: str
+    message: str
+    subject: str = ""
+
+
+class FoundCameras(BaseModel):
+    """What is written beside the model of found cameras."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    inputs: str
+    """Hash of the pictures, masks and settings that they were found from."""
+    photographs: int
+    """Pictures that were given."""
+    missing: tuple[str, ...] = ()
+    """Pictures whose cameras were not found, as paths below the folder of the pictures."""
+    points: int = 0
+    reprojection_error_px: float = 0.0
+    """Mean distance of points from where they are seen, pixels of the pictures that were searched."""
+    up: tuple[float, float, float] | None = None
+    """Direction that points up in the model's world, unit length; None where nothing tells."""
+    findings: tuple[FoundFinding, ...] = ()
+
+    @property
+    def registered(self) -> int:
+        """Return how many pictures have cameras."""
+        return self.photographs - len(self.missing)
+
+
+def is_layout(folder: Path) -> bool:
+    """Return whether `folder` holds pictures."""
+    return any(True for _ in _pictures(folder_of_pictures(folder)))
+
+
+def folder_of_pictures(folder: Path) -> Path:
+    """Return the folder below which the pictures of a capture lie."""
+    return folder / IMAGES if (folder / IMAGES).is_dir() else folder
+
+
+def folder_of_masks(folder: Path) -> Path | None:
+    """Return the folder of the masks that belong to a capture, or None where there is none."""
+    masks = folder / MASKS
+    return masks if (folder / IMAGES).is_dir() and masks.is_dir() else None
+
+
+def picture_paths(folder: Path) -> list[Path]:
+    """Return the pictures of a capture, in order of their paths."""
+    return sorted(_pictures(folder_of_pictures(folder)))
+
+
+def read_capture(folder: Path, problems: Problems, cameras: Path | None = None) -> Capture:
+    """Return the capture of the pictures in `folder`; all problems are added to `problems`.
+
+    With `cameras`, the folder of found ones, its frames are the pictures that have one. Without, frames have
+    no camera.
+    """
+    paths = picture_paths(folder)
+    if cameras is not None:
+        found = read_found_cameras(cameras)
+        pictures = folder_of_pictures(folder).relative_to(folder).as_posix()
+        capture = colmap.read_model(folder, cameras, problems, pictures=pictures)
+        used = {image.path for frame in capture.frames for image in frame.images}
+        capture.other_files |= {path.relative_to(folder).as_posix() for path in paths} - used
+        capture.up = found.up
+        return capture
+    capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False, has_cameras=False)
+    if len(paths) < MIN_TRAIN_FRAMES:
+        problems.error(
+            "scene.too_few_images",
+            f"there are {len(paths)} photographs; {MIN_TRAIN_FRAMES} are needed at least, 40 are good: walk "
+            "around the object and photograph it every 10 degrees, from two heights",
+        )
+    names = frame_names([path.relative_to(folder).as_posix() for path in paths])
+    for path in paths:
+        name = path.relative_to(folder).as_posix()
+        image = scene_pb2.Image(light=LIGHT, path=name, encoding=encoding_of(name))
+        capture.frames.append(scene_pb2.Frame(name=names[name], split=scene_pb2.SPLIT_TRAIN, images=[image]))
+    return capture
+
+
+def read_found_cameras(folder: Path) -> FoundCameras:
+    """Return what is known of the cameras in `folder`; raises `WorkerError` where that cannot be read."""
+    try:
+        return FoundCameras.model_validate_json((folder / CAMERAS_FILE).read_bytes())
+    except (OSError, ValidationError) as error:
+        raise WorkerError(
+            "run.cameras_broken", f'"{folder / CAMERAS_FILE}" cannot be read ({error}); remove "{folder}"'
+        ) from error
+
+
+def lacks_cameras(frames: Sequence[scene_pb2.Frame]) -> bool:
+    """Return whether the cameras of a manifest's frames are still to be found."""
+    return any(not frame.HasField("camera") for frame in frames)
+
+
+def _pictures(root: Path) -> Iterator[Path]:
+    if not root.is_dir():
+        return
+    for path in root.rglob("*"):
+        hidden = any(part.startswith(".") for part in path.relative_to(root).parts)
+        if path.suffix.lower() in PICTURE_SUFFIXES and not hidden and path.is_file():
+            yield path
