@@ -58,12 +58,17 @@ def run(context: TaskContext) -> None:
 
 def _estimate(context: TaskContext, manifest: scene_pb2.SceneManifest) -> Path:
     from lambent_worker.masks.folder import write_masks
+    from lambent_worker.masks.sparse import sparse_points
 
-    def progress(done: int, total: int) -> None:
+    def progress(phase: str, done: int, total: int) -> None:
         context.stop_if_asked()
         context.progress(done, total + 1)
 
-    written = write_masks(context.spec.scene, manifest, context.folder, progress=progress)
+    points = sparse_points(context.spec.scene, manifest)
+    written = write_masks(context.spec.scene, manifest, context.folder, progress=progress, points=points)
+    if written.reason:
+        context.reporter.artifact("masks.jpg", written.sheet)
+    written.require_credible()
     doubtful = f" (least sure of {', '.join(written.doubtful[:3])})" if written.doubtful else ""
     context.reporter.finding(
         "scene.mask_estimated",
