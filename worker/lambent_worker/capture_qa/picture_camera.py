@@ -61,12 +61,14 @@ class PictureCamera:
         seen = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -seen[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = seen[:, 0] / depth, -seen[:, 1] / depth
-            if any(self.distortion):
-                x, y = _distorted(x, y, self.distortion)
-            column = self.centre[0] + self.focal[0] * x
-            row = self.centre[1] + self.focal[1] * y
+            column, row = self.bent(seen[:, 0] / depth, -seen[:, 1] / depth)
         return np.nan_to_num(column, nan=np.inf), np.nan_to_num(row, nan=np.inf), depth
+
+    def bent(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
+        """Return column and row in pixels of rays through (x, y) at depth 1, y downwards; any shape."""
+        if any(self.distortion):
+            x, y = _distorted(x, y, self.distortion)
+        return self.centre[0] + self.focal[0] * x, self.centre[1] + self.focal[1] * y
 
     def pixels(
         self, points: Float[ndarray, "points 3"]

@@ -23,10 +23,13 @@ def masks(
     """Find the object in each picture and write masks, with thumbnails to confirm them by."""
     from lambent_worker.masks.folder import write_masks
     from lambent_worker.masks.segmenter import find_segmenter
+    from lambent_worker.masks.sparse import sparse_points
     from lambent_worker.scenes.detect import describe_scene
 
     chosen = find_segmenter(segmenter) if segmenter else None
-    written = write_masks(scene_dir, describe_scene(scene_dir, layout or None), out, chosen)
+    manifest = describe_scene(scene_dir, layout or None)
+    points = None if chosen is not None else sparse_points(scene_dir, manifest)
+    written = write_masks(scene_dir, manifest, out, chosen, points=points)
     if as_json:
         record = {
             "masks": str(written.folder),
@@ -34,8 +37,11 @@ def masks(
             "overlap": round(written.overlap, 4),
             "doubtful": list(written.doubtful),
         }
-        typer.echo(json.dumps(record))
+        if not written.reason:
+            typer.echo(json.dumps(record))
+        written.require_credible()
         return
+    written.require_credible()
     if not segmenter:
         typer.echo(f"the views agree to {100.0 * written.overlap:.0f} %")
     for name in written.doubtful:

@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, Int32, UInt8
 from numpy import ndarray
 from scipy import ndimage
 
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.masks import evidence
+from lambent_worker.masks.lattice import SCENE, Frame, Lattice, main_parts
 
 _BORDER = 2
 """Pixels along the border that are background by definition."""
@@ -67,11 +68,53 @@ class MaskView:
 
 
 @dataclass(frozen=True, slots=True)
+class Given:
+    """What is known before the views are compared: evidence of other kinds, and where an object can be."""
+
+    odds: Sequence[Float[ndarray, "height width"]]
+    """Added to what colours say in each view, log odds at the size of its picture."""
+    learnt: Sequence[Float[ndarray, "height width"]]
+    """How much each pixel counts when colours of object and background are learnt, 0..1."""
+    beliefs: Sequence[Float[ndarray, "height width"]] | None
+    """What is believed at first, 0..1; None for a ball around what the cameras look at."""
+    frame: Frame
+    low: Float[ndarray, "3"]
+    high: Float[ndarray, "3"]
+    """The box that is searched, in coordinates of `frame`: above the support, for instance."""
+    focus: Float[ndarray, "3"]
+    """Where in this box the object is; what stands apart from it and further away is not the object."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Prepared:
+    """What is computed of each picture once, for any number of agreements."""
+
+    lightness: list[Float[ndarray, "height width"]]
+    """0..1."""
+    colours: list[Int[ndarray, "height width"]]
+    """Cells of the colour table."""
+    distances: list[Int[ndarray, "height width"]] | None
+    """Cells of the table of distances from the border; None where they are not used."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Agreement:
+    """What the views agree on."""
+
+    beliefs: list[Float[ndarray, "height width"]]
+    """Probability that a pixel shows the object."""
+    priors: list[Float[ndarray, "height width"]]
+    """What the other views say about a pixel, through the cells behind it; log odds."""
+    lattice: Lattice
+    votes: Float[ndarray, " cells"]
+    """Sum of the views' votes for each cell, log odds; the object is where it is positive."""
+
+
+@dataclass(frozen=True, slots=True)
 class _Grid:
-    points: Float[ndarray, "points 3"]
-    spacing: float
-    shown: list[ndarray]
-    pixels: list[ndarray]
+    lattice: Lattice
+    pixels: list[Int32[ndarray, " cells"]]
+    """Flat index of the pixel of each view that shows a cell, -1 outside."""
 
 
 def agree(
@@ -80,49 +123,73 @@ def agree(
     distance: float,
     leaning: Leaning,
     settings: ConsensusSettings,
-) -> list[Float[ndarray, "height width"]] | None:
-    """Return for each view the probability that a pixel shows the object, or None where no object is left.
+    given: Given | None = None,
+    prepared: Prepared | None = None,
+) -> Agreement | None:
+    """Return for each view where the object is, or None where no object is left.
 
     `centre` is the point the cameras look at, `distance` how far they are from it, both in scene units.
     """
-    labs = [evidence.lab_of(view.image_srgb) for view in views]
-    colours = [evidence.colour_cells(lab) for lab in labs]
-    distances = [evidence.distance_cells(evidence.border_distance(lab)) for lab in labs]
+    seen = prepare(views, edges=leaning.distance > 0.0) if prepared is None else prepared
     beliefs = [
         _without_border(_ball(view.camera, centre, settings.first_radius * distance)) for view in views
     ]
     half = np.full(3, settings.reach * distance)
-    low, high = centre - half, centre + half
-    grid = _grid(views, low, high, settings.cells)
+    frame, low, high = SCENE, centre - half, centre + half
+    if given is not None:
+        frame, low, high = given.frame, given.low, given.high
+        beliefs = beliefs if given.beliefs is None else [np.asarray(each) for each in given.beliefs]
+    grid = _grid(views, frame, low, high, settings.cells)
+    agreement = None
     for number in range(settings.rounds):
-        odds = [
-            evidence.guided_smooth(
-                lab[..., 0] / 100.0, leaning.colour * own + leaning.distance * far, 2, 1e-3
-            )
-            for lab, own, far in zip(
-                labs,
-                evidence.colour_odds(colours, beliefs),
-                evidence.distance_odds(distances, beliefs),
-                strict=True,
-            )
-        ]
+        odds = _odds(seen, beliefs, leaning, given)
         votes = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
         total = np.sum(votes, axis=0)
         solid = total > 0.0
+        if given is not None:
+            solid = main_parts(solid, grid.lattice, given.focus, distance)
+            total = np.where(solid, total, np.minimum(total, 0.0))
         if solid.sum() < 50:
             return None
-        middle = grid.points[solid].mean(axis=0)
-        beliefs = [
-            _without_border(
-                _sigmoid(own + _prior(grid, total - votes[v], v, views[v].camera, middle, leaning, settings))
-            )
-            for v, own in enumerate(odds)
+        kept = grid.lattice.local(solid)
+        middle = frame.world(kept.mean(axis=0)[None])[0]
+        priors = [
+            _prior(grid, total - votes[v], v, views[v].camera, middle, leaning, settings)
+            for v in range(len(views))
         ]
+        beliefs = [_without_border(_sigmoid(own + prior)) for own, prior in zip(odds, priors, strict=True)]
+        agreement = Agreement(beliefs=beliefs, priors=priors, lattice=grid.lattice, votes=total)
         if number in settings.refit_after:
-            kept, margin = grid.points[solid], 2.0 * grid.spacing
+            margin = 2.0 * grid.lattice.spacing
             fresh_low = np.maximum(kept.min(axis=0) - margin, low)
-            grid = _grid(views, fresh_low, np.minimum(kept.max(axis=0) + margin, high), settings.cells)
-    return beliefs
+            grid = _grid(views, frame, fresh_low, np.minimum(kept.max(axis=0) + margin, high), settings.cells)
+    return agreement
+
+
+def prepare(views: Sequence[MaskView], *, edges: bool) -> Prepared:
+    """Return what `agree` needs of the pictures; `edges` only where a leaning weighs distances."""
+    labs = [evidence.lab_of(view.image_srgb) for view in views]
+    return Prepared(
+        lightness=[lab[..., 0] / 100.0 for lab in labs],
+        colours=[evidence.colour_cells(lab) for lab in labs],
+        distances=[evidence.distance_cells(evidence.border_distance(lab)) for lab in labs] if edges else None,
+    )
+
+
+def _odds(
+    seen: Prepared, beliefs: Sequence[ndarray], leaning: Leaning, given: Given | None
+) -> list[Float[ndarray, "height width"]]:
+    """Return what each view says by itself, smoothed along its edges, log odds."""
+    learnt = None if given is None else given.learnt
+    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, learnt)]
+    if seen.distances is not None and leaning.distance > 0.0:
+        far = evidence.distance_odds(seen.distances, beliefs)
+        odds = [own + leaning.distance * each for own, each in zip(odds, far, strict=True)]
+    if given is not None:
+        odds = [own + extra for own, extra in zip(odds, given.odds, strict=True)]
+    return [
+        evidence.guided_smooth(guide, own, 2, 1e-3) for guide, own in zip(seen.lightness, odds, strict=True)
+    ]
 
 
 def _ball(
@@ -147,14 +214,14 @@ def _sigmoid(odds: ndarray) -> ndarray:
 
 
 def _grid(
-    views: Sequence[MaskView], low: Float[ndarray, "3"], high: Float[ndarray, "3"], cells: int
+    views: Sequence[MaskView],
+    frame: Frame,
+    low: Float[ndarray, "3"],
+    high: Float[ndarray, "3"],
+    cells: int,
 ) -> _Grid:
-    spacing = float((high - low).max()) / cells
-    counts = np.maximum(np.ceil((high - low) / spacing - 1e-6).astype(int), 1)
-    axes = [start + (np.arange(count) + 0.5) * spacing for start, count in zip(low, counts, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = [view.camera.pixels(points) for view in views]
-    return _Grid(points, spacing, [each[0] for each in seen], [each[1] for each in seen])
+    lattice = Lattice.between(frame, low, high, cells)
+    return _Grid(lattice, [lattice.pixels(view.camera) for view in views])
 
 
 def _votes(
@@ -164,11 +231,12 @@ def _votes(
 
     An object's cell looks like the object but for one mistake in fifteen, an empty one in half of the views.
     """
-    chance = _sigmoid(np.clip(odds, -6.0, 6.0)).ravel()[grid.pixels[view]]
+    chance = _sigmoid(np.clip(odds, -6.0, 6.0)).ravel()
     vote = np.clip(
         np.log((0.93 * chance + 0.07 * (1.0 - chance)) / 0.5), -settings.against, settings.in_favour
     )
-    return np.where(grid.shown[view], vote, settings.unseen)
+    # The last entry is what the index -1 finds.
+    return np.append(vote, settings.unseen).astype(np.float32)[grid.pixels[view]]
 
 
 def _prior(
@@ -185,11 +253,10 @@ def _prior(
     Against the object where no cell is solid within reach of a cell's size; for it only further inside, since
     cells are larger than pixels.
     """
-    shown = grid.shown[view]
-    best = np.full(camera.height * camera.width, -1e3)
-    np.maximum.at(best, grid.pixels[view][shown], votes[shown])
-    radius = max(1, int(np.ceil(0.5 * grid.spacing * camera.pixels_per_unit(middle))))
-    wide = ndimage.maximum_filter(best.reshape(camera.height, camera.width), size=2 * radius + 1)
+    best = np.full(camera.height * camera.width + 1, -1e3, dtype=np.float32)
+    np.maximum.at(best, grid.pixels[view], votes)
+    radius = max(1, int(np.ceil(0.5 * grid.lattice.spacing * camera.pixels_per_unit(middle))))
+    wide = ndimage.maximum_filter(best[:-1].reshape(camera.height, camera.width), size=2 * radius + 1)
     deep = ndimage.minimum_filter(wide, size=2 * (radius + 1) + 1)
     against = np.clip(wide / settings.scale, -leaning.least_hull, 0.0)
     return against + np.clip(deep / settings.scale, 0.0, leaning.most_hull)

@@ -18,6 +18,7 @@ from lambent_worker.errors import SceneRefusedError
 from lambent_worker.masks.consensus import ConsensusSettings, Leaning, MaskView, agree
 from lambent_worker.masks.evidence import lab_of, separation
 from lambent_worker.masks.outline import refine_outline
+from lambent_worker.masks.photograph import Photograph
 from lambent_worker.scenes.extent import looked_at_point
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.resample import reduced_size
@@ -80,35 +81,55 @@ class Estimate:
 
 
 def estimate_masks(views: Sequence[MaskView], settings: EstimateSettings) -> Estimate:
-    """Return where the object is in every view, at the size of its picture.
+    """Return where the object is in every view, at the size of its picture, by the agreement of views alone.
 
     Raises `SceneRefusedError` with `scene.mask_missing` where the views do not agree on an object.
     """
     if len(views) < settings.min_views:
-        raise _not_credible(f"{len(views)} views are too few to find the object by comparing them")
+        raise not_credible(too_few(len(views)))
+    found = agreed_masks(views, settings)
+    if isinstance(found, str):
+        raise not_credible(found)
+    reason = why_not_credible(found, settings)
+    if reason:
+        raise not_credible(reason)
+    return found
+
+
+def too_few(number: int) -> str:
+    """Return the reason for refusing so few views."""
+    return f"{number} views are too few to find the object by comparing them"
+
+
+def agreed_masks(views: Sequence[MaskView], settings: EstimateSettings) -> Estimate | str:
+    """Return where the object is in every view, credible or not; a reason where there is nothing at all."""
     small = [_reduced(view, settings.consensus_side) for view in views]
-    centre, distance = _middle(views)
+    middle = middle_of(views)
+    if isinstance(middle, str):
+        return middle
+    centre, distance = middle
     beliefs = _most_consistent(small, centre, distance, settings)
+    if beliefs is None:
+        return "the views have no object in common that differs from its background"
     coverages = []
     for view, reduced, belief in zip(views, small, beliefs, strict=True):
         grown = _enlarged(belief, (view.camera.width, view.camera.height))
         band = max(settings.band, round(settings.band * view.camera.width / reduced.camera.width))
         coverages.append(_clean(refine_outline(lab_of(view.image_srgb), grown, band)))
     consistency = consistency_of(coverages, views, centre, distance, settings)
-    told_apart = _separation(small, coverages)
-    _require_credible(coverages, consistency, told_apart, settings)
-    return Estimate(coverages, consistency, told_apart)
+    return Estimate(coverages, consistency, separation_of(small, coverages))
 
 
 def _most_consistent(
     views: Sequence[MaskView], centre: Float[ndarray, "3"], distance: float, settings: EstimateSettings
-) -> list[Float[ndarray, "height width"]]:
+) -> list[Float[ndarray, "height width"]] | None:
     """Return the beliefs of all leanings, mixed by how consistent each makes the views."""
     found, scores = [], []
     for leaning in LEANINGS:
-        beliefs = agree(views, centre, distance, leaning, ConsensusSettings())
-        if beliefs is None:
+        agreement = agree(views, centre, distance, leaning, ConsensusSettings())
+        if agreement is None:
             continue
+        beliefs = agreement.beliefs
         refined = [
             refine_outline(lab_of(view.image_srgb), belief, settings.band)
             for view, belief in zip(views, beliefs, strict=True)
@@ -116,7 +137,7 @@ def _most_consistent(
         found.append(beliefs)
         scores.append(float(np.median(consistency_of(refined, views, centre, distance, settings).overlap)))
     if not found:
-        raise _not_credible("the views have no object in common that differs from its background")
+        return None
     weights = np.exp((np.array(scores) - max(scores)) / settings.temperature)
     weights /= weights.sum()
     return [
@@ -155,9 +176,10 @@ def consistency_of(
     return Consistency(overlap=np.array(overlap), explained=np.array(explained))
 
 
-def _separation(
+def separation_of(
     small: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]]
 ) -> Float[ndarray, " views"]:
+    """Return how well colours separate masks of any size from their background; see `evidence.separation`."""
     reduced = [
         resized(coverage.astype(np.float32), (view.camera.width, view.camera.height))
         for view, coverage in zip(small, coverages, strict=True)
@@ -165,26 +187,25 @@ def _separation(
     return separation([lab_of(view.image_srgb) for view in small], reduced)
 
 
-def _require_credible(
-    coverages: Sequence[Float[ndarray, "height width"]],
-    consistency: Consistency,
-    told_apart: Float[ndarray, " views"],
-    settings: EstimateSettings,
-) -> None:
-    share = float(np.median([(coverage >= 0.5).mean() for coverage in coverages]))
-    overlap = float(np.median(consistency.overlap))
+def why_not_credible(found: Estimate, settings: EstimateSettings) -> str:
+    """Return why the masks are not to be believed; empty where they are."""
+    share = float(np.median([(coverage >= 0.5).mean() for coverage in found.coverages]))
+    overlap = float(np.median(found.consistency.overlap))
     if not settings.smallest_share <= share <= settings.largest_share:
-        raise _not_credible(f"what was found covers {100.0 * share:.2g} % of the pictures")
-    if overlap < settings.min_consistency or np.median(consistency.explained) < settings.min_explained:
-        raise _not_credible(
+        return f"what was found covers {100.0 * share:.2g} % of the pictures"
+    explained = float(np.median(found.consistency.explained))
+    if overlap < settings.min_consistency or explained < settings.min_explained:
+        return (
             f"what was found overlaps by {100.0 * overlap:.0f} % with what the other views make of it, at "
             f"least {100.0 * settings.min_consistency:.0f} % are needed"
         )
-    if np.median(told_apart) < settings.min_separation:
-        raise _not_credible("what was found has no colours of its own; it looks like its background")
+    if np.median(found.separation) < settings.min_separation:
+        return "what was found has no colours of its own; it looks like its background"
+    return ""
 
 
-def _not_credible(reason: str) -> SceneRefusedError:
+def not_credible(reason: str) -> SceneRefusedError:
+    """Return the refusal of a capture whose masks are not credible."""
     problems = Problems()
     problems.error(
         "scene.mask_missing",
@@ -194,11 +215,14 @@ def _not_credible(reason: str) -> SceneRefusedError:
     return SceneRefusedError.of(problems.findings())
 
 
-def _middle(views: Sequence[MaskView]) -> tuple[Float[ndarray, "3"], float]:
+def middle_of(
+    views: Sequence[MaskView] | Sequence[Photograph],
+) -> tuple[Float[ndarray, "3"], float] | str:
+    """Return the point the cameras look at and their distance from it, scene units; or why there is none."""
     positions = np.array([view.camera.position for view in views])
     centre = looked_at_point(positions, np.array([-view.camera.camera_to_world[:3, 2] for view in views]))
     if centre is None:
-        raise _not_credible("the cameras do not look at a common point")
+        return "the cameras do not look at a common point"
     return centre, float(np.median(np.linalg.norm(positions - centre, axis=-1)))
 
 

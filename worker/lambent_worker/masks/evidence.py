@@ -5,6 +5,7 @@ so nothing has to be known of the background but that the border of a picture sh
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -72,22 +73,52 @@ def colour_table(
 
 
 def colour_odds(
-    cells: Sequence[Int[ndarray, "height width"]], foreground: Sequence[Float[ndarray, "height width"]]
+    cells: Sequence[Int[ndarray, "height width"]],
+    foreground: Sequence[Float[ndarray, "height width"]],
+    learnt: Sequence[Float[ndarray, "height width"]] | None = None,
 ) -> list[Float[ndarray, "height width"]]:
     """Return the log odds of object against background that the colours of each view give.
 
-    `foreground` is what is believed so far. All views share the colours of the object; each has a background
-    of its own, with a little of everybody's. Nothing says more than `MAX_COLOUR`.
+    `foreground` is what is believed so far, `learnt` how much of it counts (all without it). All views share
+    the colours of the object; each has a background of its own, with a little of everybody's. Nothing says
+    more than `MAX_COLOUR`.
     """
+    model = learn_colours(cells, foreground, learnt)
+    return [model.odds(number, own) for number, own in enumerate(cells)]
+
+
+@dataclass(frozen=True, slots=True)
+class ColourModel:
+    """Densities of colours over the cells of the table."""
+
+    objects: Float[ndarray, " cells"]
+    """Of the object, in all views."""
+    backgrounds: list[Float[ndarray, " cells"]]
+    """Of what is behind it in each view."""
+
+    def odds(self, view: int, cells: Int[ndarray, "height width"]) -> Float[ndarray, "height width"]:
+        """Return the log odds of object against background that the colours of a view give."""
+        table = np.log(self.objects / self.backgrounds[view])
+        return np.asarray(np.clip(table, -MAX_COLOUR, MAX_COLOUR)[cells])
+
+
+def learn_colours(
+    cells: Sequence[Int[ndarray, "height width"]],
+    foreground: Sequence[Float[ndarray, "height width"]],
+    learnt: Sequence[Float[ndarray, "height width"]] | None = None,
+) -> ColourModel:
+    """Return the colours of object and backgrounds; see `colour_odds`."""
     every_cell = np.concatenate([each.ravel() for each in cells])
     every_weight = np.concatenate([each.ravel() for each in foreground])
-    objects = 0.8 * colour_table(every_cell, every_weight) + 0.2 * _UNIFORM
-    backgrounds = colour_table(every_cell, 1.0 - every_weight)
-    odds = []
-    for own, belief in zip(cells, foreground, strict=True):
-        table = 0.85 * colour_table(own.ravel(), 1.0 - belief.ravel()) + 0.1 * backgrounds + 0.05 * _UNIFORM
-        odds.append(np.clip(np.log(objects / table), -MAX_COLOUR, MAX_COLOUR)[own])
-    return odds
+    counted = 1.0 if learnt is None else np.concatenate([each.ravel() for each in learnt])
+    objects = 0.8 * colour_table(every_cell, counted * every_weight) + 0.2 * _UNIFORM
+    shared = colour_table(every_cell, counted * (1.0 - every_weight))
+    backgrounds = []
+    for number, (own, belief) in enumerate(zip(cells, foreground, strict=True)):
+        behind = (1.0 - belief) if learnt is None else learnt[number] * (1.0 - belief)
+        table = colour_table(own.ravel(), behind.ravel())
+        backgrounds.append(0.85 * table + 0.1 * shared + 0.05 * _UNIFORM)
+    return ColourModel(objects, backgrounds)
 
 
 def distance_odds(

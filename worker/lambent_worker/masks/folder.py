@@ -1,27 +1,38 @@
 """Writes the masks of a capture to a folder, with a sheet of thumbnails for checking."""
 
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from lambent_proto.v1 import scene_pb2
-from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 from PIL import Image, ImageDraw
 
-from lambent_worker.capture_qa.observe import outlined_picture, read_small
-from lambent_worker.capture_qa.picture_camera import PictureCamera
+from lambent_worker.capture_qa.observe import outlined_picture, resized
 from lambent_worker.errors import WorkerError
 from lambent_worker.masks.consensus import MaskView
-from lambent_worker.masks.estimate import EstimateSettings, estimate_masks
+from lambent_worker.masks.estimate import (
+    Estimate,
+    EstimateSettings,
+    consistency_of,
+    not_credible,
+    separation_of,
+    too_few,
+    why_not_credible,
+)
+from lambent_worker.masks.final import FinalSettings, colours_of, final_mask
+from lambent_worker.masks.find import FindSettings, Progress, find_object
+from lambent_worker.masks.photograph import Photograph, SparsePoints, photographs_of
 from lambent_worker.masks.segmenter import Segmenter
-from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.resample import reduced_size
 
+MASKS, SHEET = "masks", "masks.jpg"
 VIEW_SIDE = 512
-"""Longer side at which outlines are drawn, pixels; the files get the size of their pictures."""
+"""Longer side of the pictures that segmenters get, pixels; the files get the size of their photographs."""
 DOUBTFUL_OVERLAP = 0.75
 """Views that overlap less with what the others make of them are named."""
 _THUMBNAIL_SIDE = 160
@@ -29,6 +40,9 @@ _COLUMNS = 8
 _BEHIND = 0.4
 """Visible share of the background, so that lost parts of the object can be seen."""
 _LABEL_HEIGHT = 14
+_LETTER_WIDTH = 6
+_REMEMBERED_SIDE = 512
+"""Longer side at which masks are remembered, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,6 +57,13 @@ class WrittenMasks:
     """Median agreement of the views, 0..1; 1 for masks from an external segmenter."""
     doubtful: tuple[str, ...]
     """Frames on which the views do not agree, the worst first."""
+    reason: str = ""
+    """Why the masks are not to be believed; empty where they are."""
+
+    def require_credible(self) -> None:
+        """Raise `SceneRefusedError` with `scene.mask_missing` where the masks are not to be believed."""
+        if self.reason:
+            raise not_credible(f"{self.reason} (what was found is in {self.sheet} and {self.folder})")
 
 
 def write_masks(
@@ -50,75 +71,148 @@ def write_masks(
     manifest: scene_pb2.SceneManifest,
     out: Path,
     segmenter: Segmenter | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda phase, done, total: None,
+    *,
+    points: SparsePoints | None = None,
+    keep_in: Path | None = None,
 ) -> WrittenMasks:
     """Write `out`/masks/<frame>.png for the capture in `folder`, and `out`/masks.jpg for checking.
 
-    By the built-in estimate, or by `segmenter`. Raises `SceneRefusedError` with `scene.mask_missing` where
-    the object was not found. `progress` is called with the number of frames done and of all.
+    By the built-in estimate, or by `segmenter`. `points` are sparse points in the coordinates of `manifest`,
+    by which the support is found and taken away; without them views are only compared with each other. Masks
+    and thumbnails are written in any case; `WrittenMasks.reason` says why they are not to be believed, and
+    `require_credible` refuses them. `keep_in` is a folder for what corrections start from (`Workspace`).
+    `progress` is called with the phase and how much of how much of it is done; what it raises stops the work.
     """
-    frames = [frame for frame in manifest.frames if frame.images]
+    photographs = photographs_of(folder, manifest)
+    if segmenter is not None:
+        return _by_segmenter(photographs, out, segmenter, progress)
+    return estimate_into(photographs, points, out, keep_in, progress)
+
+
+def estimate_into(
+    photographs: Sequence[Photograph],
+    points: SparsePoints | None,
+    out: Path,
+    keep_in: Path | None,
+    progress: Progress,
+) -> WrittenMasks:
+    """Write masks and thumbnails by the built-in estimate; see `write_masks`."""
+    settings = FindSettings()
+    work = find_object(photographs, points, settings, progress)
+    writer = MaskWriter(out, photographs)
+    if isinstance(work, str):
+        for number in range(len(photographs)):
+            camera = photographs[number].camera
+            writer.write(number, np.zeros((camera.height, camera.width), np.uint8))
+        return writer.finish(np.zeros(len(photographs)), work)
+    if keep_in is not None:
+        work.save(keep_in)
+    return draw_masks(work, photographs, writer, settings.plain, progress)
+
+
+def draw_masks(
+    work: Workspace,
+    photographs: Sequence[Photograph],
+    writer: "MaskWriter",
+    settings: EstimateSettings,
+    progress: Progress,
+) -> WrittenMasks:
+    """Write the mask of every photograph at its own size, one at a time, and judge them all."""
+    colours = colours_of(work)
+    for number, photograph in enumerate(photographs):
+        writer.write(number, final_mask(photograph, number, work, colours, FinalSettings()))
+        progress("drawing outlines", number + 1, len(photographs))
+    views = [work.view(number) for number in range(len(photographs))]
+    consistency = consistency_of(writer.coverages, views, work.centre, work.distance, settings)
+    small = [_small_view(view, settings.consensus_side) for view in views]
+    found = Estimate(writer.coverages, consistency, separation_of(small, writer.coverages))
+    few = len(photographs) < settings.min_views
+    reason = too_few(len(photographs)) if few else why_not_credible(found, settings)
+    return writer.finish(consistency.overlap, reason)
+
+
+class MaskWriter:
+    """Writes masks as they are made, and remembers them small for the thumbnails and the judgement."""
+
+    def __init__(self, out: Path, photographs: Sequence[Photograph]) -> None:
+        self._out, self._photographs = out, photographs
+        self.coverages: list[Float[ndarray, "height width"]] = []
+        """0..1, longer side at most `_REMEMBERED_SIDE` pixels."""
+        (out / MASKS).mkdir(parents=True, exist_ok=True)
+
+    def write(self, number: int, mask: UInt8[ndarray, "height width"]) -> None:
+        """Write the mask of photograph `number`, 0 to 255 in its pixels; photographs come in order."""
+        photograph = self._photographs[number]
+        Image.fromarray(mask).save(self._out / MASKS / f"{photograph.name}.png", compress_level=3)
+        size = reduced_size(mask.shape[1], mask.shape[0], _REMEMBERED_SIDE)
+        self.coverages.append(resized(mask.astype(np.float32) / np.float32(255.0), size).astype(np.float64))
+
+    def finish(self, overlap: Float[ndarray, " views"], reason: str) -> WrittenMasks:
+        """Write the thumbnails and return what was written."""
+        sheet = self._out / SHEET
+        views = [photograph.reduced(_THUMBNAIL_SIDE) for photograph in self._photographs]
+        contact_sheet(views, self.coverages, reason).save(sheet, quality=90, subsampling=0)
+        names = [photograph.name for photograph in self._photographs]
+        return WrittenMasks(
+            folder=self._out / MASKS,
+            sheet=sheet,
+            overlap=float(np.median(overlap)),
+            doubtful=tuple(names[i] for i in np.argsort(overlap) if overlap[i] < DOUBTFUL_OVERLAP),
+            reason=reason,
+        )
+
+
+def _by_segmenter(
+    photographs: Sequence[Photograph], out: Path, segmenter: Segmenter, progress: Progress
+) -> WrittenMasks:
     views = []
-    for number, frame in enumerate(frames):
-        views.append(_read(folder, frame, manifest))
-        progress(number, 2 * len(frames))
-    coverages: Sequence[Float[ndarray, "height width"]]
-    if segmenter is None:
-        estimate = estimate_masks(views, EstimateSettings())
-        coverages, overlap = estimate.coverages, estimate.consistency.overlap
-    else:
-        coverages, overlap = segmenter(views), np.ones(len(views))
-        _require_sizes(views, coverages)
-    masks = out / "masks"
-    masks.mkdir(parents=True, exist_ok=True)
-    for number, (frame, coverage) in enumerate(zip(frames, coverages, strict=True)):
-        size = PictureCamera.of_frame(frame)
+    for number, photograph in enumerate(photographs):
+        views.append(photograph.reduced(VIEW_SIDE))
+        progress("reading photographs", number + 1, len(photographs))
+    coverages = segmenter(views)
+    _require_sizes(views, coverages)
+    writer = MaskWriter(out, photographs)
+    for number, (photograph, coverage) in enumerate(zip(photographs, coverages, strict=True)):
         grey = Image.fromarray(np.round(255.0 * np.clip(coverage, 0.0, 1.0)).astype(np.uint8))
-        grey.resize((size.width, size.height), Image.Resampling.BILINEAR).save(masks / f"{frame.name}.png")
-        progress(len(frames) + number, 2 * len(frames))
-    sheet = out / "masks.jpg"
-    contact_sheet(views, coverages).save(sheet, quality=90, subsampling=0)
-    return WrittenMasks(
-        folder=masks,
-        sheet=sheet,
-        overlap=float(np.median(overlap)),
-        doubtful=tuple(frames[i].name for i in np.argsort(overlap) if overlap[i] < DOUBTFUL_OVERLAP),
-    )
+        size = (photograph.camera.width, photograph.camera.height)
+        writer.write(number, np.asarray(grey.resize(size, Image.Resampling.BILINEAR)))
+        progress("writing masks", number + 1, len(photographs))
+    return writer.finish(np.ones(len(views)), "")
+
+
+def _small_view(view: MaskView, side: int) -> MaskView:
+    size = reduced_size(view.camera.width, view.camera.height, side)
+    picture = Image.fromarray(view.image_srgb).resize(size, Image.Resampling.BOX)
+    return MaskView(view.name, np.asarray(picture), view.camera.resized(*size))
 
 
 def contact_sheet(
-    views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]]
+    views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]], reason: str = ""
 ) -> Image.Image:
-    """Return all pictures, small, with the background dimmed, the outline drawn and the frame's name."""
-    thumbnails = [
-        outlined_picture(view.image_srgb, coverage, _THUMBNAIL_SIDE, _BEHIND)
-        for view, coverage in zip(views, coverages, strict=True)
-    ]
+    """Return all pictures, small, with the background dimmed, the outline drawn and the frame's name.
+
+    `reason` says at the top why the masks are not to be believed.
+    """
+    thumbnails = []
+    for view, coverage in zip(views, coverages, strict=True):
+        fitted = resized(coverage.astype(np.float32), (view.camera.width, view.camera.height))
+        thumbnails.append(outlined_picture(view.image_srgb, fitted, _THUMBNAIL_SIDE, _BEHIND))
     width = max(each.shape[1] for each in thumbnails) + 4
     height = max(each.shape[0] for each in thumbnails) + _LABEL_HEIGHT + 4
     columns = min(_COLUMNS, len(thumbnails))
     rows = -(-len(thumbnails) // columns)
-    sheet = Image.new("RGB", (columns * width, rows * height), (255, 255, 255))
+    lines = textwrap.wrap(f"not used: {reason}", max(columns * width // _LETTER_WIDTH, 10)) if reason else []
+    head = len(lines) * _LABEL_HEIGHT
+    sheet = Image.new("RGB", (columns * width, head + rows * height), (255, 255, 255))
     draw = ImageDraw.Draw(sheet)
+    for number, line in enumerate(lines):
+        draw.text((2, number * _LABEL_HEIGHT + 1), line, fill=(190, 0, 0))
     for number, (view, thumbnail) in enumerate(zip(views, thumbnails, strict=True)):
-        left, top = number % columns * width, number // columns * height
+        left, top = number % columns * width, head + number // columns * height
         sheet.paste(Image.fromarray(thumbnail), (left, top))
         draw.text((left + 2, top + thumbnail.shape[0] + 1), view.name[-26:], fill=(0, 0, 0))
     return sheet
-
-
-def _read(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifest) -> MaskView:
-    """Return a frame's picture in the first of the training lights that it has one in, small."""
-    images = sorted(frame.images, key=lambda image: image.light not in manifest.lights)
-    try:
-        colours, _, is_linear = read_small(folder / images[0].path, VIEW_SIDE)
-    except PictureError as error:
-        raise WorkerError(error.code, f"{images[0].path} {error}") from error
-    if is_linear:
-        colours = np.round(255.0 * srgb_from_linear(colours)).astype(np.uint8)
-    camera = PictureCamera.of_frame(frame)
-    size = reduced_size(camera.width, camera.height, VIEW_SIDE)
-    return MaskView(frame.name, colours, camera.resized(*size))
 
 
 def _require_sizes(views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]]) -> None:

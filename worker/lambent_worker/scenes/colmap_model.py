@@ -3,6 +3,7 @@
 Formats: https://colmap.github.io/format.html. The points are not needed.
 """
 
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -33,6 +34,17 @@ class ColmapImage:
     translation: tuple[float, ...]
     number: int
     """By which points name it."""
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """Return where the camera stands, in the model's world."""
+        w, x, y, z = (value / math.hypot(*self.rotation) for value in self.rotation)
+        a, b, c = self.translation
+        return (
+            -((1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * (x * y + w * z) * b + 2.0 * (x * z - w * y) * c),
+            -(2.0 * (x * y - w * z) * a + (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * (y * z + w * x) * c),
+            -(2.0 * (x * z + w * y) * a + 2.0 * (y * z - w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c),
+        )
 
 
 class ModelError(Exception):

@@ -23,7 +23,9 @@ class ColmapPoints:
     xyz: Float64[ndarray, "points 3"]
     """In the model's world."""
     images: tuple[frozenset[int], ...]
-    """For each point the identities of the images that see it."""
+    """For each point the numbers of the images that see it."""
+    error: Float64[ndarray, " points"]
+    """Mean distance of each point from where it is seen, pixels."""
 
 
 def read_points(folder: Path) -> ColmapPoints | None:
@@ -41,26 +43,28 @@ def _from_binary(path: Path) -> ColmapPoints:
     if path.stat().st_size > MAX_BYTES:
         raise ModelError(f"has more than {MAX_BYTES} bytes")
     data = path.read_bytes()
-    xyz, images = [], []
+    xyz, errors, images = [], [], []
     try:
         (count,) = _COUNT.unpack_from(data)
         at = _COUNT.size
         for _ in range(count):
-            xyz.append(_POINT.unpack_from(data, at)[1:4])
+            _, x, y, z, *_, error = _POINT.unpack_from(data, at)
+            xyz.append((x, y, z))
+            errors.append(error)
             (length,) = _COUNT.unpack_from(data, at + _POINT.size)
             at += _POINT.size + _COUNT.size
             sightings = np.frombuffer(data, dtype="<u4", count=2 * length, offset=at)
             images.append(frozenset(sightings[::2].tolist()))
             at += _SIGHTING_BYTES * length
-    except (struct.error, ValueError, OverflowError) as error:
-        raise ModelError("is cut off") from error
+    except (struct.error, ValueError, OverflowError) as problem:
+        raise ModelError("is cut off") from problem
     if at != len(data):
         raise ModelError("goes on after its last point")
-    return _checked(np.array(xyz).reshape(-1, 3), images)
+    return _checked(np.array(xyz).reshape(-1, 3), np.array(errors), images)
 
 
 def _from_text(path: Path) -> ColmapPoints:
-    xyz, images = [], []
+    xyz, errors, images = [], [], []
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
             values = line.split()
@@ -68,15 +72,18 @@ def _from_text(path: Path) -> ColmapPoints:
                 continue
             try:
                 xyz.append([float(value) for value in values[1:4]])
+                errors.append(float(values[7]))
                 images.append(frozenset(int(value) for value in values[8::2]))
-            except ValueError as error:
+            except (ValueError, IndexError) as error:
                 raise ModelError(f"has a line that is no point: {line[:60]!r}") from error
     if any(len(point) != 3 for point in xyz):
         raise ModelError("has a point without three coordinates")
-    return _checked(np.array(xyz).reshape(-1, 3), images)
+    return _checked(np.array(xyz).reshape(-1, 3), np.array(errors), images)
 
 
-def _checked(xyz: Float64[ndarray, "points 3"], images: list[frozenset[int]]) -> ColmapPoints:
+def _checked(
+    xyz: Float64[ndarray, "points 3"], error: Float64[ndarray, " points"], images: list[frozenset[int]]
+) -> ColmapPoints:
     if not np.isfinite(xyz).all():
         raise ModelError("has points that are not finite")
-    return ColmapPoints(xyz, tuple(images))
+    return ColmapPoints(xyz, tuple(images), error)

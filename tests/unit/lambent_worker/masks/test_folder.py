@@ -96,7 +96,10 @@ def test_pictures_without_an_object_are_refused_with_advice(tmp_path):
     assert result.exit_code == 4
     assert "scene.mask_missing" in result.stderr
     assert "--masks" in result.stderr
-    assert not (tmp_path / "out" / "masks").exists()
+    assert "masks.jpg" in result.stderr
+    assert len(list((tmp_path / "out" / "masks").glob("*.png"))) == 12
+    with Image.open(tmp_path / "out" / "masks.jpg") as image:
+        assert (np.asarray(image)[:14].astype(int) - [190, 0, 0]).__abs__().max(axis=-1).min() < 60
 
 
 DAMAGES = {

@@ -8,7 +8,8 @@ from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
 from lambent_worker.capture_qa.page import write_capture_report
 from lambent_worker.files import write_json
-from lambent_worker.masks.folder import WrittenMasks, write_masks
+from lambent_worker.masks.folder import SHEET, WrittenMasks, write_masks
+from lambent_worker.masks.sparse import sparse_points
 from lambent_worker.messages import message_to_dict
 from lambent_worker.run.capture import (
     MANIFEST,
@@ -20,11 +21,11 @@ from lambent_worker.run.capture import (
 )
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.masks import AUTOMATIC
-from lambent_worker.run.sparse_points import sparse_points
 from lambent_worker.scenes.colmap_model import ModelError
 from lambent_worker.scenes.detect import fit_to_masks
 
-MASKS_SHEET = "masks.jpg"
+WORKSPACE = "workspace"
+"""Folder of what corrections start from."""
 BLAMED = frozenset(
     {
         "scene.pose_inconsistent",
@@ -60,30 +61,41 @@ def run(context: TaskContext) -> None:
         _check(context, folder)
         write_json(context.folder / MANIFEST, message_to_dict(manifest))
         context.reporter.checkpoint("masks", 1, context.folder)
-    context.reporter.artifact("masks.jpg", context.folder / MASKS_SHEET)
+    context.reporter.artifact(SHEET, context.folder / SHEET)
     context.progress(1, 1)
 
 
 def _estimate(context: TaskContext) -> WrittenMasks:
     spec, manifest, points = context.spec, read_manifest(context), None
     try:
-        points = sparse_points(spec.scene, found_cameras(context.run_dir), manifest)
+        points = sparse_points(spec.scene, manifest, found_cameras(context.run_dir))
     except ModelError as error:
         context.reporter.finding(
             "scene.points_unreadable",
-            f"the points of the sparse model cannot be used ({error}), so others are looked for; export the "
-            "model again",
+            f"the points of the sparse model cannot be used ({error}), so the support under the object is not "
+            "found by them; export the model again",
         )
+    phases: list[str] = []
 
-    def progress(done: int, total: int) -> None:
+    def progress(phase: str, done: int, total: int) -> None:
         context.stop_if_asked()
+        if phase not in phases:
+            phases.append(phase)
+            context.reporter.log("masks.phase", doing=phase)
         context.progress(done, total + 1)
 
-    try:
-        return write_masks(spec.scene, manifest, context.folder, progress=progress)
-    finally:
-        if (context.folder / MASKS_SHEET).is_file():
-            context.reporter.artifact("masks.jpg", context.folder / MASKS_SHEET)
+    written = write_masks(
+        spec.scene,
+        manifest,
+        context.folder,
+        progress=progress,
+        points=points,
+        keep_in=context.folder / WORKSPACE,
+    )
+    if written.reason:
+        context.reporter.artifact(SHEET, written.sheet)
+    written.require_credible()
+    return written
 
 
 def _tell(context: TaskContext, written: WrittenMasks) -> None:
@@ -91,7 +103,7 @@ def _tell(context: TaskContext, written: WrittenMasks) -> None:
     context.reporter.finding(
         "scene.mask_estimated",
         f"no picture says where the object is, so it was estimated; the views agree to "
-        f"{100.0 * written.overlap:.0f} %{doubtful}; look at {MASKS_SHEET}, and correct it with lambent "
+        f"{100.0 * written.overlap:.0f} %{doubtful}; look at {SHEET}, and correct it with lambent "
         "masks --edit or give better ones with --masks",
     )
 

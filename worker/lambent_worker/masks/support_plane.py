@@ -1,0 +1,147 @@
+"""Finds the plane that the object stands on, in the sparse points of the cameras' solution.
+
+All cameras are on one side of it, hardly any point is on the other, and many lie on it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+from numpy import ndarray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlaneSettings:
+    """Settings of the search; lengths are shares of the cameras' distance from what they look at."""
+
+    seed: int = 0
+    trials: int = 4000
+    reach: float = 1.5
+    """Points further from what the cameras look at do not count."""
+    thickness: float = 0.004
+    """Half the thickness of the plane."""
+    below: float = 4.0
+    """Points deeper than so many thicknesses are below the plane."""
+    cost_below: float = 2.0
+    """How many points on the plane one below it outweighs."""
+    side_share: float = 0.95
+    """Share of the cameras that must be on one side."""
+    min_points: int = 30
+    min_share: float = 0.04
+    """Least share of the near points that lie on the plane."""
+    min_spread: float = 0.1
+    """Least standard deviation of the points on the plane along its shorter axis; a facet of the object is
+    smaller."""
+    most_tilt: float = 0.3
+    """Least cosine between the normal and the mean direction to the cameras."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SupportPlane:
+    """A plane with coordinates on it: right-handed axes, the third is the normal on the cameras' side."""
+
+    origin: Float64[ndarray, "3"]
+    """The point of the plane below what the cameras look at."""
+    axes: Float64[ndarray, "3 3"]
+    """Rows: two unit vectors along the plane and the normal."""
+    share: float
+    """Share of the near sparse points that lie on it."""
+
+    @property
+    def normal(self) -> Float64[ndarray, "3"]:
+        """Return the unit normal, on the cameras' side."""
+        return self.axes[2]
+
+    def local(self, points: Float[ndarray, "points 3"]) -> Float64[ndarray, "points 3"]:
+        """Return points of the scene in coordinates of the plane; the third is the height above it."""
+        return (points - self.origin) @ self.axes.T
+
+    def world(self, local: Float[ndarray, "points 3"]) -> Float64[ndarray, "points 3"]:
+        """Return points in coordinates of the plane in those of the scene."""
+        return self.origin + local @ self.axes
+
+
+def find_support(
+    points: Float[ndarray, "points 3"],
+    positions: Float[ndarray, "cameras 3"],
+    centre: Float[ndarray, "3"],
+    distance: float,
+    settings: PlaneSettings | None = None,
+) -> SupportPlane | None:
+    """Return the plane of the support, or None where the points show none.
+
+    `centre` is the point the cameras look at and `distance` how far they are from it, scene units.
+    """
+    settings = settings or PlaneSettings()
+    near = points[np.linalg.norm(points - centre, axis=1) < settings.reach * distance]
+    if len(near) < settings.min_points:
+        return None
+    thickness = settings.thickness * distance
+    found = _best_trial(near, positions, centre, thickness, settings)
+    if found is None:
+        return None
+    normal, height = found
+    for _ in range(4):
+        on = near[np.abs(near @ normal - height) < thickness]
+        middle = on.mean(axis=0)
+        turned = np.linalg.svd(on - middle, full_matrices=False)[2][2]
+        normal = turned * np.sign(turned @ normal)
+        height = float(normal @ middle)
+    on_plane = np.abs(near @ normal - height) < thickness
+    if not _is_credible(near, on_plane, distance, settings):
+        return None
+    return plane_at(centre, normal, height, float(on_plane.mean()))
+
+
+def plane_at(
+    centre: Float[ndarray, "3"], normal: Float[ndarray, "3"], height: float, share: float
+) -> SupportPlane:
+    """Return the plane `normal` . x = `height` with its origin at the foot of `centre`."""
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    axes = np.stack([first, np.cross(normal, first), normal])
+    return SupportPlane(origin=centre - (normal @ centre - height) * normal, axes=axes, share=share)
+
+
+def _best_trial(
+    near: Float[ndarray, "points 3"],
+    positions: Float[ndarray, "cameras 3"],
+    centre: Float[ndarray, "3"],
+    thickness: float,
+    settings: PlaneSettings,
+) -> tuple[Float64[ndarray, "3"], float] | None:
+    generator = np.random.default_rng(settings.seed)
+    corners = near[generator.integers(0, len(near), (settings.trials, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    keep = lengths > 1e-9 * thickness**2
+    normals, corners = normals[keep] / lengths[keep, None], corners[keep]
+    heights = (normals * corners[:, 0]).sum(axis=1)
+    sides = np.sign(normals @ positions.T - heights[:, None]).sum(axis=1)
+    turn = np.where(sides < 0, -1.0, 1.0)
+    normals, heights = normals * turn[:, None], heights * turn
+    towards = (positions - centre) / np.linalg.norm(positions - centre, axis=1, keepdims=True)
+    mean = towards.mean(axis=0)
+    facing = normals @ mean >= settings.most_tilt * np.linalg.norm(mean)
+    allowed = facing & (np.abs(sides) >= (2.0 * settings.side_share - 1.0) * len(positions))
+    best, chosen = 0.0, None
+    for normal, height in zip(normals[allowed], heights[allowed], strict=True):
+        above = near @ normal - height
+        on = np.abs(above) < thickness
+        score = on.mean() - settings.cost_below * (above < -settings.below * thickness).mean()
+        if score > best:
+            best, chosen = float(score), (normal, float(height))
+    return chosen
+
+
+def _is_credible(
+    near: Float[ndarray, "points 3"],
+    on_plane: Bool[ndarray, " points"],
+    distance: float,
+    settings: PlaneSettings,
+) -> bool:
+    if on_plane.sum() < max(settings.min_points, settings.min_share * len(near)):
+        return False
+    flat = near[on_plane] - near[on_plane].mean(axis=0)
+    spread = np.linalg.svd(flat, compute_uv=False)[1] / np.sqrt(on_plane.sum())
+    return bool(spread >= settings.min_spread * distance)
