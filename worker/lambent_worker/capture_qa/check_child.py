@@ -1,7 +1,8 @@
 """The child process of `check`: reads an order on standard input, writes lines to standard output.
 
-Lines are `reading "path"` before each file is decoded; where the capture can be used `figures {CaptureFigures
-as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end `report {SceneReport}`.
+Lines are `reading "path"` before each file is decoded; `left_out ["path", ...]`; where the capture can be
+used `figures {CaptureFigures as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end
+`report {SceneReport}`.
 """
 
 import json
@@ -26,11 +27,13 @@ def main() -> None:
     """Check the folder that the order on standard input names."""
     order: dict[str, Any] = json.load(sys.stdin)
     limit_resources(order["memory_bytes"], order["cpu_s"])
-    from lambent_worker.scenes.inspect import inspect_capture
+    from lambent_worker.scenes.inspect import inspect_files
 
     folder, layout = Path(order["folder"]), order["layout"]
     masks = None if order["masks"] is None else Path(order["masks"])
-    report, manifest = inspect_capture(folder, layout, frozenset(order["killers"]), announce, masks)
+    found = inspect_files(folder, layout, frozenset(order["killers"]), announce, masks)
+    report, manifest = found.report, found.manifest
+    tell("left_out", found.left_out)
     if manifest is not None and report.usable:
         measure(folder, manifest, report)
     tell("report", MessageToDict(report))

@@ -25,7 +25,7 @@ from lambent_worker.run.folder import require_done
 from lambent_worker.run.hashes import scene_hash
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.tasks.evaluate import evaluated, subject_of
-from lambent_worker.run.tasks.ingest import read_manifest, use_own_masks
+from lambent_worker.run.tasks.ingest import left_out_of, read_manifest, use_own_masks
 from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
 from lambent_worker.scenes.detect import describe_scene
@@ -103,7 +103,7 @@ def _scene_to_compare(
     context: TaskContext, scene_dir: Path, request: EvaluationRequest
 ) -> tuple[Scene, scene_pb2.SceneManifest]:
     """Return the capture with the run's training lights, without the photographs that are not needed."""
-    full = describe_scene(scene_dir, context.spec.layout or None)
+    full = describe_scene(scene_dir, context.spec.layout or None, left_out=left_out_of(context, scene_dir))
     trained = read_manifest(context)
     trained_lights = tuple(trained.lights)
     missing = [light for light in trained_lights if light not in full.lights]

@@ -1,6 +1,8 @@
 """Detects the layout of a folder and describes it as a `SceneManifest`."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from lambent_proto.v1 import scene_pb2
 
@@ -16,6 +18,7 @@ from lambent_worker.scenes import (
 from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.frames import check_names, report_extra_files
+from lambent_worker.scenes.lost_frames import settle_lost, without_pictures
 from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
@@ -30,6 +33,8 @@ READERS = {
     for reader in (tensoir_synthetic, openillumination, glossy_synthetic, nerf_blender, nerfstudio, colmap)
 }
 LAYOUTS = tuple(READERS)
+TOLERANT_LAYOUTS = frozenset({nerf_blender.NAME, nerfstudio.NAME, colmap.NAME})
+"""Layouts in which a few pictures may be missing or broken; benchmarks with several lights are strict."""
 
 
 def detect_layout(folder: Path) -> str | None:
@@ -49,12 +54,18 @@ def require_layout(layout: str | None) -> None:
 
 
 def collect_scene(
-    folder: Path, layout: str | None, problems: Problems, masks: Path | None = None
+    folder: Path,
+    layout: str | None,
+    problems: Problems,
+    masks: Path | None = None,
+    broken: Mapping[str, scene_pb2.Finding] = MappingProxyType({}),
 ) -> scene_pb2.SceneManifest | None:
     """Return the manifest of `folder` as far as it is readable; all problems are added to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
-    `masks` is a folder of masks that override those of the layout.
+    `masks` is a folder of masks that override those of the layout. `broken` says what is wrong with pictures
+    that cannot be decoded. In `TOLERANT_LAYOUTS` frames whose pictures are missing or broken are left out
+    with a note, as long as they are few.
     """
     require_layout(layout)
     if not folder.is_dir():
@@ -71,6 +82,9 @@ def collect_scene(
         )
         return None
     capture = READERS[layout].read_capture(folder, problems)
+    capture.frames = without_pictures(capture.frames, broken, problems)
+    if layout in TOLERANT_LAYOUTS:
+        capture.other_files |= settle_lost(capture.frames, problems)
     if not capture.frames:
         if problems.usable:
             check_rig([], problems)
@@ -100,20 +114,33 @@ def collect_scene(
 
 
 def describe_scene(
-    folder: Path, layout: str | None = None, masks: Path | None = None
+    folder: Path,
+    layout: str | None = None,
+    masks: Path | None = None,
+    left_out: Sequence[str] = (),
 ) -> scene_pb2.SceneManifest:
     """Return the description of the capture in `folder`, all lights included.
 
-    `masks` is a folder of masks that override those of the layout. Where there are masks they say where the
-    object is. Raises `SceneRefusedError` with every problem that the files' names, headers, cameras and masks
-    show; other pixels are checked by `lambent_worker.capture_qa.check`.
+    `masks` is a folder of masks that override those of the layout; `left_out` names pictures that a check
+    could not decode, `CaptureCheck.left_out`. Where there are masks they say where the object is. Raises
+    `SceneRefusedError` with every problem that the files' names, headers, cameras and masks show; other
+    pixels are checked by `lambent_worker.capture_qa.check`.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems, masks)
+    broken = {path: _known_as_broken(path) for path in left_out}
+    manifest = collect_scene(folder, layout, problems, masks, broken)
     if manifest is None or not problems.usable:
         raise SceneRefusedError.of(problems.findings(), layout or "")
     fit_to_masks(folder, manifest)
     return manifest
+
+
+def _known_as_broken(path: str) -> scene_pb2.Finding:
+    return scene_pb2.Finding(
+        code="scene.image_broken",
+        message=f"{path} could not be decoded; export or copy it again",
+        subject=path,
+    )
 
 
 def fit_to_masks(folder: Path, manifest: scene_pb2.SceneManifest) -> None:

@@ -10,7 +10,7 @@ from lambent_worker.capture_qa.check_result import tell_findings
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.page import build_page
 from lambent_worker.errors import SceneRefusedError
-from lambent_worker.files import write_json
+from lambent_worker.files import file_sha256, read_record, write_json
 from lambent_worker.messages import message_to_dict, read_message
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
@@ -21,6 +21,8 @@ from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.problems import Problems
 
 ESTIMATED_FOLDER = "masks"
+LEFT_OUT = "left_out.json"
+"""Pictures that the check could not decode, with their SHA-256."""
 
 
 def run(context: TaskContext) -> None:
@@ -43,7 +45,9 @@ def run(context: TaskContext) -> None:
     (context.folder / "capture.html").write_text(page, encoding="utf-8")
     if not report.usable:
         raise SceneRefusedError(report)
-    manifest = describe_scene(spec.scene, layout, given)
+    left_out = {path: file_sha256(spec.scene / path) for path in checked.left_out}
+    write_json(context.folder / LEFT_OUT, left_out)
+    manifest = describe_scene(spec.scene, layout, given, checked.left_out)
     if spec.masks == AUTOMATIC and checked.figures is not None and not checked.figures.has_masks:
         estimated = _estimate(context, select_lights(manifest, spec.lights))
         _attach_or_refuse(manifest, spec.scene, estimated)
@@ -73,6 +77,13 @@ def _estimate(context: TaskContext, manifest: scene_pb2.SceneManifest) -> Path:
     )
     context.reporter.artifact("masks.jpg", written.sheet)
     return written.folder
+
+
+def left_out_of(context: TaskContext, folder: Path) -> list[str]:
+    """Return which pictures in `folder` are files that the run left out because they could not be decoded."""
+    known = read_record(task_folder(context.run_dir, "ingest") / LEFT_OUT)
+    there = {path: digest for path, digest in known.items() if (folder / path).is_file()}
+    return [path for path, digest in there.items() if file_sha256(folder / path) == digest]
 
 
 def own_masks(context: TaskContext) -> Path | None:
