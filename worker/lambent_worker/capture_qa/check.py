@@ -1,7 +1,8 @@
 """Checks a capture before training, in a child process with restricted rights.
 
 The child may use 2 GiB of address space, ten minutes of processor time, and cannot write files. A picture
-that crashes it is reported and left out, and the rest is checked without it.
+that crashes it is left out, and the rest is checked without it: where others make up for it, the capture can
+be used, and `CaptureCheck.left_out` tells what to leave out in training too.
 """
 
 import json
@@ -84,12 +85,15 @@ def _run_child(
         output = child.stdout
     except subprocess.TimeoutExpired as expired:
         output = (expired.stdout or b"").decode(errors="replace")
-    reading, figures, thumbnails = None, None, {}
+    reading, figures, thumbnails, left_out = None, None, {}, ()
     for line in output.splitlines():
         kind, _, rest = line.partition(" ")
         if kind == "report":
             report = json_format.Parse(rest, scene_pb2.SceneReport())
-            return CaptureCheck(report=report, figures=figures, thumbnails=thumbnails), None
+            check = CaptureCheck(report=report, figures=figures, thumbnails=thumbnails, left_out=left_out)
+            return check, None
+        if kind == "left_out":
+            left_out = tuple(str(path) for path in json.loads(rest))
         if kind == "figures":
             figures = json_format.Parse(rest, capture_pb2.CaptureFigures())
         if kind == "thumbnail":

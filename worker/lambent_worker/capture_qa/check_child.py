@@ -1,7 +1,8 @@
 """The child process of `check`: reads an order on standard input, writes lines to standard output.
 
-Lines are `reading "path"` before each file is decoded; where the capture can be used `figures {CaptureFigures
-as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end `report {SceneReport}`.
+Lines are `reading "path"` before each file is decoded; `left_out ["path", ...]`; where the capture can be
+used `figures {CaptureFigures as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end
+`report {SceneReport}`.
 """
 
 import json
@@ -26,12 +27,14 @@ def main() -> None:
     """Check the folder that the order on standard input names."""
     order: dict[str, Any] = json.load(sys.stdin)
     limit_resources(order["memory_bytes"], order["cpu_s"])
-    from lambent_worker.scenes.inspect import inspect_capture
+    from lambent_worker.scenes.inspect import inspect_files
     from lambent_worker.scenes.photographs import lacks_cameras
 
     folder, layout = Path(order["folder"]), order["layout"]
     masks, cameras = (None if order[name] is None else Path(order[name]) for name in ("masks", "cameras"))
-    report, manifest = inspect_capture(folder, layout, frozenset(order["killers"]), announce, masks, cameras)
+    found = inspect_files(folder, layout, frozenset(order["killers"]), announce, masks, cameras)
+    report, manifest = found.report, found.manifest
+    tell("left_out", found.left_out)
     if manifest is not None and report.usable and not lacks_cameras(manifest.frames):
         measure(folder, manifest, report)
     tell("report", MessageToDict(report))

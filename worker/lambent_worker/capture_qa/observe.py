@@ -16,8 +16,8 @@ from scipy import ndimage
 
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.picture_camera import PictureCamera
-from lambent_worker.scenes.float_pictures import FLOAT_SUFFIXES
-from lambent_worker.scenes.pictures import opened, read_coverage, read_pixels
+from lambent_worker.scenes.colour_profile import in_srgb
+from lambent_worker.scenes.pictures import decode, is_linear, opened, read_coverage, read_pixels
 from lambent_worker.scenes.resample import reduced_size
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
@@ -145,9 +145,10 @@ def read_small(
 ) -> tuple[UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"], ndarray, bool]:
     """Return a picture with its longer side near `side`, its alpha in 0..1, and whether it is linear.
 
-    8-bit pictures keep their encoding and are averaged in it, which is exact enough for a look.
+    8-bit pictures are averaged as they are encoded, which is exact enough for a look, and then brought to
+    sRGB. Raises `PictureError` for a picture that cannot be decoded.
     """
-    if path.suffix.lower() in FLOAT_SUFFIXES:
+    if is_linear(path):
         pixels = read_pixels(path)
         colours = pixels[..., :3] if pixels.shape[-1] >= 3 else np.repeat(pixels[..., :1], 3, axis=-1)
         alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(pixels.shape[:2], dtype=np.float32)
@@ -158,11 +159,18 @@ def read_small(
         size = reduced_size(*image.size, side)
         # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
         image.draft(None, size)
-        # Pillow would clip 16-bit grey instead of scaling it.
-        plain = Image.fromarray(read_pixels(path)[..., 0]) if image.mode.startswith("I") else image
-        plain = plain if plain.mode in ("RGB", "RGBA") else plain.convert("RGBA")
+        if image.mode.startswith("I"):  # Pillow would clip 16-bit grey instead of scaling it.
+            plain = Image.fromarray(read_pixels(path)[..., 0])
+        else:
+            decode(image)
+            direct = image.mode in ("RGB", "RGBA", "CMYK") or (
+                image.mode == "L" and not image.has_transparency_data
+            )
+            plain = image if direct else image.convert("RGBA")
         small = plain.resize(size, Image.Resampling.BOX, reducing_gap=2.0) if plain.size != size else plain
-        pixels = np.asarray(small)
+        small.info = image.info
+        small = in_srgb(small)
+        pixels = np.asarray(small if small.mode in ("RGB", "RGBA") else small.convert("RGB"))
     opaque = np.ones(pixels.shape[:2], dtype=np.float32)
     alpha = pixels[..., 3].astype(np.float32) / 255.0 if pixels.shape[-1] == 4 else opaque
     return np.ascontiguousarray(pixels[..., :3]), alpha, False

@@ -6,7 +6,7 @@ import numpy as np
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError
-from lambent_worker.files import read_record
+from lambent_worker.files import file_sha256, read_record
 from lambent_worker.messages import read_message
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
@@ -17,12 +17,21 @@ from lambent_worker.scenes.problems import Problems
 
 MANIFEST = "manifest.json"
 MASKS = "masks"
+LEFT_OUT = "left_out.json"
+"""Pictures that the check could not decode, with their SHA-256."""
 
 
 def found_cameras(run_dir: Path) -> Path | None:
     """Return the folder of the cameras that the run found, or None where its capture brought them."""
     folder = task_folder(run_dir, "cameras")
     return folder if (folder / CAMERAS_FILE).is_file() else None
+
+
+def left_out_of(context: TaskContext, folder: Path) -> list[str]:
+    """Return which pictures in `folder` are files that the run left out because they could not be decoded."""
+    known = read_record(task_folder(context.run_dir, "ingest") / LEFT_OUT)
+    there = {path: digest for path, digest in known.items() if (folder / path).is_file()}
+    return [path for path, digest in there.items() if file_sha256(folder / path) == digest]
 
 
 def needs_masks(context: TaskContext) -> bool:

@@ -20,7 +20,7 @@ from lambent_worker.files import digest, read_record, write_json
 from lambent_worker.report import protocol
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.reporter import Reporter
-from lambent_worker.run.capture import found_cameras, read_manifest, use_own_masks
+from lambent_worker.run.capture import found_cameras, left_out_of, read_manifest, use_own_masks
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import done_inputs, require_done
 from lambent_worker.run.hashes import cameras_inputs, scene_hash
@@ -104,8 +104,8 @@ def _scene_to_compare(
     context: TaskContext, scene_dir: Path, request: EvaluationRequest
 ) -> tuple[Scene, scene_pb2.SceneManifest]:
     """Return the capture with the run's training lights, without the photographs that are not needed."""
-    layout = context.spec.layout or None
-    full = describe_scene(scene_dir, layout, cameras=_cameras_for(context, scene_dir))
+    layout, cameras = context.spec.layout or None, _cameras_for(context, scene_dir)
+    full = describe_scene(scene_dir, layout, left_out=left_out_of(context, scene_dir), cameras=cameras)
     trained = read_manifest(context)
     trained_lights = tuple(trained.lights)
     missing = [light for light in trained_lights if light not in full.lights]

@@ -147,7 +147,7 @@ def _read_frame(
     try:
         size = picture_size(folder / picture)
     except PictureError as error:
-        problems.error(error.code, f"{subject}: {picture} {error}", picture)
+        problems.lost(error.code, f"{subject}: {picture} {error}", picture)
         return None
     pose = _pose(image, subject, problems)
     figures = _figures(camera, subject, problems)

@@ -1,6 +1,8 @@
 """Detects the layout of a folder and describes it as a `SceneManifest`."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from lambent_proto.v1 import scene_pb2
 
@@ -18,6 +20,7 @@ from lambent_worker.scenes.capture import Capture
 from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.frames import check_names, report_extra_files
+from lambent_worker.scenes.lost_frames import settle_lost, without_pictures
 from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
@@ -40,6 +43,8 @@ READERS = {
     )
 }
 LAYOUTS = tuple(READERS)
+TOLERANT_LAYOUTS = frozenset({nerf_blender.NAME, nerfstudio.NAME, colmap.NAME, photographs.NAME})
+"""Layouts in which a few pictures may be missing or broken; benchmarks with several lights are strict."""
 
 
 def detect_layout(folder: Path) -> str | None:
@@ -63,6 +68,7 @@ def collect_scene(
     layout: str | None,
     problems: Problems,
     masks: Path | None = None,
+    broken: Mapping[str, scene_pb2.Finding] = MappingProxyType({}),
     cameras: Path | None = None,
 ) -> scene_pb2.SceneManifest | None:
     """Return the manifest of `folder` as far as it is readable; all problems are added to `problems`.
@@ -70,6 +76,8 @@ def collect_scene(
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
     `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
     for photographs. Photographs whose cameras are not found yet have frames without cameras, and no bounds.
+    `broken` says what is wrong with pictures that cannot be decoded. In `TOLERANT_LAYOUTS` frames whose
+    pictures are missing or broken are left out with a note, as long as they are few.
     """
     require_layout(layout)
     if not folder.is_dir():
@@ -90,6 +98,9 @@ def collect_scene(
         masks = masks or photographs.folder_of_masks(folder)
     else:
         capture = READERS[layout].read_capture(folder, problems)
+    capture.frames = without_pictures(capture.frames, broken, problems)
+    if layout in TOLERANT_LAYOUTS:
+        capture.other_files |= settle_lost(capture.frames, problems)
     if not capture.frames:
         if problems.usable:
             check_rig([], problems)
@@ -137,17 +148,23 @@ def _without_cameras(
 
 
 def describe_scene(
-    folder: Path, layout: str | None = None, masks: Path | None = None, cameras: Path | None = None
+    folder: Path,
+    layout: str | None = None,
+    masks: Path | None = None,
+    left_out: Sequence[str] = (),
+    cameras: Path | None = None,
 ) -> scene_pb2.SceneManifest:
     """Return the description of the capture in `folder`, all lights included.
 
     `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
-    for photographs. Where there are masks they say where the object is. Raises `SceneRefusedError` with every
-    problem that the files' names, headers, cameras and masks show, and for photographs without cameras; other
-    pixels are checked by `lambent_worker.capture_qa.check`.
+    for photographs; `left_out` names pictures that a check could not decode, `CaptureCheck.left_out`. Where
+    there are masks they say where the object is. Raises `SceneRefusedError` with every problem that the
+    files' names, headers, cameras and masks show, and for photographs without cameras; other pixels are
+    checked by `lambent_worker.capture_qa.check`.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems, masks, cameras)
+    broken = {path: _known_as_broken(path) for path in left_out}
+    manifest = collect_scene(folder, layout, problems, masks, broken, cameras)
     if manifest is not None and photographs.lacks_cameras(manifest.frames):
         problems.error(
             "scene.cameras_missing",
@@ -158,6 +175,14 @@ def describe_scene(
         raise SceneRefusedError.of(problems.findings(), layout or "")
     fit_to_masks(folder, manifest)
     return manifest
+
+
+def _known_as_broken(path: str) -> scene_pb2.Finding:
+    return scene_pb2.Finding(
+        code="scene.image_broken",
+        message=f"{path} could not be decoded; export or copy it again",
+        subject=path,
+    )
 
 
 def fit_to_masks(folder: Path, manifest: scene_pb2.SceneManifest) -> None:

@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 from lambent_proto.v1 import scene_pb2
 
+from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import finite_number
 
 SAME = 0.01
 """Relative difference below which two exposures are the same: cameras round what they write."""
-_EXIF_FOLDER = 0x8769
-_EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,18 +49,8 @@ def exif_exposure(path: Path) -> Exposure | None:
 
     Raises `PictureError` for a file that cannot be opened.
     """
-    if path.suffix.lower() not in PILLOW_FORMATS:
-        return None
-    with opened(path) as image:
-        # PNG may store EXIF after the pixels; looking for it would decode them all.
-        if image.format == "PNG" and "exif" not in image.info:
-            return None
-        try:
-            tags = image.getexif().get_ifd(_EXIF_FOLDER)
-            time_s, f_number, iso = (_positive(tags.get(t)) for t in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
-        except Exception:  # damaged EXIF tells nothing, and the picture is still a picture
-            return None
-    found = Exposure(time_s=time_s, f_number=f_number, iso=iso)
+    facts = exif_facts(path)
+    found = Exposure(time_s=facts.time_s, f_number=facts.f_number, iso=facts.iso)
     return found if any(found.known) else None
 
 
@@ -122,14 +110,3 @@ def _exposures_of(
         except PictureError:  # reported where pictures are checked
             found[image.light] = None
     return found
-
-
-def _positive(value: object) -> float:
-    """Return an EXIF number, or 0 where it is none above 0; sensitivities may come as a list."""
-    if isinstance(value, tuple | list):
-        value = value[0] if value else 0.0
-    try:
-        number = float(value)  # type: ignore[arg-type]  # EXIF rationals know how to become floats
-    except (TypeError, ValueError, ZeroDivisionError):
-        return 0.0
-    return number if 0.0 < number < 1e9 else 0.0

@@ -47,7 +47,10 @@ def check_sizes(frames: list[scene_pb2.Frame], problems: Problems) -> None:
 def report_extra_files(
     folder: Path, frames: list[scene_pb2.Frame], known: set[str], problems: Problems
 ) -> None:
-    """Note pictures that belong to no frame."""
+    """Note pictures that belong to no frame; `known` are those that belong to the layout all the same.
+
+    Masks that are named like a picture in `known` belong to it.
+    """
     used = {image.path for frame in frames for image in frame.images}
     used |= {path for frame in frames for path in frame.truth.values()}
     used |= {frame.mask for frame in frames if frame.mask}
@@ -58,13 +61,26 @@ def report_extra_files(
         for path in sorted((folder / place).iterdir())
         if path.is_file() and path.suffix.lower() in PICTURE_SUFFIXES and not path.name.startswith(".")
     ]
-    extra = [path for path in extra if path not in used and path not in known]
+    masks = {PurePosixPath(frame.mask).parent for frame in frames if frame.mask}
+    stems = {_stem(path) for path in known}
+    extra = [
+        path
+        for path in extra
+        if path not in used
+        and path not in known
+        and not (PurePosixPath(path).parent in masks and _stem(path) in stems)
+    ]
     if extra:
         problems.warning(
             "scene.extra_file",
             f"{listed(extra)}: no frame uses this; add a camera for it or remove it",
             extra[0],
         )
+
+
+def _stem(path: str) -> str:
+    """Return the name of a file without any of its suffixes: COLMAP's masks are called `0001.jpg.png`."""
+    return PurePosixPath(path).name.split(".")[0]
 
 
 def listed(names: list[str]) -> str:

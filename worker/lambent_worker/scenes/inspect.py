@@ -1,13 +1,15 @@
 """Checks everything in a capture: cameras, every picture, and files that do not belong there."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.files import file_sha256
 from lambent_worker.scenes import glossy_synthetic, photographs
-from lambent_worker.scenes.detect import collect_scene, detect_layout
+from lambent_worker.scenes.detect import TOLERANT_LAYOUTS, collect_scene, detect_layout
+from lambent_worker.scenes.lost_frames import are_few
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size, read_coverage
 from lambent_worker.scenes.problems import Problems
@@ -28,6 +30,17 @@ UNSUPPORTED_STARTS = {
 }
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Inspection:
+    """Everything that looking at the files of a capture has shown."""
+
+    report: scene_pb2.SceneReport
+    """At most 100 findings."""
+    manifest: scene_pb2.SceneManifest | None = None
+    left_out: tuple[str, ...] = ()
+    """Pictures that cannot be decoded, whose frames are not in `manifest`."""
+
+
 def inspect_capture(
     folder: Path,
     layout: str | None = None,
@@ -36,39 +49,77 @@ def inspect_capture(
     masks: Path | None = None,
     cameras: Path | None = None,
 ) -> tuple[scene_pb2.SceneReport, scene_pb2.SceneManifest | None]:
-    """Return the report on the capture in `folder` (at most 100 findings), and the manifest it is about.
+    """Return report and manifest of `inspect_files`."""
+    inspection = inspect_files(folder, layout, skip, announce, masks, cameras)
+    return inspection.report, inspection.manifest
 
-    `skip` names files that must not be opened because they have brought a reader down; each is reported as an
-    error. `announce` is called with the path of each file before it is decoded. `masks` is a folder of masks
-    that override those of the layout, `cameras` one of cameras that were found for photographs.
+
+def inspect_files(
+    folder: Path,
+    layout: str | None = None,
+    skip: frozenset[str] = frozenset(),
+    announce: Callable[[str], None] = lambda path: None,
+    masks: Path | None = None,
+    cameras: Path | None = None,
+) -> Inspection:
+    """Return what is to be said of the capture in `folder` after decoding all of its pictures.
+
+    `skip` names files that must not be opened because they have brought a reader down; each counts as a
+    picture that cannot be decoded. `announce` is called with the path of each file before it is decoded.
+    `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
+    for photographs.
     """
     problems = Problems()
-    manifest = collect_scene(folder, layout, problems, masks, cameras)
+    manifest = collect_scene(folder, layout, problems, masks, cameras=cameras)
     if folder.is_dir():
         is_glossy = (layout or detect_layout(folder)) == glossy_synthetic.NAME
         known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
         _find_unsupported(folder, known, problems)
     if manifest is None:
         report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
-        return report, None
-    _look_at_pictures(folder, manifest, skip, announce, problems)
-    trained = sum(frame.split == scene_pb2.SPLIT_TRAIN for frame in manifest.frames)
+        return Inspection(report=report)
+    seen = Problems()
+    broken = _look_at_pictures(folder, manifest, skip, announce, seen)
+    tolerant = manifest.layout in TOLERANT_LAYOUTS
+    if broken and tolerant and are_few(len(broken), len(manifest.frames) - len(broken)):
+        problems = Problems()
+        manifest = collect_scene(folder, layout, problems, masks, broken, cameras)
+        _find_unsupported(folder, set(), problems)
+    else:
+        for finding in broken.values():
+            problems.error(finding.code, finding.message, finding.subject)
+        broken = {}
+    problems.extend(seen)
+    if manifest is not None and problems.usable and not photographs.lacks_cameras(manifest.frames):
+        announce("")
+        check_silhouettes(training_silhouettes(folder, manifest, problems), problems)
+    frames = [] if manifest is None else list(manifest.frames)
+    trained = sum(frame.split == scene_pb2.SPLIT_TRAIN for frame in frames)
     report = scene_pb2.SceneReport(
         usable=problems.usable,
-        layout=manifest.layout,
+        layout=layout or "" if manifest is None else manifest.layout,
         findings=problems.findings(),
         num_train_frames=trained,
-        num_test_frames=len(manifest.frames) - trained,
+        num_test_frames=len(frames) - trained,
     )
-    return report, manifest
+    return Inspection(report=report, manifest=manifest, left_out=tuple(broken))
 
 
 def _find_unsupported(folder: Path, known: set[Path], problems: Problems) -> None:
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p not in known):
         kind = UNSUPPORTED_SUFFIXES.get(path.suffix.lower())
         if kind is None:
-            with path.open("rb") as file:
-                start = file.read(4)
+            try:
+                with path.open("rb") as file:
+                    start = file.read(4)
+            except OSError as error:
+                name = path.relative_to(folder).as_posix()
+                problems.warning(
+                    "scene.file_unreadable",
+                    f"{name} cannot be opened ({error.strerror}); change its permissions",
+                    name,
+                )
+                continue
             kind = next((k for magic, k in UNSUPPORTED_STARTS.items() if start.startswith(magic)), None)
         if kind is not None:
             name = path.relative_to(folder).as_posix()
@@ -83,20 +134,28 @@ def _look_at_pictures(
     skip: frozenset[str],
     announce: Callable[[str], None],
     problems: Problems,
-) -> None:
+) -> dict[str, scene_pb2.Finding]:
+    """Return what is wrong with photographs that cannot be used, by path; the rest goes to `problems`."""
     seen: dict[str, str] = {}
     masked = [False]
+    broken = {}
     for frame in manifest.frames:
         for image in frame.images:
             announce(image.path)
-            facts = _look_at(folder, image.path, frame.name, skip, problems)
+            facts, fault = _look_at(folder, image.path, frame.name, skip)
             if facts is None:
+                broken[image.path] = fault
                 continue
             masked.append(facts.has_background)
+            _note_facts(facts, image.path, frame.name, problems)
             _note_duplicate(folder, image.path, frame.name, seen, problems)
         for path in frame.truth.values():
             announce(path)
-            _look_at(folder, path, frame.name, skip, problems)
+            facts, fault = _look_at(folder, path, frame.name, skip)
+            if facts is None:
+                problems.error(fault.code, fault.message, fault.subject)
+            else:
+                _note_facts(facts, path, frame.name, problems)
         if frame.mask:
             announce(frame.mask)
             masked.append(True)
@@ -109,9 +168,7 @@ def _look_at_pictures(
             "guess where the object is (lambent masks shows how well); cut the object out and save PNG with "
             "alpha, or add masks, for a better result",
         )
-    if problems.usable and not without_cameras:
-        announce("")
-        check_silhouettes(training_silhouettes(folder, manifest, problems), problems)
+    return broken
 
 
 def _note_duplicate(folder: Path, path: str, frame: str, seen: dict[str, str], problems: Problems) -> None:
@@ -128,7 +185,12 @@ def _note_duplicate(folder: Path, path: str, frame: str, seen: dict[str, str], p
 
 def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], problems: Problems) -> None:
     if frame.mask in skip:
-        _note_too_large(frame.mask, frame.name, problems)
+        problems.error(
+            "scene.image_too_large",
+            f'{frame.mask} (frame "{frame.name}") needs more memory or time than a picture may; export it '
+            "smaller",
+            frame.mask,
+        )
         return
     try:
         coverage = read_coverage(folder / frame.mask, frame.mask_encoding)
@@ -153,33 +215,31 @@ def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], pr
 
 
 def _look_at(
-    folder: Path, path: str, frame: str, skip: frozenset[str], problems: Problems
-) -> PictureFacts | None:
-    if path in skip:
-        _note_too_large(path, frame, problems)
-        return None
-    try:
-        facts = picture_facts(folder / path)
-    except PictureError as error:
-        problems.error(error.code, f'{path} (frame "{frame}") {error}', path)
-        return None
-    if not facts.is_finite:
-        problems.error(
-            "scene.image_not_finite",
-            f'{path} (frame "{frame}") holds NaN or infinity; export it again without',
-            path,
-        )
-        return None
+    folder: Path, path: str, frame: str, skip: frozenset[str]
+) -> tuple[PictureFacts | None, scene_pb2.Finding]:
+    """Return the facts about a picture, or None and what is wrong with it."""
+    facts, code = None, "scene.image_too_large"
+    reason = "needs more memory or time than a picture may; export it smaller"
+    if path not in skip:
+        try:
+            facts = picture_facts(folder / path)
+            code, reason = "scene.image_not_finite", "holds NaN or infinity; export it again without"
+        except PictureError as error:
+            code, reason = error.code, str(error)
+    if facts is not None and not facts.is_finite:
+        facts = None
+    return facts, scene_pb2.Finding(code=code, message=f'{path} (frame "{frame}") {reason}', subject=path)
+
+
+def _note_facts(facts: PictureFacts, path: str, frame: str, problems: Problems) -> None:
     if facts.is_empty:
         problems.warning(
             "scene.image_empty", f'{path} (frame "{frame}") is fully transparent; leave the frame out', path
         )
-    return facts
-
-
-def _note_too_large(path: str, frame: str, problems: Problems) -> None:
-    problems.error(
-        "scene.image_too_large",
-        f'{path} (frame "{frame}") needs more memory or time than a picture may; export it smaller',
-        path,
-    )
+    if facts.profile_fault:
+        problems.warning(
+            "scene.colour_profile",
+            f'the colour profile in {path} (frame "{frame}") cannot be used ({facts.profile_fault}), so its '
+            "colours are taken for sRGB; export it as sRGB if they look wrong",
+            path,
+        )

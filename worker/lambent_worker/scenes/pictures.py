@@ -1,22 +1,26 @@
 """Opens picture files: header first, then pixels, with a limit on how many there may be."""
 
-import importlib
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32, Shaped, UInt16
 from numpy import ndarray
 from PIL import Image
 
+from lambent_worker.scenes.colour_profile import in_srgb, profile_fault
 from lambent_worker.scenes.float_pictures import (
     FLOAT_SUFFIXES,
     MAX_FLOAT_PIXELS,
     float_picture_size,
     float_pixels,
 )
+from lambent_worker.scenes.picture_bytes import description_of_bytes, format_of_bytes
 from lambent_worker.scenes.picture_error import PictureError, reason_of
+from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_picture_size, raw_pixels
 
 MAX_PIXELS = 64 * 2**20
 """Pixels a single picture may have: 8192 x 8192."""
@@ -29,7 +33,8 @@ PILLOW_FORMATS = {
     ".webp": "WEBP",
     **dict.fromkeys(HEIF_SUFFIXES, "HEIF"),
 }
-PICTURE_SUFFIXES = (*PILLOW_FORMATS, *FLOAT_SUFFIXES)
+LINEAR_SUFFIXES = (*FLOAT_SUFFIXES, *RAW_SUFFIXES)
+PICTURE_SUFFIXES = (*PILLOW_FORMATS, *LINEAR_SUFFIXES)
 NERO_DEPTH = "nero_depth"
 """Encoding of a mask that is a depth picture of Glossy Synthetic: 65535 stands for 15 scene units."""
 NERO_BACKGROUND = 14.5
@@ -38,7 +43,12 @@ NERO_BACKGROUND = 14.5
 
 def encoding_of(path: str) -> str:
     """Return the encoding of a picture's colours, as in `Image.encoding`."""
-    return "linear" if path.lower().endswith(FLOAT_SUFFIXES) else "srgb"
+    return "linear" if path.lower().endswith(LINEAR_SUFFIXES) else "srgb"
+
+
+def is_linear(path: Path) -> bool:
+    """Return whether a file holds linear radiance as floats (EXR, HDR, raw) instead of 8-bit sRGB."""
+    return path.suffix.lower() in LINEAR_SUFFIXES
 
 
 def picture_size(path: Path) -> tuple[int, int]:
@@ -46,8 +56,9 @@ def picture_size(path: Path) -> tuple[int, int]:
 
     Raises `PictureError` for a missing file, something that is no picture, or more than `MAX_PIXELS` pixels.
     """
-    if path.suffix.lower() in FLOAT_SUFFIXES:
-        width, height = float_picture_size(path)
+    if is_linear(path):
+        is_raw = path.suffix.lower() in RAW_SUFFIXES
+        width, height = raw_picture_size(path) if is_raw else float_picture_size(path)
         limit = MAX_FLOAT_PIXELS
     else:
         with opened(path) as image:
@@ -72,6 +83,8 @@ class PictureFacts:
     """Nothing but transparent pixels."""
     has_background: bool
     """At least one pixel is transparent."""
+    profile_fault: str = ""
+    """Why its colour profile cannot be used."""
 
 
 def picture_facts(path: Path) -> PictureFacts:
@@ -79,7 +92,7 @@ def picture_facts(path: Path) -> PictureFacts:
 
     Raises `PictureError` as `read_pixels` does.
     """
-    if path.suffix.lower() in FLOAT_SUFFIXES:
+    if is_linear(path):
         pixels = read_pixels(path)
         alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(1)
         return PictureFacts(
@@ -89,23 +102,36 @@ def picture_facts(path: Path) -> PictureFacts:
         )
     picture_size(path)
     with opened(path) as image:
-        _decode(image)
+        decode(image)
         bands = image.getextrema() if len(image.getbands()) > 1 else (image.getextrema(),)
         alpha = dict(zip(image.getbands(), bands, strict=True)).get("A", (255, 255))
-    return PictureFacts(is_finite=True, is_empty=alpha[1] == 0, has_background=alpha[0] < 255)
+        fault = profile_fault(image)
+    return PictureFacts(
+        is_finite=True, is_empty=alpha[1] == 0, has_background=alpha[0] < 255, profile_fault=fault
+    )
 
 
 def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
-    """Return the pixels of a picture: 8-bit RGB(A) or grey(+alpha), or float32 for EXR and HDR.
+    """Return the pixels of a photograph: 8-bit sRGB(A) or grey(+alpha), or float32 for EXR, HDR and raw
+    files.
 
-    16-bit grey is reduced to 8 bit. Raises `PictureError` as `picture_size` does, and for files that end too
-    early or hold broken data.
+    Rows and columns are those of the file: no EXIF orientation is applied. Colours in another profile than
+    sRGB are converted, 16-bit grey is reduced to 8 bit. Raises `PictureError` as `picture_size` does, and for
+    files that end too early or hold broken data.
     """
+    if path.suffix.lower() in RAW_SUFFIXES:
+        picture_size(path)
+        return raw_pixels(path)
     if path.suffix.lower() in FLOAT_SUFFIXES:
         picture_size(path)
         return float_pixels(path)
-    pixels = _stored_pixels(path)
-    return (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
+    picture_size(path)
+    with opened(path) as image:
+        decode(image)
+        if image.mode.startswith("I"):
+            return (_sixteen_bit(image) >> 8).astype(np.uint8)
+        pixels = np.asarray(in_srgb(image))
+    return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
 def has_alpha(path: Path) -> bool:
@@ -113,7 +139,7 @@ def has_alpha(path: Path) -> bool:
 
     Raises `PictureError` as `picture_size` does.
     """
-    if path.suffix.lower() in FLOAT_SUFFIXES:
+    if is_linear(path):
         return path.suffix.lower() == ".exr" and read_pixels(path).shape[-1] == 4
     with opened(path) as image:
         return image.has_transparency_data
@@ -124,9 +150,9 @@ def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height wi
 
     That is the grey level, or the alpha where any pixel of the file is transparent; with the encoding
     `NERO_DEPTH` it is 1 where something nearer than the background is. Raises `PictureError` as `read_pixels`
-    does.
+    does. Colour profiles are ignored: the numbers are shares.
     """
-    if path.suffix.lower() in FLOAT_SUFFIXES:
+    if is_linear(path):
         pixels, full = read_pixels(path), 1.0
     else:
         pixels = _stored_pixels(path)
@@ -141,22 +167,41 @@ def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height wi
     return np.clip(grey / np.float32(full), 0.0, 1.0)
 
 
-def opened(path: Path) -> Image.Image:
-    """Return an 8-bit picture with its header read; raises `PictureError` where that cannot be done."""
+def picture_format(path: Path) -> str:
+    """Return what an 8-bit picture is by its first bytes: JPEG, PNG, WEBP or HEIF, whatever its suffix says.
+
+    Programs that copy photographs from telephones name HEIC files .jpg. Raises `PictureError` for anything
+    else.
+    """
     if not path.is_file():
         raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
     suffix = path.suffix.lower()
     if suffix not in PILLOW_FORMATS:
         raise PictureError(
             "scene.image_format",
-            f"has the unsupported suffix {suffix!r}; use PNG, JPEG, WebP, HEIC, EXR or HDR",
+            f"has the unsupported suffix {suffix!r}; use JPEG, HEIC, PNG, WebP, EXR, HDR or a camera's raw "
+            f"format",
         )
-    if suffix in HEIF_SUFFIXES:
+    with path.open("rb") as file:
+        start = file.read(16)
+    known = format_of_bytes(start)
+    if known is None:
+        raise PictureError(
+            "scene.image_not_a_picture",
+            f"is not a {PILLOW_FORMATS[suffix]} picture ({description_of_bytes(start)}); export or copy it "
+            f"again",
+        )
+    return known
+
+
+def opened(path: Path) -> Image.Image:
+    """Return an 8-bit picture with its header read; raises `PictureError` where that cannot be done."""
+    known = picture_format(path)
+    if known == "HEIF":
         _learn_heif()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            return Image.open(path, formats=[PILLOW_FORMATS[suffix]])
+        with _only_bombs_are_errors():
+            return Image.open(path, formats=[known])
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise PictureError(
             "scene.image_too_large", f"has too many pixels; the limit is {MAX_PIXELS}, so reduce it"
@@ -164,41 +209,55 @@ def opened(path: Path) -> Image.Image:
     except Exception as error:
         raise PictureError(
             "scene.image_not_a_picture",
-            f"is not a {PILLOW_FORMATS[suffix]} picture ({reason_of(error)}); export or copy it again",
+            f"is not a {known} picture ({reason_of(error)}); export or copy it again",
         ) from error
+
+
+@contextmanager
+def _only_bombs_are_errors() -> Iterator[None]:
+    """Raise Pillow's warning of too many pixels, and drop those of damaged extras, such as EXIF or a gain
+    map."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        yield
 
 
 def _learn_heif() -> None:
-    try:
-        plugin = importlib.import_module("pillow_heif")
-    except ImportError as error:
-        raise PictureError(
-            "scene.heic_unsupported",
-            "is a HEIC picture, and pillow-heif, which reads them, is not installed; run pip install "
-            "'lambent[heic]' or export the photographs as JPEG",
-        ) from error
-    plugin.register_heif_opener()
+    from pillow_heif import register_heif_opener
+
+    register_heif_opener()
 
 
 def _stored_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
-    """Return 8-bit pixels, or 16-bit ones where the file is grey with 16 bits."""
+    """Return 8-bit pixels as they are stored, or 16-bit ones where the file is grey with 16 bits."""
     picture_size(path)
     with opened(path) as image:
-        _decode(image)
+        decode(image)
         if image.mode.startswith("I"):
-            pixels = np.clip(np.asarray(image), 0, 65535).astype(np.uint16)
-        else:
-            plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
-            pixels = np.asarray(plain)
+            return _sixteen_bit(image)
+        plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
+        pixels = np.asarray(plain)
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def _decode(image: Image.Image) -> None:
+def _sixteen_bit(image: Image.Image) -> UInt16[ndarray, "height width 1"]:
+    return np.clip(np.asarray(image), 0, 65535).astype(np.uint16)[..., None]
+
+
+def decode(image: Image.Image) -> None:
+    """Decode a picture whose header was read; raises `PictureError` for broken data or another size."""
+    size = image.size
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with _only_bombs_are_errors():
             image.load()
     except Exception as error:  # Pillow's decoders raise many kinds; each means the same to the owner
         raise PictureError(
             "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
         ) from error
+    if image.size != size:
+        raise PictureError(
+            "scene.image_broken",
+            f"has {image.width} x {image.height} pixels, and its header says {size[0]} x {size[1]}; export "
+            "or copy it again",
+        )

@@ -91,11 +91,13 @@ def find_picture(folder: Path, file_path: str, subject: str, problems: Problems)
     if clean is None:
         return None
     candidates = [clean.as_posix()] if clean.suffix.lower() in PICTURE_SUFFIXES else []
-    candidates += [clean.as_posix() + suffix for suffix in PICTURE_SUFFIXES]
+    candidates += [
+        clean.as_posix() + form for suffix in PICTURE_SUFFIXES for form in (suffix, suffix.upper())
+    ]
     for candidate in candidates:
         if (folder / candidate).is_file():
             return candidate
-    problems.error(
+    problems.lost(
         "scene.file_missing",
         f"{subject}: there is no {candidates[0]} (nor another supported picture of this name); add it or "
         "remove the frame",
@@ -119,7 +121,7 @@ def read_camera(
     try:
         size = picture_size(folder / picture)
     except PictureError as error:
-        problems.error(error.code, f"{subject}: {picture} {error}", picture)
+        problems.lost(error.code, f"{subject}: {picture} {error}", picture)
         return None
     figures = _read_lens(settings, size, picture, subject, problems)
     if pose is None or figures is None:

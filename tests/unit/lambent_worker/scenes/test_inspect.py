@@ -107,7 +107,10 @@ def test_an_exr_without_a_number_in_a_pixel_is_refused(tmp_path):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"RGB": pixels}) as file:
         file.write(str(folder / "train" / "r_0.exr"))
-    assert codes(inspect_capture(folder)[0]) == ["scene.image_not_finite"]
+    report = inspect_capture(folder)[0]
+    (note,) = (f for f in report.findings if f.code == "scene.pictures_left_out")
+    assert note.subject == "train/r_0.exr"
+    assert "NaN" in note.message
 
 
 BAD_POSES = {
@@ -313,13 +316,11 @@ def test_everything_that_is_wrong_is_reported_at_once(tmp_path):
     (folder / "train" / "r_3.png").write_bytes(data[:-30])
     (folder / "model.onnx").write_bytes(b"\x08")
     report = inspect_capture(folder)[0]
-    assert set(codes(report)) == {
-        "scene.camera_missing",
-        "scene.path_unsafe",
-        "scene.image_not_a_picture",
-        "scene.image_broken",
-    }
-    assert warnings_of(report) == ["scene.unsupported_file"]
+    assert set(codes(report)) == {"scene.camera_missing", "scene.path_unsafe"}
+    assert warnings_of(report) == ["scene.pictures_left_out", "scene.unsupported_file"]
+    left_out = next(f.message for f in report.findings if f.code == "scene.pictures_left_out")
+    assert "r_2.png is not a PNG picture (it is text)" in left_out
+    assert 'r_3.png (frame "train_r_3") cannot be decoded' in left_out
 
 
 def test_a_hundred_findings_are_enough_and_errors_come_first(tmp_path):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.scenes.inspect import inspect_capture
+from lambent_worker.scenes.detect import TOLERANT_LAYOUTS
+from lambent_worker.scenes.inspect import inspect_capture, inspect_files
 from support.captures import save
 from support.layouts import LAYOUT_FOLDERS, OPENCV, BlenderFolder, LayoutFolder
 from support.uneven_object import NUM_VIEWS, SIDE, colours, coverage
@@ -33,11 +34,24 @@ def test_a_sound_capture_has_no_findings(capture):
     assert report.num_train_frames + report.num_test_frames == NUM_VIEWS
 
 
-def test_a_missing_photograph_is_an_error_that_names_it(capture):
+def test_a_missing_photograph_is_named_and_left_out_where_the_layout_allows_it(capture):
     capture.picture(3).unlink()
     finding = only_finding(capture)
-    assert finding.code == "scene.file_missing"
+    tolerant = capture.name in TOLERANT_LAYOUTS
+    assert finding.code == ("scene.frames_without_picture" if tolerant else "scene.file_missing")
     assert finding.subject.rsplit(".", maxsplit=1)[0] == capture.path(3).rsplit(".", maxsplit=1)[0]
+
+
+def test_a_photograph_that_ends_too_early_is_named_and_left_out_where_the_layout_allows_it(capture):
+    path = capture.picture(3)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    tolerant = capture.name in TOLERANT_LAYOUTS
+    inspection = inspect_files(capture.folder)
+    (finding,) = inspection.report.findings
+    assert finding.code == ("scene.pictures_left_out" if tolerant else "scene.image_broken")
+    assert finding.subject == capture.path(3)
+    assert inspection.report.usable == tolerant
+    assert inspection.left_out == ((capture.path(3),) if tolerant else ())
 
 
 def test_a_photograph_without_a_camera_is_a_note_that_names_it(capture):
@@ -102,7 +116,8 @@ def test_an_unreadable_mask_is_an_error_that_names_it(capture):
     path = capture.mask(3) or capture.picture(3)
     path.write_text("no picture")
     finding = only_finding(capture)
-    assert finding.code == "scene.image_not_a_picture"
+    lost = capture.mask(3) is None and capture.name in TOLERANT_LAYOUTS
+    assert finding.code == ("scene.pictures_left_out" if lost else "scene.image_not_a_picture")
     assert finding.subject == path.relative_to(capture.folder).as_posix()
 
 

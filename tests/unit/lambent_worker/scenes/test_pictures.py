@@ -1,7 +1,5 @@
 """Every kind of picture opens to the same pixels, and what is none is refused with a reason."""
 
-import sys
-
 import numpy as np
 import pytest
 from lambent_worker.scenes.picture_error import PictureError
@@ -10,6 +8,7 @@ from lambent_worker.scenes.pictures import (
     NERO_DEPTH,
     encoding_of,
     picture_facts,
+    picture_format,
     picture_size,
     read_coverage,
     read_pixels,
@@ -48,13 +47,57 @@ def test_an_eight_bit_picture_opens_whatever_its_format(tmp_path, suffix):
     assert not picture_facts(path).has_background
 
 
-def test_a_heic_picture_without_its_reader_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    path = tmp_path / "a.heic"
-    path.write_bytes(b"\0\0\0\x18ftypheic")
-    with pytest.raises(PictureError, match=r"pip install 'lambent\[heic\]'") as refused:
-        picture_size(path)
-    assert refused.value.code == "scene.heic_unsupported"
+@pytest.mark.parametrize(("named", "kind"), [("a.jpg", "HEIF"), ("a.png", "JPEG"), ("a.HEIC", "PNG")])
+def test_a_picture_is_read_by_its_content_whatever_its_suffix(tmp_path, named, kind):
+    import pillow_heif
+
+    pillow_heif.register_heif_opener()
+    Image.fromarray(COLOUR).save(tmp_path / named, format=kind, quality=100)
+    assert picture_format(tmp_path / named) == kind
+    assert np.abs(read_pixels(tmp_path / named)[..., :3].astype(int) - COLOUR).mean() < 10.0
+
+
+NO_PICTURES = {
+    b"": "it is empty",
+    b"GIF89a" + b"\0" * 20: "it is a GIF",
+    b"II*\0" + b"\1" * 20: "it is a TIFF or raw file",
+    b"\0\0\0\x18ftypqt  " + b"\0" * 8: "it is a video",
+    b"%PDF-1.7 ........": "it is a PDF",
+    b"no picture at all": "it is text",
+    b"\0" * 40: "it holds zeros only",
+    b"\x80\x04\x95" + b"\xff" * 20: "it begins like no picture",
+}
+
+
+@pytest.mark.parametrize(("content", "what"), NO_PICTURES.items(), ids=NO_PICTURES.values())
+def test_what_is_no_picture_is_called_what_it_is(tmp_path, content, what):
+    (tmp_path / "a.jpg").write_bytes(content)
+    with pytest.raises(PictureError, match=what) as refused:
+        read_pixels(tmp_path / "a.jpg")
+    assert refused.value.code == "scene.image_not_a_picture"
+
+
+def test_what_phones_add_to_a_jpeg_does_not_disturb(tmp_path):
+    gain_map = Image.fromarray(GREY[::2, ::2]).convert("RGB")
+    Image.fromarray(COLOUR).save(
+        tmp_path / "mpo.jpg", "MPO", save_all=True, append_images=[gain_map], quality=100
+    )
+    whole = (tmp_path / "mpo.jpg").read_bytes()
+    (tmp_path / "tail.jpg").write_bytes(whole + b"MotionPhoto_Data" * 100)
+    Image.fromarray(COLOUR).save(tmp_path / "progressive.jpg", progressive=True, quality=100)
+    damaged = whole.replace(b"MPF\0", b"MPF\0\xff\xff\xff", 1)
+    (tmp_path / "damaged.jpg").write_bytes(damaged)
+    for name in ("mpo.jpg", "tail.jpg", "progressive.jpg", "damaged.jpg"):
+        assert picture_size(tmp_path / name) == (30, 20)
+        assert np.abs(read_pixels(tmp_path / name).astype(int) - COLOUR).mean() < 10.0
+
+
+def test_sixteen_bit_colours_are_reduced_to_eight(tmp_path):
+    import cv2
+
+    deep = COLOUR.astype(np.uint16) * 257
+    cv2.imwrite(str(tmp_path / "a.png"), deep[..., ::-1])
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.png"), COLOUR)
 
 
 def test_a_radiance_picture_is_linear_and_divided_by_its_exposure(tmp_path):
@@ -109,7 +152,7 @@ def test_an_opaque_picture_is_a_mask_by_its_grey_level_and_a_cut_out_one_by_its_
 
 def test_the_suffix_of_something_else_is_refused_with_those_that_are_read(tmp_path):
     (tmp_path / "a.gif").write_bytes(b"GIF89a")
-    with pytest.raises(PictureError, match="PNG, JPEG, WebP, HEIC, EXR or HDR"):
+    with pytest.raises(PictureError, match="use JPEG, HEIC, PNG, WebP, EXR, HDR or a camera's raw format"):
         picture_size(tmp_path / "a.gif")
 
 

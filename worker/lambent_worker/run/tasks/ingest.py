@@ -4,9 +4,9 @@ from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import tell_findings
 from lambent_worker.capture_qa.page import write_capture_report
 from lambent_worker.errors import SceneRefusedError
-from lambent_worker.files import write_json
+from lambent_worker.files import file_sha256, write_json
 from lambent_worker.messages import message_to_dict
-from lambent_worker.run.capture import MANIFEST, found_cameras, own_masks
+from lambent_worker.run.capture import LEFT_OUT, MANIFEST, found_cameras, own_masks
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.masks import AUTOMATIC, given_masks
 from lambent_worker.scenes.detect import describe_scene
@@ -32,7 +32,10 @@ def run(context: TaskContext) -> None:
     write_capture_report(context.folder, spec.scene.name, checked)
     if not checked.report.usable:
         raise SceneRefusedError(checked.report)
-    manifest = select_lights(describe_scene(spec.scene, layout, given, cameras), spec.lights)
+    left_out = {path: file_sha256(spec.scene / path) for path in checked.left_out}
+    write_json(context.folder / LEFT_OUT, left_out)
+    manifest = describe_scene(spec.scene, layout, given, checked.left_out, cameras)
+    manifest = select_lights(manifest, spec.lights)
     if own_masks(context) is not None:  # Found by name when they are needed, since a run may be moved.
         for frame in manifest.frames:
             frame.mask = ""

@@ -72,7 +72,7 @@ def _estimate(context: TaskContext) -> WrittenMasks:
     except ModelError as error:
         context.reporter.finding(
             "scene.points_unreadable",
-            f"the points of the sparse model cannot be used ({error}), so the support under the object is not "
+            f"the points of the sparse model cannot be used ({error}), so the table under the object is not "
             "found by them; export the model again",
         )
     phases: list[str] = []
