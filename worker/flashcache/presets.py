@@ -92,6 +92,7 @@ def fast() -> Config:
     return Config(
         preset="fast",
         max_side=128,
+        crop="object",
         model=model,
         stage_one=StageOneConfig(
             num_steps=1200,
@@ -261,6 +262,7 @@ def standard() -> Config:
     return replace(
         paper,
         preset="standard",
+        crop=base.crop,
         space=base.space,
         model=replace(sizes, nerf=nerf),
         pixels=PixelChoice(),

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int, Int64
+from numpy import ndarray
 from scipy.ndimage import binary_dilation
 from torch import Tensor
 
-from flashcache.data.scene import Scene
+from flashcache.data.scene import Scene, View
 from flashcache.errors import ConfigError, TrainingError
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
@@ -57,34 +58,48 @@ class RayBatch:
 
 
 class TrainingPixels:
-    """All training photographs of a scene on one device, ready to be drawn from."""
+    """All training photographs of a scene on one device, ready to be drawn from.
+
+    A position counts through the pixels of all frames, row by row; what a frame shows around its picture
+    (`View.margins`) counts too, as pixels without the object, although it is not stored.
+    """
 
     def __init__(self, scene: Scene, choice: PixelChoice, device: torch.device) -> None:
-        pictures, cameras, lights, starts, inside = [], [], [], [0], []
-        for view in scene.train:
-            for light, picture in view.images.items():
-                if light not in scene.lights:
-                    continue
-                flat = torch.from_numpy(np.ascontiguousarray(picture, dtype=np.float32)).reshape(-1, 4)
-                mask = binary_dilation(picture[..., 3] > 0.0, iterations=max(choice.dilation_px, 1))
-                inside.append(torch.from_numpy(np.flatnonzero(mask)) + starts[-1])
-                pictures.append(flat)
-                cameras.append(view.camera)
-                lights.append(scene.lights.index(light))
-                starts.append(starts[-1] + len(flat))
-        if not pictures:
+        shown = [
+            (view, light, picture)
+            for view in scene.train
+            for light, picture in view.images.items()
+            if light in scene.lights
+        ]
+        if not shown:
             raise TrainingError(
                 f"scene {scene.name!r} has no training photographs under "
                 f"{', '.join(scene.lights) or 'any light'}"
             )
+        views, cameras = [view for view, _, _ in shown], [view.camera for view, _, _ in shown]
         self.choice = choice
         self.device = device
         self.scene = scene
-        self.pixels = torch.cat(pictures).to(device)
+        sizes = [_frame_size(view) for view in views]
+        starts = np.cumsum([0, *(width * height for width, height in sizes)])
+        stored = np.cumsum([0, *(camera.width * camera.height for camera in cameras)])
+        inside = [
+            torch.from_numpy(_inside(view, picture, choice.dilation_px)) + start
+            for (view, _, picture), start in zip(shown, starts[:-1].tolist(), strict=True)
+        ]
+        flat = [
+            torch.from_numpy(np.ascontiguousarray(picture, dtype=np.float32)).reshape(-1, 4)
+            for _, _, picture in shown
+        ]
+        self.pixels = torch.cat(flat).to(device)
         self.inside = torch.cat(inside).to(device)
-        self.starts = torch.tensor(starts, device=device)
-        self.width = torch.tensor([camera.width for camera in cameras], device=device)
-        self.light = torch.tensor(lights, device=device)
+        self.num_positions = int(starts[-1])
+        self.starts = torch.from_numpy(starts).to(device)
+        self.stored = torch.from_numpy(stored).to(device)
+        self.frame_width = torch.tensor([width for width, _ in sizes], device=device)
+        self.size = torch.tensor([[camera.width, camera.height] for camera in cameras], device=device)
+        self.offset = torch.tensor([[view.margins.left, view.margins.top] for view in views], device=device)
+        self.light = torch.tensor([scene.lights.index(light) for _, light, _ in shown], device=device)
         self.focal = torch.tensor(
             [[camera.focal_x, camera.focal_y] for camera in cameras], dtype=torch.float32, device=device
         )
@@ -104,23 +119,54 @@ class TrainingPixels:
         index = torch.cat(
             [
                 self.inside[randint(len(self.inside), num_inside)],
-                randint(len(self.pixels), num_rays - num_inside),
+                randint(self.num_positions, num_rays - num_inside),
             ]
         )
         # Shuffled, so that the first rays of a batch are an unbiased sample of it.
         return self.at(index[torch.randperm(num_rays, generator=generator, device=self.device)])
 
     def at(self, index: Int[Tensor, " rays"]) -> RayBatch:
-        """Return the rays of pixels given by their position in the concatenated photographs."""
+        """Return the rays of pixels given by their position in the concatenated frames."""
         image = torch.searchsorted(self.starts, index, right=True) - 1
         local = index - self.starts[image]
-        columns = (local % self.width[image]).float() + 0.5
-        rows = torch.div(local, self.width[image], rounding_mode="floor").float() + 0.5
+        width = self.frame_width[image]
+        column = local % width - self.offset[image, 0]
+        row = torch.div(local, width, rounding_mode="floor") - self.offset[image, 1]
         pose = self.pose[image]
-        directions = pixel_directions(columns, rows, self.focal[image], self.centre[image], pose)
-        values = self.pixels[index]
+        directions = pixel_directions(
+            column.float() + 0.5, row.float() + 0.5, self.focal[image], self.centre[image], pose
+        )
+        values = self._values(image, column, row)
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
         return RayBatch(rays, values[:, :3], values[:, 3], self.light[image])
+
+    def _values(
+        self, image: Int[Tensor, " rays"], column: Int[Tensor, " rays"], row: Int[Tensor, " rays"]
+    ) -> Float[Tensor, "rays 4"]:
+        """Return the stored pixels, and nothing around them."""
+        width, height = self.size[image].unbind(dim=-1)
+        stored = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        place = self.stored[image] + torch.where(stored, row * width + column, 0)
+        return self.pixels[place] * stored[:, None]
+
+
+def _frame_size(view: View) -> tuple[int, int]:
+    """Return width and height of a view's picture with its margins."""
+    margins, camera = view.margins, view.camera
+    return margins.left + camera.width + margins.right, margins.top + camera.height + margins.bottom
+
+
+def _inside(
+    view: View, picture: Float32[ndarray, "height width 4"], dilation_px: int
+) -> Int64[ndarray, " n"]:
+    """Return the positions in the frame of the pixels in and around the mask."""
+    around = max(dilation_px, 1)
+    margins = view.margins
+    left, top = min(around, margins.left), min(around, margins.top)
+    room = ((top, min(around, margins.bottom)), (left, min(around, margins.right)))
+    mask = binary_dilation(np.pad(picture[..., 3] > 0.0, room), iterations=around)
+    rows, columns = np.nonzero(mask)
+    return (rows + margins.top - top) * _frame_size(view)[0] + columns + margins.left - left
 
 
 def clip_to_scene(

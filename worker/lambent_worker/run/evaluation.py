@@ -120,7 +120,8 @@ def _scene_to_compare(
         frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST]
         del manifest.frames[:]
         manifest.frames.extend(frames)
-    return load_scene(scene_dir, manifest, max_side=request.max_side or ANY_SIZE), manifest
+    size, crop = request.max_side or ANY_SIZE, context.spec.config.crop
+    return load_scene(scene_dir, manifest, max_side=size, crop=crop), manifest
 
 
 def trained_scene(context: TaskContext) -> Scene:

@@ -12,7 +12,7 @@ TASKS = ("ingest", "cache", "joint", "evaluate", "export")
 # What a task's files depend on: the task before it, and the parts of the configuration it reads.
 PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
-    "cache": ("max_side", "space", "model", "pixels", "stage_one"),
+    "cache": ("max_side", "crop", "space", "model", "pixels", "stage_one"),
     "joint": ("stage_two",),
     "evaluate": ("evaluation",),
     "export": ("export",),
