@@ -1,10 +1,11 @@
 """Training pixels as batches of rays."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int, Int64
+from jaxtyping import Bool, Float, Float32, Int, Int64
 from numpy import ndarray
 from scipy.ndimage import binary_dilation
 from torch import Tensor
@@ -22,6 +23,9 @@ class PixelChoice:
     """Share of rays through the dilated mask, 0..1; the rest fall anywhere. 0 is uniform, as in the paper."""
     dilation_px: int = 9
     """Width by which the mask is dilated for `inside_share`, pixels."""
+    clipped: Literal["at_least", "exact"] = "exact"
+    """Values at the end of a photograph's scale: the least that the true ones may be, or, as in the paper,
+    values like all others."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.inside_share <= 1.0:
@@ -38,6 +42,8 @@ class RayBatch:
     coverage: Float[Tensor, " rays"]
     """Share of the pixel that the object covers."""
     light_index: Int[Tensor, " rays"]
+    clipped: Bool[Tensor, "rays 3"] | None = None
+    """Channels of the colour that are known to be at least so bright; None: all are values like others."""
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -49,6 +55,7 @@ class RayBatch:
             self.colour[which],
             self.coverage[which],
             self.light_index[which],
+            None if self.clipped is None else self.clipped[which],
         )
 
     def over(self, background: Float[Tensor, "*rays 3"]) -> Float[Tensor, "rays 3"]:
@@ -92,6 +99,10 @@ class TrainingPixels:
             for _, _, picture in shown
         ]
         self.pixels = torch.cat(flat).to(device)
+        self.clipped = None
+        if choice.clipped == "at_least":
+            flags = [_clipped(view, light) for view, light, _ in shown]
+            self.clipped = torch.cat(flags).to(device)
         self.inside = torch.cat(inside).to(device)
         self.num_positions = int(starts[-1])
         self.starts = torch.from_numpy(starts).to(device)
@@ -136,24 +147,32 @@ class TrainingPixels:
         directions = pixel_directions(
             column.float() + 0.5, row.float() + 0.5, self.focal[image], self.centre[image], pose
         )
-        values = self._values(image, column, row)
+        place, stored = self._places(image, column, row)
+        values = self.pixels[place] * stored[:, None]
+        clipped = None if self.clipped is None else self.clipped[place] & stored[:, None]
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
-        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image])
+        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], clipped)
 
-    def _values(
+    def _places(
         self, image: Int[Tensor, " rays"], column: Int[Tensor, " rays"], row: Int[Tensor, " rays"]
-    ) -> Float[Tensor, "rays 4"]:
-        """Return the stored pixels, and nothing around them."""
+    ) -> tuple[Int[Tensor, " rays"], Bool[Tensor, " rays"]]:
+        """Return the places of pixels among the stored ones, and which are stored; others have any place."""
         width, height = self.size[image].unbind(dim=-1)
         stored = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        place = self.stored[image] + torch.where(stored, row * width + column, 0)
-        return self.pixels[place] * stored[:, None]
+        return self.stored[image] + torch.where(stored, row * width + column, 0), stored
 
 
 def _frame_size(view: View) -> tuple[int, int]:
     """Return width and height of a view's picture with its margins."""
     margins, camera = view.margins, view.camera
     return margins.left + camera.width + margins.right, margins.top + camera.height + margins.bottom
+
+
+def _clipped(view: View, light: str) -> Bool[Tensor, "pixels 3"]:
+    """Return which channels of a view's pixels are at the end of the scale."""
+    if light in view.clipped:
+        return torch.from_numpy(np.ascontiguousarray(view.clipped[light])).reshape(-1, 3)
+    return torch.zeros(view.camera.width * view.camera.height, 3, dtype=torch.bool)
 
 
 def _inside(

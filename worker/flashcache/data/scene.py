@@ -7,7 +7,7 @@ lie at half-integer coordinates. Pictures are linear Rec. 709 with straight alph
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 from numpy import ndarray
 
 
@@ -72,6 +72,9 @@ class View:
     """Ground truth by kind: `albedo` [H, W, 4] linear with straight alpha, `normal` [H, W, 4] world xyz (zero
     where alpha is) with alpha, `roughness` (perceptual) and `metallic` [H, W, 1], `distance` [H, W, 1] in
     scene units, 0 where nothing was hit."""
+    clipped: Mapping[str, Bool[ndarray, "height width 3"]] = field(default_factory=dict)
+    """Channels of a picture that were at the end of its scale, by light: the true value is at least the
+    stored one. Lights whose picture has none are left out."""
     margins: Margins = field(default_factory=Margins)
     """What the frame shows around the pictures: nothing of the object, so it is not kept."""
 

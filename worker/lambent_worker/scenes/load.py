@@ -13,7 +13,7 @@ from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_sy
 from lambent_worker.scenes.crop import Box, object_crop, whole_frame
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
-from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_weighted
+from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
 from lambent_worker.scenes.world import rotation_and_scale, world_matrix
 
 CropRule = Literal["object", "frame"]
@@ -107,16 +107,17 @@ def _load_view(
     if cut_out:
         part = object_crop(frame.camera, alphas(folder, frame) if mask is None else [mask])
     size = reduced_size(part.camera.width, part.camera.height, max_side)
-    images = {
-        image.light: resampled_colour(
-            linear_photograph(folder, frame, image, part.file, mask), part.camera, size
-        )
-        for image in frame.images
-    }
+    images, clipped = {}, {}
+    for image in frame.images:
+        rgba, flags = linear_photograph(folder, frame, image, part.file, mask)
+        if flags is not None:
+            clipped[image.light] = resampled_flags(flags, rgba[..., 3:], part.camera, size)
+        images[image.light] = resampled_colour(rgba, part.camera, size)
     return View(
         name=frame.name,
         camera=_camera(part.camera).resized(*size),
         images=images,
+        clipped=clipped,
         truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
         margins=_margins(frame.camera, part.pinhole, size),
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from flashcache.color import linear_from_srgb
-from jaxtyping import Float32, Shaped
+from jaxtyping import Bool, Float32, Shaped, UInt8
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
@@ -19,6 +19,9 @@ from lambent_worker.scenes.coverage import alpha_of
 from lambent_worker.scenes.crop import Box
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import has_alpha, read_coverage, read_pixels
+
+CLIPPED_LEVEL = 252
+"""Encoded level of a channel from which on it may have been clipped; below 255 for the rounding of JPEG."""
 
 
 def frame_mask(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
@@ -44,11 +47,12 @@ def linear_photograph(
     image: scene_pb2.Image,
     box: Box,
     mask: Float32[ndarray, "height width"] | None,
-) -> Float32[ndarray, "rows columns 4"]:
+) -> tuple[Float32[ndarray, "rows columns 4"], Bool[ndarray, "rows columns 3"] | None]:
     """Return the part `box` of a photograph in the exposure of the first frame; only it becomes float.
 
-    `mask` is that of the frame at the size of the file. Raises `WorkerError` for a file that cannot be read,
-    and for a mask of another size.
+    `mask` is that of the frame at the size of the file. The flags say which channels of the object are at the
+    end of the scale; None where no pixel is, as in pictures of floats. Raises `WorkerError` for a file that
+    cannot be read, and for a mask of another size.
     """
     pixels = stored_pixels(folder, image.path)
     if mask is not None and mask.shape != pixels.shape[:2]:
@@ -63,7 +67,7 @@ def linear_photograph(
     if mask is not None:
         # The smaller of the two: a picture that was cut out with the same mask keeps its soft edges.
         rgba[..., 3] = np.minimum(rgba[..., 3], mask[part])
-    return rgba
+    return rgba, _clipped(pixels[part], rgba[..., 3:]) if image.encoding == "srgb" else None
 
 
 def stored_pixels(folder: Path, path: str) -> Shaped[ndarray, "height width channels"]:
@@ -77,6 +81,14 @@ def with_alpha(values: Float32[ndarray, "height width _"]) -> Float32[ndarray, "
     if values.shape[-1] == 4:
         return values
     return np.concatenate([values[..., :3], np.ones_like(values[..., :1])], axis=-1)
+
+
+def _clipped(
+    pixels: UInt8[ndarray, "height width channels"], coverage: Float32[ndarray, "height width 1"]
+) -> Bool[ndarray, "height width 3"] | None:
+    colour = pixels[..., :1] if pixels.shape[-1] <= 2 else pixels[..., :3]
+    flags = (colour >= CLIPPED_LEVEL) & (coverage > 0.0)
+    return np.broadcast_to(flags, (*flags.shape[:2], 3)) if flags.any() else None
 
 
 def _linear_rgba(

@@ -4,7 +4,7 @@ Pictures are arrays [height, width, channels] of linear values; pixel centres li
 """
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 from scipy import sparse
@@ -12,6 +12,8 @@ from scipy import sparse
 from lambent_worker.scenes.lens import distorted
 
 ROWS_AT_ONCE = 256
+FLAGGED_SHARE = 0.02
+"""A pixel that is hot, or that a lossy encoder made bright, flags nothing."""
 SUPERSAMPLING = 2
 """Maximum oversampling while distortion is removed."""
 
@@ -68,6 +70,20 @@ def resampled_colour(
     mean = resampled(values, camera, size, by_last=True)
     mean[..., :3] = np.where(mean[..., 3:] > 0.0, mean[..., :3] / np.maximum(mean[..., 3:], 1e-12), 0.0)
     return mean
+
+
+def resampled_flags(
+    flags: Bool[ndarray, "height width channels"],
+    coverage: Float32[ndarray, "height width 1"],
+    camera: scene_pb2.Camera,
+    size: tuple[int, int],
+) -> Bool[ndarray, "rows columns channels"]:
+    """Return which new pixels have the flag in more than `FLAGGED_SHARE` of what covers them."""
+    if (flags.shape[1], flags.shape[0]) == size and not camera.HasField("lens"):
+        return flags
+    values = np.concatenate([flags, coverage], axis=-1, dtype=np.float32)
+    mean = resampled(values, camera, size, by_last=True)
+    return mean[..., :-1] > FLAGGED_SHARE * mean[..., -1:]
 
 
 def resampled_weighted(

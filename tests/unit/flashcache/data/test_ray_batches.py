@@ -34,8 +34,9 @@ def cut(view: View, left: int, top: int, width: int, height: int) -> View:
     )
     part = slice(top, top + height), slice(left, left + width)
     images = {light: picture[part] for light, picture in view.images.items()}
+    clipped = {light: flags[part] for light, flags in view.clipped.items()}
     margins = Margins(left=left, top=top, right=full.width - left - width, bottom=full.height - top - height)
-    return View(name=view.name, camera=camera, images=images, margins=margins)
+    return View(name=view.name, camera=camera, images=images, clipped=clipped, margins=margins)
 
 
 def small_object(side: int = 24) -> Scene:
@@ -72,3 +73,16 @@ def test_the_margins_of_a_cut_frame_are_not_stored():
     pixels = TrainingPixels(crop, PixelChoice(), torch.device("cpu"))
     assert len(pixels.pixels) == 3 * 8 * 9
     assert pixels.num_positions == 3 * 24 * 24
+
+
+def test_clipped_channels_come_with_their_rays_if_they_are_asked_for():
+    scene = small_object()
+    flags = np.zeros((24, 24, 3), dtype=bool)
+    flags[10, 5, 1] = True
+    first = replace(scene.train[0], clipped=dict.fromkeys(scene.lights, flags))
+    crop = replace(scene, train=(cut(first, 2, 7, 8, 9), *scene.train[1:]))
+    asked = TrainingPixels(crop, PixelChoice(clipped="at_least"), torch.device("cpu"))
+    place = torch.tensor([10 * 24 + 5, 10 * 24 + 6, 24 * 24 + 10 * 24 + 5, 0])
+    assert asked.at(place).clipped.tolist() == [[False, True, False], *3 * [3 * [False]]]
+    assert asked.at(place).part(slice(0, 1)).clipped.tolist() == [[False, True, False]]
+    assert TrainingPixels(crop, PixelChoice(), torch.device("cpu")).at(place).clipped is None

@@ -275,3 +275,48 @@ def test_only_the_crop_of_a_photograph_becomes_float(tmp_path, monkeypatch):
     monkeypatch.setattr(radiance, "_linear_rgba", spy)
     load(folder, max_side=64, crop="object")
     assert set(made) == {(22, 22, 4)}
+
+
+def test_channels_at_the_end_of_the_scale_are_flagged_where_the_object_is(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((12, 12, 4), dtype=np.uint8)
+    pixels[:, :6, 3] = 255
+    pixels[2, 3, :3] = [251, 252, 255]
+    pixels[2, 9, :3] = 255  # transparent
+    save(folder / "train" / "r_0.png", pixels)
+    view = load(folder).train[0]
+    expected = np.zeros((12, 12, 3), dtype=bool)
+    expected[2, 3, 1:] = True
+    np.testing.assert_array_equal(view.clipped["capture"], expected)
+    assert view.clipped["capture"].dtype == bool
+
+
+def test_photographs_that_are_not_clipped_have_no_flags(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12, 3), 251, dtype=np.uint8))
+    assert not load(folder).train[0].clipped
+
+
+def test_a_reduced_pixel_is_clipped_if_more_than_a_speck_of_what_covers_it_was(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((120, 120, 3), dtype=np.uint8)
+    pixels[:10, :10] = 100
+    pixels[:5, 10:20] = 255
+    pixels[15, 15] = 255  # one of a hundred
+    pixels[20, :] = 255
+    save(folder / "train" / "r_0.png", pixels)
+    flags = load(folder, max_side=12).train[0].clipped["capture"]
+    assert flags[0, :3, 0].tolist() == [False, True, False]
+    assert not flags[1].any()
+    assert flags[2].all()
+
+
+def test_pictures_of_floats_have_no_end_of_the_scale(tmp_path):
+    truth = REFERENCES / "scenes" / "tensoir_synthetic"
+    exr = next(truth.rglob("*.exr"))
+    manifest = describe_scene(write_blender(tmp_path))
+    frame = manifest.frames[0]
+    frame.images[0].path, frame.images[0].encoding = str(exr.resolve()), "linear"
+    rgba, flags = radiance.linear_photograph(tmp_path, frame, frame.images[0], (0, 0, 4, 4), None)
+    assert rgba.shape == (4, 4, 4)
+    assert flags is None
