@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-from lambent_proto.v1 import scene_pb2
+from lambent_proto.v1 import capture_pb2, scene_pb2
 
 from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import tell_findings
+from lambent_worker.capture_qa.examine import examine_capture
+from lambent_worker.capture_qa.exposure_estimate import even_out_exposure
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.page import build_page
 from lambent_worker.errors import SceneRefusedError
@@ -43,12 +45,17 @@ def run(context: TaskContext) -> None:
     (context.folder / "capture.html").write_text(page, encoding="utf-8")
     if not report.usable:
         raise SceneRefusedError(report)
-    manifest = describe_scene(spec.scene, layout, given)
-    if spec.masks == AUTOMATIC and checked.figures is not None and not checked.figures.has_masks:
+    manifest, figures = describe_scene(spec.scene, layout, given), checked.figures
+    estimates = spec.masks == AUTOMATIC and figures is not None and not figures.has_masks
+    if estimates:
         estimated = _estimate(context, select_lights(manifest, spec.lights))
         _attach_or_refuse(manifest, spec.scene, estimated)
         fit_to_masks(spec.scene, manifest)
     manifest = select_lights(manifest, spec.lights)
+    if estimates:  # what is measured on the object needs to know where it is
+        figures = examine_capture(spec.scene, manifest, CaptureLimits()).figures
+    if figures is not None:
+        _even_out(context, manifest, figures)
     if own_masks(context) is not None:  # Found by name when they are needed, since a run may be moved.
         for frame in manifest.frames:
             frame.mask = ""
@@ -73,6 +80,16 @@ def _estimate(context: TaskContext, manifest: scene_pb2.SceneManifest) -> Path:
     )
     context.reporter.artifact("masks.jpg", written.sheet)
     return written.folder
+
+
+def _even_out(
+    context: TaskContext, manifest: scene_pb2.SceneManifest, figures: capture_pb2.CaptureFigures
+) -> None:
+    """Estimate exposures where they are not known, and tell the findings."""
+    problems = Problems()
+    even_out_exposure(manifest, figures, problems)
+    for finding in problems.findings():
+        context.reporter.finding(finding.code, finding.message)
 
 
 def own_masks(context: TaskContext) -> Path | None:
