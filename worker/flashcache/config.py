@@ -250,7 +250,9 @@ class Config:
 
     preset: str
     max_side: int = 800
-    """Longer photographs are reduced to this many pixels, in linear light."""
+    """Longer photographs are reduced to this many pixels, in linear light, after `crop`."""
+    crop: typing.Literal["object", "frame"] = "frame"
+    """Load the part of each photograph around the object's mask, or all of it as the paper does."""
     space: SpaceConfig = field(default_factory=SpaceConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     pixels: PixelChoice = field(default_factory=PixelChoice)

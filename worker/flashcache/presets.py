@@ -92,7 +92,9 @@ def fast() -> Config:
     return Config(
         preset="fast",
         max_side=128,
+        crop="object",
         model=model,
+        pixels=PixelChoice(clipped="at_least"),
         stage_one=StageOneConfig(
             num_steps=1200,
             num_rays=1024,
@@ -261,9 +263,10 @@ def standard() -> Config:
     return replace(
         paper,
         preset="standard",
+        crop=base.crop,
         space=base.space,
         model=replace(sizes, nerf=nerf),
-        pixels=PixelChoice(),
+        pixels=base.pixels,
         stage_one=replace(
             base.stage_one, num_steps=12_000, num_rays=4096, warmup_steps=500, distortion_weight=1e-3
         ),

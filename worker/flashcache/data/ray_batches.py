@@ -1,14 +1,16 @@
 """Training pixels as batches of rays."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Float32, Int, Int64
+from numpy import ndarray
 from scipy.ndimage import binary_dilation
 from torch import Tensor
 
-from flashcache.data.scene import Scene
+from flashcache.data.scene import Scene, View
 from flashcache.errors import ConfigError, TrainingError
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
@@ -21,6 +23,9 @@ class PixelChoice:
     """Share of rays through the dilated mask, 0..1; the rest fall anywhere. 0 is uniform, as in the paper."""
     dilation_px: int = 9
     """Width by which the mask is dilated for `inside_share`, pixels."""
+    clipped: Literal["at_least", "exact"] = "exact"
+    """Values at the end of a photograph's scale: the least that the true ones may be, or, as in the paper,
+    values like all others."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.inside_share <= 1.0:
@@ -37,6 +42,8 @@ class RayBatch:
     coverage: Float[Tensor, " rays"]
     """Share of the pixel that the object covers."""
     light_index: Int[Tensor, " rays"]
+    clipped: Bool[Tensor, "rays 3"] | None = None
+    """Channels of the colour that are known to be at least so bright; None: all are values like others."""
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -48,6 +55,7 @@ class RayBatch:
             self.colour[which],
             self.coverage[which],
             self.light_index[which],
+            None if self.clipped is None else self.clipped[which],
         )
 
     def over(self, background: Float[Tensor, "*rays 3"]) -> Float[Tensor, "rays 3"]:
@@ -57,34 +65,52 @@ class RayBatch:
 
 
 class TrainingPixels:
-    """All training photographs of a scene on one device, ready to be drawn from."""
+    """All training photographs of a scene on one device, ready to be drawn from.
+
+    A position counts through the pixels of all frames, row by row; what a frame shows around its picture
+    (`View.margins`) counts too, as pixels without the object, although it is not stored.
+    """
 
     def __init__(self, scene: Scene, choice: PixelChoice, device: torch.device) -> None:
-        pictures, cameras, lights, starts, inside = [], [], [], [0], []
-        for view in scene.train:
-            for light, picture in view.images.items():
-                if light not in scene.lights:
-                    continue
-                flat = torch.from_numpy(np.ascontiguousarray(picture, dtype=np.float32)).reshape(-1, 4)
-                mask = binary_dilation(picture[..., 3] > 0.0, iterations=max(choice.dilation_px, 1))
-                inside.append(torch.from_numpy(np.flatnonzero(mask)) + starts[-1])
-                pictures.append(flat)
-                cameras.append(view.camera)
-                lights.append(scene.lights.index(light))
-                starts.append(starts[-1] + len(flat))
-        if not pictures:
+        shown = [
+            (view, light, picture)
+            for view in scene.train
+            for light, picture in view.images.items()
+            if light in scene.lights
+        ]
+        if not shown:
             raise TrainingError(
                 f"scene {scene.name!r} has no training photographs under "
                 f"{', '.join(scene.lights) or 'any light'}"
             )
+        views, cameras = [view for view, _, _ in shown], [view.camera for view, _, _ in shown]
         self.choice = choice
         self.device = device
         self.scene = scene
-        self.pixels = torch.cat(pictures).to(device)
+        sizes = [_frame_size(view) for view in views]
+        starts = np.cumsum([0, *(width * height for width, height in sizes)])
+        stored = np.cumsum([0, *(camera.width * camera.height for camera in cameras)])
+        inside = [
+            torch.from_numpy(_inside(view, picture, choice.dilation_px)) + start
+            for (view, _, picture), start in zip(shown, starts[:-1].tolist(), strict=True)
+        ]
+        flat = [
+            torch.from_numpy(np.ascontiguousarray(picture, dtype=np.float32)).reshape(-1, 4)
+            for _, _, picture in shown
+        ]
+        self.pixels = torch.cat(flat).to(device)
+        self.clipped = None
+        if choice.clipped == "at_least":
+            flags = [_clipped(view, light) for view, light, _ in shown]
+            self.clipped = torch.cat(flags).to(device)
         self.inside = torch.cat(inside).to(device)
-        self.starts = torch.tensor(starts, device=device)
-        self.width = torch.tensor([camera.width for camera in cameras], device=device)
-        self.light = torch.tensor(lights, device=device)
+        self.num_positions = int(starts[-1])
+        self.starts = torch.from_numpy(starts).to(device)
+        self.stored = torch.from_numpy(stored).to(device)
+        self.frame_width = torch.tensor([width for width, _ in sizes], device=device)
+        self.size = torch.tensor([[camera.width, camera.height] for camera in cameras], device=device)
+        self.offset = torch.tensor([[view.margins.left, view.margins.top] for view in views], device=device)
+        self.light = torch.tensor([scene.lights.index(light) for _, light, _ in shown], device=device)
         self.focal = torch.tensor(
             [[camera.focal_x, camera.focal_y] for camera in cameras], dtype=torch.float32, device=device
         )
@@ -104,23 +130,62 @@ class TrainingPixels:
         index = torch.cat(
             [
                 self.inside[randint(len(self.inside), num_inside)],
-                randint(len(self.pixels), num_rays - num_inside),
+                randint(self.num_positions, num_rays - num_inside),
             ]
         )
         # Shuffled, so that the first rays of a batch are an unbiased sample of it.
         return self.at(index[torch.randperm(num_rays, generator=generator, device=self.device)])
 
     def at(self, index: Int[Tensor, " rays"]) -> RayBatch:
-        """Return the rays of pixels given by their position in the concatenated photographs."""
+        """Return the rays of pixels given by their position in the concatenated frames."""
         image = torch.searchsorted(self.starts, index, right=True) - 1
         local = index - self.starts[image]
-        columns = (local % self.width[image]).float() + 0.5
-        rows = torch.div(local, self.width[image], rounding_mode="floor").float() + 0.5
+        width = self.frame_width[image]
+        column = local % width - self.offset[image, 0]
+        row = torch.div(local, width, rounding_mode="floor") - self.offset[image, 1]
         pose = self.pose[image]
-        directions = pixel_directions(columns, rows, self.focal[image], self.centre[image], pose)
-        values = self.pixels[index]
+        directions = pixel_directions(
+            column.float() + 0.5, row.float() + 0.5, self.focal[image], self.centre[image], pose
+        )
+        place, stored = self._places(image, column, row)
+        values = self.pixels[place] * stored[:, None]
+        clipped = None if self.clipped is None else self.clipped[place] & stored[:, None]
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
-        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image])
+        return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], clipped)
+
+    def _places(
+        self, image: Int[Tensor, " rays"], column: Int[Tensor, " rays"], row: Int[Tensor, " rays"]
+    ) -> tuple[Int[Tensor, " rays"], Bool[Tensor, " rays"]]:
+        """Return the places of pixels among the stored ones, and which are stored; others have any place."""
+        width, height = self.size[image].unbind(dim=-1)
+        stored = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        return self.stored[image] + torch.where(stored, row * width + column, 0), stored
+
+
+def _frame_size(view: View) -> tuple[int, int]:
+    """Return width and height of a view's picture with its margins."""
+    margins, camera = view.margins, view.camera
+    return margins.left + camera.width + margins.right, margins.top + camera.height + margins.bottom
+
+
+def _clipped(view: View, light: str) -> Bool[Tensor, "pixels 3"]:
+    """Return which channels of a view's pixels are at the end of the scale."""
+    if light in view.clipped:
+        return torch.from_numpy(np.ascontiguousarray(view.clipped[light])).reshape(-1, 3)
+    return torch.zeros(view.camera.width * view.camera.height, 3, dtype=torch.bool)
+
+
+def _inside(
+    view: View, picture: Float32[ndarray, "height width 4"], dilation_px: int
+) -> Int64[ndarray, " n"]:
+    """Return the positions in the frame of the pixels in and around the mask."""
+    around = max(dilation_px, 1)
+    margins = view.margins
+    left, top = min(around, margins.left), min(around, margins.top)
+    room = ((top, min(around, margins.bottom)), (left, min(around, margins.right)))
+    mask = binary_dilation(np.pad(picture[..., 3] > 0.0, room), iterations=around)
+    rows, columns = np.nonzero(mask)
+    return (rows + margins.top - top) * _frame_size(view)[0] + columns + margins.left - left
 
 
 def clip_to_scene(

@@ -7,7 +7,7 @@ lie at half-integer coordinates. Pictures are linear Rec. 709 with straight alph
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 from numpy import ndarray
 
 
@@ -48,6 +48,16 @@ class Camera:
         )
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Margins:
+    """The part of a frame that was cut off around the object, in pixels of what is left of it."""
+
+    left: int = 0
+    top: int = 0
+    right: int = 0
+    bottom: int = 0
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class View:
     """One camera with its photographs."""
@@ -55,12 +65,18 @@ class View:
     name: str
     """Unique inside the scene; the folder name of its predictions."""
     camera: Camera
+    """The camera of the pictures: where they are cut to the object, so is this. Views differ in size."""
     images: Mapping[str, Float32[ndarray, "height width 4"]]
     """Picture by light: linear radiance in three channels, straight alpha in the fourth."""
     truth: Mapping[str, Float32[ndarray, "height width _"]] = field(default_factory=dict)
     """Ground truth by kind: `albedo` [H, W, 4] linear with straight alpha, `normal` [H, W, 4] world xyz (zero
     where alpha is) with alpha, `roughness` (perceptual) and `metallic` [H, W, 1], `distance` [H, W, 1] in
     scene units, 0 where nothing was hit."""
+    clipped: Mapping[str, Bool[ndarray, "height width 3"]] = field(default_factory=dict)
+    """Channels of a picture that were at the end of its scale, by light: the true value is at least the
+    stored one. Lights whose picture has none are left out."""
+    margins: Margins = field(default_factory=Margins)
+    """What the frame shows around the pictures: nothing of the object, so it is not kept."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ Colours are linear Rec. 709 unless a name says srgb; every result is a mean over
 """
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from flashcache.color import loss_curve
@@ -17,16 +17,31 @@ def charbonnier(difference: Tensor) -> Tensor:
     return torch.sqrt(difference.square() + CHARBONNIER_PADDING**2)
 
 
+def beyond(
+    predicted: Float[Tensor, "rays 3"],
+    photograph: Float[Tensor, "rays 3"],
+    clipped: Bool[Tensor, "rays 3"] | None,
+) -> Float[Tensor, "rays 3"]:
+    """Return predicted minus photographed linear colour in sRGB, as far as they contradict each other.
+
+    A clipped channel only says that it was at least as bright: nothing brighter contradicts it.
+    """
+    difference = loss_curve(predicted) - loss_curve(photograph)
+    if clipped is None:
+        return difference
+    return torch.where(clipped, difference.clamp_max(0.0), difference)
+
+
 def cache_photometric(
     predicted: Float[Tensor, "rays 3"],
     photograph: Float[Tensor, "rays 3"],
+    clipped: Bool[Tensor, "rays 3"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return the Charbonnier distance of two linear colours in sRGB, the loss of the NeRF cache.
 
-    Source: supplement 2.4.
+    `clipped` channels of the photograph are lower bounds. Source: supplement 2.4, which has none.
     """
-    difference = loss_curve(predicted) - loss_curve(photograph)
-    return charbonnier(difference).mean(dim=-1).mean()
+    return charbonnier(beyond(predicted, photograph, clipped)).mean(dim=-1).mean()
 
 
 def carving(
@@ -34,6 +49,7 @@ def carving(
     opacity: Float[Tensor, " rays"],
     photograph: Float[Tensor, "rays 3"],
     coverage: Float[Tensor, " rays"],
+    clipped: Bool[Tensor, "rays 3"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return the loss of the first phase, which carves away matter until the photographs agree.
 
@@ -42,7 +58,7 @@ def carving(
     Differs from the paper: see docs/decisions/0002-shape-first.md.
     """
     colour = premultiplied / opacity.clamp_min(1e-2)[:, None]
-    difference = charbonnier(loss_curve(colour) - loss_curve(photograph)).mean(dim=-1)
+    difference = charbonnier(beyond(colour, photograph, clipped)).mean(dim=-1)
     inside = difference + 0.3 * torch.relu(0.6 - opacity)
     loss = torch.where(coverage > 0.99, inside, torch.zeros_like(inside))
     loss = torch.where(coverage < 0.5, 0.3 * opacity, loss)
@@ -63,17 +79,22 @@ def physical_photometric(
     estimate_b: Float[Tensor, "rays 3"],
     cache: Float[Tensor, "rays 3"],
     ray_weight: Float[Tensor, " rays"],
+    clipped: Bool[Tensor, "rays 3"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return a loss whose mean gradient is that of the squared error of the *mean* picture.
 
     `estimate_a` carries gradients, `estimate_b` must be independent of it: with the same samples
     the expectation would gain the estimator's variance (supplement Eq. 2). The denominator is
     the tone curve of a raw-noise loss, taken from the cache so that it is free of noise.
-    Saturated channels, where the photograph is clipped and the cache is brighter, are left out.
-    The value may be negative.
+    `clipped` channels are left out where both the cache and the other estimate are brighter: the photograph
+    does not contradict that. Without `clipped`, as in the paper, they are those at white where the cache
+    is brighter than white. The value may be negative.
     """
     scale = torch.maximum(cache, photograph).detach() + 0.01
-    clipped = (photograph >= 254.0 / 255.0) & (cache.detach() > 1.0)
+    if clipped is None:
+        agreed = (photograph >= 254.0 / 255.0) & (cache.detach() > 1.0)
+    else:
+        agreed = clipped & (torch.minimum(cache, estimate_b).detach() > photograph)
     loss = 2.0 * (photograph - estimate_a) * (photograph - estimate_b).detach() / scale
-    loss = torch.where(clipped, torch.zeros_like(loss), loss)
+    loss = torch.where(agreed, torch.zeros_like(loss), loss)
     return (loss.mean(dim=-1) * ray_weight).mean()

@@ -51,7 +51,7 @@ def cache_terms(
         background = torch.rand(background.shape, generator=generator, device=background.device)
     opacity = geometry.opacity
     seen = cache + (1.0 - opacity)[:, None] * background
-    terms = {"colour": cache_photometric(seen, batch.over(background))}
+    terms = {"colour": cache_photometric(seen, batch.over(background), batch.clipped)}
     if config.mask_weight:
         terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage)
     terms |= shape_terms(
@@ -85,7 +85,7 @@ def physical_loss(
     counted = (batch.coverage > 0.0).to(cache.dtype)
     wanted = batch.colour * batch.coverage[:, None]
     share = 0.5 if config.symmetric else 1.0
-    loss = physical_photometric(wanted, picture, other.detach(), cache, counted)
+    loss = physical_photometric(wanted, picture, other.detach(), cache, counted, batch.clipped)
     return share * config.physical_weight * loss
 
 

@@ -126,12 +126,13 @@ class StageOne:
         picture = composite(geometry.weights, appearance.radiance)
         opacity = geometry.opacity
         if fraction < config.carving_share:
-            return {"carving": carving(picture, opacity, batch.colour, batch.coverage)}, picture
+            loss = carving(picture, opacity, batch.colour, batch.coverage, batch.clipped)
+            return {"carving": loss}, picture
         background = torch.ones_like(batch.colour)
         if config.random_background:
             background = torch.rand(batch.colour.shape, generator=generator, device=batch.colour.device)
         seen = picture + (1.0 - opacity)[:, None] * background
-        terms = {"colour": cache_photometric(seen, batch.over(background))}
+        terms = {"colour": cache_photometric(seen, batch.over(background), batch.clipped)}
         if config.mask_weight:
             terms["mask"] = config.mask_weight * mask_loss(opacity, batch.coverage)
         return terms, picture

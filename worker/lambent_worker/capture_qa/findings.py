@@ -125,7 +125,10 @@ def _note_masks(
 def _note_exposure(
     figures: capture_pb2.CaptureFigures, doubted: frozenset[str], limits: CaptureLimits, problems: Problems
 ) -> None:
-    advice = "fix exposure and white balance, or state the exposure of each picture"
+    advice = (
+        "fix exposure and white balance, or state the exposure of each picture; training evens out what it "
+        "can tell from how the object looks"
+    )
     if figures.exposure_range_ev > limits.drift_ev:
         problems.warning(
             "scene.exposure_drift",

@@ -92,13 +92,13 @@ def data_uri(values: Float[ndarray, "height width 3"]) -> str:
 
 
 def contact_sheet(rows: list[list[Float[ndarray, "height width 3"]]]) -> Float[ndarray, "rows columns 3"]:
-    """Return pictures of one size side by side and below each other, with white gaps."""
+    """Return pictures side by side and below each other on white, in cells of the largest one's size."""
     gap = 4
-    height, width, _ = rows[0][0].shape
+    height, width = (max(values.shape[axis] for row in rows for values in row) for axis in (0, 1))
     columns = max(len(row) for row in rows)
     sheet = np.ones((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3))
     for r, row in enumerate(rows):
         for c, values in enumerate(row):
             top, left = r * (height + gap), c * (width + gap)
-            sheet[top : top + height, left : left + width] = values
+            sheet[top : top + values.shape[0], left : left + values.shape[1]] = values
     return sheet

@@ -1,6 +1,6 @@
 """The evaluation protocol in short; docs/reference/protocol.md says the same with reasons."""
 
-VERSION = "1.2"
+VERSION = "1.3"
 """Version of docs/reference/protocol.md."""
 
 SUMMARY = (
@@ -17,6 +17,9 @@ SUMMARY = (
     "the object only (mae_mask).",
     "Relit pictures use albedo times the median ratio, under every test environment for which a map was "
     "given; relight_direct has direct light only, as the paper relights, relight adds one bounce.",
+    "Benchmark captures (views with ground truth or an unseen light, and published data sets) are compared "
+    "on whole frames; views of other captures on the part around the object that the run's setting crop "
+    "leaves.",
     "LPIPS (version 0.1, VGG or AlexNet) is computed from weights given by path, and is absent without them.",
     "OpenIllumination: pictures are multiplied by the object's mask; novel views count from a run in one "
     "light, relit pictures from a run in several; diffuse and specular objects are averaged apart.",

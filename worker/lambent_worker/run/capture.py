@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from lambent_proto.v1 import scene_pb2
+from lambent_proto.v1 import capture_pb2, scene_pb2
 
+from lambent_worker.capture_qa.exposure_estimate import even_out_exposure
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import file_sha256, read_record
 from lambent_worker.messages import read_message
@@ -80,6 +81,16 @@ def use_own_masks(
     ):
         return
     attach_or_refuse(manifest, folder, masks)
+
+
+def even_out(
+    context: TaskContext, manifest: scene_pb2.SceneManifest, figures: capture_pb2.CaptureFigures
+) -> None:
+    """Estimate exposures in `manifest` where they are not known, and tell the findings."""
+    problems = Problems()
+    even_out_exposure(manifest, figures, problems)
+    for finding in problems.findings():
+        context.reporter.finding(finding.code, finding.message)
 
 
 def attach_or_refuse(manifest: scene_pb2.SceneManifest, folder: Path, masks: Path) -> None:

@@ -15,6 +15,7 @@ from lambent_relight.environment.maps import load_environment
 from lambent_relight.errors import RelightError
 from numpy import ndarray
 
+from lambent_worker.capture_qa.exposure_estimate import adopt_exposures
 from lambent_worker.errors import UsageError
 from lambent_worker.files import digest, read_record, write_json
 from lambent_worker.report import protocol
@@ -118,11 +119,13 @@ def _scene_to_compare(
     manifest = select_lights(full, trained_lights)
     in_world(manifest, world_matrix(trained))
     use_own_masks(context, scene_dir, manifest, trained)
+    adopt_exposures(manifest.frames, trained.frames)
     if any(frame.split == scene_pb2.SPLIT_TEST for frame in manifest.frames):
         frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST]
         del manifest.frames[:]
         manifest.frames.extend(frames)
-    return load_scene(scene_dir, manifest, max_side=request.max_side or ANY_SIZE), manifest
+    size, crop = request.max_side or ANY_SIZE, context.spec.config.crop
+    return load_scene(scene_dir, manifest, max_side=size, crop=crop), manifest
 
 
 def _cameras_for(context: TaskContext, scene_dir: Path) -> Path | None:

@@ -16,7 +16,7 @@ PREPARATION = ("cameras", "ingest", "masks")
 # Masks that are estimated depend on nothing but what `ingest` depends on.
 PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
-    "cache": ("max_side", "space", "model", "pixels", "stage_one"),
+    "cache": ("max_side", "crop", "space", "model", "pixels", "stage_one"),
     "joint": ("stage_two",),
     "evaluate": ("evaluation",),
     "export": ("export",),

@@ -26,13 +26,18 @@ def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "he
     """
     alpha = None
     if has_alpha(folder / frame.images[0].path):
-        pixels = read_pixels(folder / frame.images[0].path)
-        full = 255.0 if pixels.dtype == np.uint8 else 1.0
-        alpha = np.clip(pixels[..., -1].astype(np.float32) / np.float32(full), 0.0, 1.0)
+        alpha = alpha_of(folder / frame.images[0].path)
     if not frame.mask:
         return alpha
     mask = read_coverage(folder / frame.mask, frame.mask_encoding)
     return mask if alpha is None or alpha.shape != mask.shape else np.minimum(alpha, mask)
+
+
+def alpha_of(path: Path) -> Float32[ndarray, "height width"]:
+    """Return the alpha of a picture that has one, from 0 to 1. Raises `PictureError`."""
+    pixels = read_pixels(path)
+    full = 255.0 if pixels.dtype == np.uint8 else 1.0
+    return np.clip(pixels[..., -1].astype(np.float32) / np.float32(full), 0.0, 1.0)
 
 
 def small_coverage(

@@ -1,21 +1,23 @@
 """Loads the pictures of a described capture into memory, reduced and in linear light."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
-import torch
-from flashcache.color import linear_from_srgb
-from flashcache.data.scene import Camera, Scene, View
+from flashcache.data.scene import Camera, Margins, Scene, View
 from jaxtyping import Float32, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
-from lambent_worker.errors import WorkerError
+from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_synthetic
+from lambent_worker.scenes.crop import Box, object_crop, whole_frame
 from lambent_worker.scenes.lights import select_lights
-from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import read_coverage, read_pixels
-from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_weighted
+from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
+from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
 from lambent_worker.scenes.world import rotation_and_scale, world_matrix
+
+CropRule = Literal["object", "frame"]
+BENCHMARK_LAYOUTS = (tensoir_synthetic.NAME, openillumination.NAME, glossy_synthetic.NAME)
 
 
 def load_scene(
@@ -24,10 +26,12 @@ def load_scene(
     *,
     max_side: int,
     lights: tuple[str, ...] | None = None,
+    crop: CropRule = "frame",
 ) -> Scene:
     """Return the capture in memory: linear radiance, straight alpha, no side longer than `max_side` pixels.
 
-    `lights` chooses training lights by name; all lights of `manifest` by default. Larger pictures are
+    `lights` chooses training lights by name; all lights of `manifest` by default. With the crop "object"
+    photographs and cameras are first cut to the object (`is_cut_out` says which). Larger pictures are
     averaged over the area of each new pixel, in linear light and weighted by alpha, and pictures through a
     lens with distortion are resampled to the frame's pinhole camera. Ground truth is loaded
     for test views only, since training must not see it. A frame's mask limits the alpha of its photographs,
@@ -36,7 +40,15 @@ def load_scene(
     """
     manifest = select_lights(manifest, lights or tuple(manifest.lights))
     world = world_matrix(manifest)
-    views = [(frame.split, _load_view(folder, frame, max_side, world)) for frame in manifest.frames]
+    views = [
+        (
+            frame.split,
+            _load_view(
+                folder, frame, max_side, world, cut_out=crop == "object" and is_cut_out(manifest, frame)
+            ),
+        )
+        for frame in manifest.frames
+    ]
     return Scene(
         name=manifest.name,
         lights=tuple(manifest.lights),
@@ -51,9 +63,25 @@ def load_scene(
     )
 
 
+def is_cut_out(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> bool:
+    """Return whether a frame may be cut to the object: all but test frames that benchmarks are measured on.
+
+    Those have ground truth, show a light that no training frame has, or belong to a published data set; they
+    keep their whole frames, so that figures mean what they mean elsewhere.
+    """
+    return frame.split != scene_pb2.SPLIT_TEST or not (
+        frame.truth
+        or manifest.layout in BENCHMARK_LAYOUTS
+        or any(image.light in manifest.relight_lights for image in frame.images)
+    )
+
+
 def camera_of(frame: scene_pb2.Frame) -> Camera:
     """Return the camera of a frame as it is used in memory."""
-    camera = frame.camera
+    return _camera(frame.camera)
+
+
+def _camera(camera: scene_pb2.Camera) -> Camera:
     return Camera(
         width=camera.width,
         height=camera.height,
@@ -65,58 +93,45 @@ def camera_of(frame: scene_pb2.Frame) -> Camera:
     )
 
 
-def _load_view(folder: Path, frame: scene_pb2.Frame, max_side: int, world: Float64[ndarray, "4 4"]) -> View:
-    size = reduced_size(frame.camera.width, frame.camera.height, max_side)
-    images = {
-        image.light: resampled_colour(_photograph(folder, frame, image), frame.camera, size)
-        for image in frame.images
-    }
+def _load_view(
+    folder: Path,
+    frame: scene_pb2.Frame,
+    max_side: int,
+    world: Float64[ndarray, "4 4"],
+    *,
+    cut_out: bool,
+) -> View:
+    """Return a view; only one photograph at a time is in memory at its full size."""
+    mask = frame_mask(folder, frame)
+    part = whole_frame(frame.camera)
+    if cut_out:
+        part = object_crop(frame.camera, alphas(folder, frame) if mask is None else [mask])
+    size = reduced_size(part.camera.width, part.camera.height, max_side)
+    images, clipped = {}, {}
+    for image in frame.images:
+        rgba, flags = linear_photograph(folder, frame, image, part.file, mask)
+        if flags is not None:
+            clipped[image.light] = resampled_flags(flags, rgba[..., 3:], part.camera, size)
+        images[image.light] = resampled_colour(rgba, part.camera, size)
     return View(
         name=frame.name,
-        camera=camera_of(frame).resized(*size),
+        camera=_camera(part.camera).resized(*size),
         images=images,
+        clipped=clipped,
         truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
+        margins=_margins(frame.camera, part.pinhole, size),
     )
 
 
-def _pixels(folder: Path, path: str) -> ndarray:
-    try:
-        return read_pixels(folder / path)
-    except PictureError as error:
-        raise WorkerError(error.code, f"{path} {error}") from error
-
-
-def _photograph(
-    folder: Path, frame: scene_pb2.Frame, image: scene_pb2.Image
-) -> Float32[ndarray, "height width 4"]:
-    rgba = _linear_rgba(folder, image.path, image.encoding)
-    rgba[..., :3] *= np.float32(frame.exposure or 1.0)
-    if frame.mask:
-        try:
-            coverage = read_coverage(folder / frame.mask, frame.mask_encoding)
-        except PictureError as error:
-            raise WorkerError(error.code, f"{frame.mask} {error}") from error
-        if coverage.shape != rgba.shape[:2]:
-            raise WorkerError(
-                "scene.mask_size",
-                f"{frame.mask} has {coverage.shape[1]} x {coverage.shape[0]} pixels, {image.path} has "
-                f"{rgba.shape[1]} x {rgba.shape[0]}; make them one size",
-            )
-        # The smaller of the two: a picture that was cut out with the same mask keeps its soft edges.
-        rgba[..., 3] = np.minimum(rgba[..., 3], coverage)
-    return rgba
-
-
-def _linear_rgba(folder: Path, path: str, encoding: str) -> Float32[ndarray, "height width 4"]:
-    pixels = _pixels(folder, path)
-    if pixels.shape[-1] <= 2:  # grey, perhaps with alpha
-        pixels = np.concatenate([np.repeat(pixels[..., :1], 3, axis=-1), pixels[..., 1:]], axis=-1)
-    if encoding == "srgb":
-        curve = linear_from_srgb(torch.arange(256) / 255.0).numpy()
-        rgb, alpha = curve[pixels[..., :3]], pixels[..., 3:].astype(np.float32) / 255.0
-    else:
-        rgb, alpha = pixels[..., :3], pixels[..., 3:]
-    return _with_alpha(np.concatenate([rgb, alpha], axis=-1)).astype(np.float32)
+def _margins(camera: scene_pb2.Camera, box: Box, size: tuple[int, int]) -> Margins:
+    """Return the whole pixels of a frame around its crop `box`, which has `size` pixels after reducing."""
+    across, down = size[0] / (box[2] - box[0]), size[1] / (box[3] - box[1])
+    return Margins(
+        left=int(box[0] * across),
+        top=int(box[1] * down),
+        right=int((camera.width - box[2]) * across),
+        bottom=int((camera.height - box[3]) * down),
+    )
 
 
 def _load_truth(
@@ -128,11 +143,11 @@ def _load_truth(
     for kind in ("albedo", "normal", "roughness", "metallic", "distance"):
         if kind not in frame.truth:
             continue
-        values = _pixels(folder, frame.truth[kind])
+        values = stored_pixels(folder, frame.truth[kind])
         if values.dtype == np.uint8:
             values = values.astype(np.float32) / 255.0
         if kind in ("albedo", "normal"):
-            values = _with_alpha(values)
+            values = with_alpha(values)
             coverage = values[..., 3:]
             if kind == "normal":
                 values = np.concatenate([values[..., :3] * 2.0 - 1.0, coverage], axis=-1)
@@ -148,9 +163,3 @@ def _load_truth(
             values = values * scale if kind == "distance" else values
         truth[kind] = np.ascontiguousarray(values, dtype=np.float32)
     return truth
-
-
-def _with_alpha(values: Float32[ndarray, "height width _"]) -> Float32[ndarray, "height width 4"]:
-    if values.shape[-1] == 4:
-        return values
-    return np.concatenate([values[..., :3], np.ones_like(values[..., :1])], axis=-1)

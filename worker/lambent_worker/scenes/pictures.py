@@ -163,7 +163,7 @@ def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height wi
     if channels in (2, 4) and (pixels[..., -1] < full).any():
         grey = pixels[..., -1].astype(np.float32)
     else:
-        grey = pixels[..., : 3 if channels >= 3 else 1].astype(np.float32).mean(axis=-1)
+        grey = pixels[..., : 3 if channels >= 3 else 1].mean(axis=-1, dtype=np.float32)
     return np.clip(grey / np.float32(full), 0.0, 1.0)
 
 

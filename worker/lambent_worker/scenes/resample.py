@@ -4,13 +4,16 @@ Pictures are arrays [height, width, channels] of linear values; pixel centres li
 """
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
+from scipy import sparse
 
 from lambent_worker.scenes.lens import distorted
 
 ROWS_AT_ONCE = 256
+FLAGGED_SHARE = 0.02
+"""A pixel that is hot, or that a lossy encoder made bright, flags nothing."""
 SUPERSAMPLING = 2
 """Maximum oversampling while distortion is removed."""
 
@@ -32,19 +35,30 @@ def area_weights(source: int, target: int) -> Float64[ndarray, "target source"]:
 
 
 def resampled(
-    values: Float32[ndarray, "height width channels"], camera: scene_pb2.Camera, size: tuple[int, int]
+    values: Float32[ndarray, "height width channels"],
+    camera: scene_pb2.Camera,
+    size: tuple[int, int],
+    *,
+    by_last: bool = False,
 ) -> Float32[ndarray, "rows columns channels"]:
     """Return a picture as the pinhole `camera` shows it, with `size` = (width, height) pixels.
 
-    Each new pixel is the average over its area; where the camera states a lens, distortion is undone.
+    Each new pixel is the average over its area; where the camera states a lens, distortion is undone. With
+    `by_last` all other channels are multiplied by the last one first.
     """
     if camera.HasField("lens"):
-        work = tuple(
-            source if source <= SUPERSAMPLING * target else SUPERSAMPLING * target
-            for source, target in zip((values.shape[1], values.shape[0]), size, strict=True)
+        work = [
+            min(source, SUPERSAMPLING * target)
+            for source, target in zip((camera.width, camera.height), size, strict=True)
+        ]
+        stored = tuple(
+            round(values.shape[axis] * side / source)
+            for axis, side, source in ((1, work[0], camera.width), (0, work[1], camera.height))
         )
-        values = _straightened(averaged(values, (work[0], work[1])), camera)
-    return averaged(values, size)
+        values = averaged(values, (stored[0], stored[1]), by_last=by_last)
+        values = _straightened(values, camera, (work[0], work[1]))
+        by_last = False
+    return averaged(values, size, by_last=by_last)
 
 
 def resampled_colour(
@@ -53,10 +67,23 @@ def resampled_colour(
     """Return `resampled` with three channels weighted by the fourth, which is coverage."""
     if (values.shape[1], values.shape[0]) == size and not camera.HasField("lens"):
         return values
-    premultiplied = np.concatenate([values[..., :3] * values[..., 3:], values[..., 3:]], axis=-1)
-    mean = resampled(premultiplied, camera, size)
+    mean = resampled(values, camera, size, by_last=True)
     mean[..., :3] = np.where(mean[..., 3:] > 0.0, mean[..., :3] / np.maximum(mean[..., 3:], 1e-12), 0.0)
     return mean
+
+
+def resampled_flags(
+    flags: Bool[ndarray, "height width channels"],
+    coverage: Float32[ndarray, "height width 1"],
+    camera: scene_pb2.Camera,
+    size: tuple[int, int],
+) -> Bool[ndarray, "rows columns channels"]:
+    """Return which new pixels have the flag in more than `FLAGGED_SHARE` of what covers them."""
+    if (flags.shape[1], flags.shape[0]) == size and not camera.HasField("lens"):
+        return flags
+    values = np.concatenate([flags, coverage], axis=-1, dtype=np.float32)
+    mean = resampled(values, camera, size, by_last=True)
+    return mean[..., :-1] > FLAGGED_SHARE * mean[..., -1:]
 
 
 def resampled_weighted(
@@ -72,33 +99,54 @@ def resampled_weighted(
 
 
 def averaged(
-    values: Float32[ndarray, "height width channels"], size: tuple[int, int]
+    values: Float32[ndarray, "height width channels"], size: tuple[int, int], *, by_last: bool = False
 ) -> Float32[ndarray, "rows columns channels"]:
-    """Return a picture with `size` = (width, height) pixels, each the mean over its area."""
-    if (values.shape[1], values.shape[0]) == size:
-        return values
-    rows = area_weights(values.shape[0], size[1])
-    columns = area_weights(values.shape[1], size[0])
-    return np.einsum("rh,hwc,kw->rkc", rows, values.astype(np.float64), columns, optimize=True).astype(
-        np.float32
-    )
+    """Return a picture with `size` = (width, height) pixels, each the mean over its area.
+
+    With `by_last` all other channels are multiplied by the last one first. Sums have double precision, over a
+    band of the picture at a time: photographs may be too large for a second copy.
+    """
+    height, width, channels = values.shape
+    if (width, height) == size:
+        return _multiplied(values) if by_last else values
+    rows = sparse.csr_array(area_weights(height, size[1]))
+    columns = sparse.csr_array(area_weights(width, size[0]))
+    result = np.empty((size[1], size[0], channels), dtype=np.float32)
+    step = max(1, ROWS_AT_ONCE * size[1] // height)
+    for start in range(0, size[1], step):
+        weights = rows[start : start + step]
+        first, last = int(weights.indices.min()), int(weights.indices.max()) + 1
+        band = values[first:last]
+        band = (_multiplied(band) if by_last else band).astype(np.float64)
+        shorter = weights[:, first:last] @ band.reshape(last - first, width * channels)
+        across = shorter.reshape(-1, width, channels).transpose(1, 0, 2).reshape(width, -1)
+        mean = (columns @ across).reshape(size[0], -1, channels)
+        result[start : start + step] = mean.transpose(1, 0, 2)
+    return result
+
+
+def _multiplied(
+    values: Float32[ndarray, "height width channels"],
+) -> Float32[ndarray, "height width channels"]:
+    """Return a picture whose last channel has been multiplied into the others."""
+    return np.concatenate([values[..., :-1] * values[..., -1:], values[..., -1:]], axis=-1)
 
 
 def _straightened(
-    values: Float32[ndarray, "height width channels"], camera: scene_pb2.Camera
-) -> Float32[ndarray, "height width channels"]:
-    """Return the pinhole's picture with as many pixels as `values`, looked up between the lens' pixels."""
-    height, width = values.shape[:2]
+    values: Float32[ndarray, "height width channels"], camera: scene_pb2.Camera, size: tuple[int, int]
+) -> Float32[ndarray, "rows columns channels"]:
+    """Return the pinhole's picture, `size` = (width, height), looked up between the lens' pixels."""
+    width, height = size
     lens = camera.lens
     x = ((np.arange(width) + 0.5) * camera.width / width - camera.centre_x) / camera.focal_x
-    result = np.empty_like(values)
+    result = np.empty((height, width, values.shape[2]), dtype=np.float32)
     for start in range(0, height, ROWS_AT_ONCE):
         rows = np.arange(start, min(start + ROWS_AT_ONCE, height)) + 0.5
         y = (rows * camera.height / height - camera.centre_y) / camera.focal_y
         grid_x, grid_y = np.meshgrid(x, y)
         seen_x, seen_y = distorted(grid_x, grid_y, np.array(lens.distortion))
-        columns = (lens.focal_x * seen_x + lens.centre_x) * width / lens.width - 0.5
-        lines = (lens.focal_y * seen_y + lens.centre_y) * height / lens.height - 0.5
+        columns = (lens.focal_x * seen_x + lens.centre_x) * values.shape[1] / lens.width - 0.5
+        lines = (lens.focal_y * seen_y + lens.centre_y) * values.shape[0] / lens.height - 0.5
         result[start : start + len(rows)] = _bilinear(values, columns, lines)
     return result
 

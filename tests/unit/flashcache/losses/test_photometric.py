@@ -1,3 +1,4 @@
+import pytest
 import torch
 from flashcache.color import linear_from_srgb
 from flashcache.losses.photometric import (
@@ -71,3 +72,62 @@ def test_only_the_first_estimate_gets_a_gradient():
     assert first.grad is not None
     assert second.grad is None
     assert cache.grad is None
+
+
+def test_a_clipped_channel_lets_the_cache_be_brighter_and_not_darker():
+    photograph = torch.full((4, 3), 0.95)
+    predicted = torch.tensor([[3.0, 0.5, 3.0]]).repeat(4, 1).requires_grad_()
+    clipped = torch.tensor([[True, True, False]]).expand(4, 3)
+    cache_photometric(predicted, photograph, clipped).backward()
+    assert predicted.grad[0].sign().tolist() == [0.0, -1.0, 1.0]
+
+
+def test_flags_without_a_clipped_channel_change_nothing():
+    predicted, photograph, none = 2.0 * colours(1), colours(2), torch.zeros(4, 3, dtype=torch.bool)
+    given = colours(3), colours(4), colours(5), colours(6), ONES
+    assert cache_photometric(predicted, photograph, none) == cache_photometric(predicted, photograph)
+    assert physical_photometric(*given, none) == physical_photometric(*given)
+    assert carving(predicted, ONES, photograph, ONES, none) == carving(predicted, ONES, photograph, ONES)
+
+
+def test_carving_lets_a_clipped_channel_be_brighter():
+    photograph, clipped = torch.full((4, 3), 0.95), torch.tensor([[True, False, True]]).expand(4, 3)
+    colour = torch.full((4, 3), 2.0, requires_grad=True)
+    carving(colour, ONES, photograph, ONES, clipped).backward()
+    assert colour.grad[0].sign().tolist() == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("cache", "other", "sign"), [(2.0, 2.0, 0.0), (2.0, 0.5, -1.0), (0.5, 2.0, 1.0), (0.5, 0.5, -1.0)]
+)
+def test_a_clipped_channel_is_left_out_where_cache_and_estimate_agree_that_it_was_brighter(
+    cache, other, sign
+):
+    photograph, clipped = torch.full((4, 3), 0.95), torch.ones(4, 3, dtype=torch.bool)
+    estimate = torch.full((4, 3), 1.5, requires_grad=True)
+    others = torch.full((4, 3), other), torch.full((4, 3), cache)
+    physical_photometric(photograph, estimate, *others, ONES, clipped).backward()
+    assert (estimate.grad.sign() == sign).all()
+
+
+def test_white_of_a_brightened_photograph_is_a_value_like_others_where_flags_are_known():
+    # 1.5 is what a photograph shows that was exposed half as long as the first: nothing is clipped.
+    photograph, cache = torch.full((4, 3), 1.5), torch.full((4, 3), 2.0)
+    estimate = torch.full((4, 3), 2.0, requires_grad=True)
+    none = torch.zeros(4, 3, dtype=torch.bool)
+    physical_photometric(photograph, estimate, estimate.detach(), cache, ONES, none).backward()
+    assert (estimate.grad > 0.0).all()
+
+
+@pytest.mark.parametrize(("flagged", "low", "high"), [(True, 2.95, 3.05), (False, 0.9, 1.1)])
+def test_a_highlight_that_one_photograph_shows_unclipped_gets_its_true_brightness(flagged, low, high):
+    # Radiance 3; three photographs are clipped at 1, and one was exposed a quarter as long, clipped at 4.
+    photograph = torch.tensor([1.0, 1.0, 1.0, 3.0])[:, None].expand(4, 3)
+    clipped = torch.tensor([True, True, True, False])[:, None].expand(4, 3) if flagged else None
+    radiance = torch.full((3,), 0.5, requires_grad=True)
+    optimiser = torch.optim.Adam([radiance], lr=0.05)
+    for _ in range(200):
+        optimiser.zero_grad()
+        cache_photometric(radiance.expand(4, 3), photograph, clipped).backward()
+        optimiser.step()
+    assert low < float(radiance.detach().min()) <= float(radiance.detach().max()) < high

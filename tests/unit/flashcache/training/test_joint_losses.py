@@ -1,6 +1,9 @@
+from dataclasses import replace
+
+import pytest
 import torch
 from flashcache.physical.shading import Estimate, ShadingPoints
-from flashcache.training.joint_losses import consistency_terms, physical_loss
+from flashcache.training.joint_losses import cache_terms, consistency_terms, physical_loss
 from support.joint_stage import stage
 
 
@@ -13,6 +16,25 @@ def test_where_nothing_is_covered_the_physical_picture_does_not_count():
     picture.requires_grad_()
     physical_loss(made.config, batch, cache, picture, other).backward()
     assert torch.equal(picture.grad.abs().sum(dim=-1) > 0.0, ~outside)
+
+
+def test_neither_picture_is_too_bright_for_a_photograph_that_is_clipped_everywhere():
+    made = stage()
+    batch = made.pixels.draw(40, torch.Generator().manual_seed(0))
+    batch = replace(batch, colour=0.0 * batch.colour, coverage=torch.ones(40))
+    cache, picture, other = 0.1 + torch.rand(3, 40, 3, generator=torch.Generator().manual_seed(1))
+    geometry = made.model.nerf.trace(batch.rays, generator=None)
+    found = []
+    for clipped in (torch.ones(40, 3, dtype=torch.bool), None):
+        given = replace(batch, clipped=clipped)
+        terms = cache_terms(
+            made.model, made.config, given, geometry, cache, torch.Generator(), with_normals=False
+        )
+        physical = physical_loss(made.config, given, cache, picture, other)
+        found.append((float(terms["colour"].detach()), float(physical)))
+    assert found[0] == (pytest.approx(1e-3), 0.0)
+    assert found[1][0] > 0.1
+    assert found[1][1] > 0.0
 
 
 def test_each_head_of_the_cache_is_taught_by_the_estimate_of_the_same_name():

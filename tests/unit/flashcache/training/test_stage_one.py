@@ -36,3 +36,15 @@ def test_radiance_depends_on_direction_only_after_the_share_of_the_steps_that_wa
         made.step()
         moved.append(bool(reflection.grad.any()))
     assert moved == [False, True]
+
+
+@pytest.mark.parametrize("carving_share", [0.0, 1.0])
+def test_nothing_is_too_bright_for_a_photograph_that_is_clipped_everywhere(carving_share):
+    made = stage_one(num_steps=100, carving_share=carving_share)
+    batch = made.pixels.draw(16, torch.Generator().manual_seed(0))
+    black = replace(batch, colour=0.0 * batch.colour, coverage=torch.ones(16))
+    losses = []
+    for clipped in (torch.ones(16, 3, dtype=torch.bool), None):
+        _, (terms, _) = made._losses(made.model, replace(black, clipped=clipped), 0)
+        losses.append(terms["carving" if carving_share else "colour"])
+    assert losses[1] > losses[0] + 0.05

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.capture_qa.examine import measure
+from lambent_worker.capture_qa.exposure_estimate import even_out_exposure
 from lambent_worker.capture_qa.findings import note_findings
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.observe import Observation, observe
@@ -151,6 +152,28 @@ def test_an_exposure_that_creeps_up_is_one_finding(sample):
     steps = np.linspace(0.0, 1.2, len(observations))
     crept = [relit(each, ev) for each, ev in zip(observations, steps, strict=True)]
     assert findings(crept, manifest) == [("scene.exposure_drift", "")]
+
+
+@pytest.mark.parametrize("layout", ["nerf_blender", "tensoir_synthetic"])
+def test_exposures_that_photographs_do_not_state_are_found_from_what_they_show(sample, layout):
+    observations, manifest = sample
+    own = scene_pb2.SceneManifest()
+    own.CopyFrom(manifest)
+    own.layout = layout
+    changes = 0.5 * np.random.default_rng(0).standard_normal(len(observations))
+    figures = measure([relit(s, ev) for s, ev in zip(observations, changes, strict=True)], own, LIMITS)
+    even_out_exposure(own, figures, Problems())
+    rest = changes + np.log2([frame.exposure for frame in own.frames])
+    assert rest.std() == pytest.approx(changes.std() if layout == "tensoir_synthetic" else 0.05, abs=0.03)
+
+
+def test_exposures_that_are_one_stay_one(sample):
+    observations, manifest = sample
+    own = scene_pb2.SceneManifest()
+    own.CopyFrom(manifest)
+    own.layout = "nerf_blender"
+    even_out_exposure(own, measure(observations, own, LIMITS), Problems())
+    assert {frame.exposure for frame in own.frames} == {1.0}
 
 
 def test_poses_that_are_all_a_little_wrong_are_one_finding(sample):

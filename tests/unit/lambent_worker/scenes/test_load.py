@@ -5,9 +5,10 @@ import pytest
 from flashcache.evaluation.metrics import over_white
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.errors import WorkerError
+from lambent_worker.scenes import radiance
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
-from support.captures import REFERENCES, save, write_blender
+from support.captures import REFERENCES, save, write_blender, write_tensoir
 
 SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
 
@@ -193,3 +194,129 @@ def test_exr_pictures_are_taken_as_linear(tmp_path):
     assert manifest.frames[0].images[0].encoding == "linear"
     assert manifest.frames[0].split == scene_pb2.SPLIT_TRAIN
     np.testing.assert_array_equal(load(folder).train[0].images["capture"][0, 0], [2.5, 2.5, 2.5, 1.0])
+
+
+def blender_with_object(tmp_path, columns=slice(40, 60), rows=slice(30, 50), side=120):
+    """Write a capture in which the object covers a small part of every photograph; each pixel is its own."""
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((side, side, 4), dtype=np.uint8)
+    pixels[..., 0], pixels[..., 1] = np.arange(side), np.arange(side)[:, None]
+    pixels[rows, columns, 3] = 255
+    for path in folder.rglob("*.png"):
+        save(path, pixels)
+    return folder
+
+
+def test_the_size_counts_pixels_of_the_object_and_not_of_the_frame(tmp_path):
+    folder = blender_with_object(tmp_path, slice(20, 100), slice(30, 90))
+    frame, crop = load(folder, max_side=44).train[0], load(folder, max_side=44, crop="object").train[0]
+    assert frame.images["capture"].shape == (44, 44, 4)
+    assert crop.images["capture"].shape[:2] == (crop.camera.height, crop.camera.width) == (34, 44)
+    assert crop.images["capture"][..., 3].sum() > 1.5 * frame.images["capture"][..., 3].sum()
+    assert crop.camera.focal_x > 1.2 * frame.camera.focal_x
+
+
+def test_a_small_object_is_cut_out_and_not_enlarged(tmp_path):
+    folder = blender_with_object(tmp_path)
+    whole, crop = load(folder).train[0], load(folder, max_side=64, crop="object").train[0]
+    margins = crop.margins
+    assert crop.images["capture"].shape == (22, 22, 4)
+    assert (margins.left, margins.top, margins.right, margins.bottom) == (39, 29, 59, 69)
+    np.testing.assert_array_equal(crop.images["capture"], whole.images["capture"][29:51, 39:61])
+    assert crop.camera.centre_x == pytest.approx(whole.camera.centre_x - 39)
+    assert crop.camera.focal_x == pytest.approx(whole.camera.focal_x)
+
+
+def test_photographs_of_several_sizes_each_keep_their_object(tmp_path):
+    folder = blender_with_object(tmp_path, slice(20, 100), slice(30, 90))
+    small = np.zeros((60, 60, 4), dtype=np.uint8)
+    small[10:40, 5:45] = 255
+    save(folder / "train" / "r_1.png", small)
+    manifest = describe_scene(folder)
+    manifest.frames[1].camera.width = manifest.frames[1].camera.height = 60
+    scene = load_scene(folder, manifest, max_side=30, crop="object")
+    assert {view.camera.width for view in scene.train} == {30}
+    for view in scene.train:
+        assert view.images["capture"].shape[:2] == (view.camera.height, view.camera.width)
+        assert view.images["capture"][..., 3].max() == 1.0
+
+
+def test_test_views_are_cut_out_unless_benchmarks_are_measured_on_them(tmp_path):
+    real = load(blender_with_object(tmp_path / "real"), crop="object")
+    assert real.test[0].camera.width == 22
+    synthetic = write_tensoir(tmp_path / "synthetic")
+    for path in synthetic.rglob("*.png"):
+        pixels = np.zeros((12, 12, 4), dtype=np.uint8)
+        pixels[5:7, 5:7] = 255
+        save(path, pixels)
+    truth = load(synthetic, crop="object").test[0]
+    assert (truth.camera.width, truth.margins.left) == (12, 0)
+
+
+def test_a_frame_with_truth_keeps_its_whole_picture_in_any_layout(tmp_path):
+    folder = blender_with_object(tmp_path)
+    manifest = describe_scene(folder)
+    frame = next(frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST)
+    frame.truth["albedo"] = frame.images[0].path
+    scene = load_scene(folder, manifest, max_side=1000, crop="object")
+    assert [view.camera.width for view in scene.test] == [120, 22]
+
+
+def test_only_the_crop_of_a_photograph_becomes_float(tmp_path, monkeypatch):
+    folder = blender_with_object(tmp_path)
+    made = []
+
+    def spy(pixels, encoding):
+        assert pixels.dtype == np.uint8
+        made.append(pixels.shape)
+        return convert(pixels, encoding)
+
+    convert = radiance._linear_rgba
+    monkeypatch.setattr(radiance, "_linear_rgba", spy)
+    load(folder, max_side=64, crop="object")
+    assert set(made) == {(22, 22, 4)}
+
+
+def test_channels_at_the_end_of_the_scale_are_flagged_where_the_object_is(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((12, 12, 4), dtype=np.uint8)
+    pixels[:, :6, 3] = 255
+    pixels[2, 3, :3] = [251, 252, 255]
+    pixels[2, 9, :3] = 255  # transparent
+    save(folder / "train" / "r_0.png", pixels)
+    view = load(folder).train[0]
+    expected = np.zeros((12, 12, 3), dtype=bool)
+    expected[2, 3, 1:] = True
+    np.testing.assert_array_equal(view.clipped["capture"], expected)
+    assert view.clipped["capture"].dtype == bool
+
+
+def test_photographs_that_are_not_clipped_have_no_flags(tmp_path):
+    folder = write_blender(tmp_path)
+    save(folder / "train" / "r_0.png", np.full((12, 12, 3), 251, dtype=np.uint8))
+    assert not load(folder).train[0].clipped
+
+
+def test_a_reduced_pixel_is_clipped_if_more_than_a_speck_of_what_covers_it_was(tmp_path):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((120, 120, 3), dtype=np.uint8)
+    pixels[:10, :10] = 100
+    pixels[:5, 10:20] = 255
+    pixels[15, 15] = 255  # one of a hundred
+    pixels[20, :] = 255
+    save(folder / "train" / "r_0.png", pixels)
+    flags = load(folder, max_side=12).train[0].clipped["capture"]
+    assert flags[0, :3, 0].tolist() == [False, True, False]
+    assert not flags[1].any()
+    assert flags[2].all()
+
+
+def test_pictures_of_floats_have_no_end_of_the_scale(tmp_path):
+    truth = REFERENCES / "scenes" / "tensoir_synthetic"
+    exr = next(truth.rglob("*.exr"))
+    manifest = describe_scene(write_blender(tmp_path))
+    frame = manifest.frames[0]
+    frame.images[0].path, frame.images[0].encoding = str(exr.resolve()), "linear"
+    rgba, flags = radiance.linear_photograph(tmp_path, frame, frame.images[0], (0, 0, 4, 4), None)
+    assert rgba.shape == (4, 4, 4)
+    assert flags is None

@@ -15,6 +15,7 @@ from lambent_worker.run.capture import (
     MANIFEST,
     MASKS,
     attach_or_refuse,
+    even_out,
     found_cameras,
     needs_masks,
     read_manifest,
@@ -56,9 +57,11 @@ def run(context: TaskContext) -> None:
         manifest = read_manifest(context)
         attach_or_refuse(manifest, context.spec.scene, folder)
         fit_to_masks(context.spec.scene, manifest)
+        checked = _check(context, folder)
+        if checked.figures is not None:
+            even_out(context, manifest, checked.figures)
         for frame in manifest.frames:
             frame.mask = ""
-        _check(context, folder)
         write_json(context.folder / MANIFEST, message_to_dict(manifest))
         context.reporter.checkpoint("masks", 1, context.folder)
     context.reporter.artifact(SHEET, context.folder / SHEET)
@@ -108,12 +111,13 @@ def _tell(context: TaskContext, written: WrittenMasks) -> None:
     )
 
 
-def _check(context: TaskContext, masks: Path) -> None:
-    """Check the capture with the estimated masks, and tell what that adds to what was told before."""
+def _check(context: TaskContext, masks: Path) -> CaptureCheck:
+    """Return a check of the capture with the estimated masks, after telling what that adds."""
     spec = context.spec
     checked = check_capture(spec.scene, spec.layout or None, masks, found_cameras(context.run_dir))
     write_capture_report(context.folder, spec.scene.name, checked)
     tell_findings(context.reporter, blaming_masks(checked))
+    return checked
 
 
 def blaming_masks(checked: CaptureCheck) -> list[scene_pb2.Finding]:

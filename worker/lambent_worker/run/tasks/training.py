@@ -39,8 +39,10 @@ SKIPPED_SHARE_LIMIT = 0.05
 
 def read_scene(context: TaskContext) -> Scene:
     """Return the capture of the run, loaded at the preset's size."""
-    scene = load_scene(context.spec.scene, read_manifest(context), max_side=context.spec.config.max_side)
-    return placed(scene, context.spec.config.space)
+    config = context.spec.config
+    manifest = read_manifest(context)
+    scene = load_scene(context.spec.scene, manifest, max_side=config.max_side, crop=config.crop)
+    return placed(scene, config.space)
 
 
 def domain_for(context: TaskContext, scene: Scene) -> Domain:
