@@ -176,6 +176,7 @@ class Progress(Shown):
     steps_per_s: float
     loss: float
     psnr: float
+    doing: str = ""
 
 
 class JobError(Shown):

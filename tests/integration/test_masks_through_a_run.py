@@ -8,6 +8,7 @@ from lambent_proto.v1 import scene_pb2
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run.evaluation import _scene_to_compare
+from lambent_worker.run.hashes import PREPARATION
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.spec import RunSpec
@@ -26,7 +27,7 @@ def ingest(tmp_path, **options):
     """Run the first task alone; return the run's context and what was reported."""
     spec = RunSpec.from_options(tmp_path / "scene", preset="tiny", **options)
     reporter = RecordingReporter()
-    run_pipeline(spec, tmp_path / "run", "cpu", reporter, ("ingest",))
+    run_pipeline(spec, tmp_path / "run", "cpu", reporter, PREPARATION)
     return open_task(tmp_path / "run", "cache", reporter), reporter
 
 
@@ -53,7 +54,7 @@ def test_given_masks_are_kept_with_the_run_and_cut_its_photographs(tmp_path):
 
 def test_without_masks_they_are_estimated_and_shown_and_used_by_evaluation(tmp_path):
     true = write_ball_photographs(tmp_path / "scene")
-    context, reporter = ingest(tmp_path)
+    context, reporter = ingest(tmp_path, overrides={"crop": "frame"})
     assert "scene.mask_estimated" in {call["code"] for call in reporter.named("finding")}
     (sheet,) = reporter.named("artifact")
     assert sheet["path"].is_file()

@@ -77,6 +77,7 @@ class ConsoleReporter:
             "progress",
             stage=progress.stage,
             step=progress.step,
+            doing=progress.doing,
             num_steps=progress.num_steps,
             fraction=round(progress.fraction, 5),
             eta_s=round(progress.eta_s, 1),
@@ -142,7 +143,8 @@ class ConsoleReporter:
 
 def describe_progress(progress: job_pb2.Progress) -> str:
     """Return step, time to go and PSNR (dB) as words; what is unknown (zero) is left out."""
-    parts = [f"step {progress.step}/{progress.num_steps}"] if progress.num_steps > 1 else []
+    what = progress.doing or "step"
+    parts = [f"{what} {progress.step}/{progress.num_steps}"] if progress.num_steps > 1 else []
     if progress.eta_s > 0.0:
         parts.append(f"{format_duration(progress.eta_s)} to go")
     if progress.psnr > 0.0:

@@ -49,6 +49,8 @@ class Progress(_Message):
     steps_per_s: float = 0.0
     loss: float = 0.0
     psnr: float = 0.0
+    doing: str = ""
+    """What the steps are of, where a task does several things: "matching pairs"."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,6 +14,7 @@ const progress: Progress = {
   steps_per_s: 1,
   loss: 0.5,
   psnr: 12,
+  doing: "",
 };
 
 function job(values: Partial<Job> = {}): Job {
@@ -159,7 +160,7 @@ describe("stages", () => {
 
   it("are told in words, also those of jobs that train nothing", () => {
     const told = (stage: string): string =>
-      progressText(job({ state: "running", progress: { ...progress, stage, psnr: 0, eta_s: 0 } }));
+      progressText(job({ state: "running", progress: { ...progress, stage, psnr: 0, doing: "", eta_s: 0 } }));
     expect(told("joint")).toBe("training materials and light · step 1 of 10");
     expect(told("contact_sheet")).toBe("laying out the contact sheet · step 1 of 10");
   });

@@ -61,7 +61,7 @@ class JobSpec(_message.Message):
     def __init__(self, scene_id: _Optional[str] = ..., preset: _Optional[str] = ..., params: _Optional[_Mapping[str, str]] = ..., gpus: _Optional[int] = ..., priority: _Optional[int] = ..., labels: _Optional[_Mapping[str, str]] = ..., kind: _Optional[str] = ..., seed: _Optional[int] = ...) -> None: ...
 
 class Progress(_message.Message):
-    __slots__ = ("stage", "step", "num_steps", "fraction", "eta_s", "steps_per_s", "loss", "psnr")
+    __slots__ = ("stage", "step", "num_steps", "fraction", "eta_s", "steps_per_s", "loss", "psnr", "doing")
     STAGE_FIELD_NUMBER: _ClassVar[int]
     STEP_FIELD_NUMBER: _ClassVar[int]
     NUM_STEPS_FIELD_NUMBER: _ClassVar[int]
@@ -70,6 +70,7 @@ class Progress(_message.Message):
     STEPS_PER_S_FIELD_NUMBER: _ClassVar[int]
     LOSS_FIELD_NUMBER: _ClassVar[int]
     PSNR_FIELD_NUMBER: _ClassVar[int]
+    DOING_FIELD_NUMBER: _ClassVar[int]
     stage: str
     step: int
     num_steps: int
@@ -78,7 +79,8 @@ class Progress(_message.Message):
     steps_per_s: float
     loss: float
     psnr: float
-    def __init__(self, stage: _Optional[str] = ..., step: _Optional[int] = ..., num_steps: _Optional[int] = ..., fraction: _Optional[float] = ..., eta_s: _Optional[float] = ..., steps_per_s: _Optional[float] = ..., loss: _Optional[float] = ..., psnr: _Optional[float] = ...) -> None: ...
+    doing: str
+    def __init__(self, stage: _Optional[str] = ..., step: _Optional[int] = ..., num_steps: _Optional[int] = ..., fraction: _Optional[float] = ..., eta_s: _Optional[float] = ..., steps_per_s: _Optional[float] = ..., loss: _Optional[float] = ..., psnr: _Optional[float] = ..., doing: _Optional[str] = ...) -> None: ...
 
 class Event(_message.Message):
     __slots__ = ("job_id", "seq", "at", "type", "run", "state", "progress", "message", "sha256", "name")

@@ -61,10 +61,23 @@ class TaskContext:
         return task_folder(self.run_dir, self.task)
 
     def progress(
-        self, step: int, num_steps: int, *, steps_per_s: float = 0.0, loss: float = 0.0, psnr: float = 0.0
+        self,
+        step: int,
+        num_steps: int,
+        *,
+        doing: str = "",
+        part: tuple[float, float] = (0.0, 1.0),
+        steps_per_s: float = 0.0,
+        loss: float = 0.0,
+        psnr: float = 0.0,
     ) -> None:
-        """Tell the reporter how far this task is; works out the job's fraction and time to go."""
-        fraction = step / max(num_steps, 1)
+        """Tell the reporter how far this task is; works out the job's fraction and time to go.
+
+        Where a task does several things, `doing` says which one the steps are of, and `part` from which share
+        of the task, 0..1, to which it reaches.
+        """
+        begin, end = part
+        fraction = begin + (end - begin) * step / max(num_steps, 1)
         self.reporter.progress(
             Progress(
                 stage=self.task,
@@ -72,6 +85,7 @@ class TaskContext:
                 num_steps=num_steps,
                 fraction=self.clock.job_fraction(fraction),
                 eta_s=self.clock.eta_s(fraction),
+                doing=doing,
                 steps_per_s=steps_per_s,
                 loss=loss,
                 psnr=psnr,

@@ -44,7 +44,8 @@ def describe(progress: Progress) -> str:
     """Return stage, step, share, ETA and PSNR in one line, leaving out what does not apply."""
     parts = [progress.stage or "starting"]
     if progress.num_steps:
-        parts.append(f"{progress.step}/{progress.num_steps}")
+        doing = f"{progress.doing} " if progress.doing else ""
+        parts.append(f"{doing}{progress.step}/{progress.num_steps}")
     return "  ".join([*parts, f"{100 * progress.fraction:.0f} %", *_outlook(progress)])
 
 
@@ -140,7 +141,8 @@ class BarView(Live):
     def _move(self, task: Any, job_id: str, progress: Progress) -> None:
         if not progress.stage:
             return
-        steps = [f"step {progress.step}/{progress.num_steps}"] if progress.num_steps else []
+        what = progress.doing or "step"
+        steps = [f"{what} {progress.step}/{progress.num_steps}"] if progress.num_steps else []
         self._bars.update(
             task,
             completed=progress.fraction,

@@ -753,6 +753,11 @@ export interface components {
          * @description Mirrors lambent_proto.v1.Progress.
          */
         Progress: {
+            /**
+             * Doing
+             * @default
+             */
+            doing: string;
             /** Eta S */
             eta_s: number;
             /** Fraction */

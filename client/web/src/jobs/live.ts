@@ -58,7 +58,8 @@ export function stageList(): Part {
         row.bar.hidden = state !== "now";
         if (state === "now" && progress !== null) {
           row.bar.value = progress.num_steps > 0 ? progress.step / progress.num_steps : 0;
-          const steps = progress.num_steps > 1 ? `${progress.step} of ${progress.num_steps}` : "";
+          const doing = progress.doing === "" ? "" : `${progress.doing} `;
+          const steps = progress.num_steps > 1 ? `${doing}${progress.step} of ${progress.num_steps}` : "";
           const speed = progress.steps_per_s > 0 ? ` · ${progress.steps_per_s.toFixed(1)} a second` : "";
           setText(row.time, `${steps}${speed}`);
         } else {

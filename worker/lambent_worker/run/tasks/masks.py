@@ -25,6 +25,8 @@ from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.scenes.colmap_model import ModelError
 from lambent_worker.scenes.detect import fit_to_masks
 
+PARTS = {"reading photographs": (0.0, 0.2), "comparing the views": (0.2, 0.5), "drawing outlines": (0.5, 0.9)}
+"""Shares of the task's time by phase of the estimate."""
 WORKSPACE = "workspace"
 """Folder of what corrections start from."""
 BLAMED = frozenset(
@@ -78,14 +80,10 @@ def _estimate(context: TaskContext) -> WrittenMasks:
             f"the points of the sparse model cannot be used ({error}), so the table under the object is not "
             "found by them; export the model again",
         )
-    phases: list[str] = []
 
     def progress(phase: str, done: int, total: int) -> None:
         context.stop_if_asked()
-        if phase not in phases:
-            phases.append(phase)
-            context.reporter.log("masks.phase", doing=phase)
-        context.progress(done, total + 1)
+        context.progress(done, total, doing=phase, part=PARTS[phase])
 
     written = write_masks(
         spec.scene,
