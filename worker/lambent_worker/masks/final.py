@@ -9,6 +9,7 @@ from numpy import ndarray
 from scipy import ndimage
 
 from lambent_worker.masks import evidence
+from lambent_worker.masks.corrections import reduced_seeds
 from lambent_worker.masks.cut import LIMIT, cut_out
 from lambent_worker.masks.edge import soft_coverage
 from lambent_worker.masks.photograph import Photograph
@@ -42,7 +43,10 @@ def colours_of(work: Workspace) -> evidence.ColourModel:
         picture = work.pictures[number]
         small = cv2.resize(picture, belief.shape[::-1], interpolation=cv2.INTER_AREA)
         cells.append(evidence.colour_cells(evidence.lab_of(small)))
-    return evidence.learn_colours(cells, work.beliefs, work.learnt)
+    marks = {
+        number: reduced_seeds(each, work.beliefs[number].shape[::-1]) for number, each in work.seeds.items()
+    }
+    return evidence.learn_colours(cells, work.beliefs, work.learnt, marks)
 
 
 def final_mask(
@@ -117,6 +121,9 @@ def _odds(
     odds += settings.colour * colours.odds(number, evidence.colour_cells(lab))
     odds = np.clip(odds, 0.01 - LIMIT, LIMIT - 0.01)
     odds[hull <= -settings.impossible] = -LIMIT
+    if number in work.seeds:
+        seeds = _part(work.seeds[number], part, size)
+        odds = np.where(np.abs(seeds) >= 0.5, LIMIT * np.sign(seeds), odds)
     return np.asarray(odds, dtype=np.float32)
 
 
