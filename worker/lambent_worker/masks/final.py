@@ -1,5 +1,6 @@
 """Draws the mask of one photograph at its own resolution, from the evidence of all."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -87,8 +88,23 @@ def preview_mask(
 ) -> Bool[ndarray, "height width"]:
     """Return the mask of a view at the size of the evidence, without soft edges."""
     picture = work.pictures[number]
-    odds = _odds(work, number, colours, picture, (np.zeros(2), np.ones(2)), settings)
-    return _tidy(cut_out(picture, odds), settings)
+    mask = np.zeros(picture.shape[:2], dtype=bool)
+    box = _box(work.beliefs[number], settings.margin)
+    if box is None:
+        return mask
+    size = np.array([picture.shape[1], picture.shape[0]])
+    low, high = np.floor(box[0] * size).astype(int), np.ceil(box[1] * size).astype(int)
+    crop = np.ascontiguousarray(picture[low[1] : high[1], low[0] : high[0]])
+    odds = _odds(work, number, colours, crop, (low / size, high / size), settings)
+    mask[low[1] : high[1], low[0] : high[0]] = _tidy(cut_out(crop, odds), settings)
+    return mask
+
+
+def preview_masks(work: Workspace, settings: FinalSettings | None = None) -> list[ndarray]:
+    """Return `preview_mask` of all views, computed in two threads."""
+    colours, chosen = colours_of(work), settings or FinalSettings()
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        return list(pool.map(lambda i: preview_mask(i, work, colours, chosen), range(len(work.names))))
 
 
 def _box(

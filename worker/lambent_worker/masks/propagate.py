@@ -24,7 +24,11 @@ from lambent_worker.masks.consensus import (
     prepare,
 )
 from lambent_worker.masks.corrections import Correction, reduced_seeds, seeds_of
+from lambent_worker.masks.cut import LIMIT
 from lambent_worker.masks.workspace import Workspace
+
+_TURNED = 0.3
+"""Log odds that the other views must have had for something, and against it after the marks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,7 +88,10 @@ def _updated(
         priors = tuple(np.full(shape, -4.0, np.float32) for shape in shapes)
     else:
         beliefs = tuple(each.astype(np.float32) for each in agreement.beliefs)
-        priors = tuple(each.astype(np.float32) for each in agreement.priors)
+        priors = tuple(
+            _decided(_resized(before, (each.shape[1], each.shape[0])), each.astype(np.float32))
+            for before, each in zip(work.priors, agreement.priors, strict=True)
+        )
     return replace(
         work,
         beliefs=beliefs,
@@ -92,6 +99,18 @@ def _updated(
         learnt=tuple(each.astype(np.float32) for each in given.learnt),
         seeds=seeds,
     )
+
+
+def _decided(
+    before: Float32[ndarray, "rows columns"], after: Float32[ndarray, "rows columns"]
+) -> Float32[ndarray, "rows columns"]:
+    """Return what the other views say now, final where a person's marks have turned it round.
+
+    The photograph itself still says the same as before, and would overrule them.
+    """
+    gone = (before > _TURNED) & (after < -_TURNED)
+    came = (before < -_TURNED) & (after > _TURNED)
+    return np.where(gone, np.float32(-LIMIT), np.where(came, np.float32(LIMIT), after))
 
 
 def _given(

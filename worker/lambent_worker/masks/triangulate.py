@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints
+from lambent_worker.masks.plane_maps import straightened
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -100,11 +101,7 @@ def _features(photograph: Photograph, settings: TriangulateSettings) -> _Feature
 
 def _rays(camera: PictureCamera, pixels: Float64[ndarray, "features 2"]) -> Float64[ndarray, "features 3"]:
     """Return unit directions through pixels, scene coordinates, distortion undone."""
-    focal, centre = np.array(camera.focal), np.array(camera.centre)
-    seen = (pixels - centre) / focal
-    if any(camera.distortion):
-        matrix = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
-        seen = cv2.undistortPoints(pixels[:, None], matrix, np.array(camera.distortion))[:, 0]
+    seen = straightened(camera, pixels)
     local = np.column_stack([seen[:, 0], -seen[:, 1], -np.ones(len(seen))])
     rays = local @ camera.camera_to_world[:3, :3].T
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
