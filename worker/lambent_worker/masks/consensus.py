@@ -6,11 +6,11 @@ visual hull. Its prediction for a view, without that view's own vote, is the pri
 colours.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int, Int32, UInt8
+from jaxtyping import Float, Int, Int8, Int32, UInt8
 from numpy import ndarray
 from scipy import ndimage
 
@@ -83,6 +83,8 @@ class Given:
     """The box that is searched, in coordinates of `frame`: above the support, for instance."""
     focus: Float[ndarray, "3"]
     """Where in this box the object is; what stands apart from it and further away is not the object."""
+    marks: Mapping[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
+    """Pixels of some views that are known, 1 object and -1 background: they outvote all views."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -144,6 +146,8 @@ def agree(
     for number in range(settings.rounds):
         odds = _odds(seen, beliefs, leaning, given)
         votes = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
+        for view, mark in given.marks.items() if given is not None else ():
+            votes[view] = _outvoted(votes[view], mark, grid.pixels[view], len(views))
         total = np.sum(votes, axis=0)
         solid = total > 0.0
         if given is not None:
@@ -181,7 +185,8 @@ def _odds(
 ) -> list[Float[ndarray, "height width"]]:
     """Return what each view says by itself, smoothed along its edges, log odds."""
     learnt = None if given is None else given.learnt
-    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, learnt)]
+    marks = None if given is None else given.marks
+    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, learnt, marks)]
     if seen.distances is not None and leaning.distance > 0.0:
         far = evidence.distance_odds(seen.distances, beliefs)
         odds = [own + leaning.distance * each for own, each in zip(odds, far, strict=True)]
@@ -237,6 +242,20 @@ def _votes(
     )
     # The last entry is what the index -1 finds.
     return np.append(vote, settings.unseen).astype(np.float32)[grid.pixels[view]]
+
+
+def _outvoted(
+    votes: Float[ndarray, " cells"],
+    mark: Int8[ndarray, "height width"],
+    pixels: Int32[ndarray, " cells"],
+    num_views: int,
+) -> Float[ndarray, " cells"]:
+    """Return a view's votes with those of marked pixels: never behind background, likely behind object.
+
+    Which cell behind a pixel of the object is solid is not known: they get a fifth of a vote of each view.
+    """
+    marked = np.append(mark.ravel(), 0)[pixels]
+    return np.where(marked < 0, -2.0 * num_views, np.where(marked > 0, 0.2 * num_views, votes))
 
 
 def _prior(

@@ -4,11 +4,11 @@ Probabilities become tables of colours and distances, smoothed histograms that a
 so nothing has to be known of the background but that the border of a picture shows it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Int8, UInt8
 from numpy import ndarray
 from scipy import ndimage
 from scipy.stats import rankdata
@@ -25,6 +25,9 @@ _NOISE = 1.0
 """Gradient, in CIELAB units per pixel, that is noise and costs nothing."""
 _UNIFORM = 1.0 / 8000.0
 """Density of unexpected colours; about one over the number of cells that real colours fill."""
+_MARKED = 0.02
+"""Share of what a person marked in the colours of object and background: more would spread to parts of the
+object that happen to have a marked colour."""
 MAX_COLOUR = 4.0
 """Limit of what a colour alone may say, log odds."""
 
@@ -76,14 +79,15 @@ def colour_odds(
     cells: Sequence[Int[ndarray, "height width"]],
     foreground: Sequence[Float[ndarray, "height width"]],
     learnt: Sequence[Float[ndarray, "height width"]] | None = None,
+    marks: Mapping[int, Int8[ndarray, "height width"]] | None = None,
 ) -> list[Float[ndarray, "height width"]]:
     """Return the log odds of object against background that the colours of each view give.
 
-    `foreground` is what is believed so far, `learnt` how much of it counts (all without it). All views share
-    the colours of the object; each has a background of its own, with a little of everybody's. Nothing says
-    more than `MAX_COLOUR`.
+    `foreground` is what is believed so far, `learnt` how much of it counts (all without it), `marks` as in
+    `learn_colours`. All views share the colours of the object; each has a background of its own, with a
+    little of everybody's. Nothing says more than `MAX_COLOUR`.
     """
-    model = learn_colours(cells, foreground, learnt)
+    model = learn_colours(cells, foreground, learnt, marks)
     return [model.odds(number, own) for number, own in enumerate(cells)]
 
 
@@ -106,8 +110,13 @@ def learn_colours(
     cells: Sequence[Int[ndarray, "height width"]],
     foreground: Sequence[Float[ndarray, "height width"]],
     learnt: Sequence[Float[ndarray, "height width"]] | None = None,
+    marks: Mapping[int, Int8[ndarray, "height width"]] | None = None,
 ) -> ColourModel:
-    """Return the colours of object and backgrounds; see `colour_odds`."""
+    """Return the colours of object and backgrounds; see `colour_odds`.
+
+    `marks` are pixels of some views that are known, 1 object and -1 background. Their colours make up a fixed
+    share of those of object and backgrounds in all views.
+    """
     every_cell = np.concatenate([each.ravel() for each in cells])
     every_weight = np.concatenate([each.ravel() for each in foreground])
     counted = 1.0 if learnt is None else np.concatenate([each.ravel() for each in learnt])
@@ -118,7 +127,21 @@ def learn_colours(
         behind = (1.0 - belief) if learnt is None else learnt[number] * (1.0 - belief)
         table = colour_table(own.ravel(), behind.ravel())
         backgrounds.append(0.85 * table + 0.1 * shared + 0.05 * _UNIFORM)
-    return ColourModel(objects, backgrounds)
+    objects = _with_marked(objects, cells, marks or {}, 1)
+    return ColourModel(objects, [_with_marked(each, cells, marks or {}, -1) for each in backgrounds])
+
+
+def _with_marked(
+    table: Float[ndarray, " cells"],
+    cells: Sequence[Int[ndarray, "height width"]],
+    marks: Mapping[int, Int8[ndarray, "height width"]],
+    label: int,
+) -> Float[ndarray, " cells"]:
+    pixels = [cells[number][mark == label] for number, mark in marks.items()]
+    if not pixels or not sum(len(each) for each in pixels):
+        return table
+    marked = np.concatenate(pixels)
+    return (1.0 - _MARKED) * table + _MARKED * colour_table(marked, np.ones(len(marked)))
 
 
 def distance_odds(

@@ -1,5 +1,6 @@
 """Draws the mask of one photograph at its own resolution, from the evidence of all."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -9,6 +10,7 @@ from numpy import ndarray
 from scipy import ndimage
 
 from lambent_worker.masks import evidence
+from lambent_worker.masks.corrections import reduced_seeds
 from lambent_worker.masks.cut import LIMIT, cut_out
 from lambent_worker.masks.edge import soft_coverage
 from lambent_worker.masks.photograph import Photograph
@@ -42,7 +44,10 @@ def colours_of(work: Workspace) -> evidence.ColourModel:
         picture = work.pictures[number]
         small = cv2.resize(picture, belief.shape[::-1], interpolation=cv2.INTER_AREA)
         cells.append(evidence.colour_cells(evidence.lab_of(small)))
-    return evidence.learn_colours(cells, work.beliefs, work.learnt)
+    marks = {
+        number: reduced_seeds(each, work.beliefs[number].shape[::-1]) for number, each in work.seeds.items()
+    }
+    return evidence.learn_colours(cells, work.beliefs, work.learnt, marks)
 
 
 def final_mask(
@@ -83,8 +88,23 @@ def preview_mask(
 ) -> Bool[ndarray, "height width"]:
     """Return the mask of a view at the size of the evidence, without soft edges."""
     picture = work.pictures[number]
-    odds = _odds(work, number, colours, picture, (np.zeros(2), np.ones(2)), settings)
-    return _tidy(cut_out(picture, odds), settings)
+    mask = np.zeros(picture.shape[:2], dtype=bool)
+    box = _box(work.beliefs[number], settings.margin)
+    if box is None:
+        return mask
+    size = np.array([picture.shape[1], picture.shape[0]])
+    low, high = np.floor(box[0] * size).astype(int), np.ceil(box[1] * size).astype(int)
+    crop = np.ascontiguousarray(picture[low[1] : high[1], low[0] : high[0]])
+    odds = _odds(work, number, colours, crop, (low / size, high / size), settings)
+    mask[low[1] : high[1], low[0] : high[0]] = _tidy(cut_out(crop, odds), settings)
+    return mask
+
+
+def preview_masks(work: Workspace, settings: FinalSettings | None = None) -> list[ndarray]:
+    """Return `preview_mask` of all views, computed in two threads."""
+    colours, chosen = colours_of(work), settings or FinalSettings()
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        return list(pool.map(lambda i: preview_mask(i, work, colours, chosen), range(len(work.names))))
 
 
 def _box(
@@ -117,6 +137,9 @@ def _odds(
     odds += settings.colour * colours.odds(number, evidence.colour_cells(lab))
     odds = np.clip(odds, 0.01 - LIMIT, LIMIT - 0.01)
     odds[hull <= -settings.impossible] = -LIMIT
+    if number in work.seeds:
+        seeds = _part(work.seeds[number], part, size)
+        odds = np.where(np.abs(seeds) >= 0.5, LIMIT * np.sign(seeds), odds)
     return np.asarray(odds, dtype=np.float32)
 
 

@@ -3,7 +3,7 @@
 The result is a `Workspace`; `final.final_mask` draws the mask of each photograph from it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -22,12 +22,10 @@ from lambent_worker.masks.on_support import (
     ortho_grid,
 )
 from lambent_worker.masks.orthophoto import look_at_support
-from lambent_worker.masks.photograph import Photograph, SparsePoints
+from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints
 from lambent_worker.masks.support_plane import PlaneSettings, SupportPlane, find_support
+from lambent_worker.masks.triangulate import triangulate
 from lambent_worker.masks.workspace import Workspace
-
-Progress = Callable[[str, int, int], None]
-"""Called with what is done at present, and how many of how many; may raise to stop the work."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,26 +51,28 @@ def find_object(
     settings: FindSettings,
     progress: Progress = lambda phase, done, total: None,
 ) -> Workspace | str:
-    """Return where the object is in each photograph, or the reason why nothing was found at all.
+    """Return where the object is in each photograph, or why cameras like these cannot be compared.
 
-    `points` are sparse points of the scene, with which the support is found.
+    Where nothing was found, `Workspace.reason` says why; a person's marks may still show where it is.
+    `points` are sparse points of the scene, with which the support is found; without them they are
+    triangulated.
     """
     middle = middle_of(photographs)
     if isinstance(middle, str):
         return middle
     centre, distance = middle
+    if points is None:
+        points = triangulate(photographs, centre, progress=progress)
     side = round(settings.evidence_side * min(1.0, np.sqrt(settings.full_views / len(photographs))))
-    plane = None
-    if points is not None:
-        positions = np.array([photograph.camera.position for photograph in photographs])
-        plane = find_support(points.xyz, positions, centre, distance, settings.plane)
+    positions = np.array([photograph.camera.position for photograph in photographs])
+    plane = find_support(points.xyz, positions, centre, distance, settings.plane)
     if plane is None:
         side = min(side, settings.plain_side)
     views = []
     for number, photograph in enumerate(photographs):
         views.append(photograph.reduced(side))
         progress("reading photographs", number + 1, len(photographs))
-    if plane is not None and points is not None:
+    if plane is not None:
         found = _above(plane, views, points, centre, distance, settings, progress)
         if found is not None:
             return _workspace_above(photographs, views, found, centre, distance)
@@ -126,6 +126,9 @@ def _workspace_above(
         frame=given.frame,
         low=given.low,
         high=given.high,
+        found_low=found.agreement.lattice.low,
+        found_high=found.agreement.lattice.low
+        + np.array(found.agreement.lattice.shape) * found.agreement.lattice.spacing,
         centre=centre,
         distance=distance,
         has_support=True,
@@ -139,14 +142,15 @@ def _by_agreement(
     distance: float,
     settings: FindSettings,
     progress: Progress,
-) -> Workspace | str:
+) -> Workspace:
     progress("comparing the views", 0, 1)
     found = agreed_masks(views, settings.plain)
     progress("comparing the views", 1, 1)
-    if isinstance(found, str):
-        return found
     half = np.full(3, settings.support.reach * distance)
-    beliefs = tuple(each.astype(np.float32) for each in found.coverages)
+    if isinstance(found, str):
+        beliefs = tuple(np.zeros((view.camera.height, view.camera.width), np.float32) for view in views)
+    else:
+        beliefs = tuple(each.astype(np.float32) for each in found.coverages)
     return Workspace(
         names=tuple(view.name for view in views),
         cameras=tuple(photograph.camera for photograph in photographs),
@@ -158,9 +162,12 @@ def _by_agreement(
         frame=SCENE,
         low=centre - half,
         high=centre + half,
+        found_low=centre - half,
+        found_high=centre + half,
         centre=centre,
         distance=distance,
         has_support=False,
+        reason=found if isinstance(found, str) else "",
     )
 
 

@@ -24,8 +24,8 @@ from lambent_worker.masks.estimate import (
     why_not_credible,
 )
 from lambent_worker.masks.final import FinalSettings, colours_of, final_mask
-from lambent_worker.masks.find import FindSettings, Progress, find_object
-from lambent_worker.masks.photograph import Photograph, SparsePoints, photographs_of
+from lambent_worker.masks.find import FindSettings, find_object
+from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints, photographs_of
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.resample import reduced_size
@@ -79,8 +79,8 @@ def write_masks(
     """Write `out`/masks/<frame>.png for the capture in `folder`, and `out`/masks.jpg for checking.
 
     By the built-in estimate, or by `segmenter`. `points` are sparse points in the coordinates of `manifest`,
-    by which the support is found and taken away; without them views are only compared with each other. Masks
-    and thumbnails are written in any case; `WrittenMasks.reason` says why they are not to be believed, and
+    by which the support is found and taken away; without them they are triangulated. Masks and
+    thumbnails are written in any case; `WrittenMasks.reason` says why they are not to be believed, and
     `require_credible` refuses them. `keep_in` is a folder for what corrections start from (`Workspace`).
     `progress` is called with the phase and how much of how much of it is done; what it raises stops the work.
     """
@@ -127,9 +127,18 @@ def draw_masks(
     consistency = consistency_of(writer.coverages, views, work.centre, work.distance, settings)
     small = [_small_view(view, settings.consensus_side) for view in views]
     found = Estimate(writer.coverages, consistency, separation_of(small, writer.coverages))
-    few = len(photographs) < settings.min_views
-    reason = too_few(len(photographs)) if few else why_not_credible(found, settings)
-    return writer.finish(consistency.overlap, reason)
+    return writer.finish(consistency.overlap, _reason(work, found, settings))
+
+
+def _reason(work: Workspace, found: Estimate, settings: EstimateSettings) -> str:
+    """Return why masks are not to be believed; what a person marked is never doubted for lack of views."""
+    if work.seeds:
+        empty = all(not (coverage >= 0.5).any() for coverage in found.coverages)
+        return "what was marked leaves nothing of the object" if empty else ""
+    if work.reason:
+        return work.reason
+    few = len(work.names) < settings.min_views
+    return too_few(len(work.names)) if few else why_not_credible(found, settings)
 
 
 class MaskWriter:

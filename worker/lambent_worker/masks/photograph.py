@@ -20,6 +20,9 @@ from lambent_worker.scenes.resample import reduced_size
 Read = Callable[[int], UInt8[ndarray, "height width 3"]]
 """Returns a photograph with its longer side at most as many pixels long, sRGB."""
 
+Progress = Callable[[str, int, int], None]
+"""Called with what is done at present, and how many of how many; may raise to stop the work."""
+
 
 @dataclass(frozen=True, slots=True)
 class Photograph:

@@ -1,11 +1,11 @@
 """What an estimate works with: kept in a folder, so that a person's corrections need not start again."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float16, Float32, Float64, UInt8
+from jaxtyping import Float16, Float32, Float64, Int8, UInt8
 from numpy import ndarray
 
 from lambent_worker.capture_qa.picture_camera import PictureCamera
@@ -39,12 +39,19 @@ class Workspace:
     low: Float64[ndarray, "3"]
     high: Float64[ndarray, "3"]
     """Corners of the box that is searched, in coordinates of `frame`."""
+    found_low: Float64[ndarray, "3"]
+    found_high: Float64[ndarray, "3"]
+    """Corners of the box around what was found."""
     centre: Float64[ndarray, "3"]
     """Point that the cameras look at, scene units."""
     distance: float
     """Of the cameras from it."""
     has_support: bool
     """Whether a plane was found that the object stands on."""
+    reason: str = ""
+    """Why nothing was found at all; empty where something was."""
+    seeds: dict[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
+    """What a person marked in some views, 1 object and -1 background; not saved."""
 
     def view(self, number: int) -> MaskView:
         """Return a view at the size of the evidence."""
@@ -59,7 +66,7 @@ class Workspace:
         for name in _PER_VIEW:
             for number, values in enumerate(getattr(self, name)):
                 arrays[f"{name}_{number}"] = values
-        arrays |= {name: getattr(self, name) for name in ("low", "high", "centre")}
+        arrays |= {name: getattr(self, name) for name in _VECTORS}
         arrays |= {"frame_origin": self.frame.origin, "frame_axes": self.frame.axes}
         arrays["camera_to_world"] = np.array([camera.camera_to_world for camera in self.cameras])
         np.savez(folder / _ARRAYS, **arrays)
@@ -68,6 +75,7 @@ class Workspace:
             "names": self.names,
             "distance": self.distance,
             "has_support": self.has_support,
+            "reason": self.reason,
             "cameras": [
                 {
                     "width": camera.width,
@@ -121,13 +129,13 @@ class Workspace:
             names=tuple(about["names"]),
             cameras=cameras,
             frame=Frame(origin=arrays["frame_origin"], axes=arrays["frame_axes"]),
-            low=arrays["low"],
-            high=arrays["high"],
-            centre=arrays["centre"],
+            **{name: arrays[name] for name in _VECTORS},
             distance=about["distance"],
             has_support=about["has_support"],
+            reason=about["reason"],
             **per_view,
         )
 
 
 _PER_VIEW = ("pictures", "support_odds", "learnt", "beliefs", "priors")
+_VECTORS = ("low", "high", "found_low", "found_high", "centre")
