@@ -10,35 +10,11 @@ MAX_PATH_CHARACTERS = 240
 # Pictures, poses and tables. Anything else is never stored, let alone loaded.
 SCENE_SUFFIXES = frozenset(
     {
-        ".bin",
-        ".bmp",
-        ".csv",
-        ".exr",
-        ".hdr",
-        ".heic",
-        ".heif",
-        ".jpeg",
-        ".jpg",
-        ".json",
-        ".npy",
-        ".png",
-        ".tif",
-        ".tiff",
-        ".txt",
-        ".webp",
-        # Raw formats of cameras.
-        ".3fr",
-        ".arw",
-        ".cr2",
-        ".cr3",
-        ".dng",
-        ".nef",
-        ".nrw",
-        ".orf",
-        ".pef",
-        ".raf",
-        ".rw2",
-        ".srw",
+        *(".bmp", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"),
+        # Raw formats of cameras, for a worker with the extra `raw`.
+        *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".orf", ".rw2"),
+        *(".pef", ".srw", ".x3f", ".3fr", ".fff", ".iiq", ".erf", ".mrw", ".rwl", ".raw"),
+        *(".bin", ".csv", ".json", ".npy", ".txt"),
     }
 )
 # The cameras of Glossy Synthetic are pickles; the worker reads numbers out of them and runs nothing.

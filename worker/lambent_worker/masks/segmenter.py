@@ -1,4 +1,7 @@
-"""The interface for external segmenters: `module:callable`, or a name registered by a package."""
+"""The interface for external segmenters: `module:callable`, or a name registered by a package.
+
+A registered segmenter may take an option: `name=option` calls its method `configured` with it.
+"""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -27,22 +30,34 @@ class Segmenter(Protocol):
 def find_segmenter(name: str) -> Segmenter:
     """Return the segmenter `module:callable`, or the one that an installed package offers under this name.
 
-    A package offers one as an entry point of the group `lambent.segmenters` that is a `Segmenter`. Raises
-    `UsageError` where it is not found. What is named is imported and run: never take a name from a capture.
+    A package offers one as an entry point of the group `lambent.segmenters` that is a `Segmenter`;
+    `name=option` is for those with a method `configured(option)`, which returns a `Segmenter`. Raises
+    `UsageError` where it is not found or takes no option. What is named is imported and run: never take a
+    name from a capture.
     """
+    offered_name, equals, option = name.partition("=")
     module, colon, attribute = name.partition(":")
-    if colon:
+    if colon and not equals:
         return _imported(name, module, attribute)
     found = entry_points(group=ENTRY_POINTS)
-    if name not in found.names:
+    if offered_name not in found.names:
         offered = ", ".join(sorted(found.names)) or "none"
         raise UsageError(
             "config.segmenter_unknown",
             f'--segmenter "{name}" is offered by no installed package (there are: {offered}); install the '
             "package, give module:callable, or leave the option out for the built-in estimate",
         )
-    segmenter: Segmenter = found[name].load()
-    return segmenter
+    segmenter: Segmenter = found[offered_name].load()
+    if not equals:
+        return segmenter
+    configured = getattr(segmenter, "configured", None)
+    if configured is None:
+        raise UsageError(
+            "config.segmenter_unknown",
+            f'--segmenter "{offered_name}" takes no option; leave out "={option}"',
+        )
+    chosen: Segmenter = configured(option)
+    return chosen
 
 
 def _imported(name: str, module: str, attribute: str) -> Segmenter:

@@ -46,7 +46,8 @@ export function progressText(job: Job): string {
   const { progress } = job;
   if (progress === null) return "";
   const parts = [stageNames.get(progress.stage) ?? otherSteps.get(progress.stage) ?? progress.stage];
-  if (progress.num_steps > 1) parts.push(`${progress.doing || "step"} ${progress.step} of ${progress.num_steps}`);
+  if (progress.num_steps > 1)
+    parts.push(`${progress.doing || "step"} ${progress.step} of ${progress.num_steps}`);
   if (progress.psnr > 0) parts.push(`PSNR ${progress.psnr.toFixed(1)} dB`);
   if (progress.eta_s > 0) parts.push(`about ${formatDuration(progress.eta_s)} to go`);
   return parts.join(" · ");

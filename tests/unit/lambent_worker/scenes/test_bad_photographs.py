@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+import support.bad_files
+import support.bad_photographs  # noqa: F401  # these two fill the list
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.capture_qa.photograph_findings import look_at_folder
 from lambent_worker.scenes.problems import Problems
 from PIL import Image
-from support.bad_photographs import CAPTURES, NEED_CAMERAS, view, write_needing_cameras, write_views
+from support.bad_captures import CAPTURES
+from support.bad_views import NEED_CAMERAS, write_needing_cameras
+from support.photographs import view, write_views
 
 
 def files_below(folder):

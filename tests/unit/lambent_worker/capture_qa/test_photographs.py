@@ -1,0 +1,75 @@
+"""Looking at photographs: figures of each, and of all together."""
+
+import json
+
+import pytest
+from lambent_worker.capture_qa.photograph_limits import PhotographLimits
+from lambent_worker.capture_qa.photographs import look
+from PIL import Image, ImageFilter
+from support.photographs import exif, view, write_views
+
+LIMITS = PhotographLimits()
+
+
+def test_each_photograph_is_announced_before_it_is_read_and_the_end_too(tmp_path):
+    write_views(tmp_path, 3)
+    heard = []
+    look(tmp_path, ["IMG_0000.jpg", "IMG_0001.jpg"], LIMITS, heard.append)
+    assert heard == ["IMG_0000.jpg", "IMG_0001.jpg", ""]
+
+
+def test_a_photograph_that_brought_a_reader_down_is_not_opened_again(tmp_path):
+    write_views(tmp_path, 3)
+    (tmp_path / "IMG_0001.jpg").unlink()
+    figures = look(tmp_path, ["IMG_0000.jpg", "IMG_0001.jpg"], LIMITS, skip=frozenset({"IMG_0001.jpg"}))
+    assert figures.left_out == ("IMG_0001.jpg",)
+    assert figures.photographs[1].fault == "scene.image_too_large"
+
+
+def test_sharpness_is_relative_and_falls_with_blur(tmp_path):
+    write_views(tmp_path, 4)
+    blurred = view(0).filter(ImageFilter.GaussianBlur(1.5))
+    blurred.save(tmp_path / "soft.jpg", quality=95)
+    names = [f"IMG_{index:04d}.jpg" for index in range(4)] + ["soft.jpg"]
+    figures = look(tmp_path, names, LIMITS)
+    sharpness = {each.name: each.sharpness for each in figures.photographs}
+    assert min(sharpness[name] for name in names[:4]) > 0.8
+    assert sharpness["soft.jpg"] < 0.6 * min(sharpness[name] for name in names[:4])
+
+
+def test_lenses_are_told_apart_by_focal_length_and_size_but_not_by_a_quarter_turn(tmp_path):
+    write_views(tmp_path, 2)
+    view(2).transpose(Image.Transpose.ROTATE_90).save(tmp_path / "tall.jpg", exif=exif())
+    view(3).save(tmp_path / "zoomed.jpg", exif=exif(focal=55.0))
+    view(4).resize((384, 288)).save(tmp_path / "large.jpg", exif=exif())
+    names = ["IMG_0000.jpg", "IMG_0001.jpg", "tall.jpg", "zoomed.jpg", "large.jpg"]
+    assert sorted(look(tmp_path, names, LIMITS).lenses.values()) == [1, 1, 3]
+
+
+def test_copies_and_views_that_repeat_are_named_by_the_first(tmp_path):
+    write_views(tmp_path, 2)
+    (tmp_path / "copy.jpg").write_bytes((tmp_path / "IMG_0000.jpg").read_bytes())
+    view(1).save(tmp_path / "again.jpg", quality=60)
+    figures = look(tmp_path, ["IMG_0000.jpg", "IMG_0001.jpg", "copy.jpg", "again.jpg"], LIMITS)
+    found = {each.name: (each.same_as, each.is_copy) for each in figures.photographs}
+    assert found["copy.jpg"] == ("IMG_0000.jpg", True)
+    assert found["again.jpg"] == ("IMG_0001.jpg", False)
+    assert figures.num_different == 2
+
+
+def test_an_object_that_turns_before_a_still_camera_is_not_the_same_view(tmp_path):
+    background = view(0)
+    names = [f"{index}.jpg" for index in range(4)]
+    for index, name in enumerate(names):
+        picture = background.copy()
+        picture.paste(view(10 + index).resize((48, 36)), (70, 50))
+        picture.save(tmp_path / name, quality=92)
+    assert look(tmp_path, names, LIMITS).num_different == 4
+
+
+def test_the_figures_are_json_and_the_thumbnails_small(tmp_path):
+    write_views(tmp_path, 2)
+    figures = look(tmp_path, ["IMG_0000.jpg", "IMG_0001.jpg"], LIMITS)
+    record = json.loads(json.dumps(figures.record()))
+    assert record["photographs"][0]["facts"]["focal_mm"] == pytest.approx(28.0)
+    assert {len(each) < 64 * 1024 for each in figures.thumbnails.values()} == {True}
