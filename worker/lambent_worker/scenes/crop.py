@@ -12,7 +12,6 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.scenes.lens import distorted
-from lambent_worker.scenes.resample import reduced_size, resampled
 
 Box = tuple[int, int, int, int]
 
@@ -68,23 +67,16 @@ def object_crop(camera: scene_pb2.Camera, coverages: Iterable[Float32[ndarray, "
 def covered_box(coverage: Float32[ndarray, "height width"], camera: scene_pb2.Camera) -> Box | None:
     """Return the box around covered pixels as the frame's pinhole camera shows them, or None without any.
 
-    `coverage` has the size of the files. Through a lens the box is exact to a pixel of `LENS_SIDE`.
+    `coverage` has the size of the files. Through a lens the box may be too large by two pixels of a picture
+    of `LENS_SIDE`.
     """
-    scale = (1.0, 1.0)
-    if camera.HasField("lens"):
-        size = reduced_size(camera.width, camera.height, LENS_SIDE)
-        coverage = resampled(coverage[..., None], camera, size)[..., 0]
-        scale = (camera.width / size[0], camera.height / size[1])
     covered = coverage >= COVERED
     columns, rows = _extent(covered.any(axis=0)), _extent(covered.any(axis=1))
     if columns is None or rows is None:
         return None
-    return (
-        int(np.floor(columns[0] * scale[0])),
-        int(np.floor(rows[0] * scale[1])),
-        min(int(np.ceil(columns[1] * scale[0])), camera.width),
-        min(int(np.ceil(rows[1] * scale[1])), camera.height),
-    )
+    if camera.HasField("lens"):
+        return _straight_box(covered, camera)
+    return columns[0], rows[0], columns[1], rows[1]
 
 
 def with_margin(box: Box, camera: scene_pb2.Camera) -> Box:
@@ -133,6 +125,29 @@ def _looked_up(camera: scene_pb2.Camera) -> Box:
         max(0, int(np.floor(rows.min() - edge_y))),
         min(lens.width, int(np.ceil(columns.max() + edge_x))),
         min(lens.height, int(np.ceil(rows.max() + edge_y))),
+    )
+
+
+def _straight_box(covered: Bool[ndarray, "height width"], camera: scene_pb2.Camera) -> Box | None:
+    """Return the box of a lens's covered pixels in the pinhole's picture, to one block of pixels."""
+    block = -(-max(covered.shape) // LENS_SIDE)
+    blocks = np.logical_or.reduceat(covered, np.arange(0, covered.shape[0], block), axis=0)
+    blocks = np.logical_or.reduceat(blocks, np.arange(0, covered.shape[1], block), axis=1)
+    lens = camera.lens
+    x = (np.arange(0.5 * block, camera.width, block) - camera.centre_x) / camera.focal_x
+    y = (np.arange(0.5 * block, camera.height, block) - camera.centre_y) / camera.focal_y
+    seen_x, seen_y = distorted(*np.meshgrid(x, y), np.array(lens.distortion))
+    column = ((lens.focal_x * seen_x + lens.centre_x) / block).astype(int).clip(0, blocks.shape[1] - 1)
+    row = ((lens.focal_y * seen_y + lens.centre_y) / block).astype(int).clip(0, blocks.shape[0] - 1)
+    straight = blocks[row, column]
+    columns, rows = _extent(straight.any(axis=0)), _extent(straight.any(axis=1))
+    if columns is None or rows is None:
+        return None
+    return (
+        block * max(0, columns[0] - 1),
+        block * max(0, rows[0] - 1),
+        min(block * (columns[1] + 1), camera.width),
+        min(block * (rows[1] + 1), camera.height),
     )
 
 

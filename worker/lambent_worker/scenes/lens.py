@@ -4,6 +4,7 @@ Coordinates: x right, y down, over depth. Distortion: OpenCV's k1, k2, p1, p2, k
 (https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html).
 """
 
+import functools
 from dataclasses import dataclass
 from typing import Self
 
@@ -84,9 +85,8 @@ def camera_with_lens(
     camera = scene_pb2.Camera(**stated, camera_to_world=pose.ravel().tolist())
     if not any(figures.distortion):
         return camera
-    coefficients = np.zeros(NUM_COEFFICIENTS)
-    coefficients[: len(figures.distortion)] = figures.distortion
-    zoom = _least_zoom(figures, coefficients)
+    coefficients = _coefficients(figures)
+    zoom = _least_zoom(figures)
     if zoom is None:
         problems.error(
             "scene.lens_invalid",
@@ -102,8 +102,16 @@ def camera_with_lens(
     return camera
 
 
-def _least_zoom(figures: LensFigures, coefficients: Float64[ndarray, "8"]) -> float | None:
+def _coefficients(figures: LensFigures) -> Float64[ndarray, "8"]:
+    coefficients = np.zeros(NUM_COEFFICIENTS)
+    coefficients[: len(figures.distortion)] = figures.distortion
+    return coefficients
+
+
+@functools.lru_cache(maxsize=1024)  # frames of one capture share a few lenses
+def _least_zoom(figures: LensFigures) -> float | None:
     """Return the smallest factor on the focal length with which the pinhole sees only what the lens saw."""
+    coefficients = _coefficients(figures)
     if not _is_inside(figures, coefficients, MOST_ZOOM):
         return None
     low, high = LEAST_ZOOM, MOST_ZOOM

@@ -95,9 +95,11 @@ def _linear_rgba(
     pixels: Shaped[ndarray, "height width channels"], encoding: str
 ) -> Float32[ndarray, "height width 4"]:
     height, width, channels = pixels.shape
-    rgba = np.ones((height, width, 4), dtype=np.float32)
+    rgba = np.empty((height, width, 4), dtype=np.float32)
     colour = pixels[..., :1] if channels <= 2 else pixels[..., :3]  # grey, perhaps with alpha
     has_alpha_channel = channels in (2, 4)
+    if not has_alpha_channel:
+        rgba[..., 3] = 1.0
     if encoding == "srgb":
         rgba[..., :3] = linear_from_srgb(torch.arange(256) / 255.0).numpy()[colour]
         if has_alpha_channel:

@@ -116,8 +116,9 @@ def averaged(
     for start in range(0, size[1], step):
         weights = rows[start : start + step]
         first, last = int(weights.indices.min()), int(weights.indices.max()) + 1
-        band = values[first:last]
-        band = (_multiplied(band) if by_last else band).astype(np.float64)
+        band = values[first:last].astype(np.float64)
+        if by_last:
+            band[..., :-1] *= band[..., -1:]
         shorter = weights[:, first:last] @ band.reshape(last - first, width * channels)
         across = shorter.reshape(-1, width, channels).transpose(1, 0, 2).reshape(width, -1)
         mean = (columns @ across).reshape(size[0], -1, channels)

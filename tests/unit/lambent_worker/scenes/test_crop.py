@@ -7,6 +7,7 @@ from flashcache.geometry.rays import pixel_directions
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.crop import (
     LEAST_SIDE,
+    LENS_SIDE,
     covered_box,
     cropped,
     object_crop,
@@ -25,8 +26,8 @@ def camera(width=400, height=300, distortion=()):
     figures = LensFigures(
         width=width,
         height=height,
-        focal_x=350.0,
-        focal_y=340.0,
+        focal_x=350.0 * width / 400,
+        focal_y=340.0 * height / 300,
         centre_x=0.52 * width,
         centre_y=0.48 * height,
         distortion=distortion,
@@ -125,14 +126,17 @@ def test_a_crop_shows_what_the_whole_frame_shows_there(distortion, size):
     np.testing.assert_allclose(found, expected, atol=1e-6 if not distortion or scale == 1 else 4e-3)
 
 
-def test_through_a_lens_the_box_is_the_pinholes():
-    full = camera(distortion=BARREL)
-    seen = coverage_with(slice(20, 60), slice(30, 80))
-    straight = resampled(seen[..., None], full, (400, 300))[..., 0] >= 0.1
-    rows, columns = np.nonzero(straight)
-    found = covered_box(seen, full)
-    assert found == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-    assert found != covered_box(seen, camera())
+@pytest.mark.parametrize("scale", [1, 6])
+def test_through_a_lens_the_box_is_the_pinholes(scale):
+    full = camera(400 * scale, 300 * scale, BARREL)
+    columns, rows = slice(20 * scale, 60 * scale), slice(30 * scale, 80 * scale)
+    seen = coverage_with(columns, rows, shape=(300 * scale, 400 * scale))
+    straight = resampled(seen[..., None], full, (full.width, full.height))[..., 0] >= 0.1
+    down, across = np.nonzero(straight)
+    exact = np.array([across.min(), down.min(), across.max() + 1, down.max() + 1])
+    larger = (np.array(covered_box(seen, full)) - exact) * [-1, -1, 1, 1]
+    assert (larger >= 0).all()
+    assert (larger <= 2 * -(-400 * scale // LENS_SIDE) + 1).all()
 
 
 def test_of_a_lens_only_the_part_that_is_looked_up_is_kept():
