@@ -127,6 +127,7 @@ class CaptureFigures(Shown):
 
     schema_version: str
     num_train_views: int
+    lacks_cameras: bool = False
     gap_deg: float
     upper_gap_deg: float
     upper_gap_azimuth_deg: float

@@ -7,12 +7,12 @@ import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.report.request import EvaluationRequest
+from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.evaluation import _scene_to_compare
 from lambent_worker.run.hashes import PREPARATION
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.capture import read_manifest
 from lambent_worker.scenes.load import load_scene
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class CaptureFigures(_message.Message):
-    __slots__ = ("schema_version", "num_train_views", "gap_deg", "upper_gap_deg", "upper_gap_azimuth_deg", "upper_gap_elevation_deg", "lowest_elevation_deg", "highest_elevation_deg", "has_masks", "has_hull", "outside_box_share", "exposure_range_ev", "views")
+    __slots__ = ("schema_version", "num_train_views", "gap_deg", "upper_gap_deg", "upper_gap_azimuth_deg", "upper_gap_elevation_deg", "lowest_elevation_deg", "highest_elevation_deg", "has_masks", "has_hull", "outside_box_share", "exposure_range_ev", "views", "lacks_cameras")
     SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
     NUM_TRAIN_VIEWS_FIELD_NUMBER: _ClassVar[int]
     GAP_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -22,6 +22,7 @@ class CaptureFigures(_message.Message):
     OUTSIDE_BOX_SHARE_FIELD_NUMBER: _ClassVar[int]
     EXPOSURE_RANGE_EV_FIELD_NUMBER: _ClassVar[int]
     VIEWS_FIELD_NUMBER: _ClassVar[int]
+    LACKS_CAMERAS_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     num_train_views: int
     gap_deg: float
@@ -35,7 +36,8 @@ class CaptureFigures(_message.Message):
     outside_box_share: float
     exposure_range_ev: float
     views: _containers.RepeatedCompositeFieldContainer[ViewFigures]
-    def __init__(self, schema_version: _Optional[str] = ..., num_train_views: _Optional[int] = ..., gap_deg: _Optional[float] = ..., upper_gap_deg: _Optional[float] = ..., upper_gap_azimuth_deg: _Optional[float] = ..., upper_gap_elevation_deg: _Optional[float] = ..., lowest_elevation_deg: _Optional[float] = ..., highest_elevation_deg: _Optional[float] = ..., has_masks: _Optional[bool] = ..., has_hull: _Optional[bool] = ..., outside_box_share: _Optional[float] = ..., exposure_range_ev: _Optional[float] = ..., views: _Optional[_Iterable[_Union[ViewFigures, _Mapping]]] = ...) -> None: ...
+    lacks_cameras: bool
+    def __init__(self, schema_version: _Optional[str] = ..., num_train_views: _Optional[int] = ..., gap_deg: _Optional[float] = ..., upper_gap_deg: _Optional[float] = ..., upper_gap_azimuth_deg: _Optional[float] = ..., upper_gap_elevation_deg: _Optional[float] = ..., lowest_elevation_deg: _Optional[float] = ..., highest_elevation_deg: _Optional[float] = ..., has_masks: _Optional[bool] = ..., has_hull: _Optional[bool] = ..., outside_box_share: _Optional[float] = ..., exposure_range_ev: _Optional[float] = ..., views: _Optional[_Iterable[_Union[ViewFigures, _Mapping]]] = ..., lacks_cameras: _Optional[bool] = ...) -> None: ...
 
 class ViewFigures(_message.Message):
     __slots__ = ("name", "split", "azimuth_deg", "elevation_deg", "distance", "mask_share", "border_share", "unexplained_share", "missed_share", "carved_share", "hole_share", "speck_share", "num_specks", "moved_share", "mismatch_ev", "pictures")

@@ -8,11 +8,12 @@ used `figures {CaptureFigures as ProtoJSON}` and `thumbnail {"name", "jpeg"}` fo
 import json
 import resource
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from google.protobuf.json_format import MessageToDict
-from lambent_proto.v1 import scene_pb2
+from lambent_proto.v1 import capture_pb2, scene_pb2
 
 
 def limit_resources(memory_bytes: int, cpu_s: int) -> None:
@@ -27,15 +28,25 @@ def main() -> None:
     """Check the folder that the order on standard input names."""
     order: dict[str, Any] = json.load(sys.stdin)
     limit_resources(order["memory_bytes"], order["cpu_s"])
+    from lambent_worker.capture_qa.photograph_check import check_photographs
+    from lambent_worker.scenes import photographs
+    from lambent_worker.scenes.detect import detect_layout
     from lambent_worker.scenes.inspect import inspect_files
-    from lambent_worker.scenes.photographs import lacks_cameras
 
     folder, layout = Path(order["folder"]), order["layout"]
     masks, cameras = (None if order[name] is None else Path(order[name]) for name in ("masks", "cameras"))
-    found = inspect_files(folder, layout, frozenset(order["killers"]), announce, masks, cameras)
+    killers = frozenset(order["killers"])
+    if cameras is None and (layout or detect_layout(folder)) == photographs.NAME:
+        looked = check_photographs(folder, masks, killers, announce)
+        tell("left_out", looked.left_out)
+        if looked.figures is not None:
+            tell_measured(looked.figures, looked.thumbnails)
+        tell("report", MessageToDict(looked.report))
+        return
+    found = inspect_files(folder, layout, killers, announce, masks, cameras)
     report, manifest = found.report, found.manifest
     tell("left_out", found.left_out)
-    if manifest is not None and report.usable and not lacks_cameras(manifest.frames):
+    if manifest is not None and report.usable:
         measure(folder, manifest, report)
     tell("report", MessageToDict(report))
 
@@ -56,8 +67,13 @@ def measure(folder: Path, manifest: scene_pb2.SceneManifest, report: scene_pb2.S
     from lambent_worker.capture_qa.review import review
 
     examination = review(folder, manifest, report, CaptureLimits(), announce)
-    tell("figures", MessageToDict(examination.figures))
-    for name, jpeg in examination.thumbnails.items():
+    tell_measured(examination.figures, examination.thumbnails)
+
+
+def tell_measured(figures: capture_pb2.CaptureFigures, thumbnails: Mapping[str, str]) -> None:
+    """Write the figures and the thumbnails of a capture that can be used."""
+    tell("figures", MessageToDict(figures))
+    for name, jpeg in thumbnails.items():
         tell("thumbnail", {"name": name, "jpeg": jpeg})
 
 

@@ -42,6 +42,12 @@ def _tell(scene_dir: Path, record: dict[str, Any], out: Path | None) -> None:
         kind = "error" if finding["severity"] == "SEVERITY_ERROR" else "note"
         typer.echo(f"{kind}: {finding['code']}: {finding['message']}")
     verdict = "can be used" if record["usable"] else "cannot be used"
+    if record["layout"] == "photographs" and record["usable"]:
+        typer.echo(
+            f'"{scene_dir}" {verdict}: {record["num_train_frames"]} photographs without cameras; lambent '
+            "train finds cameras and cuts the object out (lambent poses and lambent masks, for a look first)"
+        )
+        return
     typer.echo(
         f'"{scene_dir}" {verdict}: {record["layout"] or "no known layout"}, '
         f"{record['num_train_frames']} training and {record['num_test_frames']} test views"

@@ -74,7 +74,7 @@ def inspect_files(
     if folder.is_dir():
         is_glossy = (layout or detect_layout(folder)) == glossy_synthetic.NAME
         known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
-        _find_unsupported(folder, known, problems)
+        note_unsupported(folder, known, problems)
     if manifest is None:
         report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
         return Inspection(report=report)
@@ -84,7 +84,7 @@ def inspect_files(
     if broken and tolerant and are_few(len(broken), len(manifest.frames) - len(broken)):
         problems = Problems()
         manifest = collect_scene(folder, layout, problems, masks, broken, cameras)
-        _find_unsupported(folder, set(), problems)
+        note_unsupported(folder, set(), problems)
     else:
         for finding in broken.values():
             problems.error(finding.code, finding.message, finding.subject)
@@ -105,7 +105,8 @@ def inspect_files(
     return Inspection(report=report, manifest=manifest, left_out=tuple(broken))
 
 
-def _find_unsupported(folder: Path, known: set[Path], problems: Problems) -> None:
+def note_unsupported(folder: Path, known: set[Path], problems: Problems) -> None:
+    """Note files in `folder`, but for `known`, that no capture should hold: programs, pickles, models."""
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p not in known):
         kind = UNSUPPORTED_SUFFIXES.get(path.suffix.lower())
         if kind is None:

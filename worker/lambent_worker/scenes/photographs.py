@@ -11,7 +11,8 @@ Their cameras are found by the task `cameras` (`lambent_worker.poses`), which le
 The pictures stay where they are.
 """
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from lambent_proto.v1 import scene_pb2
@@ -21,9 +22,9 @@ from lambent_worker.errors import WorkerError
 from lambent_worker.scenes import colmap
 from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.frames import frame_names
+from lambent_worker.scenes.picture_files import photographs_in
 from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, encoding_of
 from lambent_worker.scenes.problems import Problems
-from lambent_worker.scenes.rig import MIN_TRAIN_FRAMES
 
 NAME = "photographs"
 LOOKS_LIKE = "pictures, from which cameras can be found"
@@ -68,7 +69,11 @@ class FoundCameras(BaseModel):
 
 def is_layout(folder: Path) -> bool:
     """Return whether `folder` holds pictures."""
-    return any(True for _ in _pictures(folder_of_pictures(folder)))
+    return any(
+        name.lower().endswith(PICTURE_SUFFIXES) and not name.startswith(".")
+        for _, _, names in os.walk(folder)
+        for name in names
+    )
 
 
 def folder_of_pictures(folder: Path) -> Path:
@@ -82,38 +87,27 @@ def folder_of_masks(folder: Path) -> Path | None:
     return masks if (folder / IMAGES).is_dir() and masks.is_dir() else None
 
 
-def picture_paths(folder: Path) -> list[Path]:
-    """Return the pictures of a capture, in order of their paths."""
-    return sorted(_pictures(folder_of_pictures(folder)))
-
-
 def read_capture(folder: Path, problems: Problems, cameras: Path | None = None) -> Capture:
     """Return the capture of the pictures in `folder`; all problems are added to `problems`.
 
     With `cameras`, the folder of found ones, its frames are the pictures that have one. Without, frames have
     no camera.
     """
-    paths = picture_paths(folder)
+    root = folder_of_pictures(folder)
+    prefix = root.relative_to(folder)
+    names = [(prefix / name).as_posix() for name in photographs_in(root, problems)]
     if cameras is not None:
         found = read_found_cameras(cameras)
-        pictures = folder_of_pictures(folder).relative_to(folder).as_posix()
-        capture = colmap.read_model(folder, cameras, problems, pictures=pictures)
+        capture = colmap.read_model(folder, cameras, problems, pictures=prefix.as_posix())
         used = {image.path for frame in capture.frames for image in frame.images}
-        capture.other_files |= {path.relative_to(folder).as_posix() for path in paths} - used
+        capture.other_files |= set(names) - used
         capture.up = found.up
         return capture
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False, has_cameras=False)
-    if len(paths) < MIN_TRAIN_FRAMES:
-        problems.error(
-            "scene.too_few_images",
-            f"there are {len(paths)} photographs; {MIN_TRAIN_FRAMES} are needed at least, 40 are good: walk "
-            "around the object and photograph it every 10 degrees, from two heights",
-        )
-    names = frame_names([path.relative_to(folder).as_posix() for path in paths])
-    for path in paths:
-        name = path.relative_to(folder).as_posix()
+    called = frame_names(names)
+    for name in names:
         image = scene_pb2.Image(light=LIGHT, path=name, encoding=encoding_of(name))
-        capture.frames.append(scene_pb2.Frame(name=names[name], split=scene_pb2.SPLIT_TRAIN, images=[image]))
+        capture.frames.append(scene_pb2.Frame(name=called[name], split=scene_pb2.SPLIT_TRAIN, images=[image]))
     return capture
 
 
@@ -130,12 +124,3 @@ def read_found_cameras(folder: Path) -> FoundCameras:
 def lacks_cameras(frames: Sequence[scene_pb2.Frame]) -> bool:
     """Return whether the cameras of a manifest's frames are still to be found."""
     return any(not frame.HasField("camera") for frame in frames)
-
-
-def _pictures(root: Path) -> Iterator[Path]:
-    if not root.is_dir():
-        return
-    for path in root.rglob("*"):
-        hidden = any(part.startswith(".") for part in path.relative_to(root).parts)
-        if path.suffix.lower() in PICTURE_SUFFIXES and not hidden and path.is_file():
-            yield path

@@ -175,6 +175,11 @@ export interface components {
             has_masks: boolean;
             /** Highest Elevation Deg */
             highest_elevation_deg: number;
+            /**
+             * Lacks Cameras
+             * @default false
+             */
+            lacks_cameras: boolean;
             /** Lowest Elevation Deg */
             lowest_elevation_deg: number;
             /** Num Train Views */

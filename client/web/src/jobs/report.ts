@@ -34,6 +34,7 @@ export function measured(report: SceneReport): [string, string][] {
   }
   const { figures } = report;
   if (figures === null) return rows;
+  if (figures.lacks_cameras) return rows;
   rows.push(["Largest gap between views", `${figures.upper_gap_deg.toFixed(0)}° of the upper half`]);
   const heights = `${figures.lowest_elevation_deg.toFixed(0)}° to ${figures.highest_elevation_deg.toFixed(0)}°`;
   rows.push(["Heights of the cameras", heights]);
