@@ -60,7 +60,7 @@ def _names(frame: scene_pb2.Frame, stems: Counter[str]) -> list[str]:
     """Return the names without suffix that a mask of the frame may have, the surest first."""
     path = PurePosixPath(frame.images[0].path)
     names = [frame.name, path.with_suffix("").as_posix(), path.as_posix()]
-    if len(path.parts) > 1:  # as below images/
+    if path.parts[0] == "images" and len(path.parts) > 1:
         inner = PurePosixPath(*path.parts[1:])
         names += [inner.with_suffix("").as_posix(), inner.as_posix()]
     if stems[path.stem] == 1:
