@@ -43,7 +43,10 @@ def kept(
 
     `settings` is everything else that the result depends on. A damaged file of the store is made anew.
     """
-    path = store / f"{_key(folder, frame, settings)}.npz"
+    try:
+        path = store / f"{_key(folder, frame, settings)}.npz"
+    except OSError:  # a file is missing or cannot be read: loading it says which, and what to do
+        return make()
     found = _read(path)
     if found is None:
         found = make()

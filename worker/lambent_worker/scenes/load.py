@@ -37,9 +37,9 @@ def load_scene(
     averaged over the area of each new pixel, in linear light and weighted by alpha, and pictures through a
     lens with distortion are resampled to the frame's pinhole camera. Ground truth is loaded
     for test views only, since training must not see it. A frame's mask limits the alpha of its photographs,
-    and its exposure factor brings them to the exposure of the first frame. Pictures that were much reduced are
-    kept in the folder `store`, if one is given, and taken from there the next time. Raises `WorkerError` with a
-    `scene.*` code when a file cannot be read.
+    and its exposure factor brings them to the exposure of the first frame. Pictures that were much reduced
+    are kept in the folder `store`, if one is given, and taken from there the next time. Raises `WorkerError`
+    with a `scene.*` code when a file cannot be read.
     """
     manifest = select_lights(manifest, lights or tuple(manifest.lights))
     world = world_matrix(manifest)

@@ -173,6 +173,8 @@ def test_a_file_that_disappears_is_named(tmp_path):
     (folder / "train" / "r_1.png").unlink()
     with pytest.raises(WorkerError, match=r"scene\.file_missing: train/r_1\.png"):
         load_scene(folder, manifest, max_side=64)
+    with pytest.raises(WorkerError, match=r"scene\.file_missing: train/r_1\.png"):
+        load_scene(folder, manifest, max_side=64, store=tmp_path / "store")
 
 
 def test_lights_can_be_chosen_when_loading():
