@@ -10,7 +10,8 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_synthetic
-from lambent_worker.scenes.crop import Box, object_crop, whole_frame
+from lambent_worker.scenes.crop import Box, cropped, object_crop, whole_frame
+from lambent_worker.scenes.kept_pictures import Pictures, kept
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
@@ -27,6 +28,7 @@ def load_scene(
     max_side: int,
     lights: tuple[str, ...] | None = None,
     crop: CropRule = "frame",
+    store: Path | None = None,
 ) -> Scene:
     """Return the capture in memory: linear radiance, straight alpha, no side longer than `max_side` pixels.
 
@@ -35,8 +37,9 @@ def load_scene(
     averaged over the area of each new pixel, in linear light and weighted by alpha, and pictures through a
     lens with distortion are resampled to the frame's pinhole camera. Ground truth is loaded
     for test views only, since training must not see it. A frame's mask limits the alpha of its photographs,
-    and its exposure factor brings them to the exposure of the first frame. Raises `WorkerError` with a
-    `scene.*` code when a file cannot be read.
+    and its exposure factor brings them to the exposure of the first frame. Pictures that were much reduced
+    are kept in the folder `store`, if one is given, and taken from there the next time. Raises `WorkerError`
+    with a `scene.*` code when a file cannot be read.
     """
     manifest = select_lights(manifest, lights or tuple(manifest.lights))
     world = world_matrix(manifest)
@@ -44,7 +47,12 @@ def load_scene(
         (
             frame.split,
             _load_view(
-                folder, frame, max_side, world, cut_out=crop == "object" and is_cut_out(manifest, frame)
+                folder,
+                frame,
+                max_side,
+                world,
+                cut_out=crop == "object" and is_cut_out(manifest, frame),
+                store=store,
             ),
         )
         for frame in manifest.frames
@@ -100,8 +108,27 @@ def _load_view(
     world: Float64[ndarray, "4 4"],
     *,
     cut_out: bool,
+    store: Path | None,
 ) -> View:
-    """Return a view; only one photograph at a time is in memory at its full size."""
+    def make() -> Pictures:
+        return _pictures(folder, frame, max_side, cut_out=cut_out)
+
+    settings = {"max_side": max_side, "cut_out": cut_out}
+    found = make() if store is None else kept(store, folder, frame, settings, make)
+    part = cropped(frame.camera, found.box)
+    size = reduced_size(part.camera.width, part.camera.height, max_side)
+    return View(
+        name=frame.name,
+        camera=_camera(part.camera).resized(*size),
+        images=found.images,
+        clipped=found.clipped,
+        truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
+        margins=_margins(frame.camera, found.box, size),
+    )
+
+
+def _pictures(folder: Path, frame: scene_pb2.Frame, max_side: int, *, cut_out: bool) -> Pictures:
+    """Return a frame's photographs; only one of them at a time is in memory at its full size."""
     mask = frame_mask(folder, frame)
     part = whole_frame(frame.camera)
     if cut_out:
@@ -113,14 +140,7 @@ def _load_view(
         if flags is not None:
             clipped[image.light] = resampled_flags(flags, rgba[..., 3:], part.camera, size)
         images[image.light] = resampled_colour(rgba, part.camera, size)
-    return View(
-        name=frame.name,
-        camera=_camera(part.camera).resized(*size),
-        images=images,
-        clipped=clipped,
-        truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
-        margins=_margins(frame.camera, part.pinhole, size),
-    )
+    return Pictures(part.pinhole, images, clipped)
 
 
 def _margins(camera: scene_pb2.Camera, box: Box, size: tuple[int, int]) -> Margins:

@@ -8,6 +8,7 @@ from lambent_worker.errors import WorkerError
 from lambent_worker.scenes import radiance
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
+from PIL import Image
 from support.captures import REFERENCES, save, write_blender, write_tensoir
 
 SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
@@ -172,6 +173,8 @@ def test_a_file_that_disappears_is_named(tmp_path):
     (folder / "train" / "r_1.png").unlink()
     with pytest.raises(WorkerError, match=r"scene\.file_missing: train/r_1\.png"):
         load_scene(folder, manifest, max_side=64)
+    with pytest.raises(WorkerError, match=r"scene\.file_missing: train/r_1\.png"):
+        load_scene(folder, manifest, max_side=64, store=tmp_path / "store")
 
 
 def test_lights_can_be_chosen_when_loading():
@@ -320,3 +323,46 @@ def test_pictures_of_floats_have_no_end_of_the_scale(tmp_path):
     rgba, flags = radiance.linear_photograph(tmp_path, frame, frame.images[0], (0, 0, 4, 4), None)
     assert rgba.shape == (4, 4, 4)
     assert flags is None
+
+
+def test_a_photograph_that_was_much_reduced_is_decoded_once_until_it_changes(tmp_path, monkeypatch):
+    folder, store, decoded = blender_with_object(tmp_path / "capture"), tmp_path / "store", []
+    pixels = np.asarray(Image.open(folder / "train" / "r_0.png")).copy()
+    pixels[35, 45, :3] = 255
+    save(folder / "train" / "r_0.png", pixels)
+    right = radiance.stored_pixels
+    monkeypatch.setattr(radiance, "stored_pixels", lambda *given: decoded.append(given) or right(*given))
+    manifest = describe_scene(folder)
+
+    def load_kept(max_side=20, crop="object"):
+        decoded.clear()
+        return load_scene(folder, manifest, max_side=max_side, crop=crop, store=store).train[0]
+
+    first, again = load_kept(), None
+    assert len(decoded) == 7
+    again = load_kept()
+    assert decoded == []
+    np.testing.assert_array_equal(again.images["capture"], first.images["capture"])
+    np.testing.assert_array_equal(again.clipped["capture"], first.clipped["capture"])
+    assert (again.margins, again.camera.centre_x) == (first.margins, first.camera.centre_x)
+    for changed in ({"max_side": 18}, {"crop": "frame"}):
+        load_kept(**changed)
+        assert len(decoded) == 7
+    manifest.frames[0].exposure = 2.0
+    brighter = load_kept()
+    assert len(decoded) == 1
+    np.testing.assert_allclose(brighter.images["capture"][..., 0], 2.0 * first.images["capture"][..., 0])
+    pixels[..., 2] = 90
+    save(folder / "train" / "r_0.png", pixels)
+    load_kept()
+    assert len(decoded) == 1
+    for path in store.iterdir():
+        path.write_bytes(b"damaged")
+    load_kept()
+    assert len(decoded) == 7
+
+
+def test_pictures_that_are_decoded_quickly_are_not_kept(tmp_path):
+    folder = blender_with_object(tmp_path / "capture")
+    load_scene(folder, describe_scene(folder), max_side=64, crop="frame", store=tmp_path / "store")
+    assert not (tmp_path / "store").exists()

@@ -34,6 +34,8 @@ from lambent_worker.scenes.load import load_scene
 
 Stage = StageOne | StageTwo | LightBake
 REPORT_INTERVAL_S = 0.5
+KEPT_PICTURES = "pictures"
+"""Folder of a run with its photographs as they are trained on; it may be removed."""
 SKIPPED_SHARE_LIMIT = 0.05
 
 
@@ -41,7 +43,13 @@ def read_scene(context: TaskContext) -> Scene:
     """Return the capture of the run, loaded at the preset's size."""
     config = context.spec.config
     manifest = read_manifest(context)
-    scene = load_scene(context.spec.scene, manifest, max_side=config.max_side, crop=config.crop)
+    scene = load_scene(
+        context.spec.scene,
+        manifest,
+        max_side=config.max_side,
+        crop=config.crop,
+        store=context.run_dir / KEPT_PICTURES,
+    )
     return placed(scene, config.space)
 
 
