@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run import evaluation as evaluation_run
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks.ingest import left_out_of
 from lambent_worker.scenes.load import load_scene
 from support.captures import REFERENCES
 from support.layouts import ColmapBinaryFolder
@@ -56,6 +58,24 @@ def test_the_check_says_the_same_from_its_child_process(tmp_path):
     capture.mask(3).write_text("no picture")
     (finding,) = check_capture(capture.folder).report.findings
     assert (finding.code, finding.subject) == ("scene.image_not_a_picture", "masks/IMG_0003.png.png")
+
+
+def test_a_run_goes_on_without_a_picture_that_ends_too_early_and_one_that_is_missing(tmp_path):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    broken = capture.picture(3)
+    broken.write_bytes(broken.read_bytes()[: broken.stat().st_size // 2])
+    capture.picture(5).unlink()
+    spec = RunSpec.from_options(capture.folder, preset="tiny")
+    reporter = RecordingReporter()
+    run_pipeline(spec, tmp_path / "run", "cpu", reporter, ("ingest",))
+    manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
+    names = {frame["name"] for frame in manifest["frames"]}
+    assert len(names) == len(capture.poses) - 2
+    assert not names & {"IMG_0003", "IMG_0005"}
+    context = SimpleNamespace(run_dir=tmp_path / "run")
+    assert left_out_of(context, capture.folder) == [capture.path(3)]
+    broken.write_bytes(capture.picture(4).read_bytes())  # repaired meanwhile: another file
+    assert left_out_of(context, capture.folder) == []
 
 
 def test_a_model_far_from_the_origin_trains_and_is_evaluated_in_the_world_it_was_trained_in(

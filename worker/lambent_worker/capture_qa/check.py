@@ -85,7 +85,9 @@ def _run_child(
         output = child.stdout
     except subprocess.TimeoutExpired as expired:
         output = (expired.stdout or b"").decode(errors="replace")
-    reading, figures, thumbnails, left_out = None, None, {}, ()
+    reading, figures = None, None
+    thumbnails: dict[str, str] = {}
+    left_out: tuple[str, ...] = ()
     for line in output.splitlines():
         kind, _, rest = line.partition(" ")
         if kind == "report":

@@ -216,7 +216,7 @@ def _compare(rows: list[dict[str, Any]], seen: Mapping[str, _Seen], limits: Phot
     names: list[str] = []
     smalls = np.zeros((len(seen), 32 * 32), dtype=np.int16)
     bits = np.zeros(len(seen), dtype=np.uint64)
-    first = {}
+    first: dict[str, str] = {}
     for row in rows:
         each = seen.get(row["name"])
         if each is None or row.get("fault"):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from lambent_worker.capture_qa import check
 from lambent_worker.errors import UsageError
-from support.captures import save, write_tensoir
+from lambent_worker.scenes.detect import describe_scene
+from support.captures import save, write_blender, write_tensoir
 from support.hostile_files import huge_exr, huge_png
 
 pytestmark = pytest.mark.slow
@@ -55,13 +56,11 @@ def test_a_child_without_enough_memory_ends_in_a_finding(tmp_path, monkeypatch):
     assert not report.usable
 
 
-def test_a_file_that_kills_the_child_is_named_and_the_rest_is_still_checked(tmp_path, monkeypatch):
-    folder = write_tensoir(tmp_path)
-    (folder / "train_001" / "rgba_sunset.png").write_text("no picture")
-    killer = "train_002/rgba_sunset.png"
+def dying_at(killer):
+    """Return `subprocess.run` of a child that dies when it decodes `killer`."""
     real = subprocess.run
 
-    def dies_at_the_killer(command, *, input, **options):
+    def run(command, *, input, **options):
         script = (
             "import sys, os, lambent_worker.scenes.inspect as i\n"
             "real = i.picture_facts\n"
@@ -71,11 +70,29 @@ def test_a_file_that_kills_the_child_is_named_and_the_rest_is_still_checked(tmp_
         )
         return real([sys.executable, "-I", "-c", script], input=input, **options)
 
-    monkeypatch.setattr(check.subprocess, "run", dies_at_the_killer)
+    return run
+
+
+def test_a_file_that_kills_the_child_is_named_and_the_rest_is_still_checked(tmp_path, monkeypatch):
+    folder = write_tensoir(tmp_path)
+    (folder / "train_001" / "rgba_sunset.png").write_text("no picture")
+    killer = "train_002/rgba_sunset.png"
+    monkeypatch.setattr(check.subprocess, "run", dying_at(killer))
     report = check.check_capture(folder).report
     found = {finding.code: finding.subject for finding in report.findings}
     assert found["scene.image_too_large"] == killer
     assert found["scene.image_not_a_picture"] == "train_001/rgba_sunset.png"
+
+
+def test_a_file_that_kills_the_child_is_left_out_where_others_make_up_for_it(tmp_path, monkeypatch):
+    folder = write_blender(tmp_path)
+    monkeypatch.setattr(check.subprocess, "run", dying_at("train/r_2.png"))
+    checked = check.check_capture(folder)
+    assert checked.report.usable
+    assert checked.left_out == ("train/r_2.png",)
+    assert checked.figures.num_train_views == 4
+    described = describe_scene(folder, left_out=checked.left_out)
+    assert [view.name for view in checked.figures.views] == [frame.name for frame in described.frames]
 
 
 def test_a_child_that_takes_too_long_ends_in_a_finding(tmp_path, monkeypatch):
