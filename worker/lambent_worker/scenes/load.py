@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_synthetic
 from lambent_worker.scenes.crop import Box, object_crop, whole_frame
+from lambent_worker.scenes.light_turns import light_turn
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
@@ -44,7 +45,12 @@ def load_scene(
         (
             frame.split,
             _load_view(
-                folder, frame, max_side, world, cut_out=crop == "object" and is_cut_out(manifest, frame)
+                folder,
+                frame,
+                max_side,
+                world,
+                cut_out=crop == "object" and is_cut_out(manifest, frame),
+                turn=light_turn(manifest, frame),
             ),
         )
         for frame in manifest.frames
@@ -100,6 +106,7 @@ def _load_view(
     world: Float64[ndarray, "4 4"],
     *,
     cut_out: bool,
+    turn: Float64[ndarray, "3 3"] | None,
 ) -> View:
     """Return a view; only one photograph at a time is in memory at its full size."""
     mask = frame_mask(folder, frame)
@@ -120,6 +127,7 @@ def _load_view(
         clipped=clipped,
         truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
         margins=_margins(frame.camera, part.pinhole, size),
+        light_turn=turn,
     )
 
 
