@@ -26,7 +26,7 @@ SEVERITY_WARNING: Severity
 SEVERITY_ERROR: Severity
 
 class SceneManifest(_message.Message):
-    __slots__ = ("schema_version", "name", "layout", "lights", "frames", "bounds", "primary_rays", "secondary_rays", "contraction_radius", "relight_lights", "world_from_capture", "bounds_from")
+    __slots__ = ("schema_version", "name", "layout", "lights", "frames", "bounds", "primary_rays", "secondary_rays", "contraction_radius", "relight_lights", "world_from_capture", "bounds_from", "light_fixed_to", "light_frame")
     SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     LAYOUT_FIELD_NUMBER: _ClassVar[int]
@@ -39,6 +39,8 @@ class SceneManifest(_message.Message):
     RELIGHT_LIGHTS_FIELD_NUMBER: _ClassVar[int]
     WORLD_FROM_CAPTURE_FIELD_NUMBER: _ClassVar[int]
     BOUNDS_FROM_FIELD_NUMBER: _ClassVar[int]
+    LIGHT_FIXED_TO_FIELD_NUMBER: _ClassVar[int]
+    LIGHT_FRAME_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     name: str
     layout: str
@@ -51,7 +53,9 @@ class SceneManifest(_message.Message):
     relight_lights: _containers.RepeatedScalarFieldContainer[str]
     world_from_capture: _containers.RepeatedScalarFieldContainer[float]
     bounds_from: str
-    def __init__(self, schema_version: _Optional[str] = ..., name: _Optional[str] = ..., layout: _Optional[str] = ..., lights: _Optional[_Iterable[str]] = ..., frames: _Optional[_Iterable[_Union[Frame, _Mapping]]] = ..., bounds: _Optional[_Union[Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., contraction_radius: _Optional[float] = ..., relight_lights: _Optional[_Iterable[str]] = ..., world_from_capture: _Optional[_Iterable[float]] = ..., bounds_from: _Optional[str] = ...) -> None: ...
+    light_fixed_to: str
+    light_frame: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, schema_version: _Optional[str] = ..., name: _Optional[str] = ..., layout: _Optional[str] = ..., lights: _Optional[_Iterable[str]] = ..., frames: _Optional[_Iterable[_Union[Frame, _Mapping]]] = ..., bounds: _Optional[_Union[Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[RayRange, _Mapping]] = ..., contraction_radius: _Optional[float] = ..., relight_lights: _Optional[_Iterable[str]] = ..., world_from_capture: _Optional[_Iterable[float]] = ..., bounds_from: _Optional[str] = ..., light_fixed_to: _Optional[str] = ..., light_frame: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Bounds(_message.Message):
     __slots__ = ("minimum", "maximum")

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from flashcache.encoding.directional import positional_encoding
+from flashcache.encoding.turns import LightTurns
 from flashcache.errors import ConfigError
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.directions import environment_directions, look_up
@@ -44,7 +45,8 @@ class Environment(nn.Module):
 
     With `rotations_deg` all lights share one environment: that of a light is the shared one turned by its
     angle about +z. The environments of the lights `known` (indices; any of them stands for all where lights
-    are rotated) are given by `set_known` and never learned.
+    are rotated) are given by `set_known` and never learned. With `turns` a light index is the number of a turn
+    of one environment, which is that of turn 0.
     """
 
     known_images: Tensor
@@ -56,10 +58,12 @@ class Environment(nn.Module):
         *,
         rotations_deg: Sequence[float] = (),
         known: Sequence[int] = (),
+        turns: LightTurns | None = None,
     ) -> None:
         super().__init__()
         assert len(rotations_deg) in (0, num_lights), "one angle per light"
         self.config = config
+        self.turns = turns
         self.rotations = tuple(math.radians(angle) for angle in rotations_deg)
         num_lights = 1 if self.rotations else num_lights
         self.num_lights = num_lights
@@ -93,6 +97,9 @@ class Environment(nn.Module):
         """Return the radiance that arrives from `directions` (unit) in each ray's light."""
         if self.rotations:
             directions = self._turned_back(directions, light_index)
+            light_index = torch.zeros_like(light_index)
+        if self.turns is not None:
+            directions = self.turns.to_light(directions, light_index)
             light_index = torch.zeros_like(light_index)
         if not self.known:
             return self._learned(directions, light_index)

@@ -4,6 +4,7 @@ One query of a distance grid at the ray's origin places eight samples along the 
 a feature grid at each of them, weighted and decoded, gives the radiance (supplement 2.1).
 """
 
+import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 
 from flashcache.encoding.directional import positional_encoding
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.encoding.turns import LightTurns
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
 from flashcache.volume.proposal_sampling import SECONDARY_CURVE
@@ -59,8 +61,11 @@ class FastCache(nn.Module):
         position_frequencies: int | None = None,
         origin_frequencies: int | None = None,
         colour_bias: float = -2.0,
+        turns: LightTurns | None = None,
     ) -> None:
-        """The last three are for the copy inside the NeRF cache's appearance (supplement 2.2).
+        """With `turns` radiance depends on the turn of the light; opacity and distance never do.
+
+        The three before are for the copy inside the NeRF cache's appearance (supplement 2.2).
 
         `position_frequencies` replaces `config.num_frequencies` for the origin in the distance network,
         `origin_frequencies` lets the decoder see the encoded origin (not at all by default), and
@@ -73,6 +78,7 @@ class FastCache(nn.Module):
         )
         self.origin_frequencies = origin_frequencies
         self.colour_bias = colour_bias
+        self.turns = turns
         self.contraction_radius = contraction_radius
         self.num_lights = num_lights
         self.near, self.far = near, far
@@ -92,6 +98,7 @@ class FastCache(nn.Module):
         first, second = config.decoder_widths
         num_origin = 0 if origin_frequencies is None else 3 + 6 * origin_frequencies
         num_mixed = self.feature_grid.out_features + num_origin
+        num_mixed += 0 if turns is None else turns.out_features
         self.decoder = nn.ModuleList([linear(num_mixed, first), linear(first, second)])
         self.decoder_head = linear(second, 3 * num_lights)
 
@@ -123,6 +130,8 @@ class FastCache(nn.Module):
         mixed = (weights[..., None] * features.reshape(-1, count, features.shape[-1])).sum(dim=1)
         if self.origin_frequencies is not None:
             mixed = torch.cat([mixed, positional_encoding(origins, self.origin_frequencies)], dim=-1)
+        if self.turns is not None:
+            mixed = torch.cat([mixed, self.turns.code(light_index)], dim=-1)
         hidden = torch.relu(self.decoder[1](torch.relu(self.decoder[0](mixed))))
         colour = self._of_light(self.decoder_head(hidden), light_index)
         colour = torch.nn.functional.softplus(colour + self.colour_bias)
@@ -130,6 +139,19 @@ class FastCache(nn.Module):
         distance = torch.where(opacity < 1e-3, torch.full_like(mean, self.far), mean)
         # Differs from the paper: colour times opacity (docs/decisions/0019-small-departures.md).
         return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)
+
+    def at_turn(self, light_index: int) -> "FastCache":
+        """Return the cache for one turn of the light: one that knows of no turns, with the same answers."""
+        assert self.turns is not None, "this cache knows of no turns"
+        still, code = copy.deepcopy(self), self.turns.codes[light_index]
+        still.turns = None
+        first = self.decoder[0]
+        own = linear(first.in_features - len(code), first.out_features).to(first.weight)
+        with torch.no_grad():
+            own.weight.copy_(first.weight[:, : -len(code)])
+            own.bias.copy_(first.bias + first.weight[:, -len(code) :] @ code)
+        still.decoder[0] = own
+        return still
 
     def _sample_distances(self, offset: Tensor, gate: Tensor) -> Tensor:
         """Spread the samples over the ray, shift each by its learned offset and fold back into [0, 1].

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.encoding.turns import LightTurns
 from flashcache.errors import ConfigError
 from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
 from flashcache.fields.density import (
@@ -105,8 +106,12 @@ class NerfCache(nn.Module):
         contraction_radius: float,
         num_lights: int,
         secondary: tuple[float, float],
+        turns: LightTurns | None = None,
     ) -> None:
-        """`secondary` is the near and the far distance of reflected rays, scene units."""
+        """`secondary` is the near and the far distance of reflected rays, scene units.
+
+        With `turns` a light index is the number of a turn of the one light.
+        """
         super().__init__()
         self.config = config
         self.proposals = nn.ModuleList(
@@ -125,9 +130,10 @@ class NerfCache(nn.Module):
                 position_frequencies=4,
                 origin_frequencies=4,
                 colour_bias=-1.0,
+                turns=turns,
             )
         self.appearance = AppearanceField(
-            config.appearance, num_hidden, contraction_radius, num_lights, reflected
+            config.appearance, num_hidden, contraction_radius, num_lights, reflected, turns
         )
 
     def sample(

@@ -42,6 +42,7 @@ class RayBatch:
     coverage: Float[Tensor, " rays"]
     """Share of the pixel that the object covers."""
     light_index: Int[Tensor, " rays"]
+    """Position among the lights of the scene, or the number of the photograph's turn (`Scene.turned`)."""
     clipped: Bool[Tensor, "rays 3"] | None = None
     """Channels of the colour that are known to be at least so bright; None: all are values like others."""
 
@@ -110,7 +111,9 @@ class TrainingPixels:
         self.frame_width = torch.tensor([width for width, _ in sizes], device=device)
         self.size = torch.tensor([[camera.width, camera.height] for camera in cameras], device=device)
         self.offset = torch.tensor([[view.margins.left, view.margins.top] for view in views], device=device)
-        self.light = torch.tensor([scene.lights.index(light) for _, light, _ in shown], device=device)
+        turn_of = {view.name: number for number, view in enumerate(scene.turned, start=1)}
+        indices = [turn_of.get(view.name, scene.lights.index(light)) for view, light, _ in shown]
+        self.light = torch.tensor(indices, device=device)
         self.focal = torch.tensor(
             [[camera.focal_x, camera.focal_y] for camera in cameras], dtype=torch.float32, device=device
         )

@@ -77,6 +77,9 @@ class View:
     stored one. Lights whose picture has none are left out."""
     margins: Margins = field(default_factory=Margins)
     """What the frame shows around the pictures: nothing of the object, so it is not kept."""
+    light_turn: Float64[ndarray, "3 3"] | None = None
+    """Rotation from world directions to the frame in which the light stands still; None where it stands still
+    in the world."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,3 +102,8 @@ class Scene:
     """Near and far distance along rays that leave a surface, scene units."""
     contraction_radius: float
     """Distance from the origin at which space begins to be contracted, scene units."""
+
+    @property
+    def turned(self) -> tuple[View, ...]:
+        """Return the views whose light has a turn; number k of them has light index k + 1 (0: the reference)."""
+        return tuple(view for view in (*self.train, *self.test) if view.light_turn is not None)

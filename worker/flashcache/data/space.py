@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from flashcache.caches.environment import EnvironmentConfig
 from flashcache.data.scene import Scene
+from flashcache.encoding.turns import IDENTITY
 from flashcache.errors import ConfigError
 from flashcache.physical.model import Domain
 
@@ -55,9 +56,16 @@ def domain_of(
 ) -> Domain:
     """Return the domain of a model for a scene, with the distances of `space`.
 
-    Raises `ConfigError` for rotated lights without an angle.
+    Raises `ConfigError` for rotated lights without an angle, and for several lights that turn.
     """
     scene = placed(scene, space)
+    turned = scene.turned
+    if turned and (len(scene.lights) > 1 or environment.lights != "separate"):
+        raise ConfigError(
+            f"the light turns with the camera, and there are {len(scene.lights)} lights "
+            f"({', '.join(scene.lights)}); train on one of them, without --rotated"
+        )
+    turns = [tuple(float(x) for x in view.light_turn.ravel()) for view in turned]
     return Domain(
         bounds_min=scene.bounds_min,
         bounds_max=scene.bounds_max,
@@ -69,6 +77,7 @@ def domain_of(
         fast_radius=space.fast_radius,
         rotations_deg=rotations_of(scene.lights, environment),
         known_lights=tuple(known_lights),
+        turns=(IDENTITY, *turns) if turns else (),
     )
 
 

@@ -159,8 +159,11 @@ def _incoming(model: LitSurface, points: SeenPoints, source: RadianceSource) -> 
     omega_i = from_frame(pattern[None], points.normal[:, None])
     origins = points.positions + limits.origin_offset * points.normal
     skies, nears = [], []
-    for light in range(len(model.domain.lights)):
-        index = torch.full((num_points * count,), light, device=omega_i.device)
+    # Every point under every light, or, with more turns of the light than photographs per point, under those.
+    turned = bool(model.domain.turns)
+    slots = points.light_index.T if turned else range(len(model.domain.lights))
+    for light in slots:
+        index = torch.as_tensor(light, device=omega_i.device).expand(num_points).repeat_interleave(count)
         rays = SecondaryRays(
             origins=origins.repeat_interleave(count, dim=0),
             directions=omega_i.reshape(-1, 3),
@@ -174,7 +177,8 @@ def _incoming(model: LitSurface, points: SeenPoints, source: RadianceSource) -> 
         nears.append(answer.near_radiance.reshape(num_points, count, 3))
     solid_angle = 2.0 * math.pi / count
     row = torch.arange(num_points, device=omega_i.device)[:, None]
-    chosen = [solid_angle * torch.stack(parts, dim=1)[row, points.light_index] for parts in (skies, nears)]
+    column = torch.arange(points.light_index.shape[1])[None] if turned else points.light_index
+    chosen = [solid_angle * torch.stack(parts, dim=1)[row, column] for parts in (skies, nears)]
     return _Incoming(omega_i.double(), *(values.double() for values in chosen))
 
 
@@ -196,8 +200,10 @@ def _light_columns(
 ) -> Float[Tensor, "points rows patches"]:
     """Return the radiance that comes from each patch of each environment that had to be learned.
 
-    Lights that are one environment turned about +z share its patches.
+    Lights that are one environment turned about +z share its patches, and so do the turns of one light.
     """
+    if domain.turns:
+        return _patches_of_turned_light(points, parts, omega_i, domain)
     num_points, num_views = points.light_index.shape
     turned = domain.rotations_deg
     slots = 1 if turned else len(domain.lights)
@@ -211,6 +217,22 @@ def _light_columns(
         by_patch = torch.einsum("pvdc,pdb->pvcb", lit * parts, member)
         for channel in range(3):
             full[:, :, channel, 0 if turned else light, :, channel] += by_patch[:, :, channel]
+    return full.reshape(num_points, num_views * 3, -1)
+
+
+def _patches_of_turned_light(
+    points: SeenPoints, parts: Tensor, omega_i: Tensor, domain: Domain
+) -> Float[Tensor, "points rows patches"]:
+    """Return the radiance that comes from each patch of the one environment, which has a turn per photograph."""
+    num_points, num_views = points.light_index.shape
+    full = parts.new_zeros(num_points, num_views, 3, NUM_PATCHES, 3)
+    if not domain.known_lights:
+        turns = omega_i.new_tensor(domain.turns).reshape(-1, 3, 3)[points.light_index]
+        omega = torch.einsum("pvij,pdj->pvdi", turns, omega_i)
+        member = torch.nn.functional.one_hot(patch_of(omega), NUM_PATCHES).to(parts.dtype)
+        by_patch = torch.einsum("pvdc,pvdb->pvcb", parts, member)
+        for channel in range(3):
+            full[:, :, channel, :, channel] = by_patch[:, :, channel]
     return full.reshape(num_points, num_views * 3, -1)
 
 

@@ -130,7 +130,7 @@ def seen_points(
     eyes = torch.from_numpy(np.stack([view.camera.position for view in scene.train])).float().to(device)
     visible = torch.stack([_visibility(model, points, view.camera, source) for view in scene.train], dim=1)
     pairs = [
-        (number, light)
+        (number, model.light_at(light, view.light_turn))
         for number, view in enumerate(scene.train)
         for light, name in enumerate(scene.lights)
         if name in view.images

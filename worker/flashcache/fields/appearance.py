@@ -13,11 +13,14 @@ from torch import Tensor, nn
 
 from flashcache.encoding.directional import IntegratedDirectionalEncoding, positional_encoding
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.encoding.turns import LightTurns
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
 from flashcache.geometry.directions import reflect
 
 RADIANCE_MAXIMUM = 1e4
+NORMAL_FREQUENCIES = 2
+"""Frequencies of the normal in the light's frame, where the light turns."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,12 +72,18 @@ class AppearanceField(nn.Module):
         contraction_radius: float,
         num_lights: int,
         reflected: nn.Module | None = None,
+        turns: LightTurns | None = None,
     ) -> None:
-        """`reflected` answers reflected rays in `fast_like`: near radiance and opacity, as the fast cache."""
+        """`reflected` answers reflected rays in `fast_like`: near radiance and opacity, as the fast cache.
+
+        With `turns` all radiance depends on the turn of the light: unhindered light from afar through the
+        normal and the reflected direction in the light's frame, shadows and near light through the turn.
+        """
         super().__init__()
         self.config = config
         self.contraction_radius = contraction_radius
         self.num_lights = num_lights
+        self.turns = turns
         self.grid = HashGrid(config.grid)
         num_features = num_hidden + self.grid.out_features
         # One matrix for the heads that are linear in the feature: diffuse, irradiance, tint, width.
@@ -83,13 +92,22 @@ class AppearanceField(nn.Module):
         self.factor = Hidden(config.bottleneck + 1, config.factor_width, config.factor_layers)
         self.factor_head = linear(self.factor.num_outputs, 1)
         self.reflected = reflected
+        num_turn = 0
+        if turns is not None:
+            num_turn = turns.out_features
+            num_normal = 3 + 6 * NORMAL_FREQUENCIES
+            self.turned = Hidden(config.bottleneck + num_normal + num_turn, config.reflection_width, 2)
+            self.turned_head = linear(self.turned.num_outputs, 6)
         if config.architecture == "fast_like":
             self.directional = IntegratedDirectionalEncoding(config.far_degrees)
-            num_inputs = self.directional.out_features
+            num_inputs = self.directional.out_features + num_turn
         else:
             self.directional = IntegratedDirectionalEncoding(config.num_degrees)
-            num_view = 3 + 6 * config.view_frequencies if config.view_frequencies >= 0 else 0
-            num_inputs = config.bottleneck + self.directional.out_features + num_view
+            # A camera that stands still sees the turning light's frame from one side only: an input that
+            # hardly varies would be learned by nobody and asked by every secondary ray.
+            self.view_frequencies = config.view_frequencies if turns is None else -1
+            num_view = 3 + 6 * self.view_frequencies if self.view_frequencies >= 0 else 0
+            num_inputs = config.bottleneck + self.directional.out_features + num_view + num_turn
         skip = 3 if config.reflection_layers > 3 else None
         self.reflection = Hidden(
             num_inputs, config.reflection_width, config.reflection_layers, skip_after=skip
@@ -113,15 +131,19 @@ class AppearanceField(nn.Module):
         encoded = self.grid(contract(positions, self.contraction_radius))
         features = torch.cat([hidden, encoded], dim=-1)
         raw = self.heads(features)
-        colours = torch.nn.functional.softplus(
-            self._of_light(raw[:, : 6 * self.num_lights], light_index) - 2.0
-        )
+        bottleneck = None
+        colours = self._of_light(raw[:, : 6 * self.num_lights], light_index)
+        if self.turns is not None:
+            bottleneck = self.bottleneck(features)
+            colours = colours + self._turned(bottleneck, normal, light_index)
+        colours = torch.nn.functional.softplus(colours - 2.0)
         diffuse, irradiance = colours[:, :3].clamp_max(RADIANCE_MAXIMUM), colours[:, 3:]
         if not with_specular:
             return Appearance(diffuse, torch.zeros_like(diffuse), irradiance)
         tint = torch.sigmoid(raw[:, -4:-1])
         width = torch.nn.functional.softplus(raw[:, -1:] + self.config.width_bias)
-        bottleneck = self.bottleneck(features)
+        if bottleneck is None:
+            bottleneck = self.bottleneck(features)
         cosine = (normal * omega_o).sum(dim=-1, keepdim=True)
         factor = torch.sigmoid(
             self.factor_head(self.factor(torch.cat([bottleneck, cosine], dim=-1))) + math.log(3.0)
@@ -131,6 +153,13 @@ class AppearanceField(nn.Module):
         )
         specular = (tint * factor * reflected).clamp_max(RADIANCE_MAXIMUM)
         return Appearance(diffuse, specular, irradiance)
+
+    def _turned(self, bottleneck: Tensor, normal: Tensor, light_index: Tensor) -> Tensor:
+        """Return what the turn of the light adds to the raw diffuse colour and irradiance."""
+        assert self.turns is not None
+        facing = positional_encoding(self.turns.to_light(normal, light_index), NORMAL_FREQUENCIES)
+        inputs = torch.cat([bottleneck, facing, self.turns.code(light_index)], dim=-1)
+        return self.turned_head(self.turned(inputs))
 
     def _reflected(
         self,
@@ -142,15 +171,20 @@ class AppearanceField(nn.Module):
         light_index: Tensor,
     ) -> Tensor:
         """Return the radiance that arrives around the reflected direction `omega_r`."""
-        code = self.directional(omega_r, width)
+        turn: list[Tensor] = []
+        omega_f = omega_r
+        if self.turns is not None:
+            omega_f = self.turns.to_light(omega_r, light_index)
+            turn = [self.turns.code(light_index)]
+        code = self.directional(omega_f, width)
         if self.config.architecture == "fast_like":
             # Differs from the paper: a far field of its own (docs/decisions/0019-small-departures.md).
-            far = self._from_directions([code], light_index)
+            far = self._from_directions([code, *turn], light_index)
             near = self.reflected(positions, omega_r, light_index)
             return near.near_radiance + (1.0 - near.opacity)[:, None] * far
-        inputs = [bottleneck, code]
-        if self.config.view_frequencies >= 0:
-            inputs.append(positional_encoding(omega_o, self.config.view_frequencies))
+        inputs = [bottleneck, code, *turn]
+        if self.view_frequencies >= 0:
+            inputs.append(positional_encoding(omega_o, self.view_frequencies))
         return self._from_directions(inputs, light_index)
 
     def _from_directions(self, inputs: list[Tensor], light_index: Tensor) -> Tensor:

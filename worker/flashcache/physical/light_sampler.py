@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.encoding.turns import LightTurns
 from flashcache.errors import ConfigError
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
@@ -93,18 +94,27 @@ class LightSampler(nn.Module):
     """Predicts where light comes from at a point, for every light of the scene.
 
     Lobe means are positions in space, so that one lamp needs no re-learning at each point; amplitudes vary
-    over space, so that a lobe can be switched off where its lamp is hidden.
+    over space, so that a lobe can be switched off where its lamp is hidden. With `turns` these positions turn
+    with the light, and amplitudes vary with the turn too.
     """
 
     offsets: Tensor
 
-    def __init__(self, config: LightSamplerConfig, contraction_radius: float, num_lights: int) -> None:
+    def __init__(
+        self,
+        config: LightSamplerConfig,
+        contraction_radius: float,
+        num_lights: int,
+        turns: LightTurns | None = None,
+    ) -> None:
         super().__init__()
         self.config = config
         self.contraction_radius = contraction_radius
         self.num_lights = num_lights
+        self.turns = turns
         self.grid = HashGrid(config.grid)
-        self.network = Hidden(self.grid.out_features, config.width, config.num_layers)
+        num_turn = 0 if turns is None else turns.out_features
+        self.network = Hidden(self.grid.out_features + num_turn, config.width, config.num_layers)
         self.head = linear(self.network.num_outputs, 5 * config.num_lobes * num_lights)
         fixed = torch.Generator().manual_seed(1)
         # Differs from the paper: its code draws these anew for every batch row
@@ -121,12 +131,16 @@ class LightSampler(nn.Module):
         config = self.config
         positions = positions.detach()
         encoded = self.grid(contract(positions, self.contraction_radius))
+        if self.turns is not None:
+            encoded = torch.cat([encoded, self.turns.code(light_index)], dim=-1)
         raw = self.head(self.network(encoded)).reshape(-1, self.num_lights, config.num_lobes, 5)
         if self.num_lights == 1:
             raw = raw[:, 0]
         else:
             raw = raw[torch.arange(len(raw), device=raw.device), light_index]
         places = config.position_scale * raw[..., 0:3] + config.position_spread * self.offsets
+        if self.turns is not None:
+            places = self.turns.to_world(places, light_index)
         means = normalize(places - positions.unsqueeze(1))
         kappa = torch.nn.functional.softplus(raw[..., 3] + 1.0).clamp_max(config.kappa_maximum)
         # The total amplitude starts near one, whatever the number of lobes.

@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
+from jaxtyping import Float64
+from numpy import ndarray
 from torch import nn
 
 from flashcache.caches.environment import Environment, EnvironmentConfig
 from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.caches.nerf_cache import CacheAnswer, NerfCache, NerfCacheConfig
+from flashcache.encoding.turns import LightTurns
 from flashcache.fields.materials import MaterialConfig, MaterialField
 from flashcache.geometry.rays import Rays
 from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
@@ -45,6 +49,9 @@ class Domain:
     """Angle of every light where they are one environment turned about +z; empty where each has its own."""
     known_lights: tuple[str, ...] = ()
     """Lights whose environment is given and not learned; with `rotations_deg`, any name stands for all."""
+    turns: tuple[tuple[float, ...], ...] = ()
+    """Where the one light turns from photograph to photograph: its turns, row-major rotations from the world to
+    the light's frame, the identity first. A light index is then the number of a turn."""
 
 
 class InverseModel(nn.Module):
@@ -53,21 +60,34 @@ class InverseModel(nn.Module):
     def __init__(self, config: ModelConfig, domain: Domain) -> None:
         super().__init__()
         radius, num_lights = domain.contraction_radius, len(domain.lights)
+        assert not domain.turns or num_lights == 1, "only one light can turn"
+        turns = LightTurns(domain.turns) if domain.turns else None
         near, far = domain.secondary
         self.config = config
         self.domain = domain
-        self.nerf = NerfCache(config.nerf, radius, num_lights, (near, far))
+        self.nerf = NerfCache(config.nerf, radius, num_lights, (near, far), turns)
         self.environment = Environment(
             config.environment,
             num_lights,
             rotations_deg=domain.rotations_deg,
             known=tuple(domain.lights.index(light) for light in domain.known_lights),
+            turns=turns,
         )
         self.materials = MaterialField(config.materials, radius)
-        self.fast = FastCache(config.fast, radius, num_lights, near, far)
-        self.light_sampler = LightSampler(config.light_sampler, radius, num_lights)
+        self.fast = FastCache(config.fast, radius, num_lights, near, far, turns=turns)
+        self.light_sampler = LightSampler(config.light_sampler, radius, num_lights, turns)
         # Published scenes have a near distance of 0.05 and an offset of 0.01 (authors' code).
         self.limits = RayLimits(near=near, far=far, origin_offset=domain.origin_offset or near / 5.0)
+
+    def light_at(self, light: int, turn: Float64[ndarray, "3 3"] | None) -> int:
+        """Return the light index of a photograph under light number `light` with the given turn of the light.
+
+        It is `light` where lights do not turn; a photograph without a turn is lit as the reference.
+        """
+        turns = self.environment.turns
+        if turns is None:
+            return light
+        return 0 if turn is None else turns.index_of(torch.from_numpy(np.asarray(turn)))
 
     def ask_nerf(
         self, rays: SecondaryRays, generator: torch.Generator | None, *, jitter: bool = False

@@ -58,7 +58,7 @@ def _measure_view(
     model: InverseModel, rule: GbufferRule, surface: AtlasSurface, view: View, light: str, folder: Path
 ) -> dict[str, float]:
     camera, photograph = _reduced(view.camera, view.images[light])
-    traced = render_gbuffer(model, camera)
+    traced = render_gbuffer(model, camera, light=model.light_at(0, view.light_turn))
     opacity = traced.opacity
     straight = traced.cache_rgb / np.maximum(opacity, 1e-3)
     seen = figures.picture(encoded(straight, opacity).astype(np.float64))

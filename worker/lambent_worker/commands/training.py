@@ -27,6 +27,12 @@ def train(
         list[str] | None,
         typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
     ] = None,
+    light_fixed_to: Annotated[
+        str,
+        typer.Option(
+            help="What the light stood still with: scene, camera or room; auto: scene, unless the background did."
+        ),
+    ] = "auto",
     layout: Layout = "",
     masks: shared.Masks = None,
     no_masks: Annotated[
@@ -68,6 +74,7 @@ def train(
             known_lights=known_light or (),
             masks=masks,
             whole_view=no_masks,
+            light_fixed_to=light_fixed_to,
             seed=seed,
         )
     from lambent_worker.console_reporter import ConsoleReporter

@@ -41,7 +41,12 @@ def predict_surfaces(subject: Subject) -> None:
     for view in subject.views:
         folder = subject.out / "pred" / view.name
         if not (folder / "metallic.npy").is_file():
-            buffer = render_surface(subject.model, view.camera, antialias=subject.request.antialias)
+            buffer = render_surface(
+                subject.model,
+                view.camera,
+                light=subject.model.light_at(0, view.light_turn),
+                antialias=subject.request.antialias,
+            )
             _save_pictures_of_cache(subject, view, buffer)
             _save_surface(folder, buffer)
         subject.advance()
@@ -54,7 +59,7 @@ def predict_surfaces(subject: Subject) -> None:
                     num_directions=subject.request.num_directions,
                     num_repeats=subject.request.num_repeats,
                     antialias=subject.request.antialias,
-                    light=index,
+                    light=subject.model.light_at(index, view.light_turn),
                     seed=subject.seed,
                     rule=subject.rule,
                 )

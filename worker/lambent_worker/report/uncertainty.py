@@ -130,7 +130,7 @@ def residual(model: InverseModel, scene: Scene, seed: int) -> float:
             continue
         index = generator.permutation(opaque)[:NOISE_PIXELS]
         rays = camera_rays(model, view.camera, device).select(torch.from_numpy(index).to(device))
-        radiance, opacity = cache_picture(model, rays, 0)
+        radiance, opacity = cache_picture(model, rays, model.light_at(0, view.light_turn))
         found = radiance.cpu().numpy()[opacity.cpu().numpy() > 0.5]
         wanted = image[index][opacity.cpu().numpy() > 0.5, :3]
         errors.append(np.square(np.clip(found, 0.0, 1.0) - np.clip(wanted, 0.0, 1.0)).reshape(-1))

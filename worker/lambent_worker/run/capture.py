@@ -6,14 +6,15 @@ import numpy as np
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
 from lambent_worker.capture_qa.exposure_estimate import even_out_exposure
-from lambent_worker.errors import SceneRefusedError
+from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256, read_record
 from lambent_worker.messages import read_message
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.masks import given_masks
+from lambent_worker.scenes.light_turns import fix_light
 from lambent_worker.scenes.mask_folder import attach_masks
-from lambent_worker.scenes.photographs import CAMERAS_FILE
+from lambent_worker.scenes.photographs import CAMERAS_FILE, read_found_cameras
 from lambent_worker.scenes.problems import Problems
 
 MANIFEST = "manifest.json"
@@ -83,10 +84,48 @@ def use_own_masks(
     attach_or_refuse(manifest, folder, masks)
 
 
+def settle_light(context: TaskContext, manifest: scene_pb2.SceneManifest) -> None:
+    """Say in `manifest` what the light stands still with, and tell where it is not the scene.
+
+    Raises `UsageError` for several training lights that would turn.
+    """
+    fixed_to, folder = context.spec.light_fixed_to, found_cameras(context.run_dir)
+    recognised = folder is not None and read_found_cameras(folder).static_background
+    if fixed_to == "auto":
+        fixed_to = "camera" if recognised else "scene"
+    if fixed_to != "scene" and len(manifest.lights) > 1:
+        raise UsageError(
+            "light.fixed_to_several",
+            f"--light-fixed-to {fixed_to}: there are {len(manifest.lights)} training lights "
+            f"({', '.join(manifest.lights)}), and only one can turn; choose one with --light",
+        )
+    fix_light(manifest, fixed_to)
+    if fixed_to == "scene":
+        if recognised:
+            context.reporter.finding(
+                "scene.turntable",
+                "the background stands still while the object turns, but the light is taken to turn with the "
+                "object, as --light-fixed-to scene says; shading will end up in the materials if it did not",
+            )
+        return
+    seen = "the background stands still while the object turns, as on a turntable" if recognised else "as asked"
+    context.reporter.finding(
+        "scene.turntable",
+        f"{seen}: the light is taken to stand still with the {fixed_to}, so that it turns around the object "
+        "from photograph to photograph, and one environment is learned in the axes of the first one; if the "
+        "light turned with the object, train with --light-fixed-to scene",
+    )
+
+
 def even_out(
     context: TaskContext, manifest: scene_pb2.SceneManifest, figures: capture_pb2.CaptureFigures
 ) -> None:
-    """Estimate exposures in `manifest` where they are not known, and tell the findings."""
+    """Estimate exposures in `manifest` where they are not known, and tell the findings.
+
+    Not where the light turns: what a turn does looks like a change of exposure.
+    """
+    if manifest.light_fixed_to:
+        return
     problems = Problems()
     even_out_exposure(manifest, figures, problems)
     for finding in problems.findings():

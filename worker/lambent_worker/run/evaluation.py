@@ -31,6 +31,7 @@ from lambent_worker.run.tasks.training import load_trained, read_scene
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import describe_scene, detect_layout
+from lambent_worker.scenes.light_turns import adopt_light
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.world import in_world, world_matrix
@@ -118,6 +119,7 @@ def _scene_to_compare(
         )
     manifest = select_lights(full, trained_lights)
     in_world(manifest, world_matrix(trained))
+    adopt_light(manifest, trained)
     use_own_masks(context, scene_dir, manifest, trained)
     adopt_exposures(manifest.frames, trained.frames)
     if any(frame.split == scene_pb2.SPLIT_TEST for frame in manifest.frames):

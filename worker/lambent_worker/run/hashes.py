@@ -28,6 +28,7 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
     scene = scene_hash(spec.scene)
     given: list[object] = [dict(spec.known_lights)] if spec.known_lights else []
     given += [{"masks": spec.masks}] if spec.masks else []
+    given += [{"light_fixed_to": spec.light_fixed_to}] if spec.light_fixed_to != "auto" else []
     hashes = {}
     if spec.lacks_cameras:
         hashes["cameras"] = _cameras_inputs(scene, spec)

@@ -21,12 +21,14 @@ from lambent_worker.run.known_lights import kept_lights, parse_known_lights
 from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import detect_layout
+from lambent_worker.scenes.light_turns import LightFixedTo, as_light_fixed_to
 
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
 _MAY_CHANGE = ("device", "scene")
 # Parameters of an order that are no settings of the method.
 LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS = "lights", "layout", "known_lights", "masks"
+LIGHT_FIXED_TO = "light_fixed_to"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,6 +49,8 @@ class RunSpec:
     """Names of the kept files of given environments by light; see `known_lights`."""
     masks: str = AUTOMATIC
     """Where masks come from: the capture or an estimate (""), nowhere ("none"), or given ones by content."""
+    light_fixed_to: LightFixedTo = "auto"
+    """What the light stands still with."""
     given: Mapping[str, Path] = field(default_factory=dict, compare=False)
     """Files that the run keeps a copy of, by their path in the run folder."""
 
@@ -67,12 +71,13 @@ class RunSpec:
         known_lights: Sequence[str] = (),
         masks: Path | None = None,
         whole_view: bool = False,
+        light_fixed_to: str = "auto",
         seed: int = 0,
     ) -> "RunSpec":
         """Return the specification for options of the command line.
 
         `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
-        for the object where there are none. Raises `UsageError` for an unknown preset and files that cannot
+        for the object where there are none, `light_fixed_to` is one of `LightFixedTo`. Raises `UsageError` for an unknown preset and files that cannot
         be used, `ConfigError` for a wrong setting.
         """
         return cls(
@@ -82,6 +87,7 @@ class RunSpec:
             seed=seed,
             lights=lights,
             layout=layout,
+            light_fixed_to=as_light_fixed_to(light_fixed_to),
             **_given(known_lights, masks, whole_view=whole_view),
         )
 
@@ -97,6 +103,7 @@ class RunSpec:
         lights, layout, known_lights, masks = (
             settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS)
         )
+        fixed_to = settings.pop(LIGHT_FIXED_TO, "auto")
         config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
         items = []
         for item in _listed(known_lights):
@@ -112,6 +119,7 @@ class RunSpec:
             seed=job.seed,
             lights=tuple(_listed(lights)),
             layout=layout,
+            light_fixed_to=as_light_fixed_to(fixed_to),
             **_given(items, folder, whole_view=masks == WHOLE_VIEW),
         )
 
@@ -170,6 +178,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "layout": spec.layout,
         "known_lights": dict(spec.known_lights),
         "masks": spec.masks,
+        "light_fixed_to": spec.light_fixed_to,
         "scene": str(spec.scene.resolve()),
     }
     if (run_dir / "run.json").exists():
@@ -217,6 +226,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
         layout=record["layout"],
         known_lights=record["known_lights"],
         masks=record["masks"],
+        light_fixed_to=as_light_fixed_to(record["light_fixed_to"]),
     )
     return spec, record["device"]
 
@@ -224,7 +234,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
 def run_record(run_dir: Path) -> dict[str, Any]:
     """Return the contents of `run.json`; raises `UsageError` where there is no run of this version."""
     try:
-        record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC}
+        record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC, "light_fixed_to": "auto"}
         record |= json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
         major = record["schema_version"].split(".")[0]
         missing = {"preset", "config", "seed", "device", "lights", "layout", "scene"} - record.keys()

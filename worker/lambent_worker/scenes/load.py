@@ -12,6 +12,7 @@ from numpy import ndarray
 from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_synthetic
 from lambent_worker.scenes.crop import Box, cropped, object_crop, whole_frame
 from lambent_worker.scenes.kept_pictures import Pictures, kept
+from lambent_worker.scenes.light_turns import light_turn
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
@@ -53,6 +54,7 @@ def load_scene(
                 world,
                 cut_out=crop == "object" and is_cut_out(manifest, frame),
                 store=store,
+                turn=light_turn(manifest, frame),
             ),
         )
         for frame in manifest.frames
@@ -109,6 +111,7 @@ def _load_view(
     *,
     cut_out: bool,
     store: Path | None,
+    turn: Float64[ndarray, "3 3"] | None,
 ) -> View:
     def make() -> Pictures:
         return _pictures(folder, frame, max_side, cut_out=cut_out)
@@ -124,6 +127,7 @@ def _load_view(
         clipped=found.clipped,
         truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
         margins=_margins(frame.camera, found.box, size),
+        light_turn=turn,
     )
 
 

@@ -60,6 +60,8 @@ class FoundCameras(BaseModel):
     up: tuple[float, float, float] | None = None
     """Direction that points up in the model's world, unit length; None where nothing tells."""
     findings: tuple[FoundFinding, ...] = ()
+    static_background: bool = False
+    """Whether the background stood still while the object moved, as on a turntable."""
 
     @property
     def registered(self) -> int:

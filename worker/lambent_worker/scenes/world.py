@@ -46,6 +46,8 @@ def move(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"]) -> 
         pose[:3, 3] = matrix[:3, :3] @ pose[:3, 3] + matrix[:3, 3]
         pose[:3, :3] = rotation @ pose[:3, :3]
         frame.camera.camera_to_world[:] = pose.ravel().tolist()
+    if manifest.light_frame:
+        manifest.light_frame[:] = (rotation @ np.array(manifest.light_frame).reshape(3, 3)).ravel().tolist()
     if manifest.bounds.minimum:
         low, high = np.array(manifest.bounds.minimum), np.array(manifest.bounds.maximum)
         middle = matrix[:3, :3] @ (0.5 * (low + high)) + matrix[:3, 3]

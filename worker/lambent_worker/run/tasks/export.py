@@ -1,5 +1,6 @@
 """Fifth task: the bundle, complete and compared with the model, or not there at all."""
 
+import copy
 import re
 import shutil
 from collections.abc import Callable
@@ -83,7 +84,8 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
         )
         _advance(context, {"models/gbuffer.onnx": 2, "models/relight.onnx": 5}.get(path, 3))
 
-    model = _write_networks(context, model, rule, manifest, folder, compared)
+    trained = model
+    model = _write_networks(context, at_reference(model), rule, manifest, folder, compared)
     surface = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
     _advance(context, 4)
     if settings.transport_tier != "none":
@@ -125,7 +127,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     if settings.weights == "none":
         remove_networks(manifest, folder)
     _advance(context, 7)
-    uncertainty = uncertainty_of_run(context, model, scene)
+    uncertainty = uncertainty_of_run(context, trained if scene.turned else model, scene)
     if uncertainty is not None:
         write_uncertainty(folder, manifest, uncertainty)
     for picture in sorted((context.run_dir / "previews").glob("*.png")):
@@ -168,6 +170,18 @@ def _write_networks(
         remove_networks(manifest, folder)
     write_graphs(model, rule, manifest, folder, seed=context.spec.seed, advance=compared)
     return model
+
+
+def at_reference(model: InverseModel) -> InverseModel:
+    """Return a model whose fast cache knows one light that stands still: that of the reference photograph.
+
+    It is the model itself where the light does not turn; the NeRF cache and the environment stay as they are.
+    """
+    if model.fast.turns is None:
+        return model
+    still = copy.deepcopy(model)
+    still.fast = model.fast.at_turn(0)
+    return still
 
 
 def light_names(lights: tuple[str, ...]) -> list[str]:

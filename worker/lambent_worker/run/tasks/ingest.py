@@ -6,7 +6,7 @@ from lambent_worker.capture_qa.page import write_capture_report
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import file_sha256, write_json
 from lambent_worker.messages import message_to_dict
-from lambent_worker.run.capture import LEFT_OUT, MANIFEST, even_out, found_cameras, own_masks
+from lambent_worker.run.capture import LEFT_OUT, MANIFEST, even_out, found_cameras, own_masks, settle_light
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.masks import AUTOMATIC, given_masks
 from lambent_worker.scenes.detect import describe_scene
@@ -36,6 +36,7 @@ def run(context: TaskContext) -> None:
     write_json(context.folder / LEFT_OUT, left_out)
     manifest = describe_scene(spec.scene, layout, given, checked.left_out, cameras)
     manifest = select_lights(manifest, spec.lights)
+    settle_light(context, manifest)
     if checked.figures is not None and checked.figures.has_masks:
         even_out(context, manifest, checked.figures)
     if own_masks(context) is not None:  # Found by name when they are needed, since a run may be moved.
