@@ -52,6 +52,11 @@ def own_masks(context: TaskContext) -> Path | None:
     return next((place for place in places if place.is_dir()), None)
 
 
+def read_checked_manifest(context: TaskContext) -> scene_pb2.SceneManifest:
+    """Return the description of the capture as it was checked, before masks were estimated."""
+    return read_message(task_folder(context.run_dir, "ingest") / MANIFEST, scene_pb2.SceneManifest())
+
+
 def read_manifest(context: TaskContext) -> scene_pb2.SceneManifest:
     """Return the description of the capture that the run trains on, with the run's own masks."""
     fitted, checked = (task_folder(context.run_dir, task) / MANIFEST for task in ("masks", "ingest"))
