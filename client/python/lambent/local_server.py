@@ -28,20 +28,6 @@ class LocalServer:
 
 
 @contextlib.contextmanager
-def ending_like_ctrl_c() -> Iterator[None]:
-    """Let a termination or a closed terminal end this process as Ctrl-C does: with everything put away."""
-    previous = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-
-@contextlib.contextmanager
 def local_server(data: Path) -> Iterator[LocalServer]:
     """Yield the server of a data folder; start one on a free port when none answers, and stop it afterwards.
 

@@ -26,7 +26,7 @@ _TYPES = {
 # File names in this folder contain a hash of their contents.
 _HASHED = "assets"
 # The pages that compute in WebAssembly; workers have the policy of their own script.
-_WITHOUT_WASM = frozenset({"jobs.html", "share.html"})
+_WITHOUT_WASM = frozenset({"jobs.html", "masks.html", "share.html"})
 _SHARED_HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",

@@ -38,6 +38,12 @@ def train(
     no_masks: Annotated[
         bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
     ] = False,
+    corrections: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Corrections of estimated masks; by default those of the run folder."
+        ),
+    ] = None,
     seed: shared.Seed = 0,
     device: Device = "",
     settings: shared.Settings = None,
@@ -51,7 +57,7 @@ def train(
     from lambent_worker.startup import prepare
 
     prepare()
-    from lambent_worker.run.spec import RunSpec, config_for, read_run
+    from lambent_worker.run.spec import RunSpec, config_for, read_run, with_kept_corrections
 
     overrides = {"model.environment.lights": "rotated"} if rotated else {}
     overrides |= parse_settings(settings or [])
@@ -75,8 +81,11 @@ def train(
             masks=masks,
             whole_view=no_masks,
             light_fixed_to=light_fixed_to,
+            corrections=corrections,
             seed=seed,
         )
+        if corrections is None:
+            spec = with_kept_corrections(spec, out)
     from lambent_worker.console_reporter import ConsoleReporter
     from lambent_worker.run.pipeline import run_pipeline
     from lambent_worker.run.prepare import device_for

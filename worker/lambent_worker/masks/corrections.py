@@ -25,6 +25,7 @@ from numpy import ndarray
 
 from lambent_worker.errors import UsageError
 
+NAME = "corrections.json"
 VERSION = 1
 MOST_CORRECTIONS = 10_000
 MOST_POINTS = 10_000
@@ -80,9 +81,19 @@ def record_of(corrections: Sequence[Correction]) -> dict[str, Any]:
 def read_corrections(path: Path) -> list[Correction]:
     """Return the corrections in a file; raises `UsageError` as `corrections_from` does."""
     try:
-        return corrections_from(json.loads(path.read_text(encoding="utf-8")))
+        text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise _invalid(f'"{path}" is no JSON document') from error
+        raise _invalid(f'"{path}" cannot be read') from error
+    return parse_corrections(text, f'"{path}"')
+
+
+def parse_corrections(text: str, source: str) -> list[Correction]:
+    """Return the corrections in a text; raises `UsageError` as `corrections_from` does, naming `source`."""
+    try:
+        record = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise _invalid(f"{source} is no JSON document") from error
+    return corrections_from(record)
 
 
 def seeds_of(

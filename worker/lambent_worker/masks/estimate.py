@@ -204,13 +204,14 @@ def why_not_credible(found: Estimate, settings: EstimateSettings) -> str:
     return ""
 
 
-def not_credible(reason: str) -> SceneRefusedError:
-    """Return the refusal of a capture whose masks are not credible."""
+def not_credible(reason: str, *, markable: bool = False) -> SceneRefusedError:
+    """Return the refusal of a capture whose masks are not credible; `markable`: a person's marks may help."""
+    mark = "mark the object on a few photographs (lambent masks --edit), " if markable else ""
     problems = Problems()
     problems.error(
         "scene.mask_missing",
         "no picture says where the object is, and it could not be found by comparing the views: "
-        f"{reason}; cut the object out and save PNG with alpha, or give masks with --masks",
+        f"{reason}; {mark}cut the object out and save PNG with alpha, or give masks with --masks",
     )
     return SceneRefusedError.of(problems.findings())
 

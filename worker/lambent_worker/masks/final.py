@@ -1,5 +1,6 @@
 """Draws the mask of one photograph at its own resolution, from the evidence of all."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -100,11 +101,18 @@ def preview_mask(
     return mask
 
 
-def preview_masks(work: Workspace, settings: FinalSettings | None = None) -> list[ndarray]:
-    """Return `preview_mask` of all views, computed in two threads."""
+def preview_masks(
+    work: Workspace, settings: FinalSettings | None = None, go_on: Callable[[], None] = lambda: None
+) -> list[Bool[ndarray, "height width"]]:
+    """Return `preview_mask` of all views, computed in two threads; what `go_on` raises stops the work."""
     colours, chosen = colours_of(work), settings or FinalSettings()
+
+    def draw(number: int) -> Bool[ndarray, "height width"]:
+        go_on()
+        return preview_mask(number, work, colours, chosen)
+
     with ThreadPoolExecutor(max_workers=2) as pool:
-        return list(pool.map(lambda i: preview_mask(i, work, colours, chosen), range(len(work.names))))
+        return list(pool.map(draw, range(len(work.names))))
 
 
 def _box(

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw
 from lambent_worker.capture_qa.observe import outlined_picture, resized
 from lambent_worker.errors import WorkerError
 from lambent_worker.masks.consensus import MaskView
+from lambent_worker.masks.corrections import Correction
 from lambent_worker.masks.estimate import (
     Estimate,
     EstimateSettings,
@@ -26,6 +27,7 @@ from lambent_worker.masks.estimate import (
 from lambent_worker.masks.final import FinalSettings, colours_of, final_mask
 from lambent_worker.masks.find import FindSettings, find_object
 from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints, photographs_of
+from lambent_worker.masks.propagate import propagated
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.resample import reduced_size
@@ -59,11 +61,15 @@ class WrittenMasks:
     """Frames on which the views do not agree, the worst first."""
     reason: str = ""
     """Why the masks are not to be believed; empty where they are."""
+    markable: bool = False
+    """Whether a person's marks may show where the object is."""
 
     def require_credible(self) -> None:
         """Raise `SceneRefusedError` with `scene.mask_missing` where the masks are not to be believed."""
         if self.reason:
-            raise not_credible(f"{self.reason} (what was found is in {self.sheet} and {self.folder})")
+            raise not_credible(
+                f"{self.reason} (what was found is in {self.sheet} and {self.folder})", markable=self.markable
+            )
 
 
 def write_masks(
@@ -74,41 +80,42 @@ def write_masks(
     progress: Progress = lambda phase, done, total: None,
     *,
     points: SparsePoints | None = None,
-    keep_in: Path | None = None,
 ) -> WrittenMasks:
     """Write `out`/masks/<frame>.png for the capture in `folder`, and `out`/masks.jpg for checking.
 
     By the built-in estimate, or by `segmenter`. `points` are sparse points in the coordinates of `manifest`,
     by which the support is found and taken away; without them they are triangulated. Masks and
     thumbnails are written in any case; `WrittenMasks.reason` says why they are not to be believed, and
-    `require_credible` refuses them. `keep_in` is a folder for what corrections start from (`Workspace`).
-    `progress` is called with the phase and how much of how much of it is done; what it raises stops the work.
+    `require_credible` refuses them. `progress` is called with the phase and how much of how much of it is
+    done; what it raises stops the work.
     """
     photographs = photographs_of(folder, manifest)
     if segmenter is not None:
         return _by_segmenter(photographs, out, segmenter, progress)
-    return estimate_into(photographs, points, out, keep_in, progress)
+    return draw_into(
+        find_object(photographs, points, FindSettings(), progress), photographs, out, (), progress
+    )
 
 
-def estimate_into(
+def draw_into(
+    work: Workspace | str,
     photographs: Sequence[Photograph],
-    points: SparsePoints | None,
     out: Path,
-    keep_in: Path | None,
+    corrections: Sequence[Correction],
     progress: Progress,
 ) -> WrittenMasks:
-    """Write masks and thumbnails by the built-in estimate; see `write_masks`."""
-    settings = FindSettings()
-    work = find_object(photographs, points, settings, progress)
+    """Write masks and thumbnails of what was found, or why nothing was, after a person's corrections.
+
+    Raises `UsageError` (`config.corrections_invalid`) where they name a frame that is not there.
+    """
     writer = MaskWriter(out, photographs)
     if isinstance(work, str):
         for number in range(len(photographs)):
             camera = photographs[number].camera
             writer.write(number, np.zeros((camera.height, camera.width), np.uint8))
         return writer.finish(np.zeros(len(photographs)), work)
-    if keep_in is not None:
-        work.save(keep_in)
-    return draw_masks(work, photographs, writer, settings.plain, progress)
+    corrected = propagated(work, corrections)
+    return draw_masks(corrected, photographs, writer, FindSettings().plain, progress)
 
 
 def draw_masks(
@@ -127,7 +134,7 @@ def draw_masks(
     consistency = consistency_of(writer.coverages, views, work.centre, work.distance, settings)
     small = [_small_view(view, settings.consensus_side) for view in views]
     found = Estimate(writer.coverages, consistency, separation_of(small, writer.coverages))
-    return writer.finish(consistency.overlap, _reason(work, found, settings))
+    return replace(writer.finish(consistency.overlap, _reason(work, found, settings)), markable=True)
 
 
 def _reason(work: Workspace, found: Estimate, settings: EstimateSettings) -> str:

@@ -51,12 +51,7 @@ def propagated(
     `UsageError` (`config.corrections_invalid`) for a frame that the capture does not have.
     """
     settings = settings or PropagateSettings()
-    unknown = sorted({each.frame for each in corrections} - set(work.names))
-    if unknown:
-        raise UsageError(
-            "config.corrections_invalid",
-            f'the corrections name "{unknown[0]}", which is no frame of the capture; leave them out',
-        )
+    require_frames(work, corrections)
     if not corrections:
         return work
     seeds = _seeds(work, corrections)
@@ -73,6 +68,16 @@ def propagated(
         given = replace(given, low=work.found_low, high=work.found_high)
     agreement = agree(small, work.centre, work.distance, leaning, rounds, given, prepared)
     return _updated(work, small, seeds, given, agreement)
+
+
+def require_frames(work: Workspace, corrections: Sequence[Correction]) -> None:
+    """Raise `UsageError` (`config.corrections_invalid`) for a frame that the capture does not have."""
+    unknown = sorted({each.frame for each in corrections} - set(work.names))
+    if unknown:
+        raise UsageError(
+            "config.corrections_invalid",
+            f'the corrections name "{unknown[0]}", which is no frame of the capture; leave them out',
+        )
 
 
 def _updated(

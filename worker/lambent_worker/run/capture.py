@@ -53,6 +53,11 @@ def own_masks(context: TaskContext) -> Path | None:
     return next((place for place in places if place.is_dir()), None)
 
 
+def read_checked_manifest(context: TaskContext) -> scene_pb2.SceneManifest:
+    """Return the description of the capture as it was checked, before masks were estimated."""
+    return read_message(task_folder(context.run_dir, "ingest") / MANIFEST, scene_pb2.SceneManifest())
+
+
 def read_manifest(context: TaskContext) -> scene_pb2.SceneManifest:
     """Return the description of the capture that the run trains on, with the run's own masks."""
     fitted, checked = (task_folder(context.run_dir, task) / MANIFEST for task in ("masks", "ingest"))
@@ -108,7 +113,9 @@ def settle_light(context: TaskContext, manifest: scene_pb2.SceneManifest) -> Non
                 "object, as --light-fixed-to scene says; shading will end up in the materials if it did not",
             )
         return
-    seen = "the background stands still while the object turns, as on a turntable" if recognised else "as asked"
+    seen = (
+        "the background stands still while the object turns, as on a turntable" if recognised else "as asked"
+    )
     context.reporter.finding(
         "scene.turntable",
         f"{seen}: the light is taken to stand still with the {fixed_to}, so that it turns around the object "

@@ -29,6 +29,8 @@ TASK_FOLDERS = {
     "export": "bundle",
     "bake": "bake",
 }
+LASTING = {"masks": frozenset({"workspace"})}
+"""What says itself from which inputs it was made, by task: it outlives a change of the task's inputs."""
 
 
 def task_folder(run_dir: Path, task: str) -> Path:
@@ -58,17 +60,27 @@ def require_done(run_dir: Path, task: str) -> str:
 
 
 def begin_task(run_dir: Path, task: str, inputs: str) -> None:
-    """Prepare a task's folder: remove what was made from other inputs.
+    """Prepare a task's folder: remove what was made from other inputs, but for what is `LASTING`.
 
     A folder of unknown inputs is kept: that is how checkpoints look that were brought from elsewhere.
     """
     marker = run_dir / "steps" / f"{task}.inputs.json"
     if _read_hash(marker) not in (None, inputs):
-        shutil.rmtree(task_folder(run_dir, task), ignore_errors=True)
+        _clear(task_folder(run_dir, task), LASTING.get(task, frozenset()))
         marker.unlink()
     task_folder(run_dir, task).mkdir(parents=True, exist_ok=True)
     marker.parent.mkdir(exist_ok=True)
     write_json(marker, {**read_record(marker), "sha256": inputs})
+
+
+def _clear(folder: Path, kept: frozenset[str]) -> None:
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.name in kept:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def add_task_seconds(run_dir: Path, task: str, seconds: float) -> None:

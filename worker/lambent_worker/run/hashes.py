@@ -5,7 +5,7 @@ from pathlib import Path
 from flashcache.config import Config, to_dict
 
 from lambent_worker.files import digest, file_sha256
-from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.spec import RunSpec, corrections_hash
 
 TASKS = ("cameras", "ingest", "masks", "cache", "joint", "evaluate", "export")
 """In order. Only photographs without cameras have `cameras`."""
@@ -13,7 +13,7 @@ PREPARATION = ("cameras", "ingest", "masks")
 """What comes before the training."""
 
 # What a training task's files depend on: the task before it, and the parts of the configuration it reads.
-# Masks that are estimated depend on nothing but what `ingest` depends on.
+# Masks that are estimated depend on nothing but what `ingest` depends on, and on a person's corrections.
 PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
 CONFIG_PARTS = {
     "cache": ("max_side", "crop", "space", "model", "pixels", "stage_one"),
@@ -34,9 +34,11 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
         hashes["cameras"] = _cameras_inputs(scene, spec)
         given.append({"cameras": hashes["cameras"]})
     hashes["ingest"] = digest("ingest", scene, list(spec.lights), spec.layout, *given)
-    hashes["masks"] = digest("masks", hashes["ingest"])
+    corrected = corrections_hash(spec)
+    hashes["masks"] = digest("masks", hashes["ingest"], *([corrected] if corrected else []))
     for name in CONFIG_PARTS:
-        hashes[name] = task_inputs(name, hashes[PREVIOUS[name]], spec.config, spec.seed)
+        previous = "masks" if corrected and name == "cache" else PREVIOUS[name]
+        hashes[name] = task_inputs(name, hashes[previous], spec.config, spec.seed)
     return hashes
 
 

@@ -7,12 +7,17 @@ from pathlib import Path
 from flashcache.config import with_overrides
 
 from lambent_worker.errors import UsageError
+from lambent_worker.masks.corrections import NAME
+from lambent_worker.masks.editing import Editing
+from lambent_worker.masks.estimate import not_credible
 from lambent_worker.reporter import Reporter
+from lambent_worker.run.capture import needs_masks
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import done_inputs, locked, require_done, task_folder
 from lambent_worker.run.hashes import task_inputs
+from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.run.pipeline import run_task
-from lambent_worker.run.spec import read_run, run_record
+from lambent_worker.run.spec import RunSpec, read_run, run_record, training_has_begun, unused_corrections
 
 
 def device_for(run_dir: Path, device: str = "") -> str:
@@ -38,6 +43,45 @@ def open_task(run_dir: Path, task: str, reporter: Reporter, device: str = "") ->
     spec, own = read_run(run_dir)
     check_device(device or own)
     return TaskContext(spec=spec, run_dir=run_dir, device=device or own, reporter=reporter, task=task)
+
+
+def preparation_of(scene: Path, run_dir: Path, layout: str = "") -> RunSpec:
+    """Return the specification of the run in `run_dir`, or of one that is to be prepared there.
+
+    What comes before the training is the same for every preset.
+    """
+    if (run_dir / "run.json").exists():
+        return replace(read_run(run_dir)[0], scene=scene)
+    return RunSpec.from_options(scene, preset="fast", layout=layout)
+
+
+def check_correctable(spec: RunSpec, run_dir: Path) -> None:
+    """Raise `UsageError` where the masks of a run are not estimated, or were trained with already."""
+    if spec.masks != AUTOMATIC:
+        raise unused_corrections("this run has given ones, or none")
+    if training_has_begun(run_dir):
+        raise UsageError(
+            "run.training_begun",
+            f'"{run_dir}" was trained with the masks it has; correct them in another folder with -o '
+            f'(a copy of "{run_dir / NAME}", given to lambent train by --corrections, takes the ones over)',
+        )
+
+
+def editing_of(run_dir: Path, reporter: Reporter) -> Editing:
+    """Return what a person corrects in a run whose capture was read; the caller holds its folder.
+
+    Masks that are not estimated yet are, without drawing them. Raises `UsageError` where the capture has
+    masks, and `SceneRefusedError` where its views cannot be compared.
+    """
+    from lambent_worker.run.tasks import masks
+
+    context = open_task(run_dir, "masks", reporter)
+    if not needs_masks(context):
+        raise unused_corrections("this capture brings its own")
+    found = masks.found_object(context)
+    if isinstance(found, str):
+        raise not_credible(found)
+    return Editing(found, masks.photographs(context))
 
 
 def check_device(device: str) -> None:

@@ -15,8 +15,15 @@ from flashcache.presets import preset as preset_of
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 from lambent_worker.errors import UsageError
-from lambent_worker.files import write_json
-from lambent_worker.run.folder import done_inputs
+from lambent_worker.files import digest, write_json
+from lambent_worker.masks.corrections import (
+    NAME,
+    Correction,
+    parse_corrections,
+    read_corrections,
+    record_of,
+)
+from lambent_worker.run.folder import begun_inputs, done_inputs
 from lambent_worker.run.known_lights import kept_lights, parse_known_lights
 from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
 from lambent_worker.scenes import photographs
@@ -25,10 +32,15 @@ from lambent_worker.scenes.light_turns import LightFixedTo, as_light_fixed_to
 
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
-_MAY_CHANGE = ("device", "scene")
+_MAY_CHANGE = frozenset({"device", "scene"})
+# And what may until the training begins: nothing before it reads the settings of the method.
+_MAY_CHANGE_BEFORE_TRAINING = frozenset({"preset", "config", "corrections"})
 # Parameters of an order that are no settings of the method.
 LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS = "lights", "layout", "known_lights", "masks"
 LIGHT_FIXED_TO = "light_fixed_to"
+CORRECTIONS = "corrections"
+MOST_BYTES = 64 * 1024
+"""Of the corrections in an order."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,8 +63,14 @@ class RunSpec:
     """Where masks come from: the capture or an estimate (""), nowhere ("none"), or given ones by content."""
     light_fixed_to: LightFixedTo = "auto"
     """What the light stands still with."""
+    corrections: tuple[Correction, ...] = ()
+    """What a person says about the masks that are estimated, the latest last."""
     given: Mapping[str, Path] = field(default_factory=dict, compare=False)
     """Files that the run keeps a copy of, by their path in the run folder."""
+
+    def __post_init__(self) -> None:
+        if self.corrections and self.masks != AUTOMATIC:
+            raise unused_corrections("masks were given, or none are wanted")
 
     @property
     def lacks_cameras(self) -> bool:
@@ -72,13 +90,15 @@ class RunSpec:
         masks: Path | None = None,
         whole_view: bool = False,
         light_fixed_to: str = "auto",
+        corrections: Path | None = None,
         seed: int = 0,
     ) -> "RunSpec":
         """Return the specification for options of the command line.
 
         `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
-        for the object where there are none, `light_fixed_to` is one of `LightFixedTo`. Raises `UsageError` for an unknown preset and files that cannot
-        be used, `ConfigError` for a wrong setting.
+        for the object where there are none, `light_fixed_to` is one of `LightFixedTo`, `corrections` is a
+        file of what a person says about estimated masks. Raises `UsageError` for an unknown preset and files
+        that cannot be used, `ConfigError` for a wrong setting.
         """
         return cls(
             scene=scene,
@@ -88,6 +108,7 @@ class RunSpec:
             lights=lights,
             layout=layout,
             light_fixed_to=as_light_fixed_to(light_fixed_to),
+            corrections=() if corrections is None else tuple(read_corrections(corrections)),
             **_given(known_lights, masks, whole_view=whole_view),
         )
 
@@ -96,12 +117,13 @@ class RunSpec:
         """Return the specification for an order, with the changes that its failures so far have caused.
 
         `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
-        `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". Raises `ConfigError` for an unknown preset or
-        setting and for files outside the capture, `UsageError` for files that cannot be used.
+        `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". `corrections` is the JSON document itself, at most
+        `MOST_BYTES` of it. Raises `ConfigError` for an unknown preset or setting and for files outside the
+        capture, `UsageError` for files and corrections that cannot be used.
         """
         settings = dict(job.params)
-        lights, layout, known_lights, masks = (
-            settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS)
+        lights, layout, known_lights, masks, corrections = (
+            settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
         )
         fixed_to = settings.pop(LIGHT_FIXED_TO, "auto")
         config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
@@ -120,6 +142,7 @@ class RunSpec:
             lights=tuple(_listed(lights)),
             layout=layout,
             light_fixed_to=as_light_fixed_to(fixed_to),
+            corrections=_ordered_corrections(corrections),
             **_given(items, folder, whole_view=masks == WHOLE_VIEW),
         )
 
@@ -167,7 +190,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """Make `run_dir` the folder of this run: `run.json` and the given files; one that it is already stays.
 
     Raises `UsageError` where it is the folder of a run with other settings. Masks may be others as long as
-    the ones before were refused.
+    the ones before were refused; preset, settings and corrections until the training begins.
     """
     wanted = {
         "preset": spec.preset,
@@ -179,6 +202,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "known_lights": dict(spec.known_lights),
         "masks": spec.masks,
         "light_fixed_to": spec.light_fixed_to,
+        "corrections": corrections_hash(spec),
         "scene": str(spec.scene.resolve()),
     }
     if (run_dir / "run.json").exists():
@@ -189,22 +213,26 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
                 f'"{run_dir}" has settings of another release, so it cannot be trained further; train again '
                 "in another folder, or use this one with lambent evaluate and lambent export",
             )
-        differing = [
-            name for name, value in wanted.items() if name not in _MAY_CHANGE and found[name] != value
-        ]
+        differing = {name for name, value in wanted.items() if found[name] != value} - _MAY_CHANGE
         if not differing:
             return
-        if differing != ["masks"] or done_inputs(run_dir, "masks") is not None:
+        fixed = differing - _changeable(run_dir)
+        if fixed:
+            named = ", ".join(name for name in wanted if name in fixed)
+            held = "was trained with other corrections of its masks"
             raise UsageError(
                 "run.other_settings",
-                f'"{run_dir}" holds a run with another {", ".join(differing)}; choose another folder with '
-                "-o, or give --resume to go on with the settings it has",
+                f'"{run_dir}" {held if fixed == {"corrections"} else f"holds a run with another {named}"}; '
+                "choose another folder with -o, or give --resume to go on with the settings it has",
             )
-        shutil.rmtree(run_dir / KEPT_FOLDER, ignore_errors=True)
+        if "masks" in differing:
+            shutil.rmtree(run_dir / KEPT_FOLDER, ignore_errors=True)
     for place, source in spec.given.items():
         (run_dir / place).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, run_dir / place)
     run_dir.mkdir(parents=True, exist_ok=True)
+    if spec.corrections:
+        write_json(run_dir / NAME, record_of(spec.corrections))
     record = {
         "schema_version": SCHEMA_VERSION,
         **wanted,
@@ -212,6 +240,8 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "versions": {name: version(name) for name in ("lambent", "torch", "numpy")},
     }
     write_json(run_dir / "run.json", record)
+    if not spec.corrections:
+        (run_dir / NAME).unlink(missing_ok=True)
 
 
 def read_run(run_dir: Path) -> tuple[RunSpec, str]:
@@ -227,14 +257,23 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
         known_lights=record["known_lights"],
         masks=record["masks"],
         light_fixed_to=as_light_fixed_to(record["light_fixed_to"]),
+        corrections=tuple(read_corrections(run_dir / NAME)) if record["corrections"] else (),
     )
     return spec, record["device"]
+
+
+def with_kept_corrections(spec: RunSpec, run_dir: Path) -> RunSpec:
+    """Return the specification with the corrections that the run in `run_dir` keeps, if there is one."""
+    if spec.masks != AUTOMATIC or not (run_dir / "run.json").exists():
+        return spec
+    return replace(spec, corrections=read_run(run_dir)[0].corrections)
 
 
 def run_record(run_dir: Path) -> dict[str, Any]:
     """Return the contents of `run.json`; raises `UsageError` where there is no run of this version."""
     try:
         record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC, "light_fixed_to": "auto"}
+        record["corrections"] = ""
         record |= json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
         major = record["schema_version"].split(".")[0]
         missing = {"preset", "config", "seed", "device", "lights", "layout", "scene"} - record.keys()
@@ -249,6 +288,39 @@ def run_record(run_dir: Path) -> dict[str, Any]:
             "run.version", f'"{run_dir}" was written by another version; train again with this one'
         )
     return record
+
+
+def corrections_hash(spec: RunSpec) -> str:
+    """Return the hash of a run's corrections; empty where it has none."""
+    return digest(record_of(spec.corrections)) if spec.corrections else ""
+
+
+def unused_corrections(why: str) -> UsageError:
+    """Return the error for corrections in a run that estimates no masks."""
+    return UsageError(
+        "config.corrections_unused",
+        f"corrections are about masks that are estimated, but {why}; leave the corrections out",
+    )
+
+
+def training_has_begun(run_dir: Path) -> bool:
+    """Return whether the run's training has begun."""
+    return begun_inputs(run_dir, "cache") is not None
+
+
+def _changeable(run_dir: Path) -> frozenset[str]:
+    """Return what another start of the run may change besides device and place."""
+    masks = frozenset() if done_inputs(run_dir, "masks") is not None else frozenset({"masks"})
+    return masks if training_has_begun(run_dir) else masks | _MAY_CHANGE_BEFORE_TRAINING
+
+
+def _ordered_corrections(text: str) -> tuple[Correction, ...]:
+    if len(text.encode()) > MOST_BYTES:
+        raise UsageError(
+            "config.corrections_invalid",
+            f"the corrections of masks are longer than {MOST_BYTES // 1024} KiB; leave some out",
+        )
+    return tuple(parse_corrections(text, f'"{CORRECTIONS}"')) if text else ()
 
 
 def _given(known_lights: Sequence[str], masks: Path | None, *, whole_view: bool) -> dict[str, Any]:

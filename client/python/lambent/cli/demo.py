@@ -42,8 +42,9 @@ def demo(
     # The demo talks to its own server, whatever server this shell is set up for.
     for name in ("LAMBENT_URL", "LAMBENT_API_KEY", "LAMBENT_DATA"):
         os.environ.pop(name, None)
+    from lambent_pages.loopback import ending_like_ctrl_c
+
     from lambent.cli.demo_run import run_demo
-    from lambent.local_server import ending_like_ctrl_c
 
     stays = sys.stdin.isatty() and sys.stderr.isatty() if keep is None else keep
     with ending_like_ctrl_c():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from flashcache.presets import PRESETS
 from lambent_worker.errors import Stopped, UsageError, WorkerError
+from lambent_worker.masks.corrections import Correction
 from lambent_worker.run import pipeline
 from lambent_worker.run.context import Clock
 from lambent_worker.run.folder import done_inputs, locked, task_folder, task_seconds
@@ -211,3 +212,29 @@ def test_given_masks_change_every_task(scene):
     own = input_hashes(spec_of(scene))
     given, other = (input_hashes(spec_of(scene, masks=masks)) for masks in ("one", "other"))
     assert all(len({own[task], given[task], other[task]}) == 3 for task in POSED)
+
+
+STROKE = Correction(frame="train_r_0", is_object=False, points=((1.0, 2.0),), radius=3.0)
+
+
+def test_corrections_change_the_masks_and_what_comes_after_and_nothing_before(scene):
+    own = input_hashes(spec_of(scene))
+    corrected, other = (
+        input_hashes(spec_of(scene, corrections=(dataclasses.replace(STROKE, radius=radius),)))
+        for radius in (3.0, 4.0)
+    )
+    assert own["ingest"] == corrected["ingest"] == other["ingest"]
+    assert all(len({own[task], corrected[task], other[task]}) == 3 for task in POSED[1:])
+
+
+def test_what_was_found_outlives_other_corrections_and_the_masks_do_not(tmp_path, scene, tasks):
+    run(tmp_path, scene)
+    workspace = task_folder(tmp_path / "run", "masks") / "workspace"
+    workspace.mkdir()
+    (workspace / "estimate.json").write_text("found")
+    run(tmp_path, scene, corrections=(STROKE,))
+    assert tasks.ran[6:] == [
+        ("masks", ["workspace"]),
+        *((name, []) for name in ("cache", "joint", "evaluate", "export")),
+    ]
+    assert (workspace / "estimate.json").read_text() == "found"

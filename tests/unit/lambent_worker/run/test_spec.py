@@ -12,7 +12,7 @@ from lambent_worker.errors import UsageError
 from lambent_worker.files import write_json
 from lambent_worker.run.folder import begin_task, finish_task
 from lambent_worker.run.masks import WHOLE_VIEW, given_masks
-from lambent_worker.run.spec import RunSpec, adjust, keep_run, read_run
+from lambent_worker.run.spec import RunSpec, adjust, keep_run, read_run, with_kept_corrections
 from support.ball_photographs import write_masks
 from support.ball_views import ball_views
 
@@ -122,6 +122,7 @@ def test_a_moved_scene_or_another_device_is_the_same_run(tmp_path):
 )
 def test_other_settings_for_a_folder_in_use_are_refused_and_named(tmp_path, changes, named):
     keep(tmp_path)
+    begin_task(tmp_path / "run", "cache", "inputs")
     with pytest.raises(UsageError, match=rf"run\.other_settings.*another {named};"):
         keep(tmp_path, **changes)
 
@@ -153,6 +154,62 @@ def test_masks_may_be_others_until_a_capture_was_read_with_them(tmp_path, cut):
     begin_task(tmp_path / "run", "masks", "inputs")
     finish_task(tmp_path / "run", "masks", "inputs")
     with pytest.raises(UsageError, match=r"run\.other_settings.*another masks;"):
+        keep(tmp_path)
+
+
+STROKE = {"frame": "a", "label": "background", "stroke": [[1, 2], [3, 4]], "radius": 2}
+
+
+def corrected(tmp_path, *entries):
+    path = tmp_path / "given.json"
+    path.write_text(json.dumps({"version": 1, "corrections": entries}))
+    return path
+
+
+def test_corrections_are_the_same_from_an_order_the_command_line_and_the_folder(tmp_path):
+    path = corrected(tmp_path, STROKE)
+    spec = options(tmp_path, corrections=path)
+    assert spec == ordered(tmp_path, corrections=path.read_text())
+    assert spec != options(tmp_path)
+    keep_run(tmp_path / "run", spec, "cpu")
+    path.unlink()
+    assert read_run(tmp_path / "run")[0] == spec
+    assert json.loads((tmp_path / "run" / "corrections.json").read_text())["corrections"] == [STROKE]
+    assert with_kept_corrections(options(tmp_path), tmp_path / "run") == spec
+    assert not with_kept_corrections(options(tmp_path, whole_view=True), tmp_path / "run").corrections
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", json.dumps({"version": 1, "corrections": [STROKE]}) + " " * 2**16], ids=len
+)
+def test_corrections_of_an_order_that_cannot_be_used_are_refused(tmp_path, text):
+    with pytest.raises(UsageError, match=r"config\.corrections_invalid"):
+        ordered(tmp_path, corrections=text)
+
+
+def test_corrections_of_masks_that_were_given_are_refused(tmp_path, cut):
+    for others in ({"masks": cut}, {"whole_view": True}):
+        with pytest.raises(UsageError, match=r"config\.corrections_unused"):
+            options(tmp_path, corrections=corrected(tmp_path, STROKE), **others)
+
+
+def test_a_prepared_run_takes_any_preset_and_corrections_until_its_training_begins(tmp_path):
+    run = tmp_path / "run"
+    keep(tmp_path)
+    for task in ("ingest", "masks"):
+        begin_task(run, task, "inputs")
+        finish_task(run, task, "inputs")
+    keep(tmp_path, preset="fast", corrections=corrected(tmp_path, STROKE))
+    found = read_run(run)[0]
+    assert (found.preset, len(found.corrections)) == ("fast", 1)
+    keep(tmp_path, preset="fast")
+    assert not read_run(run)[0].corrections
+    assert not (run / "corrections.json").exists()
+    begin_task(run, "cache", "inputs")
+    keep(tmp_path, preset="fast")
+    with pytest.raises(UsageError, match=r"run\.other_settings.*other corrections of its masks;.*-o"):
+        keep(tmp_path, preset="fast", corrections=corrected(tmp_path, STROKE))
+    with pytest.raises(UsageError, match=r"run\.other_settings.*another preset, config;"):
         keep(tmp_path)
 
 

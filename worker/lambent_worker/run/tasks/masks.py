@@ -7,9 +7,13 @@ from lambent_proto.v1 import scene_pb2
 from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
 from lambent_worker.capture_qa.page import write_capture_report
-from lambent_worker.files import write_json
-from lambent_worker.masks.folder import SHEET, WrittenMasks, write_masks
+from lambent_worker.errors import WorkerError
+from lambent_worker.files import read_record, write_json
+from lambent_worker.masks.find import FindSettings, find_object
+from lambent_worker.masks.folder import SHEET, WrittenMasks, draw_into
+from lambent_worker.masks.photograph import Photograph, photographs_of
 from lambent_worker.masks.sparse import sparse_points
+from lambent_worker.masks.workspace import Workspace
 from lambent_worker.messages import message_to_dict
 from lambent_worker.run.capture import (
     MANIFEST,
@@ -18,17 +22,30 @@ from lambent_worker.run.capture import (
     even_out,
     found_cameras,
     needs_masks,
-    read_manifest,
+    read_checked_manifest,
 )
 from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import begun_inputs, done_inputs
 from lambent_worker.run.masks import AUTOMATIC
+from lambent_worker.run.spec import unused_corrections
 from lambent_worker.scenes.colmap_model import ModelError
 from lambent_worker.scenes.detect import fit_to_masks
 
-PARTS = {"reading photographs": (0.0, 0.2), "comparing the views": (0.2, 0.5), "drawing outlines": (0.5, 0.9)}
+PARTS = {
+    "looking for points": (0.0, 0.12),
+    "placing points": (0.12, 0.16),
+    "reading photographs": (0.16, 0.26),
+    "looking at the support": (0.26, 0.34),
+    "comparing the views": (0.34, 0.5),
+    "drawing outlines": (0.5, 0.9),
+}
 """Shares of the task's time by phase of the estimate."""
 WORKSPACE = "workspace"
 """Folder of what corrections start from."""
+MADE_FROM = "made_from.json"
+"""The hash of what a result, or a workspace, was made from."""
+AGREEMENT = "agreement.json"
+"""How well the views agree, and which ones do not."""
 BLAMED = frozenset(
     {
         "scene.pose_inconsistent",
@@ -47,16 +64,22 @@ BLAMED = frozenset(
 def run(context: TaskContext) -> None:
     """Write `estimated_masks/`, where there are none: masks, thumbnails, the manifest with a fitted box.
 
-    The estimate is checked like masks that somebody made. Raises `SceneRefusedError` where it is not to be
-    believed; the thumbnails show why.
+    A person's corrections are applied to what was estimated, which is kept and not estimated again for other
+    corrections. The result is checked like masks that somebody made. Raises `SceneRefusedError` where it is
+    not to be believed; the thumbnails show why. Raises `UsageError` for corrections of masks that are not
+    estimated.
     """
     if context.spec.masks != AUTOMATIC or not needs_masks(context):
+        if context.spec.corrections:
+            raise unused_corrections("this capture brings its own")
         return
     folder = context.folder / MASKS
-    if not (context.folder / MANIFEST).is_file():
-        written = _estimate(context)
+    inputs = begun_inputs(context.run_dir, "masks") or ""
+    if not _is_made_from(context.folder, inputs):
+        (context.folder / MANIFEST).unlink(missing_ok=True)
+        written = _draw(context)
         _tell(context, written)
-        manifest = read_manifest(context)
+        manifest = read_checked_manifest(context)
         attach_or_refuse(manifest, context.spec.scene, folder)
         fit_to_masks(context.spec.scene, manifest)
         checked = _check(context, folder)
@@ -65,13 +88,41 @@ def run(context: TaskContext) -> None:
         for frame in manifest.frames:
             frame.mask = ""
         write_json(context.folder / MANIFEST, message_to_dict(manifest))
+        write_json(context.folder / MADE_FROM, {"sha256": inputs})
         context.reporter.checkpoint("masks", 1, context.folder)
     context.reporter.artifact(SHEET, context.folder / SHEET)
     context.progress(1, 1)
 
 
-def _estimate(context: TaskContext) -> WrittenMasks:
-    spec, manifest, points = context.spec, read_manifest(context), None
+def photographs(context: TaskContext) -> list[Photograph]:
+    """Return the photographs of the run's capture, in the order of its workspace."""
+    return photographs_of(context.spec.scene, read_checked_manifest(context))
+
+
+def found_object(context: TaskContext) -> Workspace | str:
+    """Return where the object is before corrections, or why these views cannot be compared.
+
+    What was found once is kept in `workspace/`, and read from there as long as the capture is the same.
+    """
+    kept, inputs = context.folder / WORKSPACE, done_inputs(context.run_dir, "ingest") or ""
+    if _is_made_from(kept, inputs):
+        try:
+            return Workspace.load(kept)
+        except WorkerError as error:  # Of another release.
+            context.reporter.log("masks.estimated_again", reason=error.code)
+    found = _find(context)
+    if not isinstance(found, str):
+        found.save(kept)
+        write_json(kept / MADE_FROM, {"sha256": inputs})
+    return found
+
+
+def _is_made_from(folder: Path, inputs: str) -> bool:
+    return bool(inputs) and read_record(folder / MADE_FROM).get("sha256") == inputs
+
+
+def _find(context: TaskContext) -> Workspace | str:
+    spec, manifest, points = context.spec, read_checked_manifest(context), None
     try:
         points = sparse_points(spec.scene, manifest, found_cameras(context.run_dir))
     except ModelError as error:
@@ -80,30 +131,36 @@ def _estimate(context: TaskContext) -> WrittenMasks:
             f"the points of the sparse model cannot be used ({error}), so the table under the object is not "
             "found by them; export the model again",
         )
+    return find_object(
+        photographs_of(spec.scene, manifest), points, FindSettings(), lambda *step: _progress(context, *step)
+    )
 
-    def progress(phase: str, done: int, total: int) -> None:
-        context.stop_if_asked()
-        context.progress(done, total, doing=phase, part=PARTS[phase])
 
-    written = write_masks(
-        spec.scene,
-        manifest,
-        context.folder,
-        progress=progress,
-        points=points,
-        keep_in=context.folder / WORKSPACE,
+def _draw(context: TaskContext) -> WrittenMasks:
+    found = found_object(context)
+    corrections = context.spec.corrections
+    written = draw_into(
+        found, photographs(context), context.folder, corrections, lambda *step: _progress(context, *step)
     )
     if written.reason:
         context.reporter.artifact(SHEET, written.sheet)
     written.require_credible()
+    agreement = {"overlap": round(written.overlap, 4), "doubtful": list(written.doubtful)}
+    write_json(context.folder / AGREEMENT, agreement)
     return written
+
+
+def _progress(context: TaskContext, phase: str, done: int, total: int) -> None:
+    context.stop_if_asked()
+    context.progress(done, total, doing=phase, part=PARTS[phase])
 
 
 def _tell(context: TaskContext, written: WrittenMasks) -> None:
     doubtful = f" (least sure of {', '.join(written.doubtful[:3])})" if written.doubtful else ""
+    corrected = " and corrected by hand" if context.spec.corrections else ""
     context.reporter.finding(
         "scene.mask_estimated",
-        f"no picture says where the object is, so it was estimated; the views agree to "
+        f"no picture says where the object is, so it was estimated{corrected}; the views agree to "
         f"{100.0 * written.overlap:.0f} %{doubtful}; look at {SHEET}, and correct it with lambent "
         "masks --edit or give better ones with --masks",
     )

@@ -1,0 +1,94 @@
+/** All photographs, small, with their masks. */
+
+import { h, setText } from "../page/dom.js";
+import { plural } from "../page/format.js";
+import type { Frame, MaskBackend } from "./backend.js";
+import { drawThumbnail } from "./paint.js";
+
+const thumbnailSide = 240;
+/** So many requests are under way at once. */
+const lines = 6;
+
+/** Return the frames with the doubtful ones first. */
+export function doubtfulFirst(frames: readonly Frame[]): Frame[] {
+  return [...frames.filter((each) => each.doubtful), ...frames.filter((each) => !each.doubtful)];
+}
+
+/** Run `work` for all items, a few at a time. */
+export async function inLines<T>(items: readonly T[], work: (item: T) => Promise<void>): Promise<void> {
+  const left = [...items];
+  const line = async () => {
+    for (let item = left.shift(); item !== undefined; item = left.shift()) await work(item);
+  };
+  await Promise.all(Array.from({ length: Math.min(lines, items.length) }, line));
+}
+
+/** Return the words for a photograph's state. */
+export function badge(doubtful: boolean, marks: number): string {
+  return [doubtful && "doubtful", marks > 0 && plural(marks, "mark")].filter(Boolean).join(", ");
+}
+
+type Cell = {
+  readonly canvas: HTMLCanvasElement;
+  readonly button: HTMLButtonElement;
+  readonly state: HTMLElement;
+  picture: ImageBitmap | null;
+  asked: number;
+};
+
+export class Grid {
+  readonly element = h("ol", { class: "shots", "aria-label": "All photographs" });
+  readonly #cells = new Map<string, Cell>();
+
+  constructor(
+    private readonly backend: MaskBackend,
+    frames: readonly Frame[],
+    open: (frame: Frame) => void,
+  ) {
+    for (const frame of frames) {
+      const canvas = h("canvas", { width: 3, height: 2, "aria-hidden": "true" });
+      const state = h("span", { class: "badge" });
+      const name = h("span", { class: "name" }, frame.name);
+      const button = h("button", { type: "button", onclick: () => open(frame) }, canvas, name, state);
+      this.#cells.set(frame.name, { canvas, button, state, picture: null, asked: 0 });
+      this.element.append(h("li", {}, button));
+    }
+  }
+
+  /** Fetch masks, and pictures where they are missing, and draw them. */
+  async draw(names: readonly string[]): Promise<void> {
+    await inLines(names, async (name) => {
+      const cell = this.#cells.get(name)!;
+      cell.asked += 1;
+      const mine = cell.asked;
+      const [picture, mask] = await Promise.all([
+        cell.picture ?? this.backend.picture(name, thumbnailSide).then((blob) => createImageBitmap(blob)),
+        this.backend.mask(name).then((blob) => createImageBitmap(blob)),
+      ]);
+      cell.picture = picture;
+      // A later question may have been answered first.
+      if (cell.asked === mine) drawThumbnail(cell.canvas, picture, mask);
+      mask.close();
+    });
+  }
+
+  /** Say which photographs are doubtful and how many marks are on each. */
+  label(doubtful: ReadonlySet<string>, marks: (name: string) => number): void {
+    for (const [name, cell] of this.#cells) {
+      cell.state.dataset.doubtful = String(doubtful.has(name));
+      setText(cell.state, badge(doubtful.has(name), marks(name)));
+    }
+  }
+
+  /** Show which photograph is open. */
+  current(name: string | null): void {
+    for (const [each, { button }] of this.#cells) {
+      if (each === name) button.setAttribute("aria-current", "true");
+      else button.removeAttribute("aria-current");
+    }
+  }
+
+  focus(name: string): void {
+    this.#cells.get(name)?.button.focus();
+  }
+}

@@ -1,0 +1,1 @@
+"""The page on which a person corrects masks, served to this machine only."""
