@@ -2,7 +2,9 @@
 
 import ctypes
 import ctypes.util
+import importlib
 import os
+import signal
 import sys
 
 _PR_SET_PDEATHSIG = 1
@@ -40,3 +42,16 @@ def _keep_memory() -> None:
     mallopt(mmap_max, 0)
     mallopt(trim_threshold, 512 * 1024 * 1024)
     mallopt(top_pad, 64 * 1024 * 1024)
+
+
+def import_colmap() -> None:
+    """Import pycolmap, and keep the handlers of signals that it would replace by its own.
+
+    Its own print a stack and end the process, also on SIGTERM. Call in the main thread.
+    """
+    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
+    importlib.import_module("pycolmap").logging.minloglevel = 2
+    for number, handler in before.items():
+        if handler is not None:
+            signal.signal(number, handler)

@@ -6,12 +6,31 @@ from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import tell_findings
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import write_json
-from lambent_worker.poses.capture import solve_capture
+from lambent_worker.poses.advice import PoseLimits, advise
+from lambent_worker.poses.apart import solve_apart
+from lambent_worker.poses.photographs import find_photographs
+from lambent_worker.poses.solution import MODEL, Solution
 from lambent_worker.poses.solve import PoseSettings
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import begun_inputs
 from lambent_worker.run.masks import given_masks
-from lambent_worker.scenes.photographs import CAMERAS_FILE, FoundCameras, read_found_cameras
+from lambent_worker.scenes.photographs import (
+    CAMERAS_FILE,
+    NAME,
+    FoundCameras,
+    FoundFinding,
+    read_found_cameras,
+)
+from lambent_worker.scenes.problems import Problems
+
+WORK = "work"
+PARTS = {
+    "features": ("photographs looked at", (0.0, 0.4)),
+    "survey": ("pairs compared roughly", (0.4, 0.5)),
+    "pairs": ("pairs matched", (0.5, 0.8)),
+    "cameras": ("cameras placed", (0.8, 1.0)),
+}
+"""By phase of the search: what is counted, and the phase's share of the task's time."""
 
 
 def run(context: TaskContext) -> None:
@@ -54,17 +73,47 @@ def _check(context: TaskContext) -> None:
 
 def _find(context: TaskContext, inputs: str) -> None:
     """Find the cameras and write them; raises `SceneRefusedError` where too few are found."""
-    spec, work = context.spec, context.folder / "work"
+    spec, work = context.spec, context.folder / WORK
+    # The check has told what there is to tell of the files.
+    photographs = find_photographs(spec.scene, given_masks(context.run_dir, spec.masks), files := Problems())
+    if photographs is None:
+        raise SceneRefusedError.of(files.findings(), NAME)
+    reached = 0.0
 
-    def tell(text: str) -> None:
+    def progress(phase: str, done: int, total: int) -> None:
+        nonlocal reached
         context.stop_if_asked()
-        context.reporter.log("cameras.search", doing=text)
+        doing, (begin, end) = PARTS[phase]
+        # A further attempt begins anew, but what is done is done.
+        reached = max(reached, begin + (end - begin) * done / max(total, 1))
+        context.progress(done, total, doing=doing, part=(reached, reached))
 
-    record = solve_capture(
-        spec.scene, work, given_masks(context.run_dir, spec.masks), PoseSettings(seed=spec.seed), tell
-    )
-    shutil.rmtree(context.folder / "sparse", ignore_errors=True)
-    shutil.copytree(work / "sparse", context.folder / "sparse")
-    found = FoundCameras.model_validate({**record, "inputs": inputs})
-    write_json(context.folder / CAMERAS_FILE, found.model_dump(mode="json"))
+    solution = solve_apart(photographs, work, PoseSettings(seed=spec.seed), progress)
+    problems = Problems()
+    advise(solution, PoseLimits(), problems)
+    if not problems.usable:
+        shutil.rmtree(work)
+        refused = SceneRefusedError.of(problems.findings(), NAME)
+        tell_findings(context.reporter, refused.report.findings)
+        raise refused
+    _write(context, solution, problems, inputs)
     shutil.rmtree(work)
+
+
+def _write(context: TaskContext, solution: Solution, problems: Problems, inputs: str) -> None:
+    assert solution.model is not None, "advise refuses photographs without any camera"
+    shutil.rmtree(context.folder / MODEL, ignore_errors=True)
+    shutil.copytree(solution.model, context.folder / MODEL)
+    found = FoundCameras(
+        inputs=inputs,
+        photographs=len(solution.names),
+        missing=tuple(name for name in solution.names if name not in solution.camera_to_world),
+        points=solution.num_points,
+        reprojection_error_px=round(solution.reprojection_error_px, 4),
+        up=(0.0, 0.0, 1.0) if solution.up_known else None,
+        findings=tuple(
+            FoundFinding(code=finding.code, message=finding.message, subject=finding.subject)
+            for finding in problems.findings()
+        ),
+    )
+    write_json(context.folder / CAMERAS_FILE, found.model_dump(mode="json"))
