@@ -1,12 +1,23 @@
 """The command that finds cameras for photographs without any."""
 
 import json
+import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from lambent_worker.commands.shared import Json, Seed, reporting_errors
+from lambent_worker.commands.shared import Json, Seed, reporting_errors, stopping_on_signals
+from lambent_worker.errors import Stopped
+
+DOING = {
+    "features": "photographs looked at",
+    "survey": "pairs compared roughly",
+    "pairs": "pairs matched",
+    "cameras": "photographs placed",
+}
+EVERY_S = 2.0
+"""Seconds between two lines of progress of one phase."""
 
 
 @reporting_errors
@@ -19,11 +30,16 @@ def poses(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Find cameras for photographs with COLMAP and write a capture that train and check take."""
+    """Find cameras for photographs with COLMAP and write a capture that train and check take.
+
+    After Ctrl-C the same command goes on from there.
+    """
     from lambent_worker.poses.capture import solve_capture, summary
     from lambent_worker.poses.solve import PoseSettings
 
-    record = solve_capture(photographs, out, masks, PoseSettings(seed=seed), tell_progress)
+    told = ShownProgress()
+    with stopping_on_signals(told.stop):
+        record = solve_capture(photographs, out, masks, PoseSettings(seed=seed), told)
     if as_json:
         typer.echo(json.dumps(record))
         return
@@ -33,6 +49,22 @@ def poses(
     typer.echo(f'go on with: lambent check "{out}"')
 
 
-def tell_progress(text: str) -> None:
-    """Print progress to standard error."""
-    typer.echo(text, err=True)
+class ShownProgress:
+    """Progress of a search on standard error: each phase's numbers now and then, and its last."""
+
+    def __init__(self) -> None:
+        self._stopping = False
+        self._phase, self._shown_at = "", 0.0
+
+    def stop(self) -> None:
+        """End the search the next time that it tells of progress."""
+        self._stopping = True
+
+    def __call__(self, phase: str, done: int, total: int) -> None:
+        """Show that `done` of `total` are done; raises `Stopped` once asked to."""
+        if self._stopping:
+            raise Stopped
+        now = time.monotonic()
+        if phase != self._phase or done == total or now - self._shown_at >= EVERY_S:
+            typer.echo(f"{done} of {total} {DOING[phase]}", err=True)
+            self._phase, self._shown_at = phase, now

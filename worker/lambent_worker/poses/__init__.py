@@ -1,5 +1,5 @@
-"""Cameras for photographs without any: COLMAP's incremental mapper, through the extra `poses`.
+"""Cameras for photographs without any: points by OpenCV, cameras by COLMAP.
 
-`capture.solve_capture` turns a folder of photographs into a capture of the layout `colmap`, and `advice`
-suggests which photographs to add if that went badly.
+`solve.solve_cameras` finds them, `advice` says how well that went and which photographs to add, and
+`capture.solve_capture` makes a capture of the layout `colmap` of them.
 """

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from lambent_worker.capture_qa.sphere import unit_directions
-from lambent_worker.poses.solve import Solution
+from lambent_worker.poses.solution import Solution
 from lambent_worker.scenes.extent import looked_at_point
 from lambent_worker.scenes.frames import listed
 from lambent_worker.scenes.problems import Problems
@@ -28,6 +28,8 @@ class PoseLimits:
     """Good solutions have 0.2 to 0.6."""
     field_deg: float = 90.0
     """Wider than most lenses: rather the sign of a pattern that repeats."""
+    flat_share: float = 0.8
+    """Share of the pairs that a camera which only turned would explain, above which it probably did."""
     gap_deg: float = 45.0
     """Between neighbours on the way around the object; above 25 to 30 matching gets hard."""
 
@@ -35,7 +37,18 @@ class PoseLimits:
 def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
     """Note in `problems` what is missing, why, and which photographs to add; nothing if all went well."""
     found, total = len(solution.camera_to_world), len(solution.names)
-    missing = [name for name in solution.names if name not in solution.camera_to_world]
+    # A photograph that could not be read is a finding of its own.
+    missing = [
+        name
+        for name in solution.names
+        if name not in solution.camera_to_world and name not in solution.faults
+    ]
+    usable = total - len(solution.faults)
+    note = problems.warning if usable >= limits.min_share * total and usable else problems.error
+    for name, fault in solution.faults.items():
+        note(fault.code, f"{fault.message}; it was left out", name)
+    if not missing and not found:
+        return
     if not found:
         problems.error(
             "scene.poses_none",
@@ -76,6 +89,13 @@ def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
             f"the lens would have a field of view of {solution.field_deg:.0f} degrees; if it has not, the "
             "cameras are wrong: something repeats, such as tiles or a fabric, so give masks or cover it",
         )
+    if solution.static_background:
+        problems.warning(
+            "scene.static_background",
+            f"the background stands still in {100.0 * solution.still_share:.0f} % of the pairs while the "
+            "object moves, as on a turntable; only what moves was used for the cameras. The light then turns "
+            "with the camera, seen from the object: train with --light-fixed-to camera",
+        )
     gap = widest_gap(solution.camera_to_world)
     if gap is not None and gap[0] > limits.gap_deg:
         problems.warning(
@@ -112,6 +132,11 @@ def widest_gap(camera_to_world: dict[str, Float[ndarray, "4 4"]]) -> tuple[float
 
 def _reason(solution: Solution, missing: list[str], limits: PoseLimits) -> str:
     """Return the most common problem of the missing photographs, and what to do about it."""
+    if solution.nothing_moved:
+        return (
+            "they all show the same view: walk around the object, a step of 10 to 15 degrees at a time, or "
+            "turn it on a plate with a pattern"
+        )
     features = dict(zip(solution.names, solution.features, strict=True))
     plain = [name for name in missing if features[name] < limits.few_features]
     if 2 * len(plain) >= len(missing):
@@ -119,6 +144,11 @@ def _reason(solution: Solution, missing: list[str], limits: PoseLimits) -> str:
         return (
             f"they show too few points to recognise ({fewest}: {features[fewest]}): photograph sharper and "
             "larger, put printed paper with text or pictures under the object, and dull what mirrors"
+        )
+    if not solution.camera_to_world and solution.flat_share >= limits.flat_share:
+        return (
+            "they were taken from one spot, or show nothing but one flat thing: walk around the object "
+            "instead of turning the camera"
         )
     lonely = [name for name in missing if solution.partners.get(name, ("", 0))[1] < limits.few_matches]
     if lonely:

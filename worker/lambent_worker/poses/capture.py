@@ -1,26 +1,29 @@
 """Turns a folder of photographs into a capture of the layout `colmap`."""
 
 import shutil
-from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from lambent_proto.v1.job_pb2 import Progress
+from PIL import Image
 
-from lambent_worker.errors import SceneRefusedError, UsageError
+from lambent_worker.errors import SceneRefusedError, Stopped, UsageError
 from lambent_worker.files import digest, file_sha256, read_record, write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.poses.advice import PoseLimits, advise
-from lambent_worker.poses.photographs import Photographs, find_photographs, lay_out
-from lambent_worker.poses.solve import PoseSettings, Solution, load_colmap, solve
+from lambent_worker.poses.photographs import IMAGES, MASKS, Photographs, find_photographs
+from lambent_worker.poses.solution import MODEL, Solution
+from lambent_worker.poses.solve import PoseProgress, PoseSettings, solve_cameras
 from lambent_worker.reporter import Reporter
+from lambent_worker.scenes.pictures import read_coverage
 from lambent_worker.scenes.problems import Problems
 
 RECORD = "poses.json"
-NUM_PARTS = 3
-"""Of the search, as often as `solve` tells what it does."""
+WORK = ".lambent-poses"
+"""Folder within the capture for what an interrupted search has found; removed once it is done."""
 
 
 def solve_capture(
@@ -28,19 +31,18 @@ def solve_capture(
     out: Path,
     masks_dir: Path | None = None,
     settings: PoseSettings | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    progress: PoseProgress = lambda phase, done, total: None,
 ) -> dict[str, Any]:
     """Write a capture to `out` with the photographs whose cameras were found, and return its `poses.json`.
 
     That has photographs, registered, missing, points, reprojection_error_px and findings. Where `out` was
-    made from the same photographs, masks and settings it is left as it is. Photographs without a camera are
-    left out. Raises `SceneRefusedError` with what to do where the photographs cannot be used or fit together
-    too badly (nothing is written then), and `UsageError` where `out` holds something else or pycolmap is
-    missing.
+    made from the same photographs, masks and settings it is left as it is; a search that `progress` ended
+    goes on there. Photographs without a camera are left out. Raises `SceneRefusedError` with what to do where
+    the photographs cannot be used or fit together too badly (nothing is written then), and `UsageError` where
+    `out` holds something else.
     """
     settings = settings or PoseSettings()
-    load_colmap()
-    if out.exists() and not (out / RECORD).is_file() and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and not _is_ours(out):
         raise UsageError(
             "config.poses_folder", f'"{out}" exists and was not made by this command; choose another folder'
         )
@@ -52,31 +54,33 @@ def solve_capture(
     known = read_record(out / RECORD)
     if known.get("inputs") == inputs:
         return known
-    partial = out.with_name(out.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
-        record = _fill(photographs, partial, settings, problems, tell)
-        write_json(partial / RECORD, {"inputs": inputs, **record})
-        shutil.rmtree(out, ignore_errors=True)
-        partial.rename(out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    solution = solve_cameras(photographs, out / WORK, settings, progress)
+    advise(solution, PoseLimits(), problems)
+    if not problems.usable:
+        _clear(out)
+        raise SceneRefusedError.of(problems.findings())
+    _write(photographs, solution, out)
+    write_json(out / RECORD, {"inputs": inputs, **_record(solution, problems)})
+    shutil.rmtree(out / WORK)
     return read_record(out / RECORD)
 
 
 def solve_for_run(
     photographs: Path, masks: Path | None, capture: Path, seed: int, reporter: Reporter
 ) -> None:
-    """Find the cameras of a run's photographs where that was not done yet, and tell how well that went."""
-    told = 0
+    """Find the cameras of a run's photographs where that was not done yet, and tell how well that went.
 
-    def tell(text: str) -> None:
-        nonlocal told
-        reporter.log("poses.solving", doing=text)
-        reporter.progress(Progress(stage="poses", step=told, num_steps=NUM_PARTS))
-        told += 1
+    Raises `Stopped` when the reporter asks to end; the search goes on from there.
+    """
 
-    record = solve_capture(photographs, capture, masks, PoseSettings(seed=seed), tell)
+    def progress(phase: str, done: int, total: int) -> None:
+        if reporter.should_stop():
+            raise Stopped
+        reporter.progress(Progress(stage="poses", step=done, num_steps=total))
+        if done in (0, total):
+            reporter.log("poses.solving", doing=phase, done=done, total=total)
+
+    record = solve_capture(photographs, capture, masks, PoseSettings(seed=seed), progress)
     reporter.finding("scene.poses_solved", summary(record))
     for finding in record["findings"]:
         reporter.finding(finding["code"], finding["message"], subject=finding["subject"])
@@ -90,48 +94,49 @@ def summary(record: dict[str, Any]) -> str:
     )
 
 
-def _fill(
-    photographs: Photographs,
-    folder: Path,
-    settings: PoseSettings,
-    problems: Problems,
-    tell: Callable[[str], None],
-) -> dict[str, Any]:
-    given = lay_out(photographs, folder, problems)
-    if not problems.usable:
-        raise SceneRefusedError.of(problems.findings())
-    work = folder / "work"
-    work.mkdir()
-    solution = solve(
-        folder,
-        tuple(given.values()),
-        work,
-        settings,
-        masked=bool(photographs.masks) or photographs.cut_out,
-        one_camera=photographs.one_size,
-        tell=tell,
-    )
-    shutil.rmtree(work)
-    advise(solution, PoseLimits(), problems)
-    if not problems.usable:
-        raise SceneRefusedError.of(problems.findings())
-    _leave_out(solution, folder)
+def _is_ours(out: Path) -> bool:
+    """Return whether `out` is a capture of this command, the beginning of one, or empty."""
+    if not out.is_dir():
+        return False
+    held = {path.name for path in out.iterdir()}
+    return not held or RECORD in held or (WORK in held and held <= {WORK, IMAGES, MASKS, MODEL.parts[0]})
+
+
+def _write(photographs: Photographs, solution: Solution, out: Path) -> None:
+    """Write photographs, masks and model of those with a camera, in place of an earlier capture."""
+    (out / RECORD).unlink(missing_ok=True)
+    for folder in (IMAGES, MASKS, MODEL.parts[0]):
+        shutil.rmtree(out / folder, ignore_errors=True)
+    for name in sorted(solution.camera_to_world):
+        target = out / IMAGES / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(photographs.path(name), target)
+        if photographs.masked:
+            coverage = read_coverage(photographs.masks.get(name, photographs.path(name)))
+            mask = out / MASKS / f"{name}.png"
+            mask.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.round(255.0 * coverage).astype(np.uint8)).save(mask)
+    assert solution.model is not None
+    shutil.copytree(solution.model, out / MODEL)
+
+
+def _clear(out: Path) -> None:
+    """Remove what a refused search left behind, and `out` where nothing else is in it."""
+    shutil.rmtree(out / WORK, ignore_errors=True)
+    if not any(out.iterdir()):
+        out.rmdir()
+
+
+def _record(solution: Solution, problems: Problems) -> dict[str, Any]:
     return {
         "photographs": len(solution.names),
         "registered": len(solution.camera_to_world),
         "missing": [name for name in solution.names if name not in solution.camera_to_world],
         "points": solution.num_points,
         "reprojection_error_px": round(solution.reprojection_error_px, 4),
+        "static_background": solution.static_background,
         "findings": [message_to_dict(finding) for finding in problems.findings()],
     }
-
-
-def _leave_out(solution: Solution, folder: Path) -> None:
-    """Remove the photographs without a camera, which no frame of the capture would use."""
-    for name in solution.names:
-        if name not in solution.camera_to_world:
-            (folder / "images" / name).unlink()
-            (folder / "masks" / f"{name}.png").unlink(missing_ok=True)
 
 
 def _inputs(photographs: Photographs, settings: PoseSettings) -> str:

@@ -1,21 +1,19 @@
-"""Gathers photographs and their masks, and lays them out the way COLMAP reads them."""
+"""Finds the photographs of a folder, and their masks."""
 
-import shutil
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-import numpy as np
+from jaxtyping import Bool
 from lambent_proto.v1 import scene_pb2
-from PIL import Image
+from numpy import ndarray
 
-from lambent_worker.scenes.float_pictures import FLOAT_SUFFIXES
+from lambent_worker.poses.features import COVERED
 from lambent_worker.scenes.frames import frame_names, listed
 from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import (
     PICTURE_SUFFIXES,
     has_alpha,
-    opened,
     picture_size,
     read_coverage,
     read_pixels,
@@ -23,8 +21,9 @@ from lambent_worker.scenes.pictures import (
 from lambent_worker.scenes.problems import Problems
 
 IMAGES, MASKS = "images", "masks"
-COLMAP_SUFFIXES = (".jpg", ".jpeg", ".png")
 MIN_PHOTOGRAPHS = 3
+MIN_READABLE = 0.5
+"""Share of the files that must be pictures; the others are left out."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,8 +37,11 @@ class Photographs:
     """Mask file of each; empty where there are none."""
     cut_out: bool
     """Whether their own alpha is the mask."""
-    one_size: bool
-    """Whether all have the same number of pixels."""
+
+    @property
+    def masked(self) -> bool:
+        """Return whether there are masks, be they files or alpha."""
+        return self.cut_out or bool(self.masks)
 
     def path(self, name: str) -> Path:
         """Return the file of a photograph."""
@@ -50,83 +52,78 @@ def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -
     """Return the photographs in `folder`, or in its `images/`, with masks; None after noting what is wrong.
 
     Masks are the files in `masks_dir`, else those in `folder`/masks next to `images/`, else the photographs'
-    own alpha. All photographs have a mask, or none.
+    own alpha. All photographs have a mask, or none. Files that are no pictures are left out with a warning
+    while most are.
     """
     root = folder / IMAGES if (folder / IMAGES).is_dir() else folder
     if masks_dir is None and root != folder and (folder / MASKS).is_dir():
         masks_dir = folder / MASKS
-    paths = sorted(
+    paths = [
         path
-        for path in (root.rglob("*") if root.is_dir() else [])
+        for path in sorted(root.rglob("*") if root.is_dir() else [])
         if path.suffix.lower() in PICTURE_SUFFIXES
+        and not any(part.startswith(".") for part in path.relative_to(root).parts)
         and not (masks_dir is not None and path.is_relative_to(masks_dir))
-    )
-    if len(paths) < MIN_PHOTOGRAPHS:
+    ]
+    names, cut_out = _readable(root, paths, problems, look_at_alpha=masks_dir is None)
+    if len(names) < MIN_PHOTOGRAPHS:
         problems.error(
             "scene.too_few_images",
-            f'"{folder}" has {len(paths)} photographs; {MIN_PHOTOGRAPHS} are needed at least, 40 are good',
+            f'"{folder}" has {len(names)} photographs; {MIN_PHOTOGRAPHS} are needed at least, 40 are good',
         )
         return None
-    names = tuple(path.relative_to(root).as_posix() for path in paths)
-    sizes, cut_out = set(), {}
-    for name in names:
-        try:
-            sizes.add(picture_size(root / name))
-            cut_out[name] = masks_dir is None and has_alpha(root / name) and _is_cut_out(root / name)
-        except PictureError as error:
-            problems.error(error.code, f"{name} {error}", name)
-            continue
-        if name.lower().endswith(FLOAT_SUFFIXES):
-            problems.error(
-                "scene.poses_format", f"{name}: cameras are found in JPEG, PNG, WebP or HEIC; export it", name
-            )
-    lacking = [name for name, cut in cut_out.items() if not cut]
-    if 0 < len(lacking) < len(cut_out):
+    lacking = [name for name in names if not cut_out[name]]
+    if 0 < len(lacking) < len(names):
         problems.error(
             "scene.mask_file_missing",
-            f"{len(cut_out) - len(lacking)} of {len(cut_out)} photographs have a transparent background, but "
+            f"{len(names) - len(lacking)} of {len(names)} photographs have a transparent background, but "
             f"not {listed(lacking)}; cut the object out of all or of none",
             lacking[0],
         )
     masks = {} if masks_dir is None else _masks(names, root, masks_dir, problems)
     if not problems.usable:
         return None
-    return Photographs(
-        folder=root,
-        names=names,
-        masks=masks,
-        cut_out=bool(cut_out) and all(cut_out),
-        one_size=len(sizes) == 1,
-    )
+    return Photographs(folder=root, names=names, masks=masks, cut_out=all(cut_out.values()))
 
 
-def lay_out(photographs: Photographs, out: Path, problems: Problems) -> dict[str, str]:
-    """Fill `out`/images and `out`/masks; return the name each photograph has there.
+def covered_pixels(photographs: Photographs, name: str) -> Bool[ndarray, "height width"]:
+    """Return which stored pixels of a photograph show the object, as its mask or alpha says.
 
-    JPEG and PNG are copied, WebP becomes PNG, HEIC becomes JPEG. A mask is named as COLMAP wants it, with
-    `.png` after the photograph's name. Masks of another size and empty ones go to `problems`.
+    Raises `PictureError` where the mask cannot be read, has another size, or shows nothing.
     """
-    given: dict[str, str] = {}
-    for name in photographs.names:
-        source, target = photographs.path(name), PurePosixPath(name)
-        if target.suffix.lower() not in COLMAP_SUFFIXES:
-            target = target.with_suffix(".png" if target.suffix.lower() == ".webp" else ".jpg")
-        if target.as_posix() in given.values() or (
-            target.as_posix() != name and target.as_posix() in photographs.names
-        ):
-            target = PurePosixPath(name + target.suffix)
-        given[name] = target.as_posix()
-        path = out / IMAGES / target
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if target.as_posix() == name:
-            shutil.copyfile(source, path)
-        else:
-            with opened(source) as image:
-                keep = {"exif": image.info["exif"]} if image.info.get("exif") else {}
-                image.convert("RGBA" if path.suffix == ".png" else "RGB").save(path, quality=95, **keep)
-        if photographs.masks or photographs.cut_out:
-            _write_mask(photographs, name, out / MASKS / f"{target.as_posix()}.png", problems)
-    return given
+    file = photographs.masks.get(name, photographs.path(name))
+    coverage = read_coverage(file)
+    width, height = picture_size(photographs.path(name))
+    if coverage.shape != (height, width):
+        raise PictureError(
+            "scene.mask_size",
+            f"has {width} x {height} pixels, and its mask {file.name} {coverage.shape[1]} x "
+            f"{coverage.shape[0]}; make them one size",
+        )
+    if not (coverage > COVERED).any():
+        raise PictureError(
+            "scene.mask_empty", f"does not show the object, says its mask {file.name}; fix the mask"
+        )
+    return coverage > COVERED
+
+
+def _readable(
+    root: Path, paths: list[Path], problems: Problems, *, look_at_alpha: bool
+) -> tuple[tuple[str, ...], dict[str, bool]]:
+    """Return the names of the files that are pictures, and which of these are cut out by their alpha."""
+    cut_out: dict[str, bool] = {}
+    faults: dict[str, PictureError] = {}
+    for path in paths:
+        name = path.relative_to(root).as_posix()
+        try:
+            picture_size(path)
+            cut_out[name] = look_at_alpha and has_alpha(path) and _is_cut_out(path)
+        except PictureError as error:
+            faults[name] = error
+    note = problems.warning if len(cut_out) >= MIN_READABLE * len(paths) else problems.error
+    for name, fault in faults.items():
+        note(fault.code, f"{name} {fault}; it was left out", name)
+    return tuple(cut_out), cut_out
 
 
 def _is_cut_out(path: Path) -> bool:
@@ -140,26 +137,3 @@ def _masks(names: tuple[str, ...], root: Path, masks_dir: Path, problems: Proble
     manifest = scene_pb2.SceneManifest(frames=frames)
     attach_masks(manifest, root, masks_dir, problems)
     return {frame.images[0].path: root / frame.mask for frame in manifest.frames if frame.mask}
-
-
-def _write_mask(photographs: Photographs, name: str, target: Path, problems: Problems) -> None:
-    file = photographs.masks.get(name, photographs.path(name))
-    try:
-        coverage = read_coverage(file)
-    except PictureError as error:
-        problems.error(error.code, f"{file.name} (the mask of {name}) {error}", name)
-        return
-    width, height = picture_size(photographs.path(name))
-    if coverage.shape != (height, width):
-        problems.error(
-            "scene.mask_size",
-            f"{file.name} has {coverage.shape[1]} x {coverage.shape[0]} pixels, {name} has {width} x "
-            f"{height}; make them one size",
-            name,
-        )
-    elif not (coverage > 0.0).any():
-        problems.error(
-            "scene.mask_empty", f"{file.name} says that the object is not in {name}; fix the mask", name
-        )
-    target.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.round(255.0 * coverage).astype(np.uint8)).save(target)
