@@ -110,7 +110,7 @@ def _write(context: TaskContext, solution: Solution, problems: Problems, inputs:
         missing=tuple(name for name in solution.names if name not in solution.camera_to_world),
         points=solution.num_points,
         reprojection_error_px=round(solution.reprojection_error_px, 4),
-        up=(0.0, 0.0, 1.0) if solution.up_known else None,
+        up=solution.up,
         findings=tuple(
             FoundFinding(code=finding.code, message=finding.message, subject=finding.subject)
             for finding in problems.findings()
