@@ -6,8 +6,8 @@ visual hull. Its prediction for a view, without that view's own vote, is the pri
 colours.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, Int8, Int32, UInt8
@@ -73,8 +73,8 @@ class Given:
 
     odds: Sequence[Float[ndarray, "height width"]]
     """Added to what colours say in each view, log odds at the size of its picture."""
-    learnt: Sequence[Float[ndarray, "height width"]]
-    """How much each pixel counts when colours of object and background are learnt, 0..1."""
+    known: evidence.Known
+    """For the learning of colours. What a person marked outvotes all views, too."""
     beliefs: Sequence[Float[ndarray, "height width"]] | None
     """What is believed at first, 0..1; None for a ball around what the cameras look at."""
     frame: Frame
@@ -83,8 +83,6 @@ class Given:
     """The box that is searched, in coordinates of `frame`: above the support, for instance."""
     focus: Float[ndarray, "3"]
     """Where in this box the object is; what stands apart from it and further away is not the object."""
-    marks: Mapping[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
-    """Pixels of some views that are known, 1 object and -1 background: they outvote all views."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,7 +144,7 @@ def agree(
     for number in range(settings.rounds):
         odds = _odds(seen, beliefs, leaning, given)
         votes = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
-        for view, mark in given.marks.items() if given is not None else ():
+        for view, mark in given.known.marks.items() if given is not None else ():
             votes[view] = _outvoted(votes[view], mark, grid.pixels[view], len(views))
         total = np.sum(votes, axis=0)
         solid = total > 0.0
@@ -184,9 +182,8 @@ def _odds(
     seen: Prepared, beliefs: Sequence[ndarray], leaning: Leaning, given: Given | None
 ) -> list[Float[ndarray, "height width"]]:
     """Return what each view says by itself, smoothed along its edges, log odds."""
-    learnt = None if given is None else given.learnt
-    marks = None if given is None else given.marks
-    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, learnt, marks)]
+    known = evidence.NOTHING_KNOWN if given is None else given.known
+    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, known)]
     if seen.distances is not None and leaning.distance > 0.0:
         far = evidence.distance_odds(seen.distances, beliefs)
         odds = [own + leaning.distance * each for own, each in zip(odds, far, strict=True)]

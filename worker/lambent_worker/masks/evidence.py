@@ -5,7 +5,7 @@ so nothing has to be known of the background but that the border of a picture sh
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int, Int8, UInt8
@@ -17,6 +17,8 @@ from skimage.graph import MCP_Geometric
 
 _CELLS = (26, 40, 40)
 """Cells of a colour table along L, a and b of CIELAB; a cell is four units wide."""
+TABLE_VOLUME = 64.0
+"""Of a cell, CIELAB units cubed."""
 _DISTANCES = 64
 _DISTANCE_SCALE = 8.0
 _STEP = 1e-3
@@ -28,6 +30,8 @@ _UNIFORM = 1.0 / 8000.0
 _MARKED = 0.02
 """Share of what a person marked in the colours of object and background: more would spread to parts of the
 object that happen to have a marked colour."""
+_LEAST_BACKGROUND = 0.01
+"""Share of a picture that a kind of background needs for colours of its own."""
 MAX_COLOUR = 4.0
 """Limit of what a colour alone may say, log odds."""
 
@@ -37,11 +41,11 @@ def lab_of(image_srgb: UInt8[ndarray, "height width 3"]) -> Float[ndarray, "heig
     return rgb2lab(image_srgb)
 
 
-def colour_cells(lab: Float[ndarray, "height width 3"]) -> Int[ndarray, "height width"]:
+def colour_cells(lab: Float[ndarray, "*shape 3"]) -> Int[ndarray, "*shape"]:
     """Return the cell of the colour table that each pixel falls into."""
     cells = np.floor(lab / 4.0 + [0.0, 20.0, 20.0]).astype(np.int64)
     low, high = np.zeros(3, dtype=np.int64), np.array(_CELLS) - 1
-    return np.ravel_multi_index(tuple(np.clip(cells, low, high).transpose(2, 0, 1)), _CELLS)
+    return np.ravel_multi_index(tuple(np.moveaxis(np.clip(cells, low, high), -1, 0)), _CELLS)
 
 
 def border_distance(lab: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width"]:
@@ -75,20 +79,21 @@ def colour_table(
     return (smooth / max(float(smooth.sum()), 1e-9)).ravel()
 
 
-def colour_odds(
-    cells: Sequence[Int[ndarray, "height width"]],
-    foreground: Sequence[Float[ndarray, "height width"]],
-    learnt: Sequence[Float[ndarray, "height width"]] | None = None,
-    marks: Mapping[int, Int8[ndarray, "height width"]] | None = None,
-) -> list[Float[ndarray, "height width"]]:
-    """Return the log odds of object against background that the colours of each view give.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Known:
+    """What is known of pixels before colours are learnt, for each view."""
 
-    `foreground` is what is believed so far, `learnt` how much of it counts (all without it), `marks` as in
-    `learn_colours`. All views share the colours of the object; each has a background of its own, with a
-    little of everybody's. Nothing says more than `MAX_COLOUR`.
-    """
-    model = learn_colours(cells, foreground, learnt, marks)
-    return [model.odds(number, own) for number, own in enumerate(cells)]
+    learnt: Sequence[Float[ndarray, "height width"]] | None = None
+    """How much each pixel counts, 0..1; all of them where it is None."""
+    beyond: Sequence[Float[ndarray, "height width"]] | None = None
+    """1 where something else than the support is behind the object, 0 where it is the support. The two have
+    colours of their own."""
+    marks: Mapping[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
+    """Pixels of some views that a person marked, 1 object and -1 background. Their colours make up a fixed
+    share of those of object and backgrounds in all views."""
+
+
+NOTHING_KNOWN = Known()
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,38 +102,87 @@ class ColourModel:
 
     objects: Float[ndarray, " cells"]
     """Of the object, in all views."""
-    backgrounds: list[Float[ndarray, " cells"]]
-    """Of what is behind it in each view."""
+    backgrounds: list[tuple[Float[ndarray, " cells"], Float[ndarray, " cells"]]]
+    """Of what is behind it in each view: of the support, and of what is beyond."""
 
-    def odds(self, view: int, cells: Int[ndarray, "height width"]) -> Float[ndarray, "height width"]:
+    def odds(
+        self,
+        view: int,
+        cells: Int[ndarray, "height width"],
+        beyond: Float[ndarray, "height width"] | None = None,
+    ) -> Float[ndarray, "height width"]:
         """Return the log odds of object against background that the colours of a view give."""
-        table = np.log(self.objects / self.backgrounds[view])
-        return np.asarray(np.clip(table, -MAX_COLOUR, MAX_COLOUR)[cells])
+        near, far = (
+            np.clip(np.log(self.objects / table), -MAX_COLOUR, MAX_COLOUR)[cells]
+            for table in self.backgrounds[view]
+        )
+        return np.asarray(near if beyond is None else np.where(beyond > 0.5, far, near))
+
+
+def colour_odds(
+    cells: Sequence[Int[ndarray, "height width"]],
+    foreground: Sequence[Float[ndarray, "height width"]],
+    known: Known = NOTHING_KNOWN,
+) -> list[Float[ndarray, "height width"]]:
+    """Return the log odds of object against background that the colours of each view give.
+
+    `foreground` is what is believed so far. All views share the colours of the object; each has a background
+    of its own, with a little of everybody's. Nothing says more than `MAX_COLOUR`.
+    """
+    model = learn_colours(cells, foreground, known)
+    return [
+        model.odds(number, own, None if known.beyond is None else known.beyond[number])
+        for number, own in enumerate(cells)
+    ]
 
 
 def learn_colours(
     cells: Sequence[Int[ndarray, "height width"]],
     foreground: Sequence[Float[ndarray, "height width"]],
-    learnt: Sequence[Float[ndarray, "height width"]] | None = None,
-    marks: Mapping[int, Int8[ndarray, "height width"]] | None = None,
+    known: Known = NOTHING_KNOWN,
 ) -> ColourModel:
-    """Return the colours of object and backgrounds; see `colour_odds`.
-
-    `marks` are pixels of some views that are known, 1 object and -1 background. Their colours make up a fixed
-    share of those of object and backgrounds in all views.
-    """
+    """Return the colours of object and backgrounds; see `colour_odds`."""
     every_cell = np.concatenate([each.ravel() for each in cells])
     every_weight = np.concatenate([each.ravel() for each in foreground])
-    counted = 1.0 if learnt is None else np.concatenate([each.ravel() for each in learnt])
+    counted = 1.0 if known.learnt is None else np.concatenate([each.ravel() for each in known.learnt])
     objects = 0.8 * colour_table(every_cell, counted * every_weight) + 0.2 * _UNIFORM
-    shared = colour_table(every_cell, counted * (1.0 - every_weight))
-    backgrounds = []
-    for number, (own, belief) in enumerate(zip(cells, foreground, strict=True)):
-        behind = (1.0 - belief) if learnt is None else learnt[number] * (1.0 - belief)
-        table = colour_table(own.ravel(), behind.ravel())
-        backgrounds.append(0.85 * table + 0.1 * shared + 0.05 * _UNIFORM)
-    objects = _with_marked(objects, cells, marks or {}, 1)
-    return ColourModel(objects, [_with_marked(each, cells, marks or {}, -1) for each in backgrounds])
+    objects = _with_marked(objects, cells, known.marks, 1)
+    behind = [1.0 - each for each in foreground]
+    if known.learnt is not None:
+        behind = [weight * each for weight, each in zip(known.learnt, behind, strict=True)]
+    if known.beyond is None:
+        near = _background_tables(cells, behind, known)
+        return ColourModel(objects, [(table, table) for table in near])
+    parts = [
+        _background_tables(
+            cells,
+            [w * (z if far else 1.0 - z) for w, z in zip(behind, known.beyond, strict=True)],
+            known,
+            behind,
+        )
+        for far in (False, True)
+    ]
+    return ColourModel(objects, list(zip(*parts, strict=True)))
+
+
+def _background_tables(
+    cells: Sequence[Int[ndarray, "height width"]],
+    weights: Sequence[Float[ndarray, "height width"]],
+    known: Known,
+    everywhere: Sequence[Float[ndarray, "height width"]] | None = None,
+) -> list[Float[ndarray, " cells"]]:
+    """Return each view's colours of the background, from `everywhere` where `weights` count hardly a pixel."""
+    shared = colour_table(
+        np.concatenate([each.ravel() for each in cells]), np.concatenate([each.ravel() for each in weights])
+    )
+    tables = []
+    for number, (own, weight) in enumerate(zip(cells, weights, strict=True)):
+        enough = everywhere is None or weight.sum() >= _LEAST_BACKGROUND * weight.size
+        used = weight if enough or everywhere is None else everywhere[number]
+        table = colour_table(own.ravel(), used.ravel())
+        mixed = 0.85 * table + 0.1 * (shared if enough else table) + 0.05 * _UNIFORM
+        tables.append(_with_marked(mixed, cells, known.marks, -1))
+    return tables
 
 
 def _with_marked(

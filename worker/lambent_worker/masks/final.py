@@ -48,7 +48,8 @@ def colours_of(work: Workspace) -> evidence.ColourModel:
     marks = {
         number: reduced_seeds(each, work.beliefs[number].shape[::-1]) for number, each in work.seeds.items()
     }
-    return evidence.learn_colours(cells, work.beliefs, work.learnt, marks)
+    known = evidence.Known(learnt=work.learnt, beyond=work.beyond, marks=marks)
+    return evidence.learn_colours(cells, work.beliefs, known)
 
 
 def final_mask(
@@ -142,7 +143,8 @@ def _odds(
     odds = settings.hull * hull
     odds += settings.support * _part(work.support_odds[number], part, size)
     lab = cv2.cvtColor(crop.astype(np.float32) / np.float32(255.0), cv2.COLOR_RGB2LAB)
-    odds += settings.colour * colours.odds(number, evidence.colour_cells(lab))
+    beyond = _part(work.beyond[number], part, size)
+    odds += settings.colour * colours.odds(number, evidence.colour_cells(lab), beyond)
     odds = np.clip(odds, 0.01 - LIMIT, LIMIT - 0.01)
     odds[hull <= -settings.impossible] = -LIMIT
     if number in work.seeds:

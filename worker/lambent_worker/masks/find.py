@@ -23,6 +23,7 @@ from lambent_worker.masks.on_support import (
 )
 from lambent_worker.masks.orthophoto import look_at_support
 from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints
+from lambent_worker.masks.plane_height import best_height
 from lambent_worker.masks.support_plane import PlaneSettings, SupportPlane, find_support
 from lambent_worker.masks.triangulate import triangulate
 from lambent_worker.masks.workspace import Workspace
@@ -88,6 +89,7 @@ def _above(
     settings: FindSettings,
     progress: Progress,
 ) -> OnSupport | None:
+    plane = best_height(plane, views, distance)
     grid = ortho_grid(plane, views, distance, settings.support)
     count = _Counter("looking at the support", len(views), progress)
     support = look_at_support(views, grid, count.step)
@@ -120,7 +122,8 @@ def _workspace_above(
         cameras=tuple(photograph.camera for photograph in photographs),
         pictures=tuple(view.image_srgb for view in views),
         support_odds=tuple(odds.astype(np.float16) for odds in found.odds),
-        learnt=tuple(each.astype(np.float32) for each in given.learnt),
+        learnt=tuple(each.astype(np.float32) for each in given.known.learnt or ()),
+        beyond=tuple(each.astype(np.float32) for each in given.known.beyond or ()),
         beliefs=tuple(each.astype(np.float32) for each in found.agreement.beliefs),
         priors=tuple(each.astype(np.float32) for each in found.agreement.priors),
         frame=given.frame,
@@ -157,6 +160,7 @@ def _by_agreement(
         pictures=tuple(view.image_srgb for view in views),
         support_odds=tuple(np.zeros(each.shape, np.float16) for each in beliefs),
         learnt=tuple(np.ones(each.shape, np.float32) for each in beliefs),
+        beyond=tuple(np.zeros(each.shape, np.float32) for each in beliefs),
         beliefs=beliefs,
         priors=tuple(np.float32(12.0) * (each - np.float32(0.5)) for each in beliefs),
         frame=SCENE,

@@ -1,7 +1,7 @@
 """Finds an object that stands on a plane: what the support does not explain, as far as all views agree."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,8 @@ from lambent_worker.masks.consensus import (
     agree,
     prepare,
 )
+from lambent_worker.masks.evidence import Known, learn_colours
+from lambent_worker.masks.footprint import uncovered
 from lambent_worker.masks.lattice import Frame
 from lambent_worker.masks.orthophoto import Orthophoto, SupportViews, build
 from lambent_worker.masks.plane_maps import OrthoGrid
@@ -45,6 +47,12 @@ class SupportSettings:
     """Radius of the footprint where sparse points show none."""
     leaning: Leaning = field(
         default_factory=lambda: Leaning(colour=1.0, distance=0.0, most_hull=2.5, least_hull=4.0)
+    )
+    first: Leaning = field(
+        default_factory=lambda: Leaning(colour=0.0, distance=0.0, most_hull=2.5, least_hull=4.0)
+    )
+    first_rounds: ConsensusSettings = field(
+        default_factory=lambda: ConsensusSettings(cells=64, rounds=2, refit_after=(0,))
     )
     rounds: ConsensusSettings = field(
         default_factory=lambda: ConsensusSettings(cells=64, rounds=3, refit_after=(0,))
@@ -87,8 +95,16 @@ def find_on_support(
         if beliefs is None:
             ortho.known[footprint > 0.5] = 0.0
             ortho.hidden[footprint > 0.5] = True
-        odds = [support_odds(support, ortho, i, settings.prediction) for i in range(len(views))]
+        objects = None
+        if beliefs is not None:
+            objects = learn_colours(seen.colours, beliefs, given.known).objects
+            ortho = uncovered(support, ortho, objects, distance)
+        odds = [support_odds(support, ortho, i, objects, settings.prediction) for i in range(len(views))]
         given = _given(small, support, ortho, odds, beliefs, distance, settings)
+        if beliefs is None:
+            # Geometry first: colours are learnt from what differs from the support, not from a ball.
+            start = agree(small, centre, distance, settings.first, settings.first_rounds, given, seen)
+            given = given if start is None else replace(given, beliefs=start.beliefs)
         agreement = agree(small, centre, distance, settings.leaning, settings.rounds, given, seen)
         progress()
         if agreement is None:
@@ -141,11 +157,16 @@ def _given(
     settings: SupportSettings,
 ) -> Given:
     hidden = ortho.hidden.astype(np.float32)
+    ground = np.maximum(hidden, (ortho.known > 0.0).astype(np.float32))
     learnt = [1.0 - cv2.remap(hidden, texels, None, cv2.INTER_LINEAR) for texels in support.texels]
+    beyond = [1.0 - cv2.remap(ground, texels, None, cv2.INTER_LINEAR) for texels in support.texels]
     plane, reach = support.grid.plane, settings.reach * distance
     return Given(
         odds=[_reduced(each, view) for each, view in zip(odds, small, strict=True)],
-        learnt=[_reduced(each, view) for each, view in zip(learnt, small, strict=True)],
+        known=Known(
+            learnt=[_reduced(each, view) for each, view in zip(learnt, small, strict=True)],
+            beyond=[_reduced(each, view) for each, view in zip(beyond, small, strict=True)],
+        ),
         beliefs=beliefs,
         frame=Frame(origin=plane.origin, axes=plane.axes),
         low=np.array([-reach, -reach, 0.0]),

@@ -65,6 +65,11 @@ def lab_with_gain(
     return np.asarray(cv2.cvtColor(light, cv2.COLOR_LRGB2Lab))
 
 
+def colours_of_bytes(coded: UInt8[ndarray, "*shape 3"]) -> Float32[ndarray, "*shape 3"]:
+    """Return CIELAB of colours as `SupportViews.warped` keeps them."""
+    return np.asarray((coded.astype(np.float32) - _OFFSET) / _SCALE)
+
+
 def look_at_support(
     views: Sequence[MaskView], grid: OrthoGrid, progress: Callable[[], None] = lambda: None
 ) -> SupportViews:

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from numpy import ndarray
 
+from lambent_worker.masks.evidence import TABLE_VOLUME, colour_cells
 from lambent_worker.masks.orthophoto import Orthophoto, SupportViews
 
-_LOG_ANYTHING = -np.log(100.0 * 80.0 * 80.0)
-"""Log density of the colour of an object about which nothing is known, per CIELAB volume."""
+ANY_COLOUR = 1.0 / (100.0 * 80.0 * 80.0)
+"""Density of the colour of an object about which nothing is known, per CIELAB volume."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,17 +29,24 @@ class PredictionSettings:
     """The deepest shadow, as a share of the lightness L that it takes away."""
     surprise: float = 0.01
     """Chance that a pixel of the support has any colour at all."""
+    learnt: float = 0.5
+    """How far the colours that were learnt of the object are believed."""
     limit: float = 4.0
     """Largest log odds of a pixel in either direction."""
 
 
 def support_odds(
-    support: SupportViews, ortho: Orthophoto, view: int, settings: PredictionSettings
+    support: SupportViews,
+    ortho: Orthophoto,
+    view: int,
+    objects: Float[ndarray, " cells"] | None,
+    settings: PredictionSettings,
 ) -> Float32[ndarray, "height width"]:
     """Return the log odds that a pixel does not show the support; 0 where nothing is known of the support.
 
     Colours of the support are normal around the orthophoto's, or darkened by a shadow, or anything;
-    those of the object are anything. Positive is object.
+    those of the object are anything, or as the table `objects` has them (`evidence.ColourModel`): an object
+    that is coloured like its support is not ruled out where it looks like it. Positive is object.
     """
     predicted, deviation, known = _predicted(support, ortho, view, settings)
     own = cv2.GaussianBlur(support.lab(view), (0, 0), settings.blur)
@@ -50,8 +58,14 @@ def support_odds(
     plain = np.exp(-0.5 * ((off[..., 0] / sigma_l) ** 2 + square_c)) / (2.5066 * sigma_l * norm_c)
     density = (1.0 - settings.shadow - settings.surprise) * plain
     density += settings.shadow * _shadow_density(own, predicted, sigma_l, sigma_c, settings)
-    density += settings.surprise * np.exp(_LOG_ANYTHING)
-    odds = np.float32(_LOG_ANYTHING) - np.log(density)
+    density += settings.surprise * ANY_COLOUR
+    anything = np.float32(ANY_COLOUR)
+    if objects is None:
+        odds = np.log(anything) - np.log(density)
+    else:
+        table = (objects / TABLE_VOLUME).astype(np.float32)
+        likely = (1.0 - settings.learnt) * anything + settings.learnt * table[colour_cells(support.lab(view))]
+        odds = np.log(likely) - np.log(density)
     return (known * np.clip(odds, -settings.limit, settings.limit)).astype(np.float32)
 
 

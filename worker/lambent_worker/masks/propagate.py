@@ -25,6 +25,7 @@ from lambent_worker.masks.consensus import (
 )
 from lambent_worker.masks.corrections import Correction, reduced_seeds, seeds_of
 from lambent_worker.masks.cut import LIMIT
+from lambent_worker.masks.evidence import Known
 from lambent_worker.masks.workspace import Workspace
 
 _TURNED = 0.3
@@ -101,7 +102,8 @@ def _updated(
         work,
         beliefs=beliefs,
         priors=priors,
-        learnt=tuple(each.astype(np.float32) for each in given.learnt),
+        learnt=tuple(each.astype(np.float32) for each in given.known.learnt or ()),
+        beyond=tuple(each.astype(np.float32) for each in given.known.beyond or ()),
         seeds=seeds,
     )
 
@@ -124,7 +126,7 @@ def _given(
     marks: dict[int, Int8[ndarray, "rows columns"]],
     settings: PropagateSettings,
 ) -> Given:
-    odds, learnt, beliefs = [], [], []
+    odds, learnt, beyond, beliefs = [], [], [], []
     for number, view in enumerate(small):
         size = (view.camera.width, view.camera.height)
         own = _resized(work.support_odds[number], size).astype(np.float64)
@@ -137,16 +139,16 @@ def _given(
             belief = np.where(mark == 0, belief, 0.5 + 0.5 * mark)
         odds.append(own)
         learnt.append(counts)
+        beyond.append(_resized(work.beyond[number], size).astype(np.float64))
         beliefs.append(belief)
     return Given(
         odds=odds,
-        learnt=learnt,
+        known=Known(learnt=learnt, beyond=beyond, marks=marks),
         beliefs=beliefs,
         frame=work.frame,
         low=work.low,
         high=work.high,
         focus=(work.centre - work.frame.origin) @ work.frame.axes.T,
-        marks=marks,
     )
 
 

@@ -5,6 +5,7 @@ All cameras are on one side of it, hardly any point is on the other, and many li
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 from numpy import ndarray
@@ -32,6 +33,12 @@ class PlaneSettings:
     min_spread: float = 0.1
     """Least standard deviation of the points on the plane along its shorter axis; a facet of the object is
     smaller."""
+    near: float = 0.35
+    """How far from the middle the points above the plane are the object's."""
+    beyond_share: float = 0.2
+    """Least share of the points on the plane that lie beyond what is above it: a facet is below its object."""
+    sectors: int = 3
+    """Of six around the object, in so many at least there must be some of those points."""
     most_tilt: float = 0.3
     """Least cosine between the normal and the mean direction to the cameras."""
 
@@ -88,9 +95,9 @@ def find_support(
         normal = turned * np.sign(turned @ normal)
         height = float(normal @ middle)
     on_plane = np.abs(near @ normal - height) < thickness
-    if not _is_credible(near, on_plane, distance, settings):
-        return None
-    return plane_at(centre, normal, height, float(on_plane.mean()))
+    plane = plane_at(centre, normal, height, float(on_plane.mean()))
+    credible = _is_credible(near, on_plane, distance, settings)
+    return plane if credible and _reaches_beyond(plane.local(near), on_plane, distance, settings) else None
 
 
 def plane_at(
@@ -145,3 +152,29 @@ def _is_credible(
     flat = near[on_plane] - near[on_plane].mean(axis=0)
     spread = np.linalg.svd(flat, compute_uv=False)[1] / np.sqrt(on_plane.sum())
     return bool(spread >= settings.min_spread * distance)
+
+
+def _reaches_beyond(
+    local: Float64[ndarray, "points 3"],
+    on_plane: Bool[ndarray, " points"],
+    distance: float,
+    settings: PlaneSettings,
+) -> bool:
+    """Return whether the plane goes on around what stands on it, which a facet of the object does not."""
+    radius = np.hypot(local[:, 0], local[:, 1])
+    above = local[
+        (local[:, 2] > 3.0 * settings.thickness * distance) & (radius < settings.near * distance), :2
+    ]
+    flat = local[on_plane, :2]
+    if len(above) >= 10:
+        low, high = np.percentile(above, [3.0, 97.0], axis=0)
+        above = above[((above >= low) & (above <= high)).all(axis=1)]
+        corners = cv2.convexHull(above.astype(np.float32))
+        away = np.array([cv2.pointPolygonTest(corners, (float(x), float(y)), True) for x, y in flat])
+        middle, flat = above.mean(axis=0), flat[away < -0.02 * distance]
+    else:
+        middle = np.zeros(2)
+    angles = np.arctan2(flat[:, 1] - middle[1], flat[:, 0] - middle[0])
+    sectors = np.bincount(np.clip(((angles + np.pi) / (2.0 * np.pi) * 6.0).astype(int), 0, 5), minlength=6)
+    enough = len(flat) >= max(15, settings.beyond_share * on_plane.sum())
+    return bool(enough and (sectors >= 2).sum() >= settings.sectors)

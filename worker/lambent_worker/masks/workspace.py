@@ -30,7 +30,8 @@ class Workspace:
     support_odds: tuple[Float16[ndarray, "height width"], ...]
     """Log odds that a pixel of `pictures` does not show the support; 0 where nothing is known."""
     learnt: tuple[Float32[ndarray, "rows columns"], ...]
-    """How much a pixel counts when colours are learnt; see `consensus.Given`."""
+    beyond: tuple[Float32[ndarray, "rows columns"], ...]
+    """How much a pixel counts when colours are learnt, and whether it sees past the support: `evidence.Known`."""
     beliefs: tuple[Float32[ndarray, "rows columns"], ...]
     """Probability of the object, at the size at which views are compared."""
     priors: tuple[Float32[ndarray, "rows columns"], ...]
@@ -137,5 +138,5 @@ class Workspace:
         )
 
 
-_PER_VIEW = ("pictures", "support_odds", "learnt", "beliefs", "priors")
+_PER_VIEW = ("pictures", "support_odds", "learnt", "beyond", "beliefs", "priors")
 _VECTORS = ("low", "high", "found_low", "found_high", "centre")
