@@ -1,4 +1,4 @@
-"""The pages of jobs in a real browser: upload, live progress over a killed server, results, links.
+"""The pages in a real browser: upload, live progress over a killed server, results, links, masks.
 
 The tests themselves are those of client/web/tests/pages, which drive the system's Chromium.
 """
@@ -36,6 +36,11 @@ def run(test: str, timeout_s: float) -> None:
 @pytest.mark.timeout(400)
 def test_the_pages_lead_from_an_upload_to_a_result_whatever_happens_to_the_server():
     run("jobs", 390.0)
+
+
+@pytest.mark.timeout(400)
+def test_a_mark_on_one_photograph_takes_a_wrong_part_out_of_the_others():
+    run("masks", 390.0)
 
 
 @pytest.mark.timeout(1300)

@@ -3,6 +3,7 @@
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import lambent_pages
@@ -23,6 +24,7 @@ def correct_masks(
     tell: Callable[[str], None],
     opens: bool = True,
     open_page: Callable[[str], Any] = webbrowser.open,
+    pages: Path = lambent_pages.FOLDER,
 ) -> bool:
     """Serve the page until the person is done; return whether they said so, False for Ctrl-C.
 
@@ -30,7 +32,7 @@ def correct_masks(
     The page is opened where there is a screen, if `opens`. Raises `UsageError`
     (`run.pages_not_built`) where this copy of Lambent has no pages, and what `Editing.apply` raises.
     """
-    if lambent_pages.find(PAGE) is None:
+    if lambent_pages.find(PAGE, pages) is None:
         raise UsageError(
             "run.pages_not_built",
             "this copy of Lambent was installed from its sources, without the web pages; run `make pages` in "
@@ -38,7 +40,7 @@ def correct_masks(
         )
     tell("drawing the outlines ...")
     editing.apply(corrections)
-    desk = Desk(editing=editing, corrections=corrections, keep=keep, command=command)
+    desk = Desk(editing=editing, corrections=corrections, keep=keep, command=command, pages=pages)
     with (
         ending_like_ctrl_c(),
         suppress(KeyboardInterrupt),

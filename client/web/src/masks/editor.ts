@@ -232,6 +232,7 @@ class MaskEditor implements Editor {
   #changed(): void {
     if (this.#open !== null) this.#pad.marks(this.#history.of(this.#open.name));
     this.#label();
+    setText(this.#status, "Noted; the other photographs follow.");
     this.#applier.change(this.#history.now);
   }
 
