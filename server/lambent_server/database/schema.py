@@ -217,7 +217,10 @@ checkpoints = Table(
     _count("step"),
     _time("created_at"),
     Column("manifest", JSON, nullable=False),
+    # The scene that it is kept with; null if it goes with the job.
+    _optional_text("scene_id"),
     Index(None, "job_id"),
+    Index(None, "scene_id"),
 )
 
 checkpoint_files = Table(

@@ -21,14 +21,14 @@ from lambent_worker.run.capture import (
     read_manifest,
 )
 from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import begun_inputs, require_done
+from lambent_worker.run.kept import WORKSPACE, note_made_from
 from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.scenes.colmap_model import ModelError
 from lambent_worker.scenes.detect import fit_to_masks
 
 PARTS = {"reading photographs": (0.0, 0.2), "comparing the views": (0.2, 0.5), "drawing outlines": (0.5, 0.9)}
 """Shares of the task's time by phase of the estimate."""
-WORKSPACE = "workspace"
-"""Folder of what corrections start from."""
 BLAMED = frozenset(
     {
         "scene.pose_inconsistent",
@@ -65,7 +65,10 @@ def run(context: TaskContext) -> None:
         for frame in manifest.frames:
             frame.mask = ""
         write_json(context.folder / MANIFEST, message_to_dict(manifest))
+        note_made_from(context.folder, begun_inputs(context.run_dir, "masks") or "")
         context.reporter.checkpoint("masks", 1, context.folder)
+    else:
+        context.reporter.log("masks.restored")
     context.reporter.artifact(SHEET, context.folder / SHEET)
     context.progress(1, 1)
 
@@ -93,6 +96,8 @@ def _estimate(context: TaskContext) -> WrittenMasks:
         points=points,
         keep_in=context.folder / WORKSPACE,
     )
+    if (context.folder / WORKSPACE).is_dir():
+        note_made_from(context.folder / WORKSPACE, require_done(context.run_dir, "ingest"))
     if written.reason:
         context.reporter.artifact(SHEET, written.sheet)
     written.require_credible()
