@@ -358,7 +358,7 @@ export interface components {
              * Kind
              * @enum {string}
              */
-            kind: "train" | "check" | "bake" | "render" | "batch";
+            kind: "train" | "check" | "prepare" | "bake" | "render" | "batch";
             /** Labels */
             labels: {
                 [key: string]: string;
@@ -540,7 +540,7 @@ export interface components {
              * @default train
              * @enum {string}
              */
-            kind: "train" | "check" | "bake";
+            kind: "train" | "check" | "prepare" | "bake";
             /**
              * Labels
              * @default {}
@@ -553,6 +553,8 @@ export interface components {
              * @default {}
              */
             params: {
+                corrections?: string;
+            } & {
                 [key: string]: string;
             };
             /**

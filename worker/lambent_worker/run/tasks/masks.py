@@ -27,7 +27,14 @@ from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.scenes.colmap_model import ModelError
 from lambent_worker.scenes.detect import fit_to_masks
 
-PARTS = {"reading photographs": (0.0, 0.2), "comparing the views": (0.2, 0.5), "drawing outlines": (0.5, 0.9)}
+PARTS = {
+    "looking for points": (0.0, 0.12),
+    "placing points": (0.12, 0.16),
+    "reading photographs": (0.16, 0.26),
+    "looking at the support": (0.26, 0.34),
+    "comparing the views": (0.34, 0.5),
+    "drawing outlines": (0.5, 0.9),
+}
 """Shares of the task's time by phase of the estimate."""
 BLAMED = frozenset(
     {
