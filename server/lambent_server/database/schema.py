@@ -157,6 +157,7 @@ jobs = Table(
     Index(None, "tenant_id", "id"),
     Index(None, "state"),
     Index(None, "order_id"),
+    Index(None, "scene_id"),
     # The most frequent query of event streams.
     Index(None, "updated_at"),
 )

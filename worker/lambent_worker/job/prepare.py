@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 from lambent_worker.capture_qa.check_result import tell_findings
-from lambent_worker.errors import SceneRefusedError, UsageError
+from lambent_worker.errors import SceneRefusedError, Stopped, UsageError
 from lambent_worker.files import read_record
 from lambent_worker.job.connection import Connection, RefusedError
 from lambent_worker.reporter import Reporter
@@ -172,6 +172,9 @@ def _send(reporter: Reporter, out: Path, before: float) -> None:
 
 
 def _tell(reporter: Reporter, step: int, before: float) -> None:
+    """Tell what is being done; raises `Stopped` where the run was asked to end: later corrections have come."""
+    if reporter.should_stop():
+        raise Stopped
     progress = job_pb2.Progress(stage="masks", step=step, num_steps=len(_STEPS), doing=_STEPS[step])
     progress.fraction = before + (1.0 - before) * step / len(_STEPS)
     reporter.progress(progress)
