@@ -1,6 +1,6 @@
-"""Removal of checkpoints."""
+"""Removal of checkpoints: those of a job go when it ends, those kept with a scene when that is deleted."""
 
-from sqlalchemy import Connection
+from sqlalchemy import ColumnElement, Connection
 
 from lambent_server.database.schema import checkpoint_files, checkpoints
 from lambent_server.database.tenancy import Tenant, remove, rows
@@ -18,7 +18,16 @@ def drop_checkpoint(connection: Connection, tenant: Tenant, identifier: str) -> 
 
 
 def drop_checkpoints(connection: Connection, tenant: Tenant, job_id: str) -> None:
-    """Delete every checkpoint of a job that no longer needs any."""
-    mine = rows(tenant, checkpoints, checkpoints.c.id).where(checkpoints.c.job_id == job_id)
-    for identifier in list(connection.execute(mine).scalars()):
+    """Delete the checkpoints of a job that no longer needs any; those kept with its scene stay."""
+    drop_where(connection, tenant, checkpoints.c.job_id == job_id, checkpoints.c.scene_id.is_(None))
+
+
+def drop_checkpoints_of_scene(connection: Connection, tenant: Tenant, scene_id: str) -> None:
+    """Delete the checkpoints that are kept with a scene."""
+    drop_where(connection, tenant, checkpoints.c.scene_id == scene_id)
+
+
+def drop_where(connection: Connection, tenant: Tenant, *conditions: ColumnElement[bool]) -> None:
+    found = connection.execute(rows(tenant, checkpoints, checkpoints.c.id).where(*conditions))
+    for identifier in list(found.scalars()):
         drop_checkpoint(connection, tenant, identifier)

@@ -1,7 +1,7 @@
 """Queries of jobs, and the submission of new ones."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -230,19 +230,25 @@ def select_page(
     *,
     states: Sequence[str],
     labels: Sequence[tuple[str, ...]],
+    having: Mapping[str, str | None],
     limit: int,
     cursor: str | None,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` jobs, newest first, and the cursor of the next page."""
+    """Return up to `limit` jobs, newest first, and the cursor of the next page.
+
+    `having` are columns and their values; None for any.
+    """
+    given = {name: value for name, value in having.items() if value is not None}
 
     def narrow(statement: Any) -> Any:
+        statement = statement.filter_by(**given)
         if states:
             statement = statement.where(jobs.c.state.in_(states))
         for name, value in labels:
-            having = rows(tenant, job_labels, job_labels.c.job_id).where(
+            labelled = rows(tenant, job_labels, job_labels.c.job_id).where(
                 job_labels.c.name == name, job_labels.c.value == value
             )
-            statement = statement.where(jobs.c.id.in_(having))
+            statement = statement.where(jobs.c.id.in_(labelled))
         return statement
 
     return select_newest(connection, tenant, jobs, limit=limit, cursor=cursor, narrow=narrow)

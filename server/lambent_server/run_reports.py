@@ -6,7 +6,6 @@ from google.protobuf.json_format import MessageToJson, Parse, ParseError
 from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
 from sqlalchemy import Connection
 
-from lambent_server.checkpoint_rows import drop_checkpoint
 from lambent_server.clock import new_id, now
 from lambent_server.database.schema import (
     artifacts,
@@ -16,10 +15,11 @@ from lambent_server.database.schema import (
     checkpoints,
     scenes,
 )
-from lambent_server.database.tenancy import add, change, find, rows
+from lambent_server.database.tenancy import add, change, find
 from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fields
 from lambent_server.outcomes import Failure, adjustments_of, fail, lose
 from lambent_server.paths import check_path
+from lambent_server.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
 from lambent_server.problems import Problem, invalid
 from lambent_server.rest_json import enum_text, to_rest
 from lambent_server.run_inputs import inputs_of
@@ -27,7 +27,6 @@ from lambent_server.scene_figures import store_figures
 from lambent_server.settings import Settings
 from lambent_server.store import BlobStore, find_blob
 
-KEPT_CHECKPOINTS = 2
 _WORKER_EVENTS = frozenset({"preview", "log", "finding", "artifact"})
 _YOUNG_S = 600.0
 _OLD_S = 3600.0
@@ -37,9 +36,6 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
     """Return the work of the run, and where an earlier run stopped."""
     tenant = owner(job)
     inputs = inputs_of(connection, job)
-    kept = connection.execute(
-        rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"]).order_by(checkpoints.c.id)
-    ).mappings()
     response = worker_pb2.StartResponse(
         spec=job_pb2.JobSpec(
             scene_id=job["scene_id"],
@@ -62,7 +58,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
         scene_name=inputs.name,
         render=inputs.render,
     )
-    for row in kept:
+    for row in offered_checkpoints(connection, tenant, job):
         manifest = response.checkpoints.add()
         Parse(row["manifest"], manifest)
     return response
@@ -169,6 +165,7 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
             step=manifest.step,
             created_at=now(),
             manifest=text,
+            scene_id=scene_of_checkpoint(job, manifest.stage),
         )
     )
     for file in manifest.files:
@@ -179,14 +176,7 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
     append_event(
         connection, job, NewEvent(type="checkpoint", name=manifest.stage, message=f"step {manifest.step}")
     )
-    kept = connection.execute(
-        rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"]).order_by(checkpoints.c.id.desc())
-    ).mappings()
-    newest_of_stage: set[str] = set()
-    for place, row in enumerate(kept):
-        if place >= KEPT_CHECKPOINTS and row["stage"] in newest_of_stage:
-            drop_checkpoint(connection, owner(job), row["id"])
-        newest_of_stage.add(row["stage"])
+    drop_superseded(connection, tenant, job, identifier, manifest.stage)
 
 
 def publish(

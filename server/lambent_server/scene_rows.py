@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy import Connection, insert
 
+from lambent_server.checkpoint_rows import drop_checkpoints_of_scene
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import blobs, jobs, scene_files, scenes
 from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
@@ -222,4 +223,5 @@ def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
         raise conflict("scene_in_use", f"job {job_id} uses this scene; cancel it first")
     _forget_files(connection, tenant, scene["id"])
     forget_figures(connection, tenant, scene["id"])
+    drop_checkpoints_of_scene(connection, tenant, scene["id"])
     connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))

@@ -157,6 +157,7 @@ jobs = Table(
     Index(None, "tenant_id", "id"),
     Index(None, "state"),
     Index(None, "order_id"),
+    Index(None, "scene_id"),
     # The most frequent query of event streams.
     Index(None, "updated_at"),
 )
@@ -217,7 +218,10 @@ checkpoints = Table(
     _count("step"),
     _time("created_at"),
     Column("manifest", JSON, nullable=False),
+    # The scene that it is kept with; null if it goes with the job.
+    _optional_text("scene_id"),
     Index(None, "job_id"),
+    Index(None, "scene_id"),
 )
 
 checkpoint_files = Table(

@@ -21,6 +21,7 @@ from lambent_server.messages import (
     Estimate,
     EventList,
     Job,
+    JobKind,
     JobList,
     JobState,
     NewEstimate,
@@ -51,6 +52,8 @@ class JobFilter(PageFilter):
         list[Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}=[^\x00-\x1f\x7f]{0,200}$")]],
         Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
     ]
+    scene: Annotated[str | None, Field(pattern="^[a-z0-9_]{1,64}$", description="Only jobs of it.")] = None
+    kind: JobKind | None = None
 
 
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
@@ -78,7 +81,13 @@ def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter
     labels = [tuple(each.split("=", 1)) for each in given.label]
     with services.database.read() as connection:
         found, cursor = job_queries.select_page(
-            connection, tenant, states=given.state, labels=labels, limit=given.limit, cursor=given.cursor
+            connection,
+            tenant,
+            states=given.state,
+            labels=labels,
+            having={"scene_id": given.scene, "kind": given.kind},
+            limit=given.limit,
+            cursor=given.cursor,
         )
     return JobList(items=[job_queries.show(job) for job in found], next_cursor=cursor)
 

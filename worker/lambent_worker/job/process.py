@@ -35,8 +35,16 @@ def train(order: Order) -> Path:
     return task_folder(order.run_dir, "export")
 
 
-def perform(order: Order) -> Path:
-    """Train, or adapt a bundle to a light, as the order's kind says, and return the bundle's folder."""
+def perform(order: Order) -> Path | None:
+    """Train, prepare, or adapt a bundle to a light, as the order's kind says; return the bundle's folder.
+
+    None where it makes no bundle.
+    """
+    if order.spec.kind == "prepare":
+        from lambent_worker.job.prepare import run_prepare
+
+        run_prepare(order)
+        return None
     if order.spec.kind != "bake":
         return train(order)
     from lambent_worker.job.bake import run_bake
@@ -134,6 +142,11 @@ def _do(
     check: Check,
 ) -> Path | None:
     identity = connection.identity
+    if start.spec.kind == "prepare":
+        from lambent_worker.job.prepare import show_kept
+
+        if show_kept(connection, reporter, start, identity.work_dir):
+            return _unbroken(reporter, None)
     scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
     checked = None
     if start.check_scene or start.spec.kind == "check":
@@ -162,6 +175,11 @@ def _do(
         render_pictures(order)
     else:
         bundle = pipeline(order)
+    return _unbroken(reporter, bundle)
+
+
+def _unbroken(reporter: ServerReporter, bundle: Path | None) -> Path | None:
+    """Return the bundle's folder; raises what has ended the line to the server meanwhile."""
     if reporter.broken is not None:
         raise reporter.broken
     return bundle

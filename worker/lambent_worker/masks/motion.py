@@ -159,7 +159,11 @@ def _background(
     agreeing = np.maximum(near.sum(axis=0), 1)
     mean = (logs * near[..., None]).sum(axis=0) / agreeing[..., None]
     variance = (np.square(logs - mean) * near[..., None]).sum(axis=0).max(axis=-1) / agreeing
-    return mean.astype(np.float32), (agreeing / count).astype(np.float32), np.sqrt(variance).astype(np.float32)
+    return (
+        mean.astype(np.float32),
+        (agreeing / count).astype(np.float32),
+        np.sqrt(variance).astype(np.float32),
+    )
 
 
 def _is_shadow(change: Float32[ndarray, "n height width 3"]) -> Bool[ndarray, "n height width"]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from flashcache.config import Config, to_dict
 
 from lambent_worker.files import digest, file_sha256
+from lambent_worker.run.preparation import cameras_hash, files_hash, ingest_hash
 from lambent_worker.run.spec import RunSpec, corrections_hash
 
 TASKS = ("cameras", "ingest", "masks", "cache", "joint", "evaluate", "export")
@@ -26,14 +27,18 @@ CONFIG_PARTS = {
 def input_hashes(spec: RunSpec) -> dict[str, str]:
     """Return for every task of the run the hash of everything its result depends on."""
     scene = scene_hash(spec.scene)
-    given: list[object] = [dict(spec.known_lights)] if spec.known_lights else []
-    given += [{"masks": spec.masks}] if spec.masks else []
-    given += [{"light_fixed_to": spec.light_fixed_to}] if spec.light_fixed_to != "auto" else []
     hashes = {}
     if spec.lacks_cameras:
-        hashes["cameras"] = _cameras_inputs(scene, spec)
-        given.append({"cameras": hashes["cameras"]})
-    hashes["ingest"] = digest("ingest", scene, list(spec.lights), spec.layout, *given)
+        hashes["cameras"] = cameras_hash(scene, spec.seed)
+    hashes["ingest"] = ingest_hash(
+        scene,
+        lights=spec.lights,
+        layout=spec.layout,
+        known_lights=spec.known_lights,
+        masks=spec.masks,
+        cameras=hashes.get("cameras"),
+        light_fixed_to=spec.light_fixed_to,
+    )
     corrected = corrections_hash(spec)
     hashes["masks"] = digest("masks", hashes["ingest"], *([corrected] if corrected else []))
     for name in CONFIG_PARTS:
@@ -44,7 +49,7 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
 
 def cameras_inputs(scene_dir: Path, spec: RunSpec) -> str:
     """Return the hash of what the cameras of the photographs in `scene_dir` are found from, in a run."""
-    return _cameras_inputs(scene_hash(scene_dir), spec)
+    return cameras_hash(scene_hash(scene_dir), spec.seed)
 
 
 def task_inputs(task: str, previous: str, config: Config, seed: int) -> str:
@@ -59,11 +64,5 @@ def scene_hash(scene_dir: Path) -> str:
     Files whose names begin with a dot do not count, and times do not, so that a copy of the capture on
     another machine is the same capture.
     """
-    files = sorted(path for path in scene_dir.rglob("*") if path.is_file() and not path.name.startswith("."))
-    names = [path.relative_to(scene_dir).as_posix() for path in files]
-    return digest([[name, file_sha256(path)] for name, path in zip(names, files, strict=True)])
-
-
-def _cameras_inputs(scene: str, spec: RunSpec) -> str:
-    # Masks that are given later do not move cameras that were found before.
-    return digest("cameras", scene, spec.seed)
+    files = (path for path in scene_dir.rglob("*") if path.is_file() and not path.name.startswith("."))
+    return files_hash((path.relative_to(scene_dir).as_posix(), file_sha256(path)) for path in files)

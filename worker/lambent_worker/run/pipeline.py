@@ -18,6 +18,7 @@ from lambent_worker.run.folder import (
     locked,
 )
 from lambent_worker.run.hashes import TASKS, input_hashes
+from lambent_worker.run.kept import drop_unfitting
 from lambent_worker.run.spec import RunSpec, keep_run
 
 # Shares of a job's time, from the time budget of preset `fast` (docs/decisions/0001-cpu-presets.md).
@@ -57,6 +58,7 @@ def run_pipeline(
     with locked(run_dir):
         keep_run(run_dir, spec, device)
         hashes = input_hashes(spec)
+        drop_unfitting(run_dir, hashes)
         tasks = tuple(name for name in TASKS if name in tasks and name in hashes)
         total = sum(SHARES[name] for name in tasks)
         done = {name for name in tasks if done_inputs(run_dir, name) == hashes[name]}

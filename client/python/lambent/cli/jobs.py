@@ -1,7 +1,9 @@
 """submit, watch, jobs, cancel, retry, delete, logs."""
 
+import json
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
@@ -29,17 +31,28 @@ def submit(
     ] = [],  # noqa: B006
     priority: Annotated[int, typer.Option(help="Larger first.")] = 0,
     gpus: Annotated[int | None, typer.Option(help="GPUs the job needs; else the preset says.", min=0)] = None,
+    prepare: Annotated[
+        bool, typer.Option("--prepare", help="Only find cameras and masks, to look at before training.")
+    ] = False,
+    corrections: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Corrections of masks, as `lambent masks --edit` saves them."),
+    ] = None,
     follow: Annotated[bool, typer.Option("--watch", help="Follow the job until it ends.")] = False,
     url: UrlOption = "",
     as_json: JsonOption = False,
 ) -> None:
     """Queue a training job on an uploaded scene and print its id."""
     output = Output(as_json)
+    params = parse_pairs(settings, "--set")
+    if corrections is not None:
+        params["corrections"] = read_corrections(corrections)
     with Client(url) as client:
         job = client.submit(
             scene,
             preset=preset,
-            params=parse_pairs(settings, "--set"),
+            params=params,
+            kind="prepare" if prepare else "train",
             seed=seed,
             labels=parse_pairs(labels, "--label"),
             priority=priority,
@@ -71,9 +84,9 @@ def jobs(
         for job in found:
             output.result("", job)
         return
-    rows = [("JOB", "STATE", "PRESET", "SCENE", "DONE", "CREATED")]
+    rows = [("JOB", "STATE", "WORK", "SCENE", "DONE", "CREATED")]
     rows += [
-        (job.id, job.state, job.preset, job.scene_id, f"{100 * _share(job):.0f} %", job.created_at[:19])
+        (job.id, job.state, job.preset if job.kind == "train" else job.kind, job.scene_id, f"{100 * _share(job):.0f} %", job.created_at[:19])
         for job in found
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -142,6 +155,19 @@ def follow_jobs(client: Client, job_ids: Sequence[str], *, as_json: bool, findin
         Output(as_json).note(f"stopped watching; the work goes on. Again: lambent watch {ids}")
         return 130
     return 0 if all(job.state == "succeeded" for job in ended.values()) else 1
+
+
+def read_corrections(file: Path) -> str:
+    """Return the JSON of a file of corrections without white space; raises `cli.bad_corrections`."""
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise UsageProblemError(
+            "cli.bad_corrections",
+            f"--corrections {file} is no JSON file that can be read: {error}",
+            "give the corrections.json of the mask editor",
+        ) from error
+    return json.dumps(record, separators=(",", ":"))
 
 
 def parse_pairs(pairs: Sequence[str], option: str) -> dict[str, str]:

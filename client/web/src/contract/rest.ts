@@ -363,7 +363,7 @@ export interface components {
              * Kind
              * @enum {string}
              */
-            kind: "train" | "check" | "bake" | "render" | "batch";
+            kind: "train" | "check" | "prepare" | "bake" | "render" | "batch";
             /** Labels */
             labels: {
                 [key: string]: string;
@@ -545,7 +545,7 @@ export interface components {
              * @default train
              * @enum {string}
              */
-            kind: "train" | "check" | "bake";
+            kind: "train" | "check" | "prepare" | "bake";
             /**
              * Labels
              * @default {}
@@ -558,6 +558,8 @@ export interface components {
              * @default {}
              */
             params: {
+                corrections?: string;
+            } & {
                 [key: string]: string;
             };
             /**

@@ -22,6 +22,7 @@ const otherSteps: ReadonlyMap<string, string> = new Map([["contact_sheet", "layi
 
 const purposes: ReadonlyMap<string, string> = new Map([
   ["check", "check of the scene"],
+  ["prepare", "cameras and masks"],
   ["bake", "fast cache for another light"],
   ["render", "pictures of a bundle"],
   ["batch", "part of a batch of pictures"],
@@ -30,6 +31,11 @@ const purposes: ReadonlyMap<string, string> = new Map([
 /** Return a description of a job's work. */
 export function purpose(job: Job): string {
   return purposes.get(job.kind) ?? `preset ${job.preset}`;
+}
+
+/** Return whether a job stands in lists: checks belong to their scene, and corrections to the editor of masks. */
+export function isListed(job: Job): boolean {
+  return job.kind !== "check" && (job.kind !== "prepare" || job.params.corrections === undefined);
 }
 
 /** Return a job's name in lists: that of its scene, if it has one. */

@@ -1,7 +1,7 @@
 /** One job: live while it runs, its results when it is done. */
 
 import { button } from "../page/actions.js";
-import { jobAddress, sceneAddress } from "../page/addresses.js";
+import { jobAddress, masksAddress, sceneAddress } from "../page/addresses.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
@@ -73,7 +73,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       bar,
       figures,
       fault,
-      h("div", { class: "actions" }, cancel, retry),
+      h("div", { class: "actions" }, cancel, retry, scene !== null && hasMasks(first) && masksLink(scene.id)),
       results,
       section("Progress", {}, stages.element, h("div", { class: "live" }, pictures.element, plots.element)),
       log.element,
@@ -99,6 +99,14 @@ export function statusText(job: Job): string {
     parts.push(`next try in ${formatDuration(seconds)}`);
   }
   return parts.join(" · ");
+}
+
+function hasMasks(job: Job): boolean {
+  return job.kind === "train" || job.kind === "prepare";
+}
+
+function masksLink(sceneId: string): HTMLElement {
+  return h("a", { class: "button", href: masksAddress(sceneId) }, "Look at the masks");
 }
 
 function faultNotice(job: Job): HTMLElement[] {

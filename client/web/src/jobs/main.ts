@@ -6,6 +6,7 @@ import { h, setText } from "../page/dom.js";
 import { createApi } from "../page/rest.js";
 import { createUploads } from "../upload/uploads.js";
 import { jobView } from "./jobView.js";
+import { masksView } from "./masksView.js";
 import { sceneView } from "./sceneView.js";
 import { startView } from "./startView.js";
 import { JobStore } from "./store.js";
@@ -39,6 +40,7 @@ async function show(): Promise<void> {
   let view: View;
   try {
     if (place.kind === "scene") view = await sceneView(context, place.id);
+    else if (place.kind === "masks") view = await masksView(context, place.id);
     else if (place.kind === "job") view = await jobView(context, place.id);
     else view = startView(context);
   } catch (error) {

@@ -1,10 +1,11 @@
 /** The form that starts a job: a preset with an estimate of its time, and settings over it. */
 
 import { button } from "../page/actions.js";
-import { jobAddress } from "../page/addresses.js";
+import { jobAddress, masksAddress } from "../page/addresses.js";
 import { h, section, setText } from "../page/dom.js";
 import { formatAbout, plural } from "../page/format.js";
-import type { Estimate, Preset } from "../page/rest.js";
+import { type Estimate, newKey, type Preset } from "../page/rest.js";
+import { correctionsOf, correctionsText, latestPrepared } from "../masks/restBackend.js";
 import type { Context } from "./view.js";
 
 /** An invalid line of the settings. */
@@ -41,6 +42,10 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
   const queue = h("p", { class: "faint" });
   const seed = h("input", { type: "number", id: "seed", min: 0, max: 2 ** 31 - 1, step: 1, value: 0 });
   const settings = h("textarea", { id: "settings", rows: 3, spellcheck: "false" });
+  const corrected = h("input", { type: "checkbox", id: "corrected", checked: true });
+  const marks = h("label", { for: "corrected" });
+  const corrections = h("p", { hidden: true }, corrected, " ", marks);
+  let correctionsGiven = "";
   const start = button("Start the job", { ...context, className: "first" }, async () => {
     const preset = options.querySelector<HTMLInputElement>("input:checked")?.value;
     if (preset === undefined) throw new BadSetting("Choose a preset first.");
@@ -48,7 +53,10 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
       scene_id: sceneId,
       preset,
       seed: Number(seed.value),
-      params: parseSettings(settings.value),
+      params: {
+        ...parseSettings(settings.value),
+        ...(correctionsGiven !== "" && corrected.checked ? { corrections: correctionsGiven } : {}),
+      },
     };
     const job = await api.submit(order, key);
     key = newKey();
@@ -56,8 +64,17 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
     location.hash = jobAddress(job.id);
   });
 
+  async function loadCorrections(): Promise<void> {
+    const prepared = await latestPrepared(api, sceneId);
+    if (prepared === null) return;
+    const list = correctionsOf(prepared);
+    correctionsGiven = correctionsText(list);
+    corrections.hidden = correctionsGiven === "";
+    setText(marks, `Use the masks as they were corrected (${plural(list.corrections.length, "mark")})`);
+  }
+
   async function load(): Promise<void> {
-    const [presets, limits] = await Promise.all([api.presets(), api.limits()]);
+    const [presets, limits] = await Promise.all([api.presets(), api.limits(), loadCorrections()]);
     const estimates = await Promise.all(presets.items.map((preset) => api.estimate(preset.name)));
     options.replaceChildren(
       ...presets.items.map((preset, place) =>
@@ -89,14 +106,15 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
         settings,
       ),
     ),
-    h("div", { class: "actions" }, start, queue),
+    corrections,
+    h(
+      "div",
+      { class: "actions" },
+      start,
+      h("a", { class: "button", href: masksAddress(sceneId) }, "Look at the masks"),
+      queue,
+    ),
   );
-}
-
-function newKey(): string {
-  // Not crypto.randomUUID: that one is missing where a page came over plain HTTP.
-  const parts = crypto.getRandomValues(new Uint32Array(4));
-  return `page-${Array.from(parts, (part) => part.toString(16)).join("")}`;
 }
 
 function option(preset: Preset, estimate: Estimate, available: boolean, chosen: boolean): HTMLElement {

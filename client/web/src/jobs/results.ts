@@ -50,7 +50,9 @@ export function resultSection(context: Context, job: Job, name: string): HTMLEle
       api.artifacts(job.id),
       bundleId === null ? null : api.bundle(bundleId),
     ]);
-    downloads.replaceChildren(...downloadLines(items, bundle?.files ?? []));
+    // The page of masks shows those.
+    const files = items.filter(({ name }) => !name.startsWith("preparation/"));
+    downloads.replaceChildren(...downloadLines(files, bundle?.files ?? []));
     const report = items.find((artifact) => artifact.name === "report.json");
     if (report !== undefined) figures.replaceChildren(...metricTable(await api.document<Report>(report.url)));
   }

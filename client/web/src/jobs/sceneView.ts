@@ -4,7 +4,7 @@ import { button } from "../page/actions.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
 import type { Scene, SceneReport } from "../page/rest.js";
-import { jobList, progressText, purpose } from "./jobLine.js";
+import { isListed, jobList, progressText, purpose } from "./jobLine.js";
 import { orderForm } from "./orderForm.js";
 import { reportSection } from "./report.js";
 import { isFinal } from "./store.js";
@@ -41,13 +41,13 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
     checking.hidden = running === undefined;
     if (running !== undefined) {
       const progress = progressText(running);
-      setText(checking, `Looking at the photographs and cameras … ${progress}`);
+      setText(checking, `Looking at the photographs … ${progress}`);
     }
     checkRow.hidden = scene.state !== "uploaded" || running !== undefined;
     replaceKeyed(findings, JSON.stringify(report), () => [reportSection(scene, report)]);
     const usable = scene.state === "ready" || scene.state === "uploaded";
     replaceKeyed(order, String(usable), () => (usable ? [orderForm(context, sceneId)] : []));
-    jobs.update(all.filter((job) => job.kind !== "check"));
+    jobs.update(all.filter(isListed));
     jobsSection.hidden = jobs.element.hidden;
   }
 

@@ -5,7 +5,7 @@ import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
 import { h, section } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
 import type { Bundle, Job, Scene } from "../page/rest.js";
-import { jobList, jobName } from "./jobLine.js";
+import { isListed, jobList, jobName } from "./jobLine.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
 
@@ -22,8 +22,7 @@ export function startView(context: Context): View {
   const bundles = pagedList("Bundles, the newest first", bundleLine, api.bundles, context);
 
   const drawJobs = () => {
-    // Checks belong to their scene and are shown there.
-    const found = store.all().filter(({ job }) => job.kind !== "check");
+    const found = store.all().filter(({ job }) => isListed(job));
     jobs.update(found.map(({ job }) => job));
     noJobs.hidden = found.length > 0;
   };

@@ -19,6 +19,11 @@ export function sceneAddress(sceneId: string): string {
   return `#/scenes/${sceneId}`;
 }
 
+/** Return the address of the page with the masks of a scene. */
+export function masksAddress(sceneId: string): string {
+  return `#/scenes/${sceneId}/masks`;
+}
+
 /** Return the address of a job's page. */
 export function jobAddress(jobId: string): string {
   return `#/jobs/${jobId}`;
@@ -28,11 +33,13 @@ export function jobAddress(jobId: string): string {
 export type Place =
   | { readonly kind: "start" }
   | { readonly kind: "scene"; readonly id: string }
+  | { readonly kind: "masks"; readonly id: string }
   | { readonly kind: "job"; readonly id: string };
 
 /** Return the view that a fragment names; anything else opens the start. */
 export function placeOf(fragment: string): Place {
-  const found = /^#\/(scenes|jobs)\/([a-z0-9_]{1,64})$/.exec(fragment);
-  if (found === null) return { kind: "start" };
+  const found = /^#\/(scenes|jobs)\/([a-z0-9_]{1,64})(\/masks)?$/.exec(fragment);
+  if (found === null || (found[1] === "jobs" && found[3] !== undefined)) return { kind: "start" };
+  if (found[3] !== undefined) return { kind: "masks", id: found[2]! };
   return { kind: found[1] === "jobs" ? "job" : "scene", id: found[2]! };
 }

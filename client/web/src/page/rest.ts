@@ -55,6 +55,13 @@ export async function requireOk(response: Response): Promise<Response> {
   );
 }
 
+/** Return a key that makes one job of a request, however often it is sent. */
+export function newKey(): string {
+  // Not crypto.randomUUID: that one is missing where a page came over plain HTTP.
+  const parts = crypto.getRandomValues(new Uint32Array(4));
+  return `page-${Array.from(parts, (part) => part.toString(16)).join("")}`;
+}
+
 export type Api = ReturnType<typeof createApi>;
 
 /** Return the operations of the server at this address; `send` is `fetch`, or what stands in for it. */
@@ -113,6 +120,13 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     estimate: (preset: string) => json<Estimate>("POST", "/v1/estimates", { preset }),
     jobs: (cursor: string | null = null) => json<Schemas["JobList"]>("GET", list("/v1/jobs", 50, cursor)),
     job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
+    /** Jobs of a scene, the newest first. */
+    jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
+      json<Schemas["JobList"]>("GET", `/v1/jobs?scene=${sceneId}&kind=${kind}&state=${state}&limit=${limit}`),
+    /** The job once it has ended, or as it is after half a minute. */
+    waitForJob: async (id: string, signal: AbortSignal) =>
+      (await (await request("GET", `/v1/jobs/${id}?wait=30`, { signal })).json()) as Job,
+    deleteJob: (id: string) => json<null>("DELETE", `/v1/jobs/${id}`),
     /** The same `key` never makes a second job. */
     submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
       json<Job>("POST", "/v1/jobs", order, { "idempotency-key": key }),
@@ -132,6 +146,8 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     openShare: (token: string) => json<Schemas["OpenedShare"]>("POST", "/v1/shares:open", { token }),
     /** A JSON file among a job's artifacts. */
     document: async <T>(url: string) => (await (await request("GET", url)).json()) as T,
+    /** The bytes of an artifact. */
+    blob: async (url: string) => (await request("GET", url)).blob(),
     /** The answer whose body is the stream of events. */
     stream: (lastEventId: string, signal: AbortSignal) =>
       request("GET", "/v1/events", {

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.api import Api, expect, expect_problem, opened
+from support.api import STRANGER_KEY, Api, expect, expect_problem, opened
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +39,9 @@ def test_a_job_is_accepted_and_can_be_looked_at(api: Api, scene: str):
         ({"priority": 10**6}, "#/priority"),
         ({"params": {"Bad Name": "1"}}, "#/params/Bad Name"),
         ({"params": {"a.b": 1}}, "#/params/a.b"),
+        ({"params": {"a.b": 201 * "x"}}, "#/params"),
+        ({"params": {"corrections": 65537 * "x"}}, "#/params/corrections"),
+        ({"params": {"corrections": "\n"}}, "#/params/corrections"),
         ({"labels": {"a/b": "x"}}, "#/labels/a~1b"),
         ({"kind": "dance"}, "#/kind"),
         ({"seed": 1.5}, "#/seed"),
@@ -48,6 +51,24 @@ def test_what_cannot_be_used_is_pointed_at(api: Api, scene: str, change: dict, p
     answer = api.post("/v1/jobs", json={"scene_id": scene, "preset": "tiny", **change})
     problem = expect_problem(answer, 422, "invalid_request")
     assert any(each["pointer"].startswith(pointer) for each in problem["errors"])
+
+
+def test_corrections_are_the_one_long_setting_and_come_back_as_they_were(api: Api, scene: str):
+    params = {"corrections": 65536 * "x", "a.b": 200 * "y"}
+    job = api.job(scene, kind="prepare", params=params)
+    assert (job["kind"], job["params"], job["gpus"]) == ("prepare", params, 0)
+
+
+def test_jobs_of_a_scene_and_of_a_kind_are_found(api: Api):
+    mine, other = api.scene({"a.png": b"a"}), api.scene({"b.png": b"b"})
+    one, two = (api.job(mine, kind=kind)["id"] for kind in ("prepare", "check"))
+    api.job(other, kind="prepare")
+    found = expect(api.get(f"/v1/jobs?scene={mine}"), 200)["items"]
+    assert [job["id"] for job in found] == [two, one]
+    found = expect(api.get(f"/v1/jobs?scene={mine}&kind=prepare"), 200)["items"]
+    assert [job["id"] for job in found] == [one]
+    assert expect(api.other(STRANGER_KEY).get(f"/v1/jobs?scene={mine}"), 200)["items"] == []
+    expect_problem(api.get("/v1/jobs?kind=dance"), 422, "invalid_request")
 
 
 def test_what_does_not_exist_is_named(api: Api, scene: str):

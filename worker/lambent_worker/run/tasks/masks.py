@@ -8,7 +8,7 @@ from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
 from lambent_worker.capture_qa.page import write_capture_report
 from lambent_worker.errors import WorkerError
-from lambent_worker.files import read_record, write_json
+from lambent_worker.files import write_json
 from lambent_worker.masks.find import FindSettings, find_object
 from lambent_worker.masks.folder import SHEET, WrittenMasks, draw_into
 from lambent_worker.masks.photograph import Photograph, photographs_of
@@ -26,6 +26,7 @@ from lambent_worker.run.capture import (
 )
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import begun_inputs, done_inputs
+from lambent_worker.run.kept import WORKSPACE, is_made_from, note_made_from
 from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.run.spec import unused_corrections
 from lambent_worker.scenes.colmap_model import ModelError
@@ -40,10 +41,6 @@ PARTS = {
     "drawing outlines": (0.5, 0.9),
 }
 """Shares of the task's time by phase of the estimate."""
-WORKSPACE = "workspace"
-"""Folder of what corrections start from."""
-MADE_FROM = "made_from.json"
-"""The hash of what a result, or a workspace, was made from."""
 AGREEMENT = "agreement.json"
 """How well the views agree, and which ones do not."""
 BLAMED = frozenset(
@@ -75,7 +72,7 @@ def run(context: TaskContext) -> None:
         return
     folder = context.folder / MASKS
     inputs = begun_inputs(context.run_dir, "masks") or ""
-    if not _is_made_from(context.folder, inputs):
+    if not is_made_from(context.folder, inputs):
         (context.folder / MANIFEST).unlink(missing_ok=True)
         written = _draw(context)
         _tell(context, written)
@@ -88,8 +85,10 @@ def run(context: TaskContext) -> None:
         for frame in manifest.frames:
             frame.mask = ""
         write_json(context.folder / MANIFEST, message_to_dict(manifest))
-        write_json(context.folder / MADE_FROM, {"sha256": inputs})
+        note_made_from(context.folder, inputs)
         context.reporter.checkpoint("masks", 1, context.folder)
+    else:
+        context.reporter.log("masks.restored")
     context.reporter.artifact(SHEET, context.folder / SHEET)
     context.progress(1, 1)
 
@@ -105,7 +104,7 @@ def found_object(context: TaskContext) -> Workspace | str:
     What was found once is kept in `workspace/`, and read from there as long as the capture is the same.
     """
     kept, inputs = context.folder / WORKSPACE, done_inputs(context.run_dir, "ingest") or ""
-    if _is_made_from(kept, inputs):
+    if is_made_from(kept, inputs):
         try:
             return Workspace.load(kept)
         except WorkerError as error:  # Of another release.
@@ -113,12 +112,8 @@ def found_object(context: TaskContext) -> Workspace | str:
     found = _find(context)
     if not isinstance(found, str):
         found.save(kept)
-        write_json(kept / MADE_FROM, {"sha256": inputs})
+        note_made_from(kept, inputs)
     return found
-
-
-def _is_made_from(folder: Path, inputs: str) -> bool:
-    return bool(inputs) and read_record(folder / MADE_FROM).get("sha256") == inputs
 
 
 def _find(context: TaskContext) -> Workspace | str:

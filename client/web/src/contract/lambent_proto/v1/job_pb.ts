@@ -29,7 +29,7 @@ export type JobSpec = Message<"lambent_proto.v1.JobSpec"> & {
   preset: string;
 
   /**
-   * Settings that override the preset: "stage_one.num_rays" = "512".
+   * Settings that override the preset: "stage_one.num_rays" = "512"; and "corrections" of masks, as JSON.
    *
    * @generated from field: map<string, string> params = 3;
    */
@@ -53,8 +53,8 @@ export type JobSpec = Message<"lambent_proto.v1.JobSpec"> & {
   labels: { [key: string]: string };
 
   /**
-   * "train" (scene to bundle), "check" (capture findings only), "bake" (a bundle's fast cache to a light),
-   * "render" or "batch" (pictures of bundles).
+   * "train" (scene to bundle), "check" (capture findings only), "prepare" (cameras and masks only), "bake" (a
+   * bundle's fast cache to a light), "render" or "batch" (pictures of bundles).
    *
    * @generated from field: string kind = 7;
    */
@@ -213,7 +213,8 @@ export const EventSchema: GenMessage<Event> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_job, 2);
 
 /**
- * The contents of a checkpoint; its files are blobs.
+ * The contents of a checkpoint; its files are blobs. Those of the stages "cameras" and "masks" are kept with the
+ * scene and offered to every later job of it, which finds out itself whether they fit.
  *
  * @generated from message lambent_proto.v1.CheckpointManifest
  */
@@ -229,7 +230,7 @@ export type CheckpointManifest = Message<"lambent_proto.v1.CheckpointManifest"> 
   run: number;
 
   /**
-   * Task the checkpoint belongs to ("cache", "joint").
+   * Task the checkpoint belongs to ("cameras", "masks", "cache", "joint").
    *
    * @generated from field: string stage = 3;
    */
