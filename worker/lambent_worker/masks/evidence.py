@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, Int, Int8, UInt8
 from numpy import ndarray
 from scipy import ndimage
-from scipy.stats import rankdata
 from skimage.color import rgb2lab
 from skimage.graph import MCP_Geometric
 
@@ -245,6 +244,9 @@ def _chance_greater(first: Float[ndarray, " first"], second: Float[ndarray, " se
     """Return the chance that one of `first` is greater than one of `second`, ties counted half."""
     if not len(first) or not len(second):
         return 0.5
+    # Half of the time that importing everything about masks takes, and corrections have no use for it.
+    from scipy.stats import rankdata
+
     ranks = rankdata(np.concatenate([first, second]))[: len(first)]
     return float((ranks.mean() - 0.5 * (len(first) + 1)) / len(second))
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from lambent_worker.files import read_record, write_json
 from lambent_worker.run.folder import begun_inputs, task_folder
-from lambent_worker.scenes.photographs import CAMERAS_FILE
 
 MADE_FROM = "made_from.json"
 WORKSPACE = "workspace"
@@ -33,6 +32,9 @@ def drop_unfitting(run_dir: Path, hashes: Mapping[str, str]) -> None:
 
     `hashes` are those of the inputs of the run's tasks. What the run has begun itself is left to `begin_task`.
     """
+    # Here, since whoever only looks at masks does not read captures.
+    from lambent_worker.scenes.photographs import CAMERAS_FILE
+
     if begun_inputs(run_dir, "cameras") is None:
         cameras = task_folder(run_dir, "cameras")
         if read_record(cameras / CAMERAS_FILE).get("inputs") != hashes.get("cameras", ""):
