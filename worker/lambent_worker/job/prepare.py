@@ -131,6 +131,7 @@ def _ingest_hashes(start: worker_pb2.StartResponse) -> set[str]:
             known_lights={},
             masks="",
             cameras=cameras,
+            light_fixed_to=params.get("light_fixed_to", "auto"),
         )
         for cameras in (cameras_hash(scene, start.spec.seed), None)
     }

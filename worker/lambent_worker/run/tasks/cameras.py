@@ -1,14 +1,17 @@
 """Task: find the cameras of photographs that have none."""
 
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
 from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.capture_qa.check_result import tell_findings
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import write_json
+from lambent_worker.masks.motion import write_motion_masks
 from lambent_worker.poses.advice import PoseLimits, advise
 from lambent_worker.poses.apart import solve_apart
-from lambent_worker.poses.photographs import find_photographs
+from lambent_worker.poses.photographs import Photographs, find_photographs
 from lambent_worker.poses.solution import MODEL, Solution
 from lambent_worker.poses.solve import PoseSettings
 from lambent_worker.run.context import TaskContext
@@ -88,7 +91,13 @@ def _find(context: TaskContext, inputs: str) -> None:
         reached = max(reached, begin + (end - begin) * done / max(total, 1))
         context.progress(done, total, doing=doing, part=(reached, reached))
 
-    solution = solve_apart(photographs, work, PoseSettings(seed=spec.seed), progress)
+    settings = PoseSettings(seed=spec.seed)
+    solution = solve_apart(photographs, work, settings, progress)
+    if solution.static_background and not photographs.masked:
+        moving = _what_moves(photographs, work / "moving", context)
+        if moving is not None:
+            again = solve_apart(moving, work, settings, progress)
+            solution = max(solution, again, key=lambda each: len(each.camera_to_world))
     problems = Problems()
     advise(solution, PoseLimits(), problems)
     if not problems.usable:
@@ -98,6 +107,21 @@ def _find(context: TaskContext, inputs: str) -> None:
         raise refused
     _write(context, solution, problems, inputs)
     shutil.rmtree(work)
+
+
+def _what_moves(photographs: Photographs, out: Path, context: TaskContext) -> Photographs | None:
+    """Return the photographs with masks of what moves before a background that stands still, as on a turntable.
+
+    None where nothing does.
+    """
+    paths = [photographs.path(name) for name in photographs.names]
+
+    def progress(_phase: str, _done: int, _total: int) -> None:
+        context.stop_if_asked()
+
+    if write_motion_masks(paths, photographs.names, out, progress) is None:
+        return None
+    return replace(photographs, masks={name: out / f"{name}.png" for name in photographs.names})
 
 
 def _write(context: TaskContext, solution: Solution, problems: Problems, inputs: str) -> None:
@@ -111,9 +135,11 @@ def _write(context: TaskContext, solution: Solution, problems: Problems, inputs:
         points=solution.num_points,
         reprojection_error_px=round(solution.reprojection_error_px, 4),
         up=solution.up,
+        static_background=solution.static_background,
         findings=tuple(
             FoundFinding(code=finding.code, message=finding.message, subject=finding.subject)
             for finding in problems.findings()
+            if finding.code != "scene.static_background"  # told by `ingest`, with what is done about it
         ),
     )
     write_json(context.folder / CAMERAS_FILE, found.model_dump(mode="json"))
