@@ -100,15 +100,15 @@ def load_renderer() -> None:
     mi.set_variant("llvm_ad_rgb")
 
 
-def emitter(image: np.ndarray) -> dict:
-    """Return Mitsuba's environment for `image` [H, W, 3].
+def emitter(image: np.ndarray, rows: int = 513) -> dict:
+    """Return Mitsuba's environment for `image` [H, W, 3], resampled to an odd number of `rows`.
 
     Mitsuba's rows lie at pi r / (H - 1) and its up is y, so the picture is resampled to rows of its own and
     turned; columns agree. `check_environment` holds the result against the convention.
     """
     import mitsuba as mi
 
-    height, width = 513, 1024
+    height, width = rows, 2 * (rows - 1)
     azimuth = np.pi - 2.0 * np.pi * (np.arange(width) + 0.5) / width
     elevation = np.pi / 2.0 - np.pi * np.arange(height) / (height - 1)
     azimuth, elevation = np.meshgrid(azimuth, elevation)
