@@ -3,7 +3,7 @@
     python -m benchmarks poses [--views 24] [--side 384] [--spp 8] [--repeats 1] [--keep] [-o DIR]
 
 Renders a box, a ball and a cylinder, all textured, on a textured plate with Mitsuba (extra `dev`), finds the
-cameras (extra `poses`), and compares them with the true ones up to a similarity. The plate stands on a
+cameras, and compares them with the true ones up to a similarity. The plate stands on a
 textured floor, which masks leave out.
 """
 
@@ -165,9 +165,8 @@ def main(options: argparse.Namespace) -> dict[str, dict]:
         target = options.out / name.replace(" ", "_")
         shutil.rmtree(target, ignore_errors=True)
         began = time.process_time()
-        record = solve_capture(
-            options.out / "photographs", target, masks, PoseSettings(seed=options.seed), print
-        )
+        settings = PoseSettings(seed=options.seed)
+        record = solve_capture(options.out / "photographs", target, masks, settings)
         seconds = time.process_time() - began
         manifest = describe_scene(target)
         frames = {frame.images[0].path.removeprefix("images/"): frame for frame in manifest.frames}

@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 
 from benchmarks.pose_errors import pose_errors
 
-pytest.importorskip("pycolmap", reason="needs the extra poses")
 pytestmark = pytest.mark.slow
 
 COUNT = 10

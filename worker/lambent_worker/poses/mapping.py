@@ -77,18 +77,23 @@ def _run(database: Path, scratch: Path, seed: int, watch: "_Watch", start: Path 
     """Return the models of one run of the mapper, the largest first; it begins with the model in `start`."""
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir(parents=True)
-    with quiet():
-        models = pycolmap.incremental_mapping(
-            database,
-            scratch,
-            scratch,
-            _options(seed),
-            input_path="" if start is None else start,
-            initial_image_pair_callback=watch.begun,
-            next_image_callback=watch.placed,
-            cancellation_token=watch.token,
-        )
-    shutil.rmtree(scratch, ignore_errors=True)
+    try:
+        with quiet():
+            models = pycolmap.incremental_mapping(
+                database,
+                scratch,
+                scratch,
+                _options(seed),
+                input_path="" if start is None else start,
+                initial_image_pair_callback=watch.begun,
+                next_image_callback=watch.placed,
+                cancellation_token=watch.token,
+            )
+    except InterruptedError:  # how COLMAP says that it was told to end
+        watch.check()
+        raise
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
     watch.check()
     large = [model for _, model in sorted(models.items()) if model.num_reg_images() >= MIN_MODEL]
     return sorted(large, key=lambda model: (-model.num_reg_images(), -model.num_points3D()))

@@ -1,17 +1,11 @@
-"""What is said of found cameras names the photographs and what to do; photographs are laid out for COLMAP."""
-
-import importlib
+"""What is said of found cameras names the photographs and what to do."""
 
 import numpy as np
 import pytest
-from lambent_worker.errors import UsageError
 from lambent_worker.poses.advice import PoseLimits, advise, widest_gap
-from lambent_worker.poses.capture import solve_capture
-from lambent_worker.poses.photographs import find_photographs, lay_out
-from lambent_worker.poses.solve import Solution
+from lambent_worker.poses.solution import Fault, Solution
 from lambent_worker.scenes.problems import Problems
-from PIL import Image
-from support.captures import look_at, save
+from support.captures import look_at
 
 from benchmarks.pose_errors import pose_errors
 
@@ -34,6 +28,7 @@ def advice(**changes):
         "features": (2000,) * 12,
         "partners": dict.fromkeys(NAMES, ("0.jpg", 500)),
         "camera_to_world": around(np.arange(12) * 30.0),
+        "faults": {},
         "reprojection_error_px": 0.6,
     }
     problems = Problems()
@@ -78,6 +73,38 @@ def test_a_lens_that_is_too_wide_is_doubted():
     assert "104 degrees" in message
 
 
+def test_a_photograph_that_could_not_be_used_is_named_once():
+    found = around(np.arange(11) * 33.0)
+    fault = Fault(code="scene.image_broken", message="11.jpg cannot be decoded")
+    ((code, message),) = advice(camera_to_world=found, faults={"11.jpg": fault})
+    assert (code, message) == ("scene.image_broken", "11.jpg cannot be decoded; it was left out")
+
+
+def test_photographs_of_which_most_could_not_be_used_are_refused():
+    problems = Problems()
+    fault = Fault(code="scene.mask_empty", message="shows nothing")
+    solution = Solution(
+        names=NAMES, features=(0,) * 12, partners={}, camera_to_world={}, faults=dict.fromkeys(NAMES, fault)
+    )
+    advise(solution, PoseLimits(), problems)
+    assert not problems.usable
+    assert {finding.code for finding in problems.findings()} == {"scene.mask_empty"}
+
+
+def test_a_turntable_is_said_plainly():
+    ((code, message),) = advice(static_background=True, still_share=0.93)
+    assert code == "scene.static_background"
+    assert "93 %" in message
+    assert "--light-fixed-to camera" in message
+
+
+def test_one_view_and_one_spot_have_reasons_of_their_own():
+    ((_, message),) = advice(camera_to_world={}, nothing_moved=True)
+    assert "all show the same view" in message
+    ((_, message),) = advice(camera_to_world={}, flat_share=0.95)
+    assert "taken from one spot" in message
+
+
 def test_the_widest_gap_is_between_its_neighbours():
     angles = [*range(0, 200, 20), 300, 330]
     degrees, first, second = widest_gap(around(angles))
@@ -101,87 +128,3 @@ def test_pose_errors_forget_a_similarity_and_nothing_else():
     true[::3, 0, 3] += 1.0
     mirrored = true * np.array([1.0, 1.0, -1.0, 1.0])[:, None]
     assert pose_errors(mirrored, true)[1].max() > 0.05
-
-
-def test_photographs_are_laid_out_with_masks_named_as_colmap_wants_them(tmp_path):
-    for name in ("a.png", "b.webp", "sub/c.png"):
-        save(tmp_path / "in" / name, np.full((8, 8, 3), 90, dtype=np.uint8))
-        save(tmp_path / "cut" / f"{name.rsplit('/')[-1]}", np.full((8, 8), 255, dtype=np.uint8))
-    problems = Problems()
-    photographs = find_photographs(tmp_path / "in", tmp_path / "cut", problems)
-    given = lay_out(photographs, tmp_path / "out", problems)
-    assert not problems.findings()
-    assert given == {"a.png": "a.png", "b.webp": "b.png", "sub/c.png": "sub/c.png"}
-    made = sorted(p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*.png"))
-    assert made == [
-        *(f"images/{name}" for name in given.values()),
-        *(f"masks/{name}.png" for name in given.values()),
-    ]
-
-
-def test_alpha_of_the_photographs_is_their_mask(tmp_path):
-    pixels = np.full((8, 8, 4), 255, dtype=np.uint8)
-    pixels[:, :4, 3] = 0
-    for number in range(3):
-        save(tmp_path / "in" / f"{number}.png", pixels)
-    problems = Problems()
-    lay_out(find_photographs(tmp_path / "in", None, problems), tmp_path / "out", problems)
-    with Image.open(tmp_path / "out" / "masks" / "1.png.png") as mask:
-        assert np.array_equal(np.asarray(mask), pixels[..., 3])
-    save(tmp_path / "in" / "1.png", pixels[..., :3])
-    assert find_photographs(tmp_path / "in", None, problems) is None
-    assert "2 of 3 photographs have a transparent background, but not 1.png" in problems.findings()[0].message
-
-
-def test_a_photograph_that_cannot_be_read_does_not_shift_the_names(tmp_path):
-    pixels = np.full((8, 8, 4), 255, dtype=np.uint8)
-    pixels[:, :4, 3] = 0
-    for number, channels in ((1, 4), (2, 3), (3, 4)):
-        save(tmp_path / "in" / f"{number}.png", pixels[..., :channels])
-    (tmp_path / "in" / "0.png").write_bytes(b"no picture")
-    problems = Problems()
-    assert find_photographs(tmp_path / "in", None, problems) is None
-    found = {finding.code: finding.message for finding in problems.findings()}
-    assert (
-        "2 of 3 photographs have a transparent background, but not 2.png" in found["scene.mask_file_missing"]
-    )
-
-
-def codes_of(folder, masks=None):
-    problems = Problems()
-    photographs = find_photographs(folder, masks, problems)
-    if photographs is not None:
-        lay_out(photographs, folder.parent / "out", problems)
-    return [(finding.code, finding.subject) for finding in problems.findings()]
-
-
-def test_each_fault_of_a_photograph_or_mask_is_named(tmp_path):
-    folder, masks = tmp_path / "in", tmp_path / "cut"
-    for number in range(3):
-        save(folder / f"{number}.png", np.full((8, 8, 3), 90, dtype=np.uint8))
-        save(masks / f"{number}.png", np.full((8, 8), 255, dtype=np.uint8))
-    save(masks / "1.png", np.zeros((8, 8), dtype=np.uint8))
-    save(masks / "2.png", np.full((4, 8), 255, dtype=np.uint8))
-    assert codes_of(folder, masks) == [("scene.mask_empty", "1.png"), ("scene.mask_size", "2.png")]
-    (masks / "0.png").unlink()
-    assert codes_of(folder, masks) == [("scene.mask_file_missing", "0")]
-    (folder / "1.png").write_text("no picture")
-    assert ("scene.image_not_a_picture", "1.png") in codes_of(folder)
-    assert codes_of(tmp_path / "nowhere")[0][0] == "scene.too_few_images"
-
-
-def test_without_pycolmap_the_extra_is_named(tmp_path, monkeypatch):
-    def missing(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(UsageError, match=r"config\.poses_missing: .*pip install 'lambent\[poses\]'"):
-        solve_capture(tmp_path, tmp_path / "out")
-
-
-def test_a_folder_with_something_else_is_left_alone(tmp_path):
-    pytest.importorskip("pycolmap", reason="needs the extra poses")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "thesis.txt").write_text("")
-    with pytest.raises(UsageError, match=r"config\.poses_folder"):
-        solve_capture(tmp_path, tmp_path / "out")
