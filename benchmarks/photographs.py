@@ -157,7 +157,12 @@ def median_ratio(renderer: Renderer, views: list[HeldOut], cameras: list[Camera]
         coverage = next(iter(view.relit.values()))[..., 3].reshape(-1)
         inside = (coverage > 0.99) & (np.asarray(seen.opacity).reshape(-1) > 0.9)
         ratios.append(view.albedo.reshape(-1, 3)[inside] / np.maximum(seen.albedo[inside], 1e-6))
-    return np.median(np.concatenate(ratios), axis=0)
+    found = np.concatenate(ratios)
+    if not len(found):
+        raise SystemExit(
+            "the bundle's object and the true one cover no pixel in common; are its cameras right?"
+        )
+    return np.median(found, axis=0)
 
 
 def relight_scores(bundle: Bundle, capture: Path, options: argparse.Namespace) -> dict[str, Any]:

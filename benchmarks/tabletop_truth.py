@@ -51,9 +51,8 @@ def read_coverage(path: Path) -> Float[ndarray, "height width"]:
 def unseen_lights(capture: Path) -> dict[str, Environment]:
     """Return the lights that the capture was not photographed in."""
     scene = json.loads((capture / "truth" / "scene.json").read_text(encoding="utf-8"))
-    return {
-        name: load_environment(capture / "truth" / "envmaps" / f"{name}.hdr") for name in scene["test_envs"]
-    }
+    folder = capture / "truth" / "envmaps"
+    return {name: load_environment(next(folder.glob(f"{name}.*"))) for name in scene["test_envs"]}
 
 
 def held_out_views(capture: Path, lights: list[str], shrink: int) -> list[HeldOut]:

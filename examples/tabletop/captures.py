@@ -47,7 +47,7 @@ CAPTURES = {
         Capture(
             name="sheet",
             about="a glazed mug on a printed sheet on a table",
-            thing="mug", around=supports.sheet, light="overcast_room", seed=2, distance=1.6,
+            thing="mug", around=supports.sheet, light="overcast_room", seed=2, distance=1.9,
             auto_exposure=True, upright=(2, 3, 7), grey=0.22,
         ),
         Capture(

@@ -15,8 +15,8 @@ ELECTRONS_AT_ISO_100 = 36_000.0
 """Held by one pixel of the reduced picture: six of the sensor's."""
 READ_NOISE_ELECTRONS = 5.0
 SPEEDS = (50, 64, 80, 100, 125, 160, 200, 250, 320, 400, 500, 640, 800)
-GREY_AT_100_FOR_A_SECOND = 0.005
-"""Exposure factor that one second at ISO 100 stands for is its inverse."""
+SECONDS_AT_ISO_100 = 0.02
+"""Seconds at ISO 100 for an exposure factor of 1."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,13 +29,13 @@ class Exposure:
     @property
     def iso(self) -> int:
         """Return the sensor's speed, chosen for about 1/60 s."""
-        wanted = self.factor * GREY_AT_100_FOR_A_SECOND * 100.0 * 60.0
+        wanted = self.factor * SECONDS_AT_ISO_100 * 100.0 * 60.0
         return min(SPEEDS, key=lambda speed: abs(np.log(speed / wanted)))
 
     @property
     def seconds(self) -> float:
         """Return the exposure time, exactly as it belongs to the factor and the speed."""
-        return self.factor * GREY_AT_100_FOR_A_SECOND * 100.0 / self.iso
+        return self.factor * SECONDS_AT_ISO_100 * 100.0 / self.iso
 
 
 def meter(radiance: np.ndarray, grey: float) -> float:
