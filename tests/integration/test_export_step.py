@@ -218,7 +218,9 @@ def test_a_light_that_turns_is_exported_as_it_stood_at_the_reference(tmp_path, m
     export.run(context)
     bundle = load_bundle(context.folder)
     assert list(bundle.manifest.train_lights) == list(LIGHTS[:1])
-    direction = torch.nn.functional.normalize(torch.randn(64, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    direction = torch.nn.functional.normalize(
+        torch.randn(64, 3, generator=torch.Generator().manual_seed(0)), dim=-1
+    )
     path = next(graph.path for graph in bundle.manifest.graphs if graph.name == "fast_cache")
     session = onnxruntime.InferenceSession(context.folder / path)
     found = session.run(["radiance"], {"origin": direction.numpy(), "direction": -direction.numpy()})[0]

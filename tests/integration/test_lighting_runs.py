@@ -49,7 +49,11 @@ def checked_once():
 def trained(folder, lights, known=(), tasks=TASKS, light_fixed_to="auto", **settings):
     """Train a few steps and return the run and the model."""
     spec = RunSpec.from_options(
-        SCENE, preset="tiny", lights=lights, overrides=SMALL | settings, known_lights=known,
+        SCENE,
+        preset="tiny",
+        lights=lights,
+        overrides=SMALL | settings,
+        known_lights=known,
         light_fixed_to=light_fixed_to,
     )
     reporter = RecordingReporter()
@@ -150,9 +154,7 @@ def test_a_nerf_cache_that_is_not_there_or_does_not_fit_is_refused(tmp_path):
 def test_a_light_fixed_to_the_camera_has_a_turn_for_every_photograph(tmp_path):
     evaluated = {"evaluation.num_views": "1", "evaluation.uncertainty_points": "20"}
     tasks = (*TASKS, "evaluate")
-    _, model = trained(
-        tmp_path / "run", LIGHTS[:1], tasks=tasks, light_fixed_to="camera", **evaluated
-    )
+    _, model = trained(tmp_path / "run", LIGHTS[:1], tasks=tasks, light_fixed_to="camera", **evaluated)
     manifest = json.loads((task_folder(tmp_path / "run", "ingest") / "manifest.json").read_text())
     assert manifest["light_fixed_to"] == "camera"
     assert len(model.domain.turns) == 1 + len(manifest["frames"])

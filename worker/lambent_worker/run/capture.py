@@ -108,7 +108,9 @@ def settle_light(context: TaskContext, manifest: scene_pb2.SceneManifest) -> Non
                 "object, as --light-fixed-to scene says; shading will end up in the materials if it did not",
             )
         return
-    seen = "the background stands still while the object turns, as on a turntable" if recognised else "as asked"
+    seen = (
+        "the background stands still while the object turns, as on a turntable" if recognised else "as asked"
+    )
     context.reporter.finding(
         "scene.turntable",
         f"{seen}: the light is taken to stand still with the {fixed_to}, so that it turns around the object "

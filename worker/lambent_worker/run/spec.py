@@ -77,8 +77,8 @@ class RunSpec:
         """Return the specification for options of the command line.
 
         `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
-        for the object where there are none, `light_fixed_to` is one of `LightFixedTo`. Raises `UsageError` for an unknown preset and files that cannot
-        be used, `ConfigError` for a wrong setting.
+        for the object where there are none, `light_fixed_to` is one of `LightFixedTo`. Raises `UsageError`
+        for an unknown preset and files that cannot be used, `ConfigError` for a wrong setting.
         """
         return cls(
             scene=scene,

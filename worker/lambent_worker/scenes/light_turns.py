@@ -48,9 +48,7 @@ def adopt_light(manifest: scene_pb2.SceneManifest, trained: scene_pb2.SceneManif
     manifest.light_frame[:] = trained.light_frame
 
 
-def light_turn(
-    manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame
-) -> Float64[ndarray, "3 3"] | None:
+def light_turn(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> Float64[ndarray, "3 3"] | None:
     """Return the rotation from the world to the light's frame at `frame`, None where the light does not turn.
 
     Fixed to the camera it is C_ref C^T, with the rotations C from camera axes to the world; fixed to the room

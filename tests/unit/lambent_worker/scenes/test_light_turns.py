@@ -45,7 +45,9 @@ def test_fixed_to_the_camera_a_lamp_keeps_its_place_in_the_picture():
 def test_fixed_to_the_room_only_the_azimuth_of_a_camera_counts():
     # Held sideways, from above, and looking almost straight down.
     cameras = [camera(100.0, 20.0), camera(10.0, 30.0), camera(70.0, 55.0, roll=90.0), camera(-50.0, 88.0)]
-    for turn, degrees in zip(turns(manifest(*cameras, fixed_to="room")), (-90.0, 0.0, -60.0, 60.0), strict=True):
+    for turn, degrees in zip(
+        turns(manifest(*cameras, fixed_to="room")), (-90.0, 0.0, -60.0, 60.0), strict=True
+    ):
         np.testing.assert_allclose(turn, about(UP, degrees), atol=1e-12)
 
 
