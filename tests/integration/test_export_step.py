@@ -5,19 +5,22 @@ from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 import trimesh
 from flashcache.export import reference
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.graphs import OnnxCaches
+from lambent_relight.environment.maps import load_environment
 from lambent_relight.images import srgb_from_linear
 from lambent_worker.bundle.half_tables import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.run.tasks import export
-from support.small_export import LIGHTS, small_context
+from support.small_export import LIGHTS, scene, small_context
 from support.sphere_model import RADIUS, sphere_model
 from support.texture_lookup import sample_plane
+from support.turning_light import TURNS, flat
 
 
 @pytest.fixture(scope="module")
@@ -204,3 +207,30 @@ def test_two_exports_of_one_model_differ_only_in_their_time(exported, context):
 def test_light_names_become_file_names_without_meeting():
     assert export.light_names(("sun set", "day")) == ["sun_set", "day"]
     assert export.light_names(("a b", "a/b")) == ["a_b_0", "a_b_1"]
+
+
+def test_a_light_that_turns_is_exported_as_it_stood_at_the_reference(tmp_path, monkeypatch):
+    model = sphere_model(lights=LIGHTS[:1], turns=flat(TURNS))
+    context = small_context(tmp_path, model, monkeypatch)
+    views = tuple(replace(view, light_turn=turn) for view, turn in zip(scene().test, TURNS, strict=True))
+    turned = replace(scene(), lights=LIGHTS[:1], train=views, test=views)
+    monkeypatch.setattr(export, "read_scene", lambda context: turned)
+    export.run(context)
+    bundle = load_bundle(context.folder)
+    assert list(bundle.manifest.train_lights) == list(LIGHTS[:1])
+    direction = torch.nn.functional.normalize(
+        torch.randn(64, 3, generator=torch.Generator().manual_seed(0)), dim=-1
+    )
+    path = next(graph.path for graph in bundle.manifest.graphs if graph.name == "fast_cache")
+    session = onnxruntime.InferenceSession(context.folder / path)
+    found = session.run(["radiance"], {"origin": direction.numpy(), "direction": -direction.numpy()})[0]
+    with torch.no_grad():
+        still, other = (
+            reference.fast_cache(with_half_tables(model), light, direction, -direction) for light in (0, 1)
+        )
+    np.testing.assert_allclose(found, still["radiance"], atol=1e-5)
+    assert not np.allclose(still["radiance"], other["radiance"], atol=1e-2)
+    environment = load_environment(context.folder / "env" / f"trained_{LIGHTS[0]}.exr").radiance
+    with torch.no_grad():
+        expected = model.environment.image(len(environment)).numpy()
+    np.testing.assert_allclose(environment, expected, rtol=2e-3)

@@ -46,10 +46,15 @@ def checked_once():
         yield
 
 
-def trained(folder, lights, known=(), tasks=TASKS, **settings):
+def trained(folder, lights, known=(), tasks=TASKS, light_fixed_to="auto", **settings):
     """Train a few steps and return the run and the model."""
     spec = RunSpec.from_options(
-        SCENE, preset="tiny", lights=lights, overrides=SMALL | settings, known_lights=known
+        SCENE,
+        preset="tiny",
+        lights=lights,
+        overrides=SMALL | settings,
+        known_lights=known,
+        light_fixed_to=light_fixed_to,
     )
     reporter = RecordingReporter()
     run_pipeline(spec, folder, "cpu", reporter, tasks)
@@ -144,3 +149,22 @@ def test_a_nerf_cache_that_is_not_there_or_does_not_fit_is_refused(tmp_path):
     trained(tmp_path / "base", lights, tasks=TASKS[:2], **{"model.nerf.density.width": "16"})
     with pytest.raises(WorkerError, match=r"run\.other_shape"):
         adopt_nerf_cache(tmp_path / "run", tmp_path / "base", reporter)
+
+
+def test_a_light_fixed_to_the_camera_has_a_turn_for_every_photograph(tmp_path):
+    evaluated = {"evaluation.num_views": "1", "evaluation.uncertainty_points": "20"}
+    tasks = (*TASKS, "evaluate")
+    _, model = trained(tmp_path / "run", LIGHTS[:1], tasks=tasks, light_fixed_to="camera", **evaluated)
+    manifest = json.loads((task_folder(tmp_path / "run", "ingest") / "manifest.json").read_text())
+    assert manifest["light_fixed_to"] == "camera"
+    assert len(model.domain.turns) == 1 + len(manifest["frames"])
+    first = next(frame for frame in manifest["frames"] if "train" in frame["name"])
+    pose = np.array(first["camera"]["camera_to_world"]).reshape(4, 4)
+    np.testing.assert_allclose(np.array(manifest["light_frame"]).reshape(3, 3), pose[:3, :3])
+    report = json.loads((task_folder(tmp_path / "run", "evaluate") / "report.json").read_text())
+    assert any("with the turn that the light had" in note for note in report["notes"])
+
+
+def test_several_lights_cannot_be_fixed_to_the_camera(tmp_path):
+    with pytest.raises(UsageError, match=r"light\.fixed_to_several"):
+        trained(tmp_path / "run", LIGHTS, light_fixed_to="camera", tasks=TASKS[:1])

@@ -73,6 +73,7 @@ def sphere_model(
     distance_layers: int = 4,
     lights: tuple[str, ...] = ("day", "night"),
     output_scale: float = 1.0,
+    turns: tuple[tuple[float, ...], ...] = (),
 ) -> InverseModel:
     """Return a model of a ball of radius 0.5 at the origin; all other parameters are random, none is tiny.
 
@@ -89,6 +90,7 @@ def sphere_model(
         secondary=(0.05, 2.0),
         contraction_radius=1.0,
         lights=lights,
+        turns=turns,
     )
     model = InverseModel(config, domain)
     with torch.no_grad():

@@ -62,7 +62,9 @@ def turntable(num_views: int = 8, side: int = 16, *, told: bool = True) -> Scene
         turn = about((0.0, 0.0, 1.0), -math.degrees(azimuth))
         picture = photograph(cam, turn)
         views.append(
-            View(name=f"train_{number}", camera=cam, images={"sky": picture}, light_turn=turn if told else None)
+            View(
+                name=f"train_{number}", camera=cam, images={"sky": picture}, light_turn=turn if told else None
+            )
         )
     return Scene(
         name="turntable",
@@ -81,7 +83,8 @@ def photograph(cam, turn: np.ndarray, radius: float = RADIUS) -> np.ndarray:
     """Return the picture [H, W, 4] of the ball with its light at `turn`, linear radiance and coverage."""
     columns, rows = np.meshgrid(np.arange(cam.width) + 0.5, np.arange(cam.height) + 0.5)
     local = np.stack(
-        [(columns - cam.centre_x) / cam.focal_x, -(rows - cam.centre_y) / cam.focal_y, -np.ones_like(rows)], -1
+        [(columns - cam.centre_x) / cam.focal_x, -(rows - cam.centre_y) / cam.focal_y, -np.ones_like(rows)],
+        -1,
     )
     directions = local @ cam.camera_to_world[:3, :3].T
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)

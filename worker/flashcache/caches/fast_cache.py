@@ -146,6 +146,7 @@ class FastCache(nn.Module):
         still, code = copy.deepcopy(self), self.turns.codes[light_index]
         still.turns = None
         first = self.decoder[0]
+        assert isinstance(first, nn.Linear)
         own = linear(first.in_features - len(code), first.out_features).to(first.weight)
         with torch.no_grad():
             own.weight.copy_(first.weight[:, : -len(code)])

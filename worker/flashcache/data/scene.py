@@ -105,5 +105,5 @@ class Scene:
 
     @property
     def turned(self) -> tuple[View, ...]:
-        """Return the views whose light has a turn; number k of them has light index k + 1 (0: the reference)."""
+        """Return the views whose light has a turn; number k has light index k + 1 (0 is the reference)."""
         return tuple(view for view in (*self.train, *self.test) if view.light_turn is not None)

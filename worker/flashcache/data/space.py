@@ -4,6 +4,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from flashcache.caches.environment import EnvironmentConfig
 from flashcache.data.scene import Scene
 from flashcache.encoding.turns import IDENTITY
@@ -65,7 +67,7 @@ def domain_of(
             f"the light turns with the camera, and there are {len(scene.lights)} lights "
             f"({', '.join(scene.lights)}); train on one of them, without --rotated"
         )
-    turns = [tuple(float(x) for x in view.light_turn.ravel()) for view in turned]
+    turns = [tuple(np.asarray(view.light_turn).ravel().tolist()) for view in turned]
     return Domain(
         bounds_min=scene.bounds_min,
         bounds_max=scene.bounds_max,

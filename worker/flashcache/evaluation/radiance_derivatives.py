@@ -223,7 +223,7 @@ def _light_columns(
 def _patches_of_turned_light(
     points: SeenPoints, parts: Tensor, omega_i: Tensor, domain: Domain
 ) -> Float[Tensor, "points rows patches"]:
-    """Return the radiance that comes from each patch of the one environment, which has a turn per photograph."""
+    """Return the radiance from each patch of the one environment, which has a turn per photograph."""
     num_points, num_views = points.light_index.shape
     full = parts.new_zeros(num_points, num_views, 3, NUM_PATCHES, 3)
     if not domain.known_lights:

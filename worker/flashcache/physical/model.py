@@ -50,8 +50,8 @@ class Domain:
     known_lights: tuple[str, ...] = ()
     """Lights whose environment is given and not learned; with `rotations_deg`, any name stands for all."""
     turns: tuple[tuple[float, ...], ...] = ()
-    """Where the one light turns from photograph to photograph: its turns, row-major rotations from the world to
-    the light's frame, the identity first. A light index is then the number of a turn."""
+    """Where the one light turns from photograph to photograph: its turns, row-major rotations from the world
+    to the light's frame, the identity first. A light index is then the number of a turn."""
 
 
 class InverseModel(nn.Module):

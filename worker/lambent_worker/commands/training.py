@@ -29,9 +29,7 @@ def train(
     ] = None,
     light_fixed_to: Annotated[
         str,
-        typer.Option(
-            help="What the light stood still with: scene, camera or room; auto: scene, unless the background did."
-        ),
+        typer.Option(help="What the light stood still with: auto, scene, camera or room (a turntable)."),
     ] = "auto",
     layout: Layout = "",
     masks: shared.Masks = None,

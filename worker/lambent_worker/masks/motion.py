@@ -1,7 +1,8 @@
 """Masks from a camera that stands still: what changes from photograph to photograph is the object.
 
-No cameras are needed; the masks are for finding them, and a little generous. What turns with the object counts
-as object, a printed plate too: its print says how it turned. A plain plate shows no change and is left out.
+No cameras are needed; the masks are for finding them, and a little generous. What turns with the object
+counts as object, a printed plate too: its print says how it turned. A plain plate shows no change and is left
+out. Once there are cameras, masks are made anew in the object's coordinates, where the plate is the support.
 """
 
 from collections.abc import Sequence
@@ -74,9 +75,9 @@ class Motion:
 def find_motion(pictures: Sequence[UInt8[ndarray, "height width 3"]]) -> Motion | None:
     """Return what moves in photographs of equal size, sRGB; None for too few, or where nothing stands still.
 
-    Pixels are compared as logarithms, after each photograph has been brought to the exposure and white balance
-    of the others. The background of a pixel is the value that most photographs agree on; a photograph shows the
-    object where it differs from that by more than noise and not just by a shadow.
+    Pixels are compared as logarithms, after each photograph has been brought to the exposure and white
+    balance of the others. The background of a pixel is the value that most photographs agree on; a photograph
+    shows the object where it differs from that by more than noise and not just by a shadow.
     """
     if len(pictures) < FEWEST or len({picture.shape for picture in pictures}) > 1:
         return None

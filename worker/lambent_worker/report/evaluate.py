@@ -104,8 +104,8 @@ def _notes(subject: Subject, *, has_ratio: bool) -> list[str]:
         notes.append("The scene has no test views; the figures are on training views and flatter the model.")
     if subject.scene.turned:
         notes.append(
-            "The light did not stand still with the object: every picture under the training light is rendered "
-            "with the turn that the light had at that view."
+            "The light did not stand still with the object: every picture under the training light is "
+            "rendered with the turn that the light had at that view."
         )
     if has_ratio and subject.maps:
         notes.append(

@@ -43,14 +43,18 @@ def directions(count: int = 50) -> torch.Tensor:
 
 
 def known_environment(turns: LightTurns) -> Environment:
-    made = Environment(EnvironmentConfig(width=8, num_layers=1, last_width=8, known_height=16), 1, known=(0,), turns=turns)
+    made = Environment(
+        EnvironmentConfig(width=8, num_layers=1, last_width=8, known_height=16), 1, known=(0,), turns=turns
+    )
     made.set_known(0, sky_map(16))
     return made
 
 
 def fast_cache(turns: LightTurns | None, *, width: int = 12) -> FastCache:
     torch.manual_seed(0)
-    made = FastCache(replace(CONFIG.fast, decoder_widths=(width, width)), 1.0, 1, LIMITS.near, LIMITS.far, turns=turns)
+    made = FastCache(
+        replace(CONFIG.fast, decoder_widths=(width, width)), 1.0, 1, LIMITS.near, LIMITS.far, turns=turns
+    )
     with torch.no_grad():
         made.feature_grid.table.normal_(std=0.5)
     return made
@@ -171,7 +175,9 @@ def lamp_error(turns: LightTurns | None, kind: str) -> float:
         wanted = 0.1 + toward.clamp_min(0.0)
         points = 0.5 * normal
         if kind == "appearance":
-            found = made(points, torch.zeros(len(numbers), 2), normal, normal, numbers + 1, with_specular=False)
+            found = made(
+                points, torch.zeros(len(numbers), 2), normal, normal, numbers + 1, with_specular=False
+            )
             return found.diffuse.mean(dim=-1), wanted
         # Rays from above the surface straight down onto it.
         answer = made(1.2 * points, -normal, numbers + 1)
@@ -200,7 +206,9 @@ def test_training_pixels_carry_the_turn_of_their_photograph():
     domain = domain_of(scene, SpaceConfig(), EnvironmentConfig())
     model_turns = torch.tensor(domain.turns).reshape(-1, 3, 3)
     assert batch.light_index.tolist() == [1, 2, 4]
-    torch.testing.assert_close(model_turns[batch.light_index[2]], torch.from_numpy(scene.train[3].light_turn).float())
+    torch.testing.assert_close(
+        model_turns[batch.light_index[2]], torch.from_numpy(scene.train[3].light_turn).float()
+    )
 
 
 def test_several_lights_cannot_turn():

@@ -100,13 +100,17 @@ def test_changes_of_exposure_are_no_motion():
 
 def test_a_camera_that_moves_shows_no_turntable():
     pictures, _ = capture()
-    moved = [np.roll(picture, (3 * number, 7 * number), axis=(0, 1)) for number, picture in enumerate(pictures)]
+    moved = [
+        np.roll(picture, (3 * number, 7 * number), axis=(0, 1)) for number, picture in enumerate(pictures)
+    ]
     assert find_motion(moved) is None
 
 
 def test_white_paper_behind_a_carried_camera_is_no_turntable():
     pictures, masks = capture(noise=1.0)
-    on_paper = [np.where(mask[..., None], picture, 245) for picture, mask in zip(pictures, masks, strict=True)]
+    on_paper = [
+        np.where(mask[..., None], picture, 245) for picture, mask in zip(pictures, masks, strict=True)
+    ]
     assert find_motion([picture.astype(np.uint8) for picture in on_paper]) is None
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pycolmap
 import pytest
 from lambent_worker.commands.poses import ShownProgress
-from lambent_worker.commands.training import capture_of
 from lambent_worker.errors import SceneRefusedError, Stopped, UsageError
 from lambent_worker.poses import capture
 from lambent_worker.poses.solution import Solution
@@ -114,10 +113,3 @@ def test_progress_is_shown_and_stops_when_asked_to(capsys):
     shown.stop()
     with pytest.raises(Stopped):
         shown("pairs", 1, 90)
-
-
-def test_poses_are_auto_or_nothing(tmp_path):
-    assert capture_of(tmp_path / "run", "") is None
-    assert capture_of(tmp_path / "run", "auto") == tmp_path / "run" / "capture"
-    with pytest.raises(UsageError, match=r"config\.poses_unknown"):
-        capture_of(tmp_path / "run", "exif")

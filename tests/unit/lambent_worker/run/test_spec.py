@@ -262,3 +262,24 @@ def test_an_adjustment_changes_its_own_stage_and_those_of_both_hold_together():
 def test_the_one_adjustment_that_a_server_of_the_version_before_sends_is_understood():
     before = worker_pb2.Adjustments(ray_chunk=1.0, learning_rate=0.5, stage="joint")
     assert adjust(PRESETS["tiny"](), before) == adjusted(joint={"learning_rate": 0.5})
+
+
+def test_what_the_light_stands_still_with_is_kept_and_can_be_ordered(tmp_path):
+    (tmp_path / "scene").mkdir()
+    wanted = options(tmp_path, light_fixed_to="camera")
+    assert ordered(tmp_path, light_fixed_to="camera") == wanted != options(tmp_path)
+    keep(tmp_path, light_fixed_to="camera")
+    assert read_run(tmp_path / "run")[0] == wanted
+    with pytest.raises(UsageError, match=r"another light_fixed_to"):
+        keep(tmp_path)
+    with pytest.raises(UsageError, match=r"light\.fixed_to_unknown"):
+        ordered(tmp_path, light_fixed_to="flash")
+
+
+def test_a_run_of_an_earlier_release_took_the_light_to_stand_still(tmp_path):
+    (tmp_path / "scene").mkdir()
+    keep(tmp_path)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    del record["light_fixed_to"]
+    write_json(tmp_path / "run" / "run.json", record)
+    assert read_run(tmp_path / "run")[0].light_fixed_to == "auto"
