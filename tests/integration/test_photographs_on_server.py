@@ -33,7 +33,7 @@ SMALL = {
 
 
 def archive(path: Path) -> Path:
-    """Write a zip with a top folder of photographs, one of them HEIC as phones write it; no cameras, no masks."""
+    """Write a zip with a top folder of photographs, one of them HEIC as phones write it."""
     heif()
     with zipfile.ZipFile(path, "w") as file:
         for number, camera in enumerate(box_cameras(COUNT)):
@@ -64,7 +64,9 @@ def scene(client: Client, tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def stages_of(client: Client, job: str) -> list[str]:
     """Return the tasks that a job has told of, in order."""
-    return list(dict.fromkeys(event.progress.stage for event in client.events(job) if event.type == "progress"))
+    return list(
+        dict.fromkeys(event.progress.stage for event in client.events(job) if event.type == "progress")
+    )
 
 
 @pytest.fixture(scope="module")

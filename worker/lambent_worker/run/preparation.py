@@ -33,9 +33,9 @@ def ingest_hash(
     masks: str,
     cameras: str | None,
 ) -> str:
-    """Return the hash of what the task `ingest` depends on; `cameras` is that of `cameras_hash` if they are found.
+    """Return the hash of what the task `ingest` depends on.
 
-    The other parameters are those of `RunSpec`.
+    `cameras` is that of `cameras_hash` if they are found, else None; the rest is as in `RunSpec`.
     """
     given: list[object] = [dict(known_lights)] if known_lights else []
     given += [{"masks": masks}] if masks else []
