@@ -7,6 +7,7 @@ from sqlalchemy import Connection, func
 
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.job_parameters import CORRECTIONS
 from lambent_server.job_rows import FINAL, SUCCEEDED
 from lambent_server.messages import Estimate, Preset
 
@@ -29,7 +30,7 @@ def estimate(connection: Connection, tenant: Tenant, preset: Preset) -> Estimate
         jobs.c.started_at.is_not(None),
     )
     newest = connection.execute(plain.order_by(jobs.c.id.desc()))
-    plain_times = (row.finished_at - row.started_at for row in newest if not row.params)
+    plain_times = (row.finished_at - row.started_at for row in newest if set(row.params) <= {CORRECTIONS})
     times = list(islice(plain_times, NUM_JOBS))
     ahead = rows(tenant, jobs, func.count()).where(jobs.c.state.not_in(FINAL))
     return Estimate(

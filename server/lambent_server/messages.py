@@ -3,46 +3,18 @@
 from typing import Annotated, Any, Literal
 
 from lambent_proto.pictures import WHOLE, Name
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
+
+from lambent_server.job_parameters import Settings, SettingValue
 
 # Without this the schema would allow names that match none of the patterns.
 ONLY_THESE = {"additionalProperties": False}
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 LabelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}$")]
-SettingName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$", max_length=100)]
-MAX_CHARACTERS = 200
-SettingValue = Annotated[str, Field(max_length=MAX_CHARACTERS, pattern=r"^[^\x00-\x1f\x7f]*$")]
-CORRECTIONS = "corrections"
-"""The setting that holds a person's corrections of masks, as JSON; the only long one."""
-MAX_CORRECTIONS_CHARACTERS = 64 * 1024
-LongValue = Annotated[str, Field(max_length=MAX_CORRECTIONS_CHARACTERS, pattern=r"^[^\x00-\x1f\x7f]*$")]
 JobState = Literal["queued", "running", "cancelling", "retry_wait", "succeeded", "failed", "cancelled"]
 NewJobKind = Literal["train", "check", "prepare", "bake"]
 JobKind = Literal["train", "check", "prepare", "bake", "render", "batch"]
 SceneState = Literal["open", "uploaded", "ready", "rejected"]
-
-
-def _require_short(settings: dict[str, str]) -> dict[str, str]:
-    long = [name for name, value in settings.items() if name != CORRECTIONS and len(value) > MAX_CHARACTERS]
-    if long:
-        raise ValueError(f"{long[0]!r} is longer than {MAX_CHARACTERS} characters")
-    return settings
-
-
-def _describe_settings(schema: dict[str, Any]) -> None:
-    """Say in the schema that only one setting may be long."""
-    ((pattern, value),) = schema["patternProperties"].items()
-    schema["properties"] = {CORRECTIONS: value}
-    others = f"^(?!{CORRECTIONS}$){pattern.removeprefix('^')}"
-    schema["patternProperties"] = {others: {**value, "maxLength": MAX_CHARACTERS}}
-    schema["additionalProperties"] = False
-
-
-Settings = Annotated[
-    dict[SettingName, LongValue],
-    Field(max_length=64, json_schema_extra=_describe_settings),
-    AfterValidator(_require_short),
-]
 
 
 class Given(BaseModel):

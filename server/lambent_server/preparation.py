@@ -36,7 +36,7 @@ def offered_checkpoints(connection: Connection, tenant: Tenant, job: Job) -> lis
     found = connection.execute(rows(tenant, checkpoints).where(mine).order_by(checkpoints.c.id)).mappings()
     own: list[Row] = []
     kept: dict[str, Row] = {}
-    for row in found:
+    for row in map(dict, found):
         if row["job_id"] == job["id"]:
             own.append(row)
         else:

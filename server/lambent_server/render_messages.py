@@ -15,7 +15,8 @@ from lambent_proto.pictures import (
 )
 from pydantic import Field
 
-from lambent_server.messages import ONLY_THESE, Artifact, Given, JobState, LabelName, SettingValue, Shown
+from lambent_server.job_parameters import SettingValue
+from lambent_server.messages import ONLY_THESE, Artifact, Given, JobState, LabelName, Shown
 
 
 class _Order(Given):

@@ -109,7 +109,10 @@ def test_corrections_are_shown_without_photographs_and_without_the_tasks(
     assert after.keys() == before.keys()
     assert mask_of(before, MARK["frame"])[: SIDE // 2].any()
     assert not mask_of(after, MARK["frame"])[: SIDE // 2 - 1].any()
-    assert after[f"preparation/pictures/{MARK['frame']}.jpg"] == before[f"preparation/pictures/{MARK['frame']}.jpg"]
+    assert (
+        after[f"preparation/pictures/{MARK['frame']}.jpg"]
+        == before[f"preparation/pictures/{MARK['frame']}.jpg"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ class Client:
         """Queue a job and return it; the same `idempotency_key` never makes a second one.
 
         `params` are settings over the preset, such as {"stage_one.num_rays": "512"}. `gpus` None leaves
-        the number to the preset.
+        the number to the preset. Kind "prepare" finds cameras and masks only, "check" looks at the capture.
         """
         body = {
             "scene_id": scene_id,
@@ -129,9 +129,12 @@ class Client:
         }
         return Job.from_json(pictures.post(self._connection, "/v1/jobs", body, idempotency_key))
 
-    def jobs(self, *, state: str = "", label: str = "", limit: int = 0) -> Iterator[Job]:
-        """Return jobs, newest first; `label` is "name=value", `limit` 0 means all."""
-        params = {key: value for key, value in (("state", state), ("label", label)) if value}
+    def jobs(
+        self, *, state: str = "", label: str = "", scene: str = "", kind: str = "", limit: int = 0
+    ) -> Iterator[Job]:
+        """Return jobs, newest first; `label` is "name=value", `scene` an id, `limit` 0 means all."""
+        given = {"state": state, "label": label, "scene": scene, "kind": kind}
+        params = {key: value for key, value in given.items() if value}
         return map(Job.from_json, islice(self._pages("/v1/jobs", params), limit or None))
 
     def _pages(self, path: str, params: dict[str, str]) -> Iterator[Any]:

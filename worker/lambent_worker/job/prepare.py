@@ -93,7 +93,8 @@ def run_prepare(order: "Order") -> None:
     if corrections:
         raise UsageError(
             "config.corrections_invalid",
-            "the corrections are about masks that are estimated, but this capture brings its own; leave them out",
+            "the corrections are about masks that are estimated, but this capture brings its own; leave "
+            "them out",
         )
     _publish_given(order, out)
 
@@ -117,8 +118,8 @@ def corrections_of(spec: job_pb2.JobSpec) -> list["Correction"]:
 def _ingest_hashes(start: worker_pb2.StartResponse) -> set[str]:
     """Return what an estimate may say it was made from if it fits the order.
 
-    Files of a scene never change, so the one that a kept estimate names is right: with cameras that were found,
-    or with those of the capture.
+    Files of a scene never change, so the one that a kept estimate names is right: with cameras that were
+    found, or with those of the capture.
     """
     scene = files_hash((file.path, file.sha256) for file in start.files)
     params = start.spec.params
@@ -173,7 +174,7 @@ def _send(reporter: Reporter, out: Path, before: float) -> None:
 
 
 def _tell(reporter: Reporter, step: int, before: float) -> None:
-    """Tell what is being done; raises `Stopped` where the run was asked to end: later corrections have come."""
+    """Tell what is being done; raises `Stopped` where the run was asked to end."""
     if reporter.should_stop():
         raise Stopped
     progress = job_pb2.Progress(stage="masks", step=step, num_steps=len(_STEPS), doing=_STEPS[step])

@@ -2,18 +2,20 @@
 
     <out>/frames.json            {"version": 1, "editable": true, "overlap": 0.93, "doubtful": ["IMG_7"],
                                   "reason": "", "frames": [{"name": "IMG_7", "width": 4032, "height": 3024,
-                                  "picture": "pictures/IMG_7.jpg", "mask": "masks/IMG_7.png", "overlap": 0.61}]}
+                                  "picture": "pictures/IMG_7.jpg", "mask": "masks/IMG_7.png",
+                                  "overlap": 0.61}]}
     <out>/pictures/<frame>.jpg   longer side at most `SIDE` pixels
     <out>/masks/<frame>.png      as large as the picture, 0 background to 255 object
 
-Sizes in frames.json are those of the photographs, in which corrections are given. `overlap` is how well a mask
-agrees with what the others make of it, 0..1, of the capture the median; `reason` says why masks are not to be
-believed. Masks that the capture brings cannot be corrected (`editable` is false, nothing is compared).
+Sizes in frames.json are those of the photographs, in which corrections are given. `overlap` is how well a
+mask agrees with what the others make of it, 0..1, of the capture the median; `reason` says why masks are not
+to be believed. Masks that the capture brings cannot be corrected (`editable` is false, nothing is compared).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -109,9 +111,10 @@ def _write(
 ) -> None:
     for name in (PICTURES, MASKS):
         (out / name).mkdir(parents=True, exist_ok=True)
-    overlap, frames = judgement.overlap, []
+    overlap = judgement.overlap
+    frames: list[dict[str, Any]] = []
     for number, (view, coverage) in enumerate(zip(views, coverages, strict=True)):
-        entry = {
+        entry: dict[str, Any] = {
             "name": view.name,
             "width": sizes[number][0],
             "height": sizes[number][1],
@@ -123,12 +126,16 @@ def _write(
         if overlap is not None:
             entry["overlap"] = round(float(overlap[number]), 4)
         frames.append(entry)
-    order = np.argsort(overlap) if overlap is not None else []
+    shares = (
+        []
+        if overlap is None
+        else [(float(share), view.name) for share, view in zip(overlap, views, strict=True)]
+    )
     record = {
         "version": VERSION,
         "editable": overlap is not None,
         "overlap": round(float(np.median(overlap)), 4) if overlap is not None else 1.0,
-        "doubtful": [views[i].name for i in order if overlap[i] < DOUBTFUL_OVERLAP],
+        "doubtful": [name for share, name in sorted(shares) if share < DOUBTFUL_OVERLAP],
         "reason": judgement.reason,
         "frames": frames,
     }

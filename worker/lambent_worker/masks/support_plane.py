@@ -36,7 +36,7 @@ class PlaneSettings:
     near: float = 0.35
     """How far from the middle the points above the plane are the object's."""
     beyond_share: float = 0.2
-    """Least share of the points on the plane that lie beyond what is above it: a facet is below its object."""
+    """Least share of points on the plane that lie beyond what is above it: a facet is below its object."""
     sectors: int = 3
     """Of six around the object, in so many at least there must be some of those points."""
     most_tilt: float = 0.3

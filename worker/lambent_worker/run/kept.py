@@ -30,7 +30,8 @@ def is_made_from(folder: Path, inputs: str) -> bool:
 def drop_unfitting(run_dir: Path, hashes: Mapping[str, str]) -> None:
     """Remove cameras and masks that were brought into `run_dir` and were made from something else.
 
-    `hashes` are those of the inputs of the run's tasks. What the run has begun itself is left to `begin_task`.
+    `hashes` are those of the inputs of the run's tasks. What the run has begun itself is left to
+    `begin_task`.
     """
     # Here, since whoever only looks at masks does not read captures.
     from lambent_worker.scenes.photographs import CAMERAS_FILE

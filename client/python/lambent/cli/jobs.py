@@ -86,7 +86,14 @@ def jobs(
         return
     rows = [("JOB", "STATE", "WORK", "SCENE", "DONE", "CREATED")]
     rows += [
-        (job.id, job.state, job.preset if job.kind == "train" else job.kind, job.scene_id, f"{100 * _share(job):.0f} %", job.created_at[:19])
+        (
+            job.id,
+            job.state,
+            job.preset if job.kind == "train" else job.kind,
+            job.scene_id,
+            f"{100 * _share(job):.0f} %",
+            job.created_at[:19],
+        )
         for job in found
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]

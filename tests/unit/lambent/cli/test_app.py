@@ -280,3 +280,30 @@ def test_transfer_lines_come_with_time(capsys):
 def test_durations_and_sizes_read_well():
     assert [format_duration(s) for s in (5, 65, 3725)] == ["0:05", "1:05", "1:02:05"]
     assert [format_size(n) for n in (12, 2048, 5 << 20, 3 << 30)] == ["12 B", "2.0 KiB", "5.0 MiB", "3.0 GiB"]
+
+
+@pytest.mark.parametrize(("options", "kind"), [([], "train"), (["--prepare"], "prepare")])
+def test_corrections_of_masks_are_sent_with_the_order_in_one_line(server, tmp_path, options, kind):
+    record = {"version": 1, "corrections": [{"frame": "\u00e4", "label": "object", "box": [0, 0, 9, 9]}]}
+    file = tmp_path / "corrections.json"
+    file.write_text(json.dumps(record, indent=1))
+    sent = []
+
+    def answer(request):
+        sent.append(json.loads(request.content))
+        return httpx2.Response(202, json={"id": "job_1", "state": "queued"})
+
+    server.faults.append(answer)
+    assert app.run(["submit", "scene_1", "--corrections", str(file), *options]) == 0
+    (order,) = sent
+    assert order["kind"] == kind
+    assert json.loads(order["params"]["corrections"]) == record
+    assert order["params"]["corrections"].isascii()
+    assert "\n" not in order["params"]["corrections"]
+
+
+def test_corrections_that_are_no_json_are_refused_before_anything_is_sent(server, tmp_path, capsys):
+    (tmp_path / "c.json").write_text("no json")
+    assert app.run(["submit", "scene_1", "--corrections", str(tmp_path / "c.json")]) == 2
+    assert "corrections.json of the mask editor" in capsys.readouterr().err
+    assert server.requests == []

@@ -46,7 +46,7 @@ def solved(monkeypatch):
             model=model,
         )
 
-    monkeypatch.setattr(capture, "solve_cameras", solve)
+    monkeypatch.setattr(capture, "solve_apart", solve)
     return called
 
 
@@ -81,12 +81,12 @@ def test_a_search_that_is_ended_leaves_nothing_but_what_it_goes_on_from(photogra
 
 
 def test_what_is_refused_leaves_nothing(photographs, solved, tmp_path, monkeypatch):
-    found = capture.solve_cameras
+    found = capture.solve_apart
 
     def finding_none(*arguments):
         return replace(found(*arguments), camera_to_world={}, model=None)
 
-    monkeypatch.setattr(capture, "solve_cameras", finding_none)
+    monkeypatch.setattr(capture, "solve_apart", finding_none)
     with pytest.raises(SceneRefusedError, match=r"scene\.poses_none"):
         capture.solve_capture(photographs, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -110,7 +110,7 @@ def _find(context: TaskContext, inputs: str) -> None:
 
 
 def _what_moves(photographs: Photographs, out: Path, context: TaskContext) -> Photographs | None:
-    """Return the photographs with masks of what moves before a background that stands still, as on a turntable.
+    """Return the photographs with masks of what moves before a standing background, as on a turntable.
 
     None where nothing does.
     """
