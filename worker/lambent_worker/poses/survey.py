@@ -63,10 +63,15 @@ def survey(
     moved, still, cells = (np.zeros((count, count), int) for _ in range(3))
     total = count * (count - 1) // 2
     done = 0
+    stacked = np.concatenate([descriptors for _, descriptors in clear]) if clear else np.zeros((0, 128))
+    ends = np.cumsum([len(descriptors) for _, descriptors in clear])
     for first in range(count):
         told(done, total)
+        # One large product for all partners: many small ones take several times as long.
+        likeness = clear[first][1] @ stacked[ends[first] :].T
         for second in range(first + 1, count):
-            matches = mutual_matches(clear[first][1], clear[second][1])
+            columns = slice(ends[second - 1] - ends[first], ends[second] - ends[first])
+            matches = mutual_matches(likeness[:, columns])
             here, there = clear[first][0][matches[:, 0]], clear[second][0][matches[:, 1]]
             stands = np.linalg.norm(here - there, axis=1) < max(STILL_PX, STILL_SHARE * sides[first])
             places = np.floor(here[stands] * (GRID / sides[first])).astype(int)
@@ -81,24 +86,22 @@ def survey(
     return Survey(moved=moved, still=still, still_cells=cells)
 
 
-def mutual_matches(
-    here: Float32[ndarray, "points 128"], there: Float32[ndarray, "others 128"]
-) -> Int[ndarray, "matches 2"]:
+def mutual_matches(likeness: Float32[ndarray, "points others"]) -> Int[ndarray, "matches 2"]:
     """Return the indices of points that are each other's best match, and clearly so.
 
-    Descriptors have unit length.
+    `likeness` are the products of descriptors of unit length.
     """
-    if len(here) < 2 or len(there) < 2:
+    if min(likeness.shape) < 2:
         return np.zeros((0, 2), int)
-    likeness = here @ there.T
-    best, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
-    rows = np.arange(len(here))
-    nearest = likeness[rows, best].copy()
+    likeness = likeness.copy()
+    rows, best = np.arange(len(likeness)), likeness.argmax(axis=1)
+    nearest = likeness[rows, best]
+    is_back = nearest == likeness.max(axis=0)[best]
     likeness[rows, best] = -1.0
     second = likeness.max(axis=1)
     # Squared distance of unit vectors: 2 - 2 cos.
     clear = (1.0 - nearest) < MAX_RATIO**2 * (1.0 - second)
-    kept = clear & (back[best] == rows)
+    kept = clear & is_back
     return np.stack([rows[kept], best[kept]], axis=1)
 
 

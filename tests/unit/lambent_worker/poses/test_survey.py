@@ -77,13 +77,13 @@ def test_matches_are_mutual_and_clear():
     order = rng.permutation(50)
     noisy = here[order] + rng.normal(0.0, 0.01, (50, 128)).astype(np.float32)
     there = noisy / np.linalg.norm(noisy, axis=1, keepdims=True)
-    matches = mutual_matches(here, there)
+    matches = mutual_matches(here @ there.T)
     assert len(matches) == 50
     assert np.array_equal(order[matches[:, 1]], matches[:, 0])
     # Twice the same point is not clear.
     twice = np.vstack([there, there[:1]])
-    assert len(mutual_matches(here, twice)) == 49
-    assert len(mutual_matches(here[:1], there)) == 0
+    assert len(mutual_matches(here @ twice.T)) == 49
+    assert len(mutual_matches(here[:1] @ there.T)) == 0
 
 
 def likeness_of_a_ring(count, reach):
