@@ -29,9 +29,9 @@ class UncoverSettings:
     share: float = 0.35
     """Least share of the views that must show the support."""
     least_views: int = 3
-    tolerance: float = 2.5
+    tolerance: float = 2.0
     """How far colours may be from those of the neighbours, in standard deviations of these."""
-    clear: float = 1.0
+    clear: float = 2.0
     """How much more likely colours must be the support's than the object's, log odds."""
     widened: float = 1.3
     """How much more a texel may differ from its neighbours than they differ between views."""

@@ -21,6 +21,8 @@ _LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
 _SCALE = np.array([2.55, 1.0, 1.0], dtype=np.float32)
 _OFFSET = np.array([0.0, 128.0, 128.0], dtype=np.float32)
 _MEDIAN_VIEWS = 24
+_PATTERN = 0.4
+"""Standard deviation of a texel between views for each unit of contrast around it: registration, blur."""
 _LEAST_VIEWS = 3
 """Views that must see a texel free for its colour to be known."""
 
@@ -124,7 +126,27 @@ def build(support: SupportViews, beliefs: Sequence[Float[ndarray, "rows columns"
         known = total
     looked = np.sum([picture[..., 0] > 0 for picture in support.warped], axis=0)
     known = np.clip(known / _LEAST_VIEWS, 0.0, 1.0)
+    spread = _plausible(centre, spread, known)
     return Orthophoto(centre, spread, known, (looked >= _LEAST_VIEWS) & (known < 0.5))
+
+
+def _plausible(
+    lab: Float32[ndarray, "cells cells 3"],
+    spread: Float32[ndarray, "cells cells 2"],
+    known: Float32[ndarray, "cells cells"],
+) -> Float32[ndarray, "cells cells 2"]:
+    """Return spreads no larger than elsewhere on the support, but where its own pattern has contrast.
+
+    Where many views show the object in front of a texel, it widens the spread and would hide behind it.
+    """
+    certain = known > 0.9
+    if not certain.any():
+        return spread
+    mean = cv2.blur(lab, (5, 5))
+    square = np.maximum(cv2.blur(lab**2, (5, 5)) - mean**2, 0.0)
+    contrast = np.sqrt(np.dstack([square[..., 0], 0.5 * (square[..., 1] + square[..., 2])]))
+    usual = np.median(spread[certain], axis=0)
+    return np.minimum(spread, 1.3 * usual + _PATTERN * contrast).astype(np.float32)
 
 
 def _warp(picture: ndarray, maps: tuple[ndarray, ndarray]) -> ndarray:

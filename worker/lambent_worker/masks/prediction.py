@@ -23,7 +23,7 @@ class PredictionSettings:
     least_l: float = 1.2
     least_chroma: float = 1.2
     """Least standard deviations of L and of a and b."""
-    shadow: float = 0.15
+    shadow: float = 0.01
     """Chance that a pixel of the support is in a shadow that is not in the orthophoto."""
     darkest: float = 0.45
     """The deepest shadow, as a share of the lightness L that it takes away."""
