@@ -108,6 +108,8 @@ class Agreement:
     lattice: Lattice
     votes: Float[ndarray, " cells"]
     """Sum of the views' votes for each cell, log odds; the object is where it is positive."""
+    unmarked: list[Float[ndarray, "height width"]]
+    """What `priors` were without marks, everything else the same; empty where there are no marks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +146,7 @@ def agree(
     for number in range(settings.rounds):
         odds = _odds(seen, beliefs, leaning, given)
         votes = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
+        free = votes.copy()
         for view, mark in given.known.marks.items() if given is not None else ():
             votes[view] = _outvoted(votes[view], mark, grid.pixels[view], len(views))
         total = np.sum(votes, axis=0)
@@ -160,7 +163,16 @@ def agree(
             for v in range(len(views))
         ]
         beliefs = [_without_border(_sigmoid(own + prior)) for own, prior in zip(odds, priors, strict=True)]
-        agreement = Agreement(beliefs=beliefs, priors=priors, lattice=grid.lattice, votes=total)
+        unmarked = []
+        if number == settings.rounds - 1 and given is not None and given.marks:
+            every = np.sum(free, axis=0)
+            unmarked = [
+                _prior(grid, every - own, v, views[v].camera, middle, leaning, settings)
+                for v, own in enumerate(free)
+            ]
+        agreement = Agreement(
+            beliefs=beliefs, priors=priors, lattice=grid.lattice, votes=total, unmarked=unmarked
+        )
         if number in settings.refit_after:
             margin = 2.0 * grid.lattice.spacing
             fresh_low = np.maximum(kept.min(axis=0) - margin, low)

@@ -29,7 +29,9 @@ from lambent_worker.masks.evidence import Known
 from lambent_worker.masks.workspace import Workspace
 
 _TURNED = 0.3
-"""Log odds that the other views must have had for something, and against it after the marks."""
+"""Log odds that the other views must have for something, or against it, because of the marks alone."""
+_MOVED = 0.5
+"""Log odds by which the marks must have changed that."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,8 +97,8 @@ def _updated(
     else:
         beliefs = tuple(each.astype(np.float32) for each in agreement.beliefs)
         priors = tuple(
-            _decided(_resized(before, (each.shape[1], each.shape[0])), each.astype(np.float32))
-            for before, each in zip(work.priors, agreement.priors, strict=True)
+            _decided(before.astype(np.float32), each.astype(np.float32))
+            for before, each in zip(agreement.unmarked, agreement.priors, strict=True)
         )
     return replace(
         work,
@@ -111,12 +113,13 @@ def _updated(
 def _decided(
     before: Float32[ndarray, "rows columns"], after: Float32[ndarray, "rows columns"]
 ) -> Float32[ndarray, "rows columns"]:
-    """Return what the other views say now, final where a person's marks have turned it round.
+    """Return what the other views say now, final where a person's marks and nothing else have moved it.
 
-    The photograph itself still says the same as before, and would overrule them.
+    `before` is what they would say without the marks. The photograph itself still says the same as ever, and
+    would overrule them: what stands apart from the table and looks like the object.
     """
-    gone = (before > _TURNED) & (after < -_TURNED)
-    came = (before < -_TURNED) & (after > _TURNED)
+    gone = (before - after > _MOVED) & (after < -_TURNED)
+    came = (after - before > _MOVED) & (after > _TURNED)
     return np.where(gone, np.float32(-LIMIT), np.where(came, np.float32(LIMIT), after))
 
 

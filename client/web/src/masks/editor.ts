@@ -101,7 +101,7 @@ class MaskEditor implements Editor {
       h(
         "p",
         {},
-        "What is dimmed does not belong to the object. Open a photograph where that is wrong and mark a little of it: all the others follow.",
+        "What is dimmed does not belong to the object. Open a photograph where that is wrong and mark all that is wrong there: the others follow. Repeat it on another one where something is left.",
       ),
       h("div", { class: "actions bar" }, finish, this.#undo, this.#status),
       this.#large,

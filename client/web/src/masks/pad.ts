@@ -62,6 +62,7 @@ export class Pad {
     this.#overlay = null;
     this.#points = null;
     this.#cursor = null;
+    this.element.style.aspectRatio = `${frame.width} / ${frame.height}`;
     this.element.setAttribute(
       "aria-label",
       `Photograph ${frame.name}: arrow keys move the brush, Space begins and ends a mark`,

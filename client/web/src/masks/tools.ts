@@ -55,10 +55,10 @@ export function toolControls(initial: Tools, changed: (tools: Tools) => void) {
     ["background", "not the object", "n"],
     ["object", "the object", "o"],
   ]);
-  const shape = choices("shape", "Mark with", [
+  const shape = choices("shape", "Tool", [
     ["brush", "brush", "b"],
     ["box", "box", "x"],
-    ["move", "nothing, move", "m"],
+    ["move", "move", "m"],
   ]);
   const brush = h("input", {
     type: "range",
