@@ -164,7 +164,7 @@ def agree(
         ]
         beliefs = [_without_border(_sigmoid(own + prior)) for own, prior in zip(odds, priors, strict=True)]
         unmarked = []
-        if number == settings.rounds - 1 and given is not None and given.marks:
+        if number == settings.rounds - 1 and given is not None and given.known.marks:
             every = np.sum(free, axis=0)
             unmarked = [
                 _prior(grid, every - own, v, views[v].camera, middle, leaning, settings)
