@@ -1,6 +1,6 @@
 """Photograph the six tabletop captures, path traced, with everything that is true about them.
 
-    python examples/make_tabletop_capture.py -o FOLDER [--only carpet] [--size 1600] [--views 40] [--spp 24]
+    python examples/make_tabletop_capture.py -o FOLDER [--only carpet] [--size 1600] [--views 40] [--spp 16]
 
 Needs Mitsuba 3 (in the `dev` extra) and an LLVM library (Debian: `apt-get install libllvm19`). Each capture
 becomes FOLDER/<name> when it is complete: `photographs/` (JPEG with EXIF and nothing else), `photographs-16/`
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from tabletop.captures import Stage
     from tabletop.phone import Exposure
 
-FEW = 16
 SMALL = {
     "only": "sheet",
     "size": 480,
@@ -51,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--held-out", type=int, default=4, help="views with truth that are not photographed")
     parser.add_argument("--held-out-size", type=int, default=800, help="pixels of their longer side")
-    parser.add_argument("--spp", type=int, default=20, help="paths per pixel of a photograph's object")
+    parser.add_argument("--spp", type=int, default=16, help="paths per pixel of a photograph's object")
     parser.add_argument("--truth-spp", type=int, default=128, help="paths per pixel of relit pictures")
     parser.add_argument("--cells", type=int, default=320, help="cells along the object's longest side")
     parser.add_argument("--no-truth", action="store_true", help="leave held-out views for a later call")
@@ -95,7 +94,7 @@ def photographs(name: str, folder: Path, options: argparse.Namespace) -> None:
     for sub in (pictures, masks):
         sub.mkdir(parents=True, exist_ok=True)
     names = [f"IMG_{k + 1:04d}.jpg" for k in range(len(shots))]
-    few = some(names)
+    few = [names[k] for k in stage.few(len(shots))]
     # The few first: they are of use before the others are there.
     for k in sorted(range(len(shots)), key=lambda k: names[k] not in few):
         shot, exposure, stem = shots[k], exposures[k], names[k].removesuffix(".jpg")
@@ -132,13 +131,6 @@ def write_cameras(
     partial = folder / "truth" / "cameras.partial"
     partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     os.replace(partial, folder / "truth" / "cameras.json")
-
-
-def some(names: list[str]) -> list[str]:
-    """Return sixteen of the names, evenly spaced, or all where there are no more."""
-    if len(names) <= FEW:
-        return names
-    return [names[int((k + 0.5) * len(names) / FEW)] for k in range(FEW)]
 
 
 def meter_all(stage: "Stage", shots: list["Shot"]) -> list["Exposure"]:

@@ -72,6 +72,27 @@ def phone(size: int, pose: np.ndarray, *, upright: bool, k1: float = 0.0, k2: fl
     return Camera(width=width, height=height, focal=focal, camera_to_world=pose, k1=k1, k2=k2)
 
 
+def rounds(num_views: int) -> list[tuple[int, float]]:
+    """Return the rounds of a walk: how many photographs each has, and its elevation in degrees.
+
+    Few photographs make one round, and two from above: steps wider than 30 degrees have too little in common.
+    """
+    if num_views < 24:
+        return [(num_views - 2, 38.0), (2, 62.0)]
+    low, mid = round(0.5 * num_views), round(0.35 * num_views)
+    return [(low, 24.0), (mid, 45.0), (num_views - low - mid, 66.0)]
+
+
+def sixteen(num_views: int) -> list[int]:
+    """Return which of a walk's photographs would do alone: a middle round, and some from above."""
+    if num_views <= 16:
+        return list(range(num_views))
+    (low, _), (mid, _), (top, _) = rounds(num_views)
+    round_of = np.linspace(low, low + mid, min(mid, 14), endpoint=False).astype(int)
+    above = np.linspace(low + mid, num_views, min(16 - len(round_of), top), endpoint=False).astype(int)
+    return sorted({*round_of.tolist(), *above.tolist()})
+
+
 def around(num_views: int, middle: np.ndarray, distance: float, seed: int) -> list[np.ndarray]:
     """Return poses of a walk around `middle`: a low round, a higher one, and a few from above.
 
@@ -79,9 +100,8 @@ def around(num_views: int, middle: np.ndarray, distance: float, seed: int) -> li
     is not quite level.
     """
     rng = np.random.default_rng(seed)
-    low, mid = round(0.5 * num_views), round(0.35 * num_views)
     poses = []
-    for count, elevation in ((low, 24.0), (mid, 45.0), (num_views - low - mid, 66.0)):
+    for count, elevation in rounds(num_views):
         start = rng.uniform(0.0, 360.0)
         drift = np.cumsum(rng.normal(0.0, 1.0, count + 1))
         drift -= np.linspace(0.0, drift[-1], count + 1)

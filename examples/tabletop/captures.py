@@ -9,7 +9,7 @@ import numpy as np
 from make_sample_scene import emitter
 
 from tabletop import supports
-from tabletop.cameras import Shot, around, between, look_at, phone
+from tabletop.cameras import Shot, around, between, look_at, phone, sixteen
 from tabletop.distance import Surface, surface
 from tabletop.lights import light_image
 from tabletop.objects import THINGS, Thing
@@ -140,6 +140,12 @@ class Stage:
             camera = phone(size, pose, upright=upright, **lens)
             shots.append(Shot(camera=camera, orientation=(8 if k % 20 == 7 else 6) if upright else 1))
         return shots
+
+    def few(self, num_views: int) -> list[int]:
+        """Return which sixteen of the photographs make a capture of their own."""
+        if self.capture.turntable and num_views > 16:
+            return [int((k + 0.5) * num_views / 16) for k in range(16)]
+        return sixteen(num_views)
 
     def held_out(self, num_views: int, size: int) -> list[Shot]:
         """Return the views that are not photographed but scored; without distortion."""

@@ -14,7 +14,9 @@ from tabletop.cameras import Camera
 from tabletop.tracing import NUM_FACES, FirstHits, coverage_of, first_hits, number_of, radiance, radiance_of
 
 REDUCTION = 4
-COVERAGE_SIDE = 6
+COVERAGE_SIDE = 4
+DULL = 3.0
+"""How much less light a path may bring from the surroundings than from the object."""
 FLOOR = 0.02
 """Added to base colours before dividing by them."""
 OFFSETS = ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
@@ -53,11 +55,10 @@ def surroundings(
     limit: float,
 ) -> np.ndarray:
     """Return the radiance [H, W, 3] of everything but the object, continued behind its outline."""
-    spp = spp + spp // 2
     shape = (camera.height, camera.width)
     coarse = camera.resized(camera.width // REDUCTION)
     middle = first_hits(scene, coarse, 0.5, 0.5)
-    light = np.minimum(radiance(scene, coarse, spp, seed + 500_000), limit)
+    light = radiance(scene, coarse, spp, seed + 500_000, limit=limit / DULL)
     # A pixel's mean radiance belongs to its mean colour, which four rays estimate.
     colour = np.mean([first_hits(scene, coarse, *offset).colour for offset in OFFSETS], axis=0)
     shading = light.reshape(-1, 3) / (colour + FLOOR)

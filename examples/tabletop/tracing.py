@@ -48,8 +48,13 @@ def integrator(*, alone: bool = False) -> "mi.Integrator":
     return mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 2, "hide_emitters": alone})
 
 
-def radiance(scene: "mi.Scene", camera: Camera, spp: int, seed: int, *, alone: bool = False) -> np.ndarray:
-    """Return mean linear radiance [H, W, 3], or [H, W, 4] premultiplied, of an object `alone`."""
+def radiance(
+    scene: "mi.Scene", camera: Camera, spp: int, seed: int, *, alone: bool = False, limit: float = 1e6
+) -> np.ndarray:
+    """Return mean linear radiance [H, W, 3], or [H, W, 4] premultiplied, of an object `alone`.
+
+    Paths of more than `limit` count as `limit`, which removes bright specks.
+    """
     tracer = integrator(alone=alone)
     sampler = mi.load_dict({"type": "independent"})
     pixels = camera.width * camera.height
@@ -60,7 +65,8 @@ def radiance(scene: "mi.Scene", camera: Camera, spp: int, seed: int, *, alone: b
         sampler.seed(dr.opaque(mi.UInt32, seed * 1009 + number), count * spp)
         index = dr.arange(mi.UInt32, count * spp) // spp + dr.opaque(mi.UInt32, first)
         value, valid, _ = tracer.sample(scene, sampler, rays(camera, index, sampler.next_2d()))
-        columns = [value.x, value.y, value.z]
+        most = dr.opaque(mi.Float, limit)
+        columns = [dr.minimum(column, most) for column in (value.x, value.y, value.z)]
         if alone:
             columns = [dr.select(valid, column, 0.0) for column in columns] + [
                 dr.select(valid, mi.Float(1), 0)
@@ -95,7 +101,8 @@ def radiance_of(
         met = scene.ray_intersect_preliminary(ray)
         seen = met.is_valid() & (met.shape == mi.ShapePtr(shape))
         value, _, _ = tracer.sample(scene, sampler, ray, active=seen)
-        columns = [dr.select(seen, dr.minimum(column, limit), 0.0) for column in (value.x, value.y, value.z)]
+        most = dr.opaque(mi.Float, limit)
+        columns = [dr.select(seen, dr.minimum(column, most), 0.0) for column in (value.x, value.y, value.z)]
         parts.append(_means([*columns, dr.select(seen, mi.Float(1.0), 0.0)], spp))
     return np.concatenate(parts)
 

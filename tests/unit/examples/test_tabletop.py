@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from PIL import Image, ImageOps
-from tabletop.cameras import Camera, around, phone, turned_about_z
+from tabletop.cameras import Camera, around, phone, rounds, sixteen, turned_about_z
 from tabletop.distance import ball, blend, box, carve, drum, rod, rotated, surface
 from tabletop.objects import THINGS
 from tabletop.phone import READ_NOISE_ELECTRONS, Exposure, develop, encode_srgb, meter, write_photograph
@@ -78,6 +78,16 @@ def test_a_walk_looks_at_the_object_from_all_sides_and_heights():
         np.eye(3)[None] + 0 * poses[:, :3, :3],
         atol=1e-9,
     )
+
+
+@pytest.mark.parametrize("num_views", [24, 40, 80])
+def test_the_sixteen_are_a_round_without_gaps_and_some_from_above(num_views):
+    few = sixteen(num_views)
+    assert len(few) == len(set(few)) == min(16, sum(count for count, _ in rounds(num_views)[1:]))
+    poses = np.array(around(num_views, np.zeros(3), 1.0, seed=5))[few]
+    azimuth = np.sort(np.degrees(np.arctan2(poses[:, 1, 3], poses[:, 0, 3])))
+    assert np.diff([*azimuth, azimuth[0] + 360.0]).max() < 60.0
+    assert sixteen(12) == list(range(12))
 
 
 def test_the_phone_has_the_field_of_view_of_26_millimetres():
