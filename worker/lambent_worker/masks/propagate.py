@@ -29,9 +29,9 @@ from lambent_worker.masks.evidence import Known
 from lambent_worker.masks.workspace import Workspace
 
 _TURNED = 0.3
-"""Log odds that the other views must have for something, or against it, because of the marks alone."""
+"""Log odds that the other views must have for something, or against it, to be sure of it."""
 _MOVED = 0.5
-"""Log odds by which the marks must have changed that."""
+"""Log odds by which the marks alone must have changed that, where it was undecided."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -97,8 +97,12 @@ def _updated(
     else:
         beliefs = tuple(each.astype(np.float32) for each in agreement.beliefs)
         priors = tuple(
-            _decided(before.astype(np.float32), each.astype(np.float32))
-            for before, each in zip(agreement.unmarked, agreement.priors, strict=True)
+            _decided(
+                _resized(found, (each.shape[1], each.shape[0])),
+                unmarked.astype(np.float32),
+                each.astype(np.float32),
+            )
+            for found, unmarked, each in zip(work.priors, agreement.unmarked, agreement.priors, strict=True)
         )
     return replace(
         work,
@@ -111,15 +115,19 @@ def _updated(
 
 
 def _decided(
-    before: Float32[ndarray, "rows columns"], after: Float32[ndarray, "rows columns"]
+    found: Float32[ndarray, "rows columns"],
+    unmarked: Float32[ndarray, "rows columns"],
+    after: Float32[ndarray, "rows columns"],
 ) -> Float32[ndarray, "rows columns"]:
-    """Return what the other views say now, final where a person's marks and nothing else have moved it.
+    """Return what the other views say now, final where a person's marks have turned or moved it.
 
-    `before` is what they would say without the marks. The photograph itself still says the same as ever, and
-    would overrule them: what stands apart from the table and looks like the object.
+    `found` is what they said when the object was found, `unmarked` what they would say now without the marks.
+    The photograph itself still says the same as ever, and would overrule them: what stands apart from the
+    table and looks like the object.
     """
-    gone = (before - after > _MOVED) & (after < -_TURNED)
-    came = (after - before > _MOVED) & (after > _TURNED)
+    against, towards = after < -_TURNED, after > _TURNED
+    gone = against & ((found > _TURNED) | (unmarked - after > _MOVED))
+    came = towards & ((found < -_TURNED) | (after - unmarked > _MOVED))
     return np.where(gone, np.float32(-LIMIT), np.where(came, np.float32(LIMIT), after))
 
 
