@@ -127,7 +127,6 @@ class CaptureFigures(Shown):
 
     schema_version: str
     num_train_views: int
-    lacks_cameras: bool = False
     gap_deg: float
     upper_gap_deg: float
     upper_gap_azimuth_deg: float
@@ -139,6 +138,7 @@ class CaptureFigures(Shown):
     outside_box_share: float
     exposure_range_ev: float
     views: list[ViewFigures]
+    lacks_cameras: bool = False
 
 
 class SceneReportAnswer(SceneReport):

@@ -9,6 +9,7 @@ from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import UsageError
 from lambent_worker.report.published import dataset_of, object_group
+from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import describe_scene, detect_layout
 from lambent_worker.scenes.openillumination import PAPER_LIGHTS
 
@@ -70,10 +71,10 @@ def find_scenes(suite: Path, names: tuple[str, ...]) -> list[SuiteScene]:
     """
     if not suite.is_dir():
         raise UsageError("benchmark.suite_missing", f'"{suite}" is not a folder; give a folder of scenes')
-    if detect_layout(suite) is not None:
+    if _has_cameras(suite):
         folders = [suite]
     else:
-        folders = [path for path in sorted(suite.iterdir()) if path.is_dir() and detect_layout(path)]
+        folders = [path for path in sorted(suite.iterdir()) if path.is_dir() and _has_cameras(path)]
     known = {path.name: path for path in folders}
     missing = [name for name in names if name not in known]
     if missing or not known:
@@ -101,3 +102,8 @@ def find_environments(suite: Path, given: Path | None) -> Path | None:
     if given is not None:
         return given
     return next((suite / name for name in ENVIRONMENT_FOLDERS if (suite / name).is_dir()), None)
+
+
+def _has_cameras(folder: Path) -> bool:
+    """Return whether a folder is a capture that can be compared with its truth; photographs alone have none."""
+    return detect_layout(folder) not in (None, photographs.NAME)

@@ -1,5 +1,6 @@
 """The page about a capture: whole without network and scripts, safe to show whatever a frame is called."""
 
+import json
 import xml.etree.ElementTree as ElementTree
 
 import pytest
