@@ -46,7 +46,7 @@ def test_a_forced_layout_is_checked_and_described_by_the_first_task(tmp_path, la
     spec = RunSpec.from_options(folder, preset="tiny", layout=layout)
     run_pipeline(spec, tmp_path / "run", "cpu", RecordingReporter(), ("ingest",))
     manifest = json.loads((tmp_path / "run" / "scene" / "manifest.json").read_text())
-    report = json.loads((tmp_path / "run" / "scene" / "report.json").read_text())
+    report = json.loads((tmp_path / "run" / "scene" / "capture.json").read_text())
     assert manifest["layout"] == report["layout"] == layout
     assert report["usable"]
     assert len(manifest["lights"]) == 1

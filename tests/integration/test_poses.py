@@ -5,14 +5,16 @@ import json
 import numpy as np
 import pytest
 import typer
+from lambent_proto.v1 import scene_pb2
 from lambent_worker.commands import poses as poses_cli
-from lambent_worker.commands.training import train
 from lambent_worker.errors import SceneRefusedError
+from lambent_worker.messages import read_message
 from lambent_worker.poses.capture import solve_capture
-from lambent_worker.run import pipeline
-from lambent_worker.run.spec import read_run
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.spec import RunSpec
 from lambent_worker.scenes.detect import describe_scene
 from PIL import Image
+from support.recording_reporter import RecordingReporter
 from support.textured_box import box_cameras, write_photographs
 from typer.testing import CliRunner
 
@@ -63,22 +65,23 @@ def test_cameras_are_where_they_were_up_to_a_similarity(solved):
     assert focal == pytest.approx(400.0, rel=0.05)
 
 
-def test_train_finds_the_same_cameras_and_goes_on_with_the_capture(solved, tmp_path, monkeypatch):
+def test_a_run_finds_the_same_cameras_and_leaves_the_photographs_where_they_are(solved, tmp_path):
     folder, _ = solved
-    seen = []
-    monkeypatch.setattr(pipeline, "run_task", lambda context, inputs: seen.append(context.spec))
-    run = tmp_path / "run"
-    options = ("--poses", "auto", "--masks", folder / "cut", "--preset", "tiny")
-    result = call(train, folder / "photographs", "-o", run, *options)
-    assert result.exit_code == 0, result.output
-    assert {(spec.scene, spec.masks) for spec in seen} == {(run / "capture", "")}
-    assert f"note: scene.poses_solved: cameras for {COUNT} of {COUNT} photographs" in result.stderr
-    assert read_run(run)[0].scene == run / "capture"
-    first, second = (poses_of(scene) for scene in (folder / "scene", run / "capture"))
+    run, reporter = tmp_path / "run", RecordingReporter()
+    spec = RunSpec.from_options(folder / "photographs", preset="tiny", masks=folder / "cut")
+    run_pipeline(spec, run, "cpu", reporter, ("cameras", "ingest"))
+    told = {call["code"]: call["message"] for call in reporter.named("finding")}
+    assert told["scene.poses_solved"].startswith(f"cameras for {COUNT} of {COUNT} photographs")
+    assert sorted(path.name for path in (run / "cameras").iterdir()) == ["cameras.json", "sparse"]
+    manifest = read_message(run / "scene" / "manifest.json", scene_pb2.SceneManifest())
+    assert manifest.layout == "photographs"
+    assert all((folder / "photographs" / frame.images[0].path).is_file() for frame in manifest.frames)
+    first = poses_of(folder / "scene")
+    second = {frame.name: np.array(frame.camera.camera_to_world).reshape(4, 4) for frame in manifest.frames}
     assert first.keys() == second.keys()
     # Photographs fix a world up to a similarity, and COLMAP's own order of sums differs from run to run.
-    found, wanted = (np.array([poses[name] for name in first]) for poses in (second, first))
-    rotation_deg, centre_share = pose_errors(found, wanted)
+    found = np.array([second[name] for name in first])
+    rotation_deg, centre_share = pose_errors(found, np.array(list(first.values())))
     assert rotation_deg.max() < 0.5
     assert centre_share.max() < 0.01
 

@@ -105,5 +105,5 @@ def find_environments(suite: Path, given: Path | None) -> Path | None:
 
 
 def _has_cameras(folder: Path) -> bool:
-    """Return whether a folder is a capture that can be compared with its truth; photographs alone have none."""
+    """Return whether a folder is a capture with cameras, so that it can be compared with its truth."""
     return detect_layout(folder) not in (None, photographs.NAME)
