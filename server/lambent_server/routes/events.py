@@ -156,7 +156,7 @@ class _Stream:
                 ]
             else:
                 found, _ = job_queries.select_page(
-                    connection, self._tenant, states=(), labels=(), limit=RECENT, cursor=None
+                    connection, self._tenant, states=(), labels=(), having={}, limit=RECENT, cursor=None
                 )
         messages = []
         for job in found:
