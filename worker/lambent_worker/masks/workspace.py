@@ -31,7 +31,7 @@ class Workspace:
     """Log odds that a pixel of `pictures` does not show the support; 0 where nothing is known."""
     learnt: tuple[Float32[ndarray, "rows columns"], ...]
     beyond: tuple[Float32[ndarray, "rows columns"], ...]
-    """How much a pixel counts when colours are learnt, and whether it sees past the support: `evidence.Known`."""
+    """How much a pixel counts when colours are learnt, and if it sees past the support: `evidence.Known`."""
     beliefs: tuple[Float32[ndarray, "rows columns"], ...]
     """Probability of the object, at the size at which views are compared."""
     priors: tuple[Float32[ndarray, "rows columns"], ...]
