@@ -170,7 +170,7 @@ def _background_tables(
     known: Known,
     everywhere: Sequence[Float[ndarray, "height width"]] | None = None,
 ) -> list[Float[ndarray, " cells"]]:
-    """Return each view's colours of the background, from `everywhere` where `weights` count hardly any."""
+    """Return each view's colours of the background, from `everywhere` where `weights` are hardly any."""
     shared = colour_table(
         np.concatenate([each.ravel() for each in cells]), np.concatenate([each.ravel() for each in weights])
     )

@@ -144,7 +144,9 @@ def _odds(
     odds += settings.support * _part(work.support_odds[number], part, size)
     lab = cv2.cvtColor(crop.astype(np.float32) / np.float32(255.0), cv2.COLOR_RGB2LAB)
     beyond = _part(work.beyond[number], part, size)
-    odds += settings.colour * colours.odds(number, evidence.colour_cells(lab), beyond)
+    # Without a support, what the views believe contains their colours already.
+    if work.has_support or work.seeds:
+        odds += settings.colour * colours.odds(number, evidence.colour_cells(lab), beyond)
     odds = np.clip(odds, 0.01 - LIMIT, LIMIT - 0.01)
     odds[hull <= -settings.impossible] = -LIMIT
     if number in work.seeds:

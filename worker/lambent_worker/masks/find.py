@@ -3,16 +3,18 @@
 The result is a `Workspace`; `final.final_mask` draws the mask of each photograph from it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from numpy import ndarray
 
-from lambent_worker.masks.consensus import MaskView, prepare
-from lambent_worker.masks.estimate import EstimateSettings, agreed_masks, middle_of
+from lambent_worker.masks.consensus import MaskView
+from lambent_worker.masks.estimate import EstimateSettings, agreed_masks, consistency_of, middle_of
+from lambent_worker.masks.final import preview_masks
 from lambent_worker.masks.lattice import SCENE
 from lambent_worker.masks.on_support import (
     OnSupport,
@@ -21,7 +23,7 @@ from lambent_worker.masks.on_support import (
     first_footprint,
     ortho_grid,
 )
-from lambent_worker.masks.orthophoto import look_at_support
+from lambent_worker.masks.orthophoto import SupportViews, look_at_support
 from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints
 from lambent_worker.masks.plane_height import best_height
 from lambent_worker.masks.support_plane import PlaneSettings, SupportPlane, find_support
@@ -41,6 +43,13 @@ class FindSettings:
     """Longer side at which views are compared with each other."""
     plain_side: int = 512
     """Longer side for captures without a support."""
+    weak_reach: float = 0.7
+    """Four fifths of the points on a support reach so far, as a share of half the pictures' diagonal, or it
+    may be a part of the object, and masks without it are tried as well."""
+    clear: float = 0.01
+    """How much better than those before it a candidate's masks must agree."""
+    enough: float = 0.93
+    """Agreement of the masks from which on no further candidate is tried."""
     plane: PlaneSettings = field(default_factory=PlaneSettings)
     support: SupportSettings = field(default_factory=SupportSettings)
     plain: EstimateSettings = field(default_factory=EstimateSettings)
@@ -73,14 +82,45 @@ def find_object(
     for number, photograph in enumerate(photographs):
         views.append(photograph.reduced(side))
         progress("reading photographs", number + 1, len(photographs))
+    candidates: list[Callable[[], Workspace | None]] = []
     if plane is not None:
-        found = _above(plane, views, points, centre, distance, settings, progress)
-        if found is not None:
-            return _workspace_above(photographs, views, found, centre, distance)
-    return _by_agreement(photographs, views, centre, distance, settings, progress)
+        support, footprint = _support(plane, views, points, centre, distance, settings, progress)
+        start = _Start(photographs, support, footprint, centre, distance, settings.compare_side)
+        kinds = (settings.support, settings.support.gentle())
+        candidates.extend(partial(_above, start, kind) for kind in kinds)
+    if plane is None or plane.reach < settings.weak_reach * _field(photographs) * distance:
+        candidates.append(lambda: _by_agreement(photographs, views, centre, distance, settings))
+    best, most = None, -1.0
+    for number, make in enumerate(candidates):
+        progress("comparing the views", number, len(candidates))
+        work = make()
+        if work is None or (best is not None and work.reason):
+            continue
+        overlap = agreement_of(work, settings.plain)
+        if best is None or overlap > most + settings.clear:
+            best, most = work, overlap
+        if most >= settings.enough:
+            break
+    progress("comparing the views", len(candidates), len(candidates))
+    return best if best is not None else _by_agreement(photographs, views, centre, distance, settings)
 
 
-def _above(
+def agreement_of(work: Workspace, settings: EstimateSettings) -> float:
+    """Return the median overlap of preview masks with what the others make of them, 0..1."""
+    if work.reason:
+        return 0.0
+    masks = [mask.astype(np.float64) for mask in preview_masks(work)]
+    views = [work.view(number) for number in range(len(masks))]
+    return float(np.median(consistency_of(masks, views, work.centre, work.distance, settings).overlap))
+
+
+def _field(photographs: Sequence[Photograph]) -> float:
+    """Return half the diagonal of the pictures at depth 1, median."""
+    cameras = [photograph.camera for photograph in photographs]
+    return float(np.median([0.5 * np.hypot(c.width, c.height) / max(c.focal) for c in cameras]))
+
+
+def _support(
     plane: SupportPlane,
     views: Sequence[MaskView],
     points: SparsePoints,
@@ -88,25 +128,34 @@ def _above(
     distance: float,
     settings: FindSettings,
     progress: Progress,
-) -> OnSupport | None:
+) -> tuple[SupportViews, Float32[ndarray, "cells cells"]]:
     plane = best_height(plane, views, distance)
     grid = ortho_grid(plane, views, distance, settings.support)
     count = _Counter("looking at the support", len(views), progress)
-    support = look_at_support(views, grid, count.step)
-    small = [_smaller(view, settings.compare_side) for view in views]
     footprint = first_footprint(grid, points.xyz, distance, settings.support)
-    count = _Counter("comparing the views", settings.support.turns, progress)
-    return find_on_support(
-        views,
-        small,
-        support,
-        footprint,
-        centre,
-        distance,
-        settings.support,
-        prepare(small, edges=False),
-        count.step,
+    return look_at_support(views, grid, count.step), footprint
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    photographs: Sequence[Photograph]
+    support: SupportViews
+    footprint: Float32[ndarray, "cells cells"]
+    centre: Float[ndarray, "3"]
+    distance: float
+    side: int
+    """At which views are compared, pixels."""
+
+
+def _above(start: _Start, chosen: SupportSettings) -> Workspace | None:
+    views = start.support.views
+    small = [_smaller(view, start.side) for view in views]
+    found = find_on_support(
+        views, small, start.support, start.footprint, start.centre, start.distance, chosen
     )
+    if found is None:
+        return None
+    return _workspace_above(start.photographs, views, found, start.centre, start.distance)
 
 
 def _workspace_above(
@@ -144,11 +193,8 @@ def _by_agreement(
     centre: Float[ndarray, "3"],
     distance: float,
     settings: FindSettings,
-    progress: Progress,
 ) -> Workspace:
-    progress("comparing the views", 0, 1)
     found = agreed_masks(views, settings.plain)
-    progress("comparing the views", 1, 1)
     half = np.full(3, settings.support.reach * distance)
     if isinstance(found, str):
         beliefs = tuple(np.zeros((view.camera.height, view.camera.width), np.float32) for view in views)

@@ -59,6 +59,15 @@ class SupportSettings:
     )
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
+    def gentle(self) -> "SupportSettings":
+        """Return settings for an object that looks like its support: looking like it says little."""
+        return replace(
+            self,
+            prediction=replace(self.prediction, least_odds=-1.2),
+            rounds=replace(self.rounds, against=0.7),
+            first_rounds=replace(self.first_rounds, against=0.7),
+        )
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OnSupport:

@@ -5,7 +5,7 @@ photograph to photograph at the right height only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -58,8 +58,7 @@ def best_height(
 
 
 def _moved(plane: SupportPlane, height: float) -> SupportPlane:
-    origin = plane.origin + height * plane.normal
-    return SupportPlane(origin=origin, axes=plane.axes, share=plane.share)
+    return replace(plane, origin=plane.origin + height * plane.normal)
 
 
 def _detail(view: MaskView) -> Float32[ndarray, "height width"]:

@@ -31,8 +31,10 @@ class PredictionSettings:
     """Chance that a pixel of the support has any colour at all."""
     learnt: float = 0.5
     """How far the colours that were learnt of the object are believed."""
+    least_odds: float = -4.0
+    """Least log odds of a pixel: how sure what looks like the support is the support."""
     limit: float = 4.0
-    """Largest log odds of a pixel in either direction."""
+    """Largest log odds of a pixel."""
 
 
 def support_odds(
@@ -66,7 +68,7 @@ def support_odds(
         table = (objects / TABLE_VOLUME).astype(np.float32)
         likely = (1.0 - settings.learnt) * anything + settings.learnt * table[colour_cells(support.lab(view))]
         odds = np.log(likely) - np.log(density)
-    return (known * np.clip(odds, -settings.limit, settings.limit)).astype(np.float32)
+    return (known * np.clip(odds, settings.least_odds, settings.limit)).astype(np.float32)
 
 
 def _shadow_density(

@@ -3,7 +3,7 @@
 All cameras are on one side of it, hardly any point is on the other, and many lie on it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -36,7 +36,7 @@ class PlaneSettings:
     near: float = 0.35
     """How far from the middle the points above the plane are the object's."""
     beyond_share: float = 0.2
-    """Least share of points on the plane that lie beyond what is above it: a facet is below its object."""
+    """Least share of the points on the plane that lie beyond what is above it; a facet's do not."""
     sectors: int = 3
     """Of six around the object, in so many at least there must be some of those points."""
     most_tilt: float = 0.3
@@ -53,6 +53,8 @@ class SupportPlane:
     """Rows: two unit vectors along the plane and the normal."""
     share: float
     """Share of the near sparse points that lie on it."""
+    reach: float = 0.0
+    """Four fifths of these are nearer to the origin than this, scene units."""
 
     @property
     def normal(self) -> Float64[ndarray, "3"]:
@@ -96,6 +98,8 @@ def find_support(
         height = float(normal @ middle)
     on_plane = np.abs(near @ normal - height) < thickness
     plane = plane_at(centre, normal, height, float(on_plane.mean()))
+    away = np.linalg.norm(plane.local(near[on_plane])[:, :2], axis=1)
+    plane = replace(plane, reach=float(np.percentile(away, 80.0)))
     credible = _is_credible(near, on_plane, distance, settings)
     return plane if credible and _reaches_beyond(plane.local(near), on_plane, distance, settings) else None
 
