@@ -153,7 +153,15 @@ describe("JobStore", () => {
 describe("stages", () => {
   it("are done, now or to come", () => {
     const now = stageStates(job({ progress: { ...progress, stage: "joint" } }));
-    expect(now.map(([, state]) => state)).toEqual(["done", "done", "done", "done", "now", "waiting", "waiting"]);
+    expect(now.map(([, state]) => state)).toEqual([
+      "done",
+      "done",
+      "done",
+      "done",
+      "now",
+      "waiting",
+      "waiting",
+    ]);
     expect(stageStates(job({ state: "succeeded" })).every(([, state]) => state === "done")).toBe(true);
     expect(stageStates(job()).every(([, state]) => state === "waiting")).toBe(true);
   });

@@ -189,13 +189,16 @@ describe("the grid", () => {
 
   it("asks for a few at a time", async () => {
     let [now, most, all] = [0, 0, 0];
-    await inLines(Array.from({ length: 40 }, (_, number) => number), async () => {
-      now += 1;
-      most = Math.max(most, now);
-      await new Promise((done) => setTimeout(done, 1));
-      now -= 1;
-      all += 1;
-    });
+    await inLines(
+      Array.from({ length: 40 }, (_, number) => number),
+      async () => {
+        now += 1;
+        most = Math.max(most, now);
+        await new Promise((done) => setTimeout(done, 1));
+        now -= 1;
+        all += 1;
+      },
+    );
     expect([most, all]).toEqual([6, 40]);
   });
 });
