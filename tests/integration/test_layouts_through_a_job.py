@@ -9,9 +9,9 @@ import pytest
 from lambent_worker.capture_qa.check import check_capture
 from lambent_worker.report.request import EvaluationRequest
 from lambent_worker.run import evaluation as evaluation_run
+from lambent_worker.run.capture import left_out_of
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.ingest import left_out_of
 from lambent_worker.scenes.load import load_scene
 from support.captures import REFERENCES
 from support.layouts import ColmapBinaryFolder

@@ -138,7 +138,7 @@ def test_a_job_with_another_preset_uses_the_masks_that_are_kept(
         return TASKS.get(name, lambda context: None)
 
     monkeypatch.setattr(pipeline, "_task_function", function)
-    monkeypatch.setattr(masks, "write_masks", None)
+    monkeypatch.setattr(masks, "find_object", None)
     monkeypatch.setattr(process, "_send_bundle", lambda connection, bundle: [])
     job = stage.start(scene_id=prepared[0], preset="fast", params={"stage_one.num_steps": "7"})
     folder = work(stage, job)

@@ -37,28 +37,18 @@ def solve_apart(
         "settings": _SETTINGS.dump_python(settings, mode="json"),
     }
     work.mkdir(parents=True, exist_ok=True)
-    with (work / "colmap.log").open("wb") as log:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "lambent_worker.poses.apart"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            text=True,
-        )
-    try:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        child.stdin.write(json.dumps(order))
-        child.stdin.close()
-        for line in child.stdout:
-            told = json.loads(line)
-            if "phase" in told:
+    command = [sys.executable, "-m", "lambent_worker.poses.apart"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with (work / "colmap.log").open("wb") as log, subprocess.Popen(command, stderr=log, **pipes) as child:
+        try:
+            child.stdin.write(json.dumps(order))
+            child.stdin.close()
+            for line in child.stdout:
+                told = json.loads(line)
                 progress(told["phase"], told["done"], told["total"])
-        code = child.wait()
-    finally:
-        if child.poll() is None:
+            code = child.wait()
+        finally:
             child.kill()
-        child.wait()
     if code:
         said = (work / "colmap.log").read_text(errors="replace").strip().splitlines()
         raise WorkerError(
