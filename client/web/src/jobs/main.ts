@@ -1,5 +1,6 @@
 /** The page of scenes, jobs and bundles: one stream of events, and one view at a time. */
 
+import { maskEditor } from "../masks/editor.js";
 import { button, explain } from "../page/actions.js";
 import { placeOf } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
@@ -40,7 +41,7 @@ async function show(): Promise<void> {
   let view: View;
   try {
     if (place.kind === "scene") view = await sceneView(context, place.id);
-    else if (place.kind === "masks") view = await masksView(context, place.id);
+    else if (place.kind === "masks") view = await masksView(context, place.id, maskEditor);
     else if (place.kind === "job") view = await jobView(context, place.id);
     else view = startView(context);
   } catch (error) {

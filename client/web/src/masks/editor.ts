@@ -1,6 +1,5 @@
 /** The editor of masks: all photographs, one of them large, and what was marked. */
 
-import { explain } from "../page/actions.js";
 import { h, section, setText } from "../page/dom.js";
 import { plural } from "../page/format.js";
 import { Applier, type ApplyState } from "./applier.js";
@@ -12,8 +11,10 @@ import { toolControls } from "./tools.js";
 
 export type EditorContext = {
   readonly backend: MaskBackend;
-  /** Report a problem; null takes the report back. */
+  /** Report a problem. */
   readonly fail: (error: unknown) => void;
+  /** What was reported is over. */
+  readonly recovered?: () => void;
   /** Of the button that ends the editing. */
   readonly finishLabel: string;
   readonly finished: (finished: Finished) => void;
@@ -97,7 +98,6 @@ class MaskEditor implements Editor {
     this.element = h(
       "div",
       { class: "masks" },
-      h("h1", { tabindex: -1 }, "Correct the masks"),
       h(
         "p",
         {},
@@ -250,7 +250,7 @@ class MaskEditor implements Editor {
       this.context.fail(state.error);
       return;
     }
-    this.context.fail(null);
+    this.context.recovered?.();
     if (state.kind === "applying") {
       const began = performance.now();
       const text = `Carrying the marks to all ${this.#frames.length} photographs …`;
@@ -290,11 +290,6 @@ class MaskEditor implements Editor {
       this.context.fail(error);
     }
   }
-}
-
-/** Return what to tell about an error, or null where there is none. */
-export function told(error: unknown): string | null {
-  return error === null ? null : explain(error);
 }
 
 function button(text: string, key: string, act: () => void): HTMLButtonElement {

@@ -139,7 +139,7 @@ def test_strangers_get_nothing(visitor: Visitor, desk: Desk):
     assert not desk.done.is_set()
     own = f"http://127.0.0.1:{visitor.parts.port}"
     assert visitor.edit("finish", MARKED, origin=own)[0] == 200
-    assert desk.done.is_set()
+    assert desk.done.wait(10.0)
 
 
 @pytest.mark.slow
