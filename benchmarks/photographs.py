@@ -30,6 +30,8 @@ from lambent_worker.files import read_record
 from lambent_worker.poses.capture import RECORD, solve_capture
 from lambent_worker.poses.solve import PoseSettings
 from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.photographs import CAMERAS_FILE, read_capture
+from lambent_worker.scenes.problems import Problems
 from numpy import ndarray
 from PIL import Image
 
@@ -38,8 +40,10 @@ from benchmarks.pose_errors import Similarity, pose_errors, similarity
 from benchmarks.tabletop_truth import (
     HeldOut,
     held_out_views,
+    as_stored,
     pose,
     read_coverage,
+    stored_pose,
     true_cameras,
     unseen_lights,
     write_known,
@@ -66,7 +70,7 @@ def camera_scores(
     if len(common) < 3:
         return scores
     rotation, centre = pose_errors(
-        np.array([found[stem] for stem in common]), np.array([pose(true[stem]) for stem in common])
+        np.array([found[stem] for stem in common]), np.array([stored_pose(true[stem]) for stem in common])
     )
     return scores | {
         "rotation_deg_median": float(np.median(rotation)),
@@ -76,9 +80,15 @@ def camera_scores(
     }
 
 
-def solved_cameras(folder: Path) -> dict[str, Float[ndarray, "4 4"]]:
-    """Return camera-to-world by stem of the photographs of any capture that Lambent reads."""
-    frames = describe_scene(folder).frames
+def solved_cameras(folder: Path, pictures: Path) -> dict[str, Float[ndarray, "4 4"]]:
+    """Return camera-to-world by stem of the photographs of any capture that Lambent reads.
+
+    `folder` may also be the cameras that a run has found for the photographs in `pictures`.
+    """
+    if (folder / CAMERAS_FILE).is_file():
+        frames = read_capture(pictures, Problems(), folder).frames
+    else:
+        frames = describe_scene(folder).frames
     return {
         Path(frame.images[0].path).stem: np.array(frame.camera.camera_to_world).reshape(4, 4)
         for frame in frames
@@ -100,6 +110,7 @@ def mask_scores(masks: Path, capture: Path) -> dict[str, Any]:
     iou = {}
     for stem in common:
         true, mine = read_coverage(truth[stem]), read_coverage(found[stem])
+        true = as_stored(true, true_cameras(capture)[stem]["orientation"])
         if mine.shape != true.shape:
             resized = Image.fromarray(mine.astype(np.float32)).resize(
                 true.shape[::-1], Image.Resampling.BILINEAR
@@ -210,8 +221,8 @@ def score(capture: Path, options: argparse.Namespace) -> dict[str, Any]:
     if not options.cameras:
         scores |= {"solve_s": time.perf_counter() - began, "solve_cpu_s": time.process_time() - cpu}
     if folder is not None:
-        scores |= camera_scores(solved_cameras(folder), capture, options.few)
-        recorded = read_record(folder / RECORD)
+        scores |= camera_scores(solved_cameras(folder, capture / options.few), capture, options.few)
+        recorded = read_record(folder / CAMERAS_FILE) or read_record(folder / RECORD)
         if "reprojection_error_px" in recorded:
             scores["reprojection_error_px"] = recorded["reprojection_error_px"]
     if options.masks:

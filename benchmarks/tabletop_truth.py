@@ -18,6 +18,11 @@ from numpy import ndarray
 from PIL import Image, ImageOps
 
 
+QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+_TURNS = {1: 0, 6: 1, 8: 3}
+"""Quarter turns to the left that take an upright picture to the stored one, by EXIF orientation."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HeldOut:
     """A view that was not photographed."""
@@ -40,6 +45,18 @@ def true_cameras(capture: Path) -> dict[str, dict[str, Any]]:
 def pose(entry: dict[str, Any]) -> Float[ndarray, "4 4"]:
     """Return the camera-to-world matrix of an entry."""
     return np.array(entry["camera_to_world"], np.float64)
+
+
+def stored_pose(entry: dict[str, Any]) -> Float[ndarray, "4 4"]:
+    """Return the camera-to-world matrix of the picture as its file stores it, which may be lying down."""
+    turned = np.eye(4)
+    turned[:2, :2] = np.linalg.matrix_power(QUARTER_TURN, _TURNS[entry["orientation"]])
+    return pose(entry) @ turned
+
+
+def as_stored(upright: Float[ndarray, "h w"], orientation: int) -> Float[ndarray, "stored_h stored_w"]:
+    """Return an upright picture as a file of that EXIF orientation stores it."""
+    return np.rot90(upright, _TURNS[orientation])
 
 
 def read_coverage(path: Path) -> Float[ndarray, "height width"]:

@@ -5,8 +5,8 @@
 Needs Mitsuba 3 (in the `dev` extra) and an LLVM library (Debian: `apt-get install libllvm19`). Each capture
 becomes FOLDER/<name> when it is complete: `photographs/` (JPEG with EXIF and nothing else), `photographs-16/`
 (sixteen of them), and `truth/` (`tabletop/truth.py` says what is in it). Until then it grows in
-FOLDER/<name>.partial; started again, the program goes on where it stopped. The same options give the same
-pictures.
+FOLDER/<name>.partial; started again, the program goes on where it stopped. The sixteen of every capture are taken
+first. The same options give the same pictures.
 """
 
 import argparse
@@ -29,10 +29,11 @@ if TYPE_CHECKING:
     from tabletop.phone import Exposure
 
 SMALL = {
-    "only": "sheet",
-    "size": 480,
-    "views": 14,
-    "spp": 48,
+    "only": "carpet",
+    "size": 448,
+    "views": 20,
+    "quality": 80,
+    "spp": 32,
     "cells": 128,
     "held_out": 2,
     "held_out_size": 192,
@@ -50,6 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--held-out", type=int, default=4, help="views with truth that are not photographed")
     parser.add_argument("--held-out-size", type=int, default=800, help="pixels of their longer side")
+    parser.add_argument("--quality", type=int, default=92, help="of JPEGs")
     parser.add_argument("--spp", type=int, default=16, help="paths per pixel of a photograph's object")
     parser.add_argument("--truth-spp", type=int, default=128, help="paths per pixel of relit pictures")
     parser.add_argument("--cells", type=int, default=320, help="cells along the object's longest side")
@@ -64,16 +66,23 @@ def main(arguments: list[str] | None = None) -> None:
 
     if options.only and options.only not in CAPTURES:
         parser.error(f"there is no capture {options.only!r}; there are {', '.join(CAPTURES)}")
-    for name in [options.only] if options.only else list(CAPTURES):
+    names = [options.only] if options.only else list(CAPTURES)
+    for name in names if len(names) > 1 else []:
+        make(name, options, few_alone=True)
+    for name in names:
         make(name, options)
 
 
-def make(name: str, options: argparse.Namespace) -> None:
-    """Make one capture, where it is not complete yet."""
+def make(name: str, options: argparse.Namespace, *, few_alone: bool = False) -> None:
+    """Make one capture, where it is not complete yet; `few_alone`: only its sixteen photographs for now."""
     final, partial = options.output / name, options.output / f"{name}.partial"
+    if few_alone and (final.is_dir() or (partial / "photographs-16").is_dir()):
+        return
     if not (final / "truth" / "cameras.json").is_file():
         partial.mkdir(parents=True, exist_ok=True)
-        photographs(name, partial, options)
+        photographs(name, partial, options, few_alone=few_alone)
+        if few_alone:
+            return
         partial.rename(final)
         print(f"{name}: photographs done", flush=True)
     if not options.no_truth and not (final / "truth" / "scene.json").is_file():
@@ -81,8 +90,8 @@ def make(name: str, options: argparse.Namespace) -> None:
         print(f"{name}: truth done", flush=True)
 
 
-def photographs(name: str, folder: Path, options: argparse.Namespace) -> None:
-    """Take the photographs that are missing, and write cameras and masks."""
+def photographs(name: str, folder: Path, options: argparse.Namespace, *, few_alone: bool) -> None:
+    """Take the photographs that are missing, all or the few, and write cameras and masks."""
     from tabletop.captures import CAPTURES, Stage
     from tabletop.phone import develop, write_photograph
     from tabletop.photograph import photograph
@@ -106,11 +115,13 @@ def photographs(name: str, folder: Path, options: argparse.Namespace) -> None:
         seen = photograph(scene, thing, shot.camera, options.spp, seed, 8.0 / exposure.factor)
         write_png(masks / f"{stem}.png", seen[..., 3:])
         picture = develop(seen[..., :3], exposure, seed)
-        write_photograph(pictures / names[k], picture, exposure, shot.orientation, k)
+        write_photograph(pictures / names[k], picture, exposure, shot.orientation, k, options.quality)
         print(f"{name} {stem} {time.perf_counter() - began:.0f} s", flush=True)
         if sorted(path.name for path in pictures.glob("*.jpg")) == few:
             write_cameras(folder, stage, shots, exposures, few)
             print(f"{name}: photographs-16 done", flush=True)
+            if few_alone:
+                return
     write_cameras(folder, stage, shots, exposures, few)
 
 

@@ -85,8 +85,8 @@ def rounds(num_views: int) -> list[tuple[int, float]]:
 
 def sixteen(num_views: int) -> list[int]:
     """Return which of a walk's photographs would do alone: a middle round, and some from above."""
-    if num_views <= 16:
-        return list(range(num_views))
+    if num_views < 24:
+        return np.linspace(0, num_views, min(num_views, 16), endpoint=False).astype(int).tolist()
     (low, _), (mid, _), (top, _) = rounds(num_views)
     round_of = np.linspace(low, low + mid, min(mid, 14), endpoint=False).astype(int)
     above = np.linspace(low + mid, num_views, min(16 - len(round_of), top), endpoint=False).astype(int)

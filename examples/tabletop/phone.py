@@ -67,7 +67,12 @@ def develop(radiance: np.ndarray, exposure: Exposure, seed: int) -> np.ndarray:
 
 
 def write_photograph(
-    path: Path, picture: np.ndarray, exposure: Exposure, orientation: int, number: int
+    path: Path,
+    picture: np.ndarray,
+    exposure: Exposure,
+    orientation: int,
+    number: int,
+    quality: int = QUALITY,
 ) -> None:
     """Write an upright picture as a JPEG whose pixels lie as EXIF's `orientation` says."""
     stored = {1: picture, 6: np.rot90(picture, 1), 8: np.rot90(picture, -1)}[orientation]
@@ -90,5 +95,5 @@ def write_photograph(
         }
     )
     partial = path.with_suffix(".partial")
-    image.save(partial, "JPEG", quality=QUALITY, subsampling=2, exif=exif)
+    image.save(partial, "JPEG", quality=quality, subsampling=2, exif=exif)
     os.replace(partial, path)

@@ -56,6 +56,11 @@ class ConsensusSettings:
     """Vote of a view for a cell outside its picture."""
     scale: float = 6.0
     """Votes for a cell that are worth one unit of log odds in a pixel."""
+    standing: float = 0.0
+    """Votes of each view for a cell below the object, on a support: what is above it has to stand on
+    something."""
+    most_standing: float = 0.0
+    """Sum of votes up to which these count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +155,8 @@ def agree(
         for view, mark in given.known.marks.items() if given is not None else ():
             votes[view] = _outvoted(votes[view], mark, grid.pixels[view], len(views))
         total = np.sum(votes, axis=0)
+        if given is not None and settings.standing > 0.0:
+            total = _with_what_stands_below(total, grid.lattice, len(views), settings)
         solid = total > 0.0
         if given is not None:
             solid = main_parts(solid, grid.lattice, given.focus, distance)
@@ -251,6 +258,20 @@ def _votes(
     )
     # The last entry is what the index -1 finds.
     return np.append(vote, settings.unseen).astype(np.float32)[grid.pixels[view]]
+
+
+def _with_what_stands_below(
+    total: Float[ndarray, " cells"], lattice: Lattice, num_views: int, settings: ConsensusSettings
+) -> Float[ndarray, " cells"]:
+    """Return the votes with those for cells that have something of the object above them.
+
+    The third axis of the lattice points away from the support.
+    """
+    cells = total.reshape(lattice.shape)
+    solid = cells > 0.0
+    covered = np.maximum.accumulate(solid[..., ::-1], axis=2)[..., ::-1] & ~solid
+    raised = np.minimum(cells + settings.standing * num_views, settings.most_standing)
+    return np.where(covered, np.maximum(raised, cells), cells).ravel()
 
 
 def _outvoted(

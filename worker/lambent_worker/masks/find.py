@@ -46,7 +46,9 @@ class FindSettings:
     weak_reach: float = 0.7
     """Four fifths of the points on a support reach so far, as a share of half the pictures' diagonal, or it
     may be a part of the object, and masks without it are tried as well."""
-    clear: float = 0.01
+    standing: tuple[tuple[float, float], ...] = ((1.2, 20.0),)
+    """Votes that what is below the object is the object, tried one after the other (`standing`)."""
+    clear: float = 0.02
     """How much better than those before it a candidate's masks must agree."""
     enough: float = 0.93
     """Agreement of the masks from which on no further candidate is tried."""
@@ -86,7 +88,7 @@ def find_object(
     if plane is not None:
         support, footprint = _support(plane, views, points, centre, distance, settings, progress)
         start = _Start(photographs, support, footprint, centre, distance, settings.compare_side)
-        kinds = (settings.support, settings.support.gentle())
+        kinds = [settings.support, *(settings.support.standing(*votes) for votes in settings.standing)]
         candidates.extend(partial(_above, start, kind) for kind in kinds)
     if plane is None or plane.reach < settings.weak_reach * _field(photographs) * distance:
         candidates.append(lambda: _by_agreement(photographs, views, centre, distance, settings))

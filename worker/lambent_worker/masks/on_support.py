@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 from lambent_worker.masks.consensus import (
@@ -33,6 +33,8 @@ class SupportSettings:
 
     turns: int = 3
     """How often orthophoto and object are found by turns."""
+    stands: bool = False
+    """Whether the support below the object is unknown until views agree on it."""
     reach: float = 0.5
     """Half the side of the box that is searched, and its height is twice this."""
     ground: float = 0.9
@@ -59,13 +61,18 @@ class SupportSettings:
     )
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
-    def gentle(self) -> "SupportSettings":
-        """Return settings for an object that looks like its support: looking like it says little."""
+    def standing(self, votes: float, most: float) -> "SupportSettings":
+        """Return settings for an object that looks like its support.
+
+        Nothing is believed to be seen of the support below the object, as long as views do not agree on what
+        they see there; and what is below the object is likely the object (`ConsensusSettings.standing`).
+        """
         return replace(
             self,
-            prediction=replace(self.prediction, least_odds=-1.2),
-            rounds=replace(self.rounds, against=0.7),
-            first_rounds=replace(self.first_rounds, against=0.7),
+            turns=self.turns + 1,
+            stands=True,
+            rounds=replace(self.rounds, standing=votes, most_standing=most),
+            first_rounds=replace(self.first_rounds, standing=votes, most_standing=most),
         )
 
 
@@ -107,7 +114,11 @@ def find_on_support(
         objects = None
         if beliefs is not None:
             objects = learn_colours(seen.colours, beliefs, given.known).objects
-            ortho = uncovered(support, ortho, objects, distance)
+            if settings.stands:
+                covered = _below(support.grid, agreement)
+                ortho.known[covered] = 0.0
+                ortho.hidden[covered] = True
+            ortho = uncovered(support, ortho, beliefs, objects, distance)
         odds = [support_odds(support, ortho, i, objects, settings.prediction) for i in range(len(views))]
         given = _given(small, support, ortho, odds, beliefs, distance, settings)
         if beliefs is None:
@@ -154,6 +165,18 @@ def first_footprint(
         middle = round(0.5 * grid.cells)
         cv2.circle(mask, (middle, middle), round(settings.first_radius * distance / grid.texel), 1, -1)
     return mask.astype(np.float32)
+
+
+def _below(grid: OrthoGrid, agreement: Agreement) -> Bool[ndarray, "cells cells"]:
+    """Return the texels of the support that are straight below the object."""
+    lattice = agreement.lattice
+    solid = (agreement.votes > 0.0).reshape(lattice.shape).any(axis=2)
+    places = lattice.low[:2] + (np.argwhere(solid) + 0.5) * lattice.spacing
+    half = int(np.ceil(0.5 * lattice.spacing / grid.texel))
+    covered = np.zeros((grid.cells, grid.cells), dtype=bool)
+    for column, row in np.round(grid.texels_of(places)).astype(int):
+        covered[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1] = True
+    return covered
 
 
 def _given(

@@ -101,7 +101,7 @@ def build(support: SupportViews, beliefs: Sequence[Float[ndarray, "rows columns"
 
     Source of the robust mean: Tukey's biweight, two steps from the median of up to 24 views.
     """
-    weights = [_free(support, number, beliefs) for number in range(len(support.views))]
+    weights = [free_of_object(support, number, beliefs) for number in range(len(support.views))]
     centre = _median(support, weights)
     spread = np.full((*centre.shape[:2], 2), 6.0, dtype=np.float32)
     known = np.zeros(centre.shape[:2], dtype=np.float32)
@@ -153,9 +153,10 @@ def _warp(picture: ndarray, maps: tuple[ndarray, ndarray]) -> ndarray:
     return np.asarray(cv2.remap(picture, *maps, cv2.INTER_LINEAR))
 
 
-def _free(
+def free_of_object(
     support: SupportViews, number: int, beliefs: Sequence[Float[ndarray, "rows columns"]] | None
 ) -> Float32[ndarray, "cells cells"]:
+    """Return 1 for texels that a view shows free of what is believed to be the object, else 0."""
     shown = (support.warped[number][..., 0] > 0).astype(np.float32)
     if beliefs is None:
         return shown
