@@ -1,16 +1,15 @@
 """Score what is made of the tabletop captures: cameras, masks, and pictures under lights never photographed.
 
     python -m benchmarks photographs SUITE/carpet SUITE/sheet -o OUT
-    python -m benchmarks photographs SUITE/* --cameras 'RUNS/{name}/cameras' \\
-        --masks 'RUNS/{name}/estimated_masks' --bundle 'RUNS/{name}/bundle'
+    python -m benchmarks photographs SUITE/* --run 'RUNS/{name}'
     python -m benchmarks photographs SUITE/* --write-known KNOWN
 
 The captures come from `examples/make_tabletop_capture.py`. Cameras are compared after the similarity that
 brings their centres closest to the true ones; without `--cameras` they are solved here, into OUT. Masks are
-compared by IoU, cut at one half. A bundle is relit in the unseen lights at the true held-out cameras, which
-the cameras it was trained with bring into its world; its albedo takes the median ratio to the truth.
-The object is relit alone, without what it stood on, and so is the truth. `--write-known` writes captures with
-true cameras and masks instead, to be trained for comparison.
+compared by IoU, cut at one half. The bundle of a run is relit in the unseen lights at the true held-out
+cameras, which the cameras it was trained with bring into its world; its albedo takes the median ratio to the
+truth. The object is relit alone, without what it stood on, and so is the truth. `--write-known` writes
+captures with true cameras and masks instead, to be trained for comparison.
 """
 
 import argparse
@@ -22,13 +21,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from lambent.truth import psnr
-from lambent_relight import Bundle, Camera, Environment, Renderer, environment_from_array, load_bundle
+from lambent_relight import Camera, Environment, Renderer, environment_from_array, load_bundle
 from lambent_relight.directions import pixel_directions
 from lambent_relight.images import srgb_from_linear
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import read_record
 from lambent_worker.poses.capture import RECORD, solve_capture
 from lambent_worker.poses.solve import PoseSettings
+from lambent_worker.run.capture import MANIFEST
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.photographs import CAMERAS_FILE, read_capture
 from lambent_worker.scenes.problems import Problems
@@ -39,8 +39,8 @@ from benchmarks.painted_scene import overlap
 from benchmarks.pose_errors import Similarity, pose_errors, similarity
 from benchmarks.tabletop_truth import (
     HeldOut,
-    held_out_views,
     as_stored,
+    held_out_views,
     pose,
     read_coverage,
     stored_pose,
@@ -49,7 +49,7 @@ from benchmarks.tabletop_truth import (
     write_known,
 )
 
-QUICK = "tests/data/tabletop/sheet --few photographs"
+QUICK = "tests/data/tabletop/carpet --few photographs"
 
 LIGHT_ROWS = 512
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -127,15 +127,17 @@ def mask_scores(masks: Path, capture: Path) -> dict[str, Any]:
     }
 
 
-def bundle_to_truth(bundle: Bundle, capture: Path) -> Similarity:
-    """Return the similarity from the bundle's world to the truth's, by the cameras of both."""
+def bundle_to_truth(run: Path, capture: Path) -> Similarity:
+    """Return the similarity from the world of a run and its bundle to the truth's, by the cameras of both."""
     true = true_cameras(capture)
-    found = {camera.name.partition(".")[0]: camera.camera_to_world for camera in bundle.cameras()}
-    found = {Path(name).name: matrix for name, matrix in found.items()}
+    # Where masks were estimated, the box around the object has been fitted to them.
+    fitted = run / "estimated_masks" / MANIFEST
+    frames = read_record(fitted if fitted.is_file() else run / "scene" / MANIFEST).get("frames", [])
+    found = {Path(frame["name"]).name.partition(".")[0]: frame["camera"] for frame in frames}
     common = sorted(set(true) & set(found))
     if len(common) < 3:
-        raise SystemExit(f"the bundle's cameras are not those of {capture.name}: {sorted(found)[:5]}")
-    centres = np.array([found[stem][:3, 3] for stem in common])
+        raise SystemExit(f"the cameras of {run} are not those of {capture.name}: {sorted(found)[:5]}")
+    centres = np.array([np.reshape(found[stem]["camera_to_world"], (4, 4))[:3, 3] for stem in common])
     return similarity(centres, np.array([pose(true[stem])[:3, 3] for stem in common]))
 
 
@@ -176,13 +178,13 @@ def median_ratio(renderer: Renderer, views: list[HeldOut], cameras: list[Camera]
     return np.median(found, axis=0)
 
 
-def relight_scores(bundle: Bundle, capture: Path, options: argparse.Namespace) -> dict[str, Any]:
+def relight_scores(run: Path, capture: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Return PSNR over held-out views by unseen light and their mean, and write what was compared to OUT."""
-    to_truth = bundle_to_truth(bundle, capture)
+    to_truth = bundle_to_truth(run, capture)
     lights = unseen_lights(capture)
     views = held_out_views(capture, list(lights), options.shrink)[: options.views]
     cameras = [brought_into(view.camera, to_truth) for view in views]
-    renderer = Renderer(bundle)
+    renderer = Renderer(load_bundle(run / "bundle"))
     ratio = median_ratio(renderer, views, cameras)
     scores: dict[str, Any] = {"albedo_ratio": ratio.tolist()}
     for name, light in lights.items():
@@ -196,7 +198,7 @@ def relight_scores(bundle: Bundle, capture: Path, options: argparse.Namespace) -
             found.append(psnr(mine, true))
             both = np.concatenate([mine, true], axis=1)
             sheet = Image.fromarray(np.round(255.0 * both).astype(np.uint8))
-            sheet.save(options.out / f"{capture.name}_{view.name}_{name}.png")
+            sheet.save(options.out / f"{capture.name}_{run.parent.name}_{view.name}_{name}.png")
         scores[f"relit_{name}_db"] = statistics.mean(found)
     scores["relit_db"] = statistics.mean(scores[f"relit_{name}_db"] for name in lights)
     return scores
@@ -215,20 +217,28 @@ def solved_here(capture: Path, options: argparse.Namespace) -> Path | None:
 
 def score(capture: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Return the scores of everything that is there for a capture."""
-    began, cpu = time.perf_counter(), time.process_time()
-    folder = _of(options.cameras, capture) if options.cameras else solved_here(capture, options)
     scores: dict[str, Any] = {}
-    if not options.cameras:
-        scores |= {"solve_s": time.perf_counter() - began, "solve_cpu_s": time.process_time() - cpu}
-    if folder is not None:
-        scores |= camera_scores(solved_cameras(folder, capture / options.few), capture, options.few)
-        recorded = read_record(folder / CAMERAS_FILE) or read_record(folder / RECORD)
+    if options.run:
+        run = _of(options.run, capture)
+        cameras, masks = run / "cameras", run / "estimated_masks" / "masks"
+        taken = read_record(run / "evaluation" / "report.json").get("seconds", {})
+        scores |= {f"{task}_s": seconds for task, seconds in taken.items()}
+    else:
+        run, masks = None, _of(options.masks, capture) if options.masks else None
+        began, cpu = time.perf_counter(), time.process_time()
+        cameras = _of(options.cameras, capture) if options.cameras else solved_here(capture, options)
+        if not options.cameras:
+            scores |= {"solve_s": time.perf_counter() - began, "solve_cpu_s": time.process_time() - cpu}
+    if cameras is not None and cameras.is_dir():
+        found = solved_cameras(cameras, capture / options.few)
+        scores |= camera_scores(found, capture, options.few)
+        recorded = read_record(cameras / CAMERAS_FILE) or read_record(cameras / RECORD)
         if "reprojection_error_px" in recorded:
             scores["reprojection_error_px"] = recorded["reprojection_error_px"]
-    if options.masks:
-        scores |= mask_scores(_of(options.masks, capture), capture)
-    if options.bundle:
-        scores |= relight_scores(load_bundle(_of(options.bundle, capture)), capture, options)
+    if masks is not None and masks.is_dir():
+        scores |= mask_scores(masks, capture)
+    if run is not None and (run / "bundle").is_dir():
+        scores |= relight_scores(run, capture, options)
     return scores
 
 
@@ -254,7 +264,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--few", default="photographs", help="photographs or photographs-16")
     parser.add_argument("--cameras", help="folder of found cameras, any layout; {name} is the capture's name")
     parser.add_argument("--masks", help="folder of estimated masks; {name} is the capture's name")
-    parser.add_argument("--bundle", help="bundle to relight; {name} is the capture's name")
+    parser.add_argument("--run", help="run folder, instead: its cameras, masks and bundle, where it has them")
     parser.add_argument("--write-known", type=Path, help="write captures with true cameras and masks here")
     parser.add_argument("--views", type=int, default=4, help="held-out views to relight")
     parser.add_argument("--samples", type=int, default=64, help="light directions per pixel")

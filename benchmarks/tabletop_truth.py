@@ -17,7 +17,6 @@ from lambent_worker.scenes.float_pictures import float_pixels
 from numpy import ndarray
 from PIL import Image, ImageOps
 
-
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 _TURNS = {1: 0, 6: 1, 8: 3}
 """Quarter turns to the left that take an upright picture to the stored one, by EXIF orientation."""
