@@ -27,6 +27,10 @@ from lambent_worker.masks.prediction import PredictionSettings, support_odds
 from lambent_worker.masks.support_plane import SupportPlane
 
 
+STANDING_LEAST_ODDS = -3.0
+"""How sure what looks like the support is the support, for an object that looks like it, too."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SupportSettings:
     """Settings of the search above a support; lengths are shares of the cameras' distance."""
@@ -71,6 +75,7 @@ class SupportSettings:
             self,
             turns=self.turns + 1,
             stands=True,
+            prediction=replace(self.prediction, least_odds=STANDING_LEAST_ODDS),
             rounds=replace(self.rounds, standing=votes, most_standing=most),
             first_rounds=replace(self.first_rounds, standing=votes, most_standing=most),
         )
