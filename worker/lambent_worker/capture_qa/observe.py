@@ -19,6 +19,7 @@ from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.scenes.colour_profile import in_srgb
 from lambent_worker.scenes.pictures import decode, is_linear, opened, read_coverage, read_pixels
 from lambent_worker.scenes.resample import reduced_size
+from lambent_worker.scenes.upright import upright_turns
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 _RIM = 3
@@ -51,7 +52,7 @@ class Observation:
     """Share of each pixel that the object covers, at silhouette size."""
     pictures: tuple[PictureObservation, ...]
     thumbnail: str
-    """JPEG, base64."""
+    """JPEG, base64, upright."""
 
     @property
     def mask(self) -> Bool[ndarray, "height width"]:
@@ -120,7 +121,13 @@ def _observe_frame(
         )
         if not thumbnail:
             coverage = small
-            thumbnail = thumbnail_of(encoded, alpha, is_linear=is_linear, side=limits.thumbnail_side)
+            turns = upright_turns(camera.camera_to_world)
+            thumbnail = thumbnail_of(
+                np.rot90(encoded, turns),
+                np.rot90(alpha, turns),
+                is_linear=is_linear,
+                side=limits.thumbnail_side,
+            )
     return Observation(
         frame=frame,
         camera=camera.resized(*size),

@@ -128,9 +128,10 @@ class DeskHandler(LoopbackHandler):
     def _capture(self) -> dict[str, Any]:
         editing = self._desk.editing
         doubtful = set(editing.last.doubtful)
+        sizes = {name: editing.size(name) for name in editing.work.names}
         frames = [
-            {"name": name, "width": camera.width, "height": camera.height, "doubtful": name in doubtful}
-            for name, camera in zip(editing.work.names, editing.work.cameras, strict=True)
+            {"name": name, "width": width, "height": height, "doubtful": name in doubtful}
+            for name, (width, height) in sizes.items()
         ]
         return {
             "frames": frames,

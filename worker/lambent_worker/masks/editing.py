@@ -17,6 +17,7 @@ from lambent_worker.masks.folder import DOUBTFUL_OVERLAP
 from lambent_worker.masks.photograph import Photograph
 from lambent_worker.masks.propagate import propagated, require_frames
 from lambent_worker.masks.workspace import Workspace
+from lambent_worker.scenes.upright import turned_size, upright_turns
 
 LARGEST_SIDE = 2400
 """Longer side of the largest pictures that are made, pixels."""
@@ -95,6 +96,15 @@ class Editing:
             reason=work.reason,
         )
 
+    def turns(self, name: str) -> int:
+        """Return by how many quarter turns to the left a frame's picture and mask are shown upright."""
+        return upright_turns(self.work.cameras[self._numbers[name]].camera_to_world)
+
+    def size(self, name: str) -> tuple[int, int]:
+        """Return width and height of a photograph, upright."""
+        camera = self.work.cameras[self._numbers[name]]
+        return turned_size((camera.width, camera.height), self.turns(name))
+
     def has(self, name: str) -> bool:
         """Return whether there is a frame of this name."""
         return name in self._numbers
@@ -104,20 +114,21 @@ class Editing:
         require_frames(self.work, corrections)
 
     def mask_png(self, name: str) -> bytes:
-        """Return the mask of a frame as a small grey PNG, 0 or 255; all 0 before `apply` was called."""
+        """Return the mask of a frame as a small grey PNG, upright, 0 or 255; all 0 before `apply` was called."""
         number = self._numbers[name]
         mask = self._masks[number]
         if mask is None:
             mask = np.zeros(self.work.pictures[number].shape[:2], dtype=bool)
-        return _encoded(Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)), "PNG")
+        shown = np.rot90(np.where(mask, 255, 0).astype(np.uint8), self.turns(name))
+        return _encoded(Image.fromarray(np.ascontiguousarray(shown)), "PNG")
 
     def picture_jpeg(self, name: str, side: int) -> bytes:
-        """Return a photograph as JPEG, its longer side at most `side` and at most `LARGEST_SIDE` pixels."""
+        """Return a photograph as JPEG, upright, its longer side at most `side` and at most `LARGEST_SIDE` pixels."""
         side = min(max(side, 16), LARGEST_SIDE)
         picture = self.work.pictures[self._numbers[name]]
         if side > max(picture.shape[:2]):
             picture = self._photographs[name].reduced(side).image_srgb
-        image = Image.fromarray(np.ascontiguousarray(picture))
+        image = Image.fromarray(np.ascontiguousarray(np.rot90(picture, self.turns(name))))
         image.thumbnail((side, side), Image.Resampling.BOX)
         return _encoded(image, "JPEG", quality=_QUALITY)
 

@@ -31,6 +31,7 @@ from lambent_worker.masks.propagate import propagated
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.resample import reduced_size
+from lambent_worker.scenes.upright import upright_turns
 
 MASKS, SHEET = "masks", "masks.jpg"
 VIEW_SIDE = 512
@@ -206,14 +207,16 @@ def _small_view(view: MaskView, side: int) -> MaskView:
 def contact_sheet(
     views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]], reason: str = ""
 ) -> Image.Image:
-    """Return all pictures, small, with the background dimmed, the outline drawn and the frame's name.
+    """Return all pictures, small and upright, with the background dimmed, outlines and the frames' names.
 
     `reason` says at the top why the masks are not to be believed.
     """
     thumbnails = []
     for view, coverage in zip(views, coverages, strict=True):
         fitted = resized(coverage.astype(np.float32), (view.camera.width, view.camera.height))
-        thumbnails.append(outlined_picture(view.image_srgb, fitted, _THUMBNAIL_SIDE, _BEHIND))
+        turns = upright_turns(view.camera.camera_to_world)
+        picture, fitted = (np.ascontiguousarray(np.rot90(each, turns)) for each in (view.image_srgb, fitted))
+        thumbnails.append(outlined_picture(picture, fitted, _THUMBNAIL_SIDE, _BEHIND))
     width = max(each.shape[1] for each in thumbnails) + 4
     height = max(each.shape[0] for each in thumbnails) + _LABEL_HEIGHT + 4
     columns = min(_COLUMNS, len(thumbnails))

@@ -7,7 +7,8 @@
     <out>/pictures/<frame>.jpg   longer side at most `SIDE` pixels
     <out>/masks/<frame>.png      as large as the picture, 0 background to 255 object
 
-Sizes in frames.json are those of the photographs, in which corrections are given. `overlap` is how well a
+Pictures and masks are turned upright. Sizes in frames.json are those of the upright photographs, in which
+corrections are given. `overlap` is how well a
 mask agrees with what the others make of it, 0..1, of the capture the median; `reason` says why masks are not
 to be believed. Masks that the capture brings cannot be corrected (`editable` is false, nothing is compared).
 """
@@ -40,6 +41,7 @@ from lambent_worker.masks.final import preview_masks
 from lambent_worker.masks.folder import DOUBTFUL_OVERLAP, SHEET, contact_sheet
 from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.pictures import read_coverage
+from lambent_worker.scenes.upright import turned_size, upright_turns
 
 VERSION = 1
 SIDE = 640
@@ -114,15 +116,18 @@ def _write(
     overlap = judgement.overlap
     frames: list[dict[str, Any]] = []
     for number, (view, coverage) in enumerate(zip(views, coverages, strict=True)):
+        turns = upright_turns(view.camera.camera_to_world)
+        width, height = turned_size(sizes[number], turns)
         entry: dict[str, Any] = {
             "name": view.name,
-            "width": sizes[number][0],
-            "height": sizes[number][1],
+            "width": width,
+            "height": height,
             "picture": f"{PICTURES}/{view.name}.jpg",
             "mask": f"{MASKS}/{view.name}.png",
         }
-        Image.fromarray(view.image_srgb).save(out / entry["picture"], quality=_QUALITY)
-        Image.fromarray(np.round(255.0 * coverage).astype(np.uint8)).save(out / entry["mask"])
+        picture, mask = np.rot90(view.image_srgb, turns), np.rot90(np.round(255.0 * coverage), turns)
+        Image.fromarray(np.ascontiguousarray(picture)).save(out / entry["picture"], quality=_QUALITY)
+        Image.fromarray(np.ascontiguousarray(mask.astype(np.uint8))).save(out / entry["mask"])
         if overlap is not None:
             entry["overlap"] = round(float(overlap[number]), 4)
         frames.append(entry)

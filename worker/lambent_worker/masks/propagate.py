@@ -27,6 +27,7 @@ from lambent_worker.masks.corrections import Correction, reduced_seeds, seeds_of
 from lambent_worker.masks.cut import LIMIT
 from lambent_worker.masks.evidence import Known
 from lambent_worker.masks.workspace import Workspace
+from lambent_worker.scenes.upright import turned_size, upright_turns
 
 _TURNED = 0.3
 """Log odds that the other views must have for something, or against it, to be sure of it."""
@@ -168,10 +169,12 @@ def _seeds(work: Workspace, corrections: Sequence[Correction]) -> dict[int, Int8
     for number, name in enumerate(work.names):
         rows, columns = work.pictures[number].shape[:2]
         camera = work.cameras[number]
-        scale = (columns / camera.width, rows / camera.height)
-        own = seeds_of(corrections, name, (columns, rows), scale)
+        turns = upright_turns(camera.camera_to_world)
+        size = turned_size((columns, rows), turns)
+        full = turned_size((camera.width, camera.height), turns)
+        own = seeds_of(corrections, name, size, (size[0] / full[0], size[1] / full[1]))
         if own is not None:
-            seeds[number] = own
+            seeds[number] = np.ascontiguousarray(np.rot90(own, -turns))
     return seeds
 
 

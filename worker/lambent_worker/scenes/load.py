@@ -1,5 +1,7 @@
 """Loads the pictures of a described capture into memory, reduced and in linear light."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -9,13 +11,14 @@ from jaxtyping import Float32, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
-from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_synthetic
+from lambent_worker.scenes import glossy_synthetic, openillumination, photographs, tensoir_synthetic
 from lambent_worker.scenes.crop import Box, cropped, object_crop, whole_frame
 from lambent_worker.scenes.kept_pictures import Pictures, kept
 from lambent_worker.scenes.light_turns import light_turn
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
+from lambent_worker.scenes.upright import turned_pose, upright_turns
 from lambent_worker.scenes.world import rotation_and_scale, world_matrix
 
 CropRule = Literal["object", "frame"]
@@ -38,7 +41,8 @@ def load_scene(
     averaged over the area of each new pixel, in linear light and weighted by alpha, and pictures through a
     lens with distortion are resampled to the frame's pinhole camera. Ground truth is loaded
     for test views only, since training must not see it. A frame's mask limits the alpha of its photographs,
-    and its exposure factor brings them to the exposure of the first frame. Pictures that were much reduced
+    and its exposure factor brings them to the exposure of the first frame. Photographs whose cameras were
+    found here, not given, are turned upright with them. Pictures that were much reduced
     are kept in the folder `store`, if one is given, and taken from there the next time. Raises `WorkerError`
     with a `scene.*` code when a file cannot be read.
     """
@@ -55,6 +59,7 @@ def load_scene(
                 cut_out=crop == "object" and is_cut_out(manifest, frame),
                 store=store,
                 turn=light_turn(manifest, frame),
+                upright=manifest.layout == photographs.NAME,
             ),
         )
         for frame in manifest.frames
@@ -112,6 +117,7 @@ def _load_view(
     cut_out: bool,
     store: Path | None,
     turn: Float64[ndarray, "3 3"] | None,
+    upright: bool,
 ) -> View:
     def make() -> Pictures:
         return _pictures(folder, frame, max_side, cut_out=cut_out)
@@ -120,7 +126,7 @@ def _load_view(
     found = make() if store is None else kept(store, folder, frame, settings, make)
     part = cropped(frame.camera, found.box)
     size = reduced_size(part.camera.width, part.camera.height, max_side)
-    return View(
+    view = View(
         name=frame.name,
         camera=_camera(part.camera).resized(*size),
         images=found.images,
@@ -128,6 +134,42 @@ def _load_view(
         truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
         margins=_margins(frame.camera, found.box, size),
         light_turn=turn,
+    )
+    return turned(view, upright_turns(view.camera.camera_to_world)) if upright else view
+
+
+def turned(view: View, turns: int) -> View:
+    """Return a view whose pictures, and camera, are turned to the left by so many quarters."""
+    turns %= 4
+    if not turns:
+        return view
+
+    def left(pictures: Mapping[str, ndarray]) -> dict[str, ndarray]:
+        return {name: np.ascontiguousarray(np.rot90(each, turns)) for name, each in pictures.items()}
+
+    camera, margins = view.camera, view.margins
+    focal, centre = (camera.focal_x, camera.focal_y), (camera.centre_x, camera.centre_y)
+    sides = (margins.left, margins.top, margins.right, margins.bottom)
+    width, height = camera.width, camera.height
+    for _ in range(turns):
+        focal, centre = focal[::-1], (centre[1], width - centre[0])
+        width, height = height, width
+        sides = (*sides[1:], sides[0])
+    return replace(
+        view,
+        camera=Camera(
+            width=width,
+            height=height,
+            focal_x=focal[0],
+            focal_y=focal[1],
+            centre_x=centre[0],
+            centre_y=centre[1],
+            camera_to_world=turned_pose(camera.camera_to_world, turns),
+        ),
+        images=left(view.images),
+        clipped=left(view.clipped),
+        truth=left(view.truth),
+        margins=Margins(left=sides[0], top=sides[1], right=sides[2], bottom=sides[3]),
     )
 
 
