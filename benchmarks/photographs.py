@@ -268,7 +268,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--write-known", type=Path, help="write captures with true cameras and masks here")
     parser.add_argument("--views", type=int, default=4, help="held-out views to relight")
     parser.add_argument("--samples", type=int, default=64, help="light directions per pixel")
-    parser.add_argument("--shrink", type=int, default=2, help="times fewer pixels per side in relit pictures")
+    parser.add_argument("--shrink", type=int, default=1, help="times fewer pixels per side in relit pictures")
     parser.add_argument("--seed", type=int, default=0)
 
 

@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--size", type=int, default=1600, help="pixels of the longer side")
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--held-out", type=int, default=4, help="views with truth that are not photographed")
-    parser.add_argument("--held-out-size", type=int, default=800, help="pixels of their longer side")
+    parser.add_argument("--held-out-size", type=int, default=400, help="pixels of their longer side")
     parser.add_argument("--quality", type=int, default=92, help="of JPEGs")
     parser.add_argument("--spp", type=int, default=16, help="paths per pixel of a photograph's object")
     parser.add_argument("--truth-spp", type=int, default=128, help="paths per pixel of relit pictures")

@@ -7,9 +7,10 @@ The list is the whole state: undoing the last correction is leaving it out. As J
       {"frame": "IMG_0007", "label": "object", "box": [120, 80, 900, 700]}]}
 
 Coordinates are pixels of the photograph held upright (`scenes.upright`), x to the right and y down, the upper
-left corner of the picture being (0, 0). A stroke is a line through its points, `radius` wide on both sides, and says what it covers is.
-A box [left, top, right, bottom] labelled "background" says so of all inside of it; labelled "object" it says
-that the object is inside: everything outside the photograph's object boxes is background.
+left corner of the picture being (0, 0). A stroke is a line through its points, `radius` wide on both sides,
+and says what it covers is. A box [left, top, right, bottom] labelled "background" says so of all inside of
+it; labelled "object" it says that the object is inside: everything outside the photograph's object boxes is
+background.
 """
 
 import json

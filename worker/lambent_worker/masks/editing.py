@@ -114,7 +114,7 @@ class Editing:
         require_frames(self.work, corrections)
 
     def mask_png(self, name: str) -> bytes:
-        """Return the mask of a frame as a small grey PNG, upright, 0 or 255; all 0 before `apply` was called."""
+        """Return the mask of a frame as a small grey PNG, upright, 0 or 255; all 0 before `apply`."""
         number = self._numbers[name]
         mask = self._masks[number]
         if mask is None:
@@ -123,7 +123,7 @@ class Editing:
         return _encoded(Image.fromarray(np.ascontiguousarray(shown)), "PNG")
 
     def picture_jpeg(self, name: str, side: int) -> bytes:
-        """Return a photograph as JPEG, upright, its longer side at most `side` and at most `LARGEST_SIDE` pixels."""
+        """Return a photograph as JPEG, upright, longer side at most `side` and `LARGEST_SIDE` pixels."""
         side = min(max(side, 16), LARGEST_SIDE)
         picture = self.work.pictures[self._numbers[name]]
         if side > max(picture.shape[:2]):

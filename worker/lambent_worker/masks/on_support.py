@@ -26,7 +26,6 @@ from lambent_worker.masks.plane_maps import OrthoGrid
 from lambent_worker.masks.prediction import PredictionSettings, support_odds
 from lambent_worker.masks.support_plane import SupportPlane
 
-
 STANDING_LEAST_ODDS = -3.0
 """How sure what looks like the support is the support, for an object that looks like it, too."""
 
@@ -61,7 +60,7 @@ class SupportSettings:
         default_factory=lambda: ConsensusSettings(cells=64, rounds=2, refit_after=(0,))
     )
     rounds: ConsensusSettings = field(
-        default_factory=lambda: ConsensusSettings(cells=64, rounds=3, refit_after=(0,))
+        default_factory=lambda: ConsensusSettings(cells=64, rounds=3, refit_after=(0,), in_favour=0.35)
     )
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
@@ -76,7 +75,7 @@ class SupportSettings:
             turns=self.turns + 1,
             stands=True,
             prediction=replace(self.prediction, least_odds=STANDING_LEAST_ODDS),
-            rounds=replace(self.rounds, standing=votes, most_standing=most),
+            rounds=replace(self.rounds, in_favour=0.6, standing=votes, most_standing=most),
             first_rounds=replace(self.first_rounds, standing=votes, most_standing=most),
         )
 
