@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,8 @@ from support.analytic_scene import AnalyticScene, Sphere, Surface
 from tabletop.phone import Exposure, write_photograph
 
 from benchmarks.photographs import camera_scores, mask_scores, relight_scores, solved_cameras
-from benchmarks.pose_errors import Similarity, similarity
-from benchmarks.tabletop_truth import write_known
+from benchmarks.pose_errors import Similarity, pose_errors, similarity
+from benchmarks.tabletop_truth import pose, true_cameras, write_known
 
 STEMS = [f"IMG_{k + 1:04d}" for k in range(8)]
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -121,8 +122,11 @@ def test_the_known_capture_is_read_with_the_true_cameras(tmp_path, orientation):
     size = (24, 18) if orientation == 1 else (18, 24)
     capture = write_capture(tmp_path / "carpet", size, orientation)
     write_known(capture, "photographs", tmp_path / "known")
-    found = solved_cameras(tmp_path / "known")
-    assert camera_scores(found, capture, "photographs")["rotation_deg_max"] < 1e-3
+    found = solved_cameras(tmp_path / "known", capture / "photographs")
+    true = [pose(true_cameras(capture)[stem]) for stem in STEMS]
+    rotation, centre = pose_errors(np.array([found[stem] for stem in STEMS]), np.array(true))
+    assert rotation.max() < 1e-3
+    assert centre.max() < 1e-6
     manifest = describe_scene(tmp_path / "known")
     assert [(frame.camera.width, frame.camera.height) for frame in manifest.frames] == [size] * 8
     assert all((tmp_path / "known" / frame.mask).is_file() for frame in manifest.frames)
@@ -140,7 +144,7 @@ def sky(directions: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def relit(tmp_path_factory):
-    """Return a capture and the bundle of two balls whose albedo is twice the true one."""
+    """Return a capture and a run with the bundle of two balls whose albedo is twice the true one."""
     folder = tmp_path_factory.mktemp("relit")
     capture = write_capture(folder / "carpet")
     colours = [(0.8, 0.3, 0.2), (0.2, 0.5, 0.8)]
@@ -149,7 +153,9 @@ def relit(tmp_path_factory):
         for x, colour in zip((-0.5, 0.5), colours, strict=True)
     ]
     cameras = [Camera.centred(stem, 24, 18, 20.0, matrix) for stem, matrix in zip(STEMS, FOUND, strict=True)]
-    bundle = load_bundle(write_analytic_bundle(folder / "bundle", AnalyticScene(tuple(balls)), cameras))
+    run = folder / "run"
+    bundle = load_bundle(write_analytic_bundle(run / "bundle", AnalyticScene(tuple(balls)), cameras))
+    write_manifest(run, dict(zip(STEMS, FOUND, strict=True)))
     truth = capture / "truth"
     (truth / "scene.json").write_text(json.dumps({"test_envs": ["lamps"]}))
     (truth / "envmaps").mkdir()
@@ -170,7 +176,17 @@ def relit(tmp_path_factory):
         angle = 2.0 * np.arctan(0.5 * 48 / 40.0)
         lens = {"imw": 48, "imh": 36, "cam_angle_x": angle, "cam_transform_mat": pose}
         (view / "metadata.json").write_text(json.dumps(lens))
-    return capture, bundle
+    return capture, run
+
+
+def write_manifest(run: Path, cameras: dict[str, np.ndarray]) -> None:
+    """Write what a run knows of its frames' cameras."""
+    (run / "scene").mkdir(parents=True, exist_ok=True)
+    frames = [
+        {"name": stem, "camera": {"camera_to_world": matrix.ravel().tolist()}}
+        for stem, matrix in cameras.items()
+    ]
+    (run / "scene" / "manifest.json").write_text(json.dumps({"frames": frames}))
 
 
 def settings(out: Path) -> argparse.Namespace:
@@ -178,25 +194,31 @@ def settings(out: Path) -> argparse.Namespace:
 
 
 def test_a_perfect_bundle_in_another_world_is_relit_like_the_truth(relit, tmp_path):
-    capture, bundle = relit
-    scores = relight_scores(bundle, capture, settings(tmp_path))
+    capture, run = relit
+    scores = relight_scores(run, capture, settings(tmp_path))
     np.testing.assert_allclose(scores["albedo_ratio"], 0.5, rtol=0.03)
     assert scores["relit_db"] == scores["relit_lamps_db"] > 32.0
-    assert len(list(tmp_path.glob("carpet_test_*_lamps.png"))) == 2
+    assert len(list(tmp_path.glob("carpet_*_test_*_lamps.png"))) == 2
 
 
-def test_cameras_that_are_mixed_up_cost_decibels(relit, tmp_path, monkeypatch):
-    capture, bundle = relit
-    true = relight_scores(bundle, capture, settings(tmp_path))["relit_db"]
-    # The same pictures, of which two have each other's cameras.
-    cameras = bundle.cameras()
-    swapped = [cameras[k] for k in (1, 0, 2, 3, 4, 5, 6, 7)]
-    named = [Camera(**{**vars(camera), "name": stem}) for stem, camera in zip(STEMS, swapped, strict=True)]
-    monkeypatch.setattr(type(bundle), "cameras", lambda self: named)
-    assert relight_scores(bundle, capture, settings(tmp_path))["relit_db"] < true - 3.0
-    opposite = [
-        Camera(**{**vars(camera), "name": stem}) for stem, camera in zip(STEMS, swapped[::-1], strict=True)
-    ]
-    monkeypatch.setattr(type(bundle), "cameras", lambda self: opposite)
+def test_cameras_that_are_mixed_up_cost_decibels(relit, tmp_path):
+    capture, run = relit
+    true = relight_scores(run, capture, settings(tmp_path))["relit_db"]
+    mixed = tmp_path / "run"
+    shutil.copytree(run, mixed)
+    # The same bundle, of which two photographs have each other's cameras.
+    write_manifest(mixed, dict(zip(STEMS, FOUND[[1, 0, 2, 3, 4, 5, 6, 7]], strict=True)))
+    assert relight_scores(mixed, capture, settings(tmp_path))["relit_db"] < true - 3.0
+    write_manifest(mixed, dict(zip(STEMS, FOUND[[7, 6, 5, 4, 3, 2, 0, 1]], strict=True)))
     with pytest.raises(SystemExit, match="no pixel in common"):
-        relight_scores(bundle, capture, settings(tmp_path))
+        relight_scores(mixed, capture, settings(tmp_path))
+
+
+def test_the_fitted_world_of_estimated_masks_is_the_bundles(relit, tmp_path):
+    capture, run = relit
+    fitted = tmp_path / "run"
+    shutil.copytree(run, fitted)
+    true = relight_scores(run, capture, settings(tmp_path))["relit_db"]
+    shutil.move(fitted / "scene", fitted / "estimated_masks")
+    write_manifest(fitted, dict(zip(STEMS, TO_TRUTH.poses(FOUND), strict=True)))
+    assert relight_scores(fitted, capture, settings(tmp_path))["relit_db"] == true
