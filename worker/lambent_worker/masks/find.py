@@ -9,13 +9,15 @@ from functools import partial
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 from lambent_worker.masks.consensus import MaskView
 from lambent_worker.masks.estimate import EstimateSettings, agreed_masks, consistency_of, middle_of
 from lambent_worker.masks.final import preview_masks
 from lambent_worker.masks.lattice import SCENE
+from lambent_worker.masks.motion import SIDE as MOTION_SIDE
+from lambent_worker.masks.motion import find_motion
 from lambent_worker.masks.on_support import (
     OnSupport,
     SupportSettings,
@@ -62,12 +64,15 @@ def find_object(
     points: SparsePoints | None,
     settings: FindSettings,
     progress: Progress = lambda phase, done, total: None,
+    *,
+    still_background: bool = False,
 ) -> Workspace | str:
     """Return where the object is in each photograph, or why cameras like these cannot be compared.
 
     Where nothing was found, `Workspace.reason` says why; a person's marks may still show where it is.
     `points` are sparse points of the scene, with which the support is found; without them they are
-    triangulated.
+    triangulated. With `still_background` the object turned before a camera that stood still: what did not
+    move is not the object.
     """
     middle = middle_of(photographs)
     if isinstance(middle, str):
@@ -85,12 +90,15 @@ def find_object(
         views.append(photograph.reduced(side))
         progress("reading photographs", number + 1, len(photographs))
     candidates: list[Callable[[], Workspace | None]] = []
+    moved = _moved(views) if still_background else None
     if plane is not None:
         support, footprint = _support(plane, views, points, centre, distance, settings, progress)
-        start = _Start(photographs, support, footprint, centre, distance, settings.compare_side)
+        start = _Start(photographs, support, footprint, centre, distance, settings.compare_side, moved)
         kinds = [settings.support, *(settings.support.standing(*votes) for votes in settings.standing)]
         candidates.extend(partial(_above, start, kind) for kind in kinds)
-    if plane is None or plane.reach < settings.weak_reach * _field(photographs) * distance:
+    is_weak = plane is not None and plane.reach < settings.weak_reach * _field(photographs) * distance
+    # Before a camera that stood still all views agree best on what never moved.
+    if plane is None or (is_weak and moved is None):
         candidates.append(lambda: _by_agreement(photographs, views, centre, distance, settings))
     best, most = None, -1.0
     for number, make in enumerate(candidates):
@@ -147,13 +155,15 @@ class _Start:
     distance: float
     side: int
     """At which views are compared, pixels."""
+    moved: list[Bool[ndarray, "height width"]] | None = None
+    """Where each photograph shows something that moved before a camera that stood still."""
 
 
 def _above(start: _Start, chosen: SupportSettings) -> Workspace | None:
     views = start.support.views
     small = [_smaller(view, start.side) for view in views]
     found = find_on_support(
-        views, small, start.support, start.footprint, start.centre, start.distance, chosen
+        views, small, start.support, start.footprint, start.centre, start.distance, chosen, moved=start.moved
     )
     if found is None:
         return None
@@ -221,6 +231,22 @@ def _by_agreement(
         has_support=False,
         reason=found if isinstance(found, str) else "",
     )
+
+
+def _moved(views: Sequence[MaskView]) -> list[Bool[ndarray, "height width"]] | None:
+    """Return where views of a camera that stood still may show what turned, or None if nothing tells.
+
+    That is the convex hull of all that ever changed: a part that has the same colour from all sides changes
+    nothing where it always is.
+    """
+    found = find_motion([_smaller(view, MOTION_SIDE).image_srgb for view in views])
+    if found is None:
+        return None
+    changed = np.any(found.masks, axis=0)
+    hull = cv2.convexHull(np.argwhere(changed)[:, ::-1].astype(np.int32))
+    swept = cv2.fillConvexPoly(changed.astype(np.uint8), hull, 1)
+    sizes = [(view.camera.width, view.camera.height) for view in views]
+    return [cv2.resize(swept, size, interpolation=cv2.INTER_NEAREST) > 0 for size in sizes]
 
 
 def _smaller(view: MaskView, side: int) -> MaskView:

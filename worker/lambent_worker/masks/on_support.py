@@ -18,6 +18,7 @@ from lambent_worker.masks.consensus import (
     agree,
     prepare,
 )
+from lambent_worker.masks.cut import LIMIT
 from lambent_worker.masks.evidence import Known, learn_colours
 from lambent_worker.masks.footprint import uncovered
 from lambent_worker.masks.lattice import Frame
@@ -101,11 +102,13 @@ def find_on_support(
     settings: SupportSettings,
     prepared: Prepared | None = None,
     progress: Callable[[], None] = lambda: None,
+    moved: Sequence[Bool[ndarray, "height width"]] | None = None,
 ) -> OnSupport | None:
     """Return the object that stands on the support, or None where the views agree on none.
 
     `views` are those of `support`; `small` are the same at the size at which they are compared. `footprint`
-    is where the object is thought to stand at first, 0..1 for each texel.
+    is where the object is thought to stand at first, 0..1 for each texel. `moved` says which pixels of
+    `views` may show the object at all.
     """
     seen = prepare(small, edges=False) if prepared is None else prepared
     beliefs = None
@@ -124,6 +127,8 @@ def find_on_support(
                 ortho.hidden[covered] = True
             ortho = uncovered(support, ortho, beliefs, objects, distance)
         odds = [support_odds(support, ortho, i, objects, settings.prediction) for i in range(len(views))]
+        if moved is not None:
+            odds = [np.where(may, own, np.float32(-LIMIT)) for may, own in zip(moved, odds, strict=True)]
         given = _given(small, support, ortho, odds, beliefs, distance, settings)
         if beliefs is None:
             # Geometry first: colours are learnt from what differs from the support, not from a ball.

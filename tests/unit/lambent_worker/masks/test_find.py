@@ -5,9 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 from lambent_worker.errors import WorkerError
+from lambent_worker.masks.consensus import MaskView
 from lambent_worker.masks.corrections import Correction, corrections_from
 from lambent_worker.masks.final import FinalSettings, colours_of, final_mask, preview_masks
-from lambent_worker.masks.find import FindSettings, find_object
+from lambent_worker.masks.find import FindSettings, _moved, find_object
 from lambent_worker.masks.propagate import propagated
 from lambent_worker.masks.workspace import Workspace
 from support.ball_on_table import BallOnTable, ball_on_table
@@ -125,3 +126,22 @@ def test_work_is_told_and_can_be_stopped():
     assert told == [("reading photographs", n + 1, 8) for n in range(8)] + [
         ("looking at the support", n + 1, 8) for n in range(2)
     ]
+
+
+def test_what_turned_is_looked_for_where_anything_ever_changed():
+    generator = np.random.default_rng(0)
+    room = generator.integers(40, 220, (60, 80, 3)).astype(np.uint8)
+    camera = plain()[0].photographs[0].camera.resized(80, 60)
+    views = []
+    for number in range(12):
+        picture = room.copy()
+        picture[20:45, 30:50] = (180, 40, 30)  # Of one colour from all sides: nothing changes here ...
+        picture[26:42, 26 + 2 * number : 32 + 2 * number] = (20, 20, 200)  # ... but where this passes.
+        views.append(MaskView(f"v{number}", picture, camera))
+    moved = _moved(views)
+    assert moved is not None
+    assert all(np.array_equal(each, moved[0]) for each in moved)
+    assert moved[0][26:42, 30:40].all()
+    assert not moved[0][:14].any()
+    assert not moved[0][:, 60:].any()
+    assert _moved([MaskView(f"v{k}", room, camera) for k in range(12)]) is None

@@ -31,6 +31,7 @@ from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.run.spec import unused_corrections
 from lambent_worker.scenes.colmap_model import ModelError
 from lambent_worker.scenes.detect import fit_to_masks
+from lambent_worker.scenes.photographs import read_found_cameras
 
 PARTS = {
     "looking for points": (0.0, 0.12),
@@ -126,8 +127,14 @@ def _find(context: TaskContext) -> Workspace | str:
             f"the points of the sparse model cannot be used ({error}), so the table under the object is not "
             "found by them; export the model again",
         )
+    cameras = found_cameras(context.run_dir)
+    still = cameras is not None and read_found_cameras(cameras).static_background
     return find_object(
-        photographs_of(spec.scene, manifest), points, FindSettings(), lambda *step: _progress(context, *step)
+        photographs_of(spec.scene, manifest),
+        points,
+        FindSettings(),
+        lambda *step: _progress(context, *step),
+        still_background=still,
     )
 
 
