@@ -111,7 +111,7 @@ def collect_scene(
     check_names(capture.frames, problems)
     if problems.usable:  # else a picture may be left over because its camera is what is wrong
         report_extra_files(folder, capture.frames, capture.other_files, problems)
-    check_rig(capture.frames, problems)
+    check_rig(capture.frames, problems, found_here=layout == photographs.NAME)
     set_exposures(folder, capture.frames, capture.exposures, problems)
     manifest = scene_pb2.SceneManifest(
         schema_version=SCHEMA_VERSION,

@@ -12,8 +12,11 @@ from lambent_worker.scenes.problems import Problems
 MIN_TRAIN_FRAMES = 3
 
 
-def check_rig(frames: list[scene_pb2.Frame], problems: Problems) -> None:
-    """Note in `problems` what makes it impossible or unlikely to reconstruct anything from these cameras."""
+def check_rig(frames: list[scene_pb2.Frame], problems: Problems, *, found_here: bool = False) -> None:
+    """Note in `problems` what makes it impossible or unlikely to reconstruct anything from these cameras.
+
+    `found_here`: they are not what somebody gave, so the advice is about photographs.
+    """
     trained = [frame for frame in frames if frame.split == scene_pb2.SPLIT_TRAIN]
     if len(trained) < MIN_TRAIN_FRAMES:
         problems.error(
@@ -41,7 +44,7 @@ def check_rig(frames: list[scene_pb2.Frame], problems: Problems) -> None:
             f"{_fitting_convention(frames)}",
         )
         return
-    _check_sight(frames, centre, problems)
+    _check_sight(frames, centre, problems, found_here=found_here)
 
 
 def _fitting_convention(frames: list[scene_pb2.Frame]) -> str:
@@ -59,15 +62,23 @@ def _fitting_convention(frames: list[scene_pb2.Frame]) -> str:
     return ""
 
 
-def _check_sight(frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], problems: Problems) -> None:
+def _check_sight(
+    frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], problems: Problems, *, found_here: bool
+) -> None:
     poses = np.array([frame.camera.camera_to_world for frame in frames]).reshape(-1, 4, 4)
     sights = [_sight(frame.camera, pose, centre) for frame, pose in zip(frames, poses, strict=True)]
     depth, inside = np.array(sights).T
     if (depth < 0.0).mean() > 0.5:
+        advice = (
+            "the photographs were taken outwards, from one spot or around it: walk around the object, and "
+            "keep it in the picture"
+            if found_here
+            else f"check the axes of the poses{_fitting_convention(frames)}"
+        )
         problems.error(
             "scene.cameras_look_away",
             f"{int((depth < 0.0).sum())} of {len(frames)} cameras look away from the point they surround; "
-            f"check the axes of the poses{_fitting_convention(frames)}",
+            f"{advice}",
         )
         return
     blind = [frame for frame, ok in zip(frames, inside, strict=True) if not ok]
