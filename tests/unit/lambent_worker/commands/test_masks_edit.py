@@ -61,7 +61,12 @@ def test_a_person_corrects_the_masks_of_a_run_and_training_takes_them(tmp_path, 
     inner = np.s_[int(y) - 4 : int(y) + 4, int(x) - 4 : int(x) + 4]
     searches = []
     find = masks_task.find_object
-    monkeypatch.setattr(masks_task, "find_object", lambda *given: searches.append(1) or find(*given))
+
+    def counted(*given, **named):
+        searches.append(1)
+        return find(*given, **named)
+
+    monkeypatch.setattr(masks_task, "find_object", counted)
     run = tmp_path / "run"
     visits.append(box)
     result = call(tmp_path / "scene", "-o", run, "--edit")
