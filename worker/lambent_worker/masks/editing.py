@@ -17,7 +17,7 @@ from lambent_worker.masks.folder import DOUBTFUL_OVERLAP
 from lambent_worker.masks.photograph import Photograph
 from lambent_worker.masks.propagate import propagated, require_frames
 from lambent_worker.masks.workspace import Workspace
-from lambent_worker.scenes.upright import turned_size, upright_turns
+from lambent_worker.scenes.upright import turned_pixels, turned_size, upright_turns
 
 LARGEST_SIDE = 2400
 """Longer side of the largest pictures that are made, pixels."""
@@ -119,8 +119,8 @@ class Editing:
         mask = self._masks[number]
         if mask is None:
             mask = np.zeros(self.work.pictures[number].shape[:2], dtype=bool)
-        shown = np.rot90(np.where(mask, 255, 0).astype(np.uint8), self.turns(name))
-        return _encoded(Image.fromarray(np.ascontiguousarray(shown)), "PNG")
+        shown = turned_pixels(np.where(mask, 255, 0).astype(np.uint8), self.turns(name))
+        return _encoded(Image.fromarray(shown), "PNG")
 
     def picture_jpeg(self, name: str, side: int) -> bytes:
         """Return a photograph as JPEG, upright, longer side at most `side` and `LARGEST_SIDE` pixels."""
@@ -128,7 +128,7 @@ class Editing:
         picture = self.work.pictures[self._numbers[name]]
         if side > max(picture.shape[:2]):
             picture = self._photographs[name].reduced(side).image_srgb
-        image = Image.fromarray(np.ascontiguousarray(np.rot90(picture, self.turns(name))))
+        image = Image.fromarray(turned_pixels(picture, self.turns(name)))
         image.thumbnail((side, side), Image.Resampling.BOX)
         return _encoded(image, "JPEG", quality=_QUALITY)
 

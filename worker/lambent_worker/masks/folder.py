@@ -31,7 +31,7 @@ from lambent_worker.masks.propagate import propagated
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.resample import reduced_size
-from lambent_worker.scenes.upright import upright_turns
+from lambent_worker.scenes.upright import turned_pixels, upright_turns
 
 MASKS, SHEET = "masks", "masks.jpg"
 VIEW_SIDE = 512
@@ -215,7 +215,7 @@ def contact_sheet(
     for view, coverage in zip(views, coverages, strict=True):
         fitted = resized(coverage.astype(np.float32), (view.camera.width, view.camera.height))
         turns = upright_turns(view.camera.camera_to_world)
-        picture, fitted = (np.ascontiguousarray(np.rot90(each, turns)) for each in (view.image_srgb, fitted))
+        picture, fitted = (turned_pixels(each, turns) for each in (view.image_srgb, fitted))
         thumbnails.append(outlined_picture(picture, fitted, _THUMBNAIL_SIDE, _BEHIND))
     width = max(each.shape[1] for each in thumbnails) + 4
     height = max(each.shape[0] for each in thumbnails) + _LABEL_HEIGHT + 4

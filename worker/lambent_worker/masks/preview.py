@@ -8,9 +8,9 @@
     <out>/masks/<frame>.png      as large as the picture, 0 background to 255 object
 
 Pictures and masks are turned upright. Sizes in frames.json are those of the upright photographs, in which
-corrections are given. `overlap` is how well a
-mask agrees with what the others make of it, 0..1, of the capture the median; `reason` says why masks are not
-to be believed. Masks that the capture brings cannot be corrected (`editable` is false, nothing is compared).
+corrections are given. `overlap` is how well a mask agrees with what the others make of it, 0..1, of the
+capture the median; `reason` says why masks are not to be believed. Masks that the capture brings cannot be
+corrected (`editable` is false, nothing is compared).
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from lambent_worker.masks.final import preview_masks
 from lambent_worker.masks.folder import DOUBTFUL_OVERLAP, SHEET, contact_sheet
 from lambent_worker.masks.workspace import Workspace
 from lambent_worker.scenes.pictures import read_coverage
-from lambent_worker.scenes.upright import turned_size, upright_turns
+from lambent_worker.scenes.upright import turned_pixels, turned_size, upright_turns
 
 VERSION = 1
 SIDE = 640
@@ -125,9 +125,9 @@ def _write(
             "picture": f"{PICTURES}/{view.name}.jpg",
             "mask": f"{MASKS}/{view.name}.png",
         }
-        picture, mask = np.rot90(view.image_srgb, turns), np.rot90(np.round(255.0 * coverage), turns)
-        Image.fromarray(np.ascontiguousarray(picture)).save(out / entry["picture"], quality=_QUALITY)
-        Image.fromarray(np.ascontiguousarray(mask.astype(np.uint8))).save(out / entry["mask"])
+        mask = np.round(255.0 * coverage).astype(np.uint8)
+        Image.fromarray(turned_pixels(view.image_srgb, turns)).save(out / entry["picture"], quality=_QUALITY)
+        Image.fromarray(turned_pixels(mask, turns)).save(out / entry["mask"])
         if overlap is not None:
             entry["overlap"] = round(float(overlap[number]), 4)
         frames.append(entry)

@@ -27,7 +27,7 @@ from lambent_worker.masks.corrections import Correction, reduced_seeds, seeds_of
 from lambent_worker.masks.cut import LIMIT
 from lambent_worker.masks.evidence import Known
 from lambent_worker.masks.workspace import Workspace
-from lambent_worker.scenes.upright import turned_size, upright_turns
+from lambent_worker.scenes.upright import turned_pixels, turned_size, upright_turns
 
 _TURNED = 0.3
 """Log odds that the other views must have for something, or against it, to be sure of it."""
@@ -174,7 +174,7 @@ def _seeds(work: Workspace, corrections: Sequence[Correction]) -> dict[int, Int8
         full = turned_size((camera.width, camera.height), turns)
         own = seeds_of(corrections, name, size, (size[0] / full[0], size[1] / full[1]))
         if own is not None:
-            seeds[number] = np.ascontiguousarray(np.rot90(own, -turns))
+            seeds[number] = turned_pixels(own, -turns)
     return seeds
 
 

@@ -18,7 +18,7 @@ from lambent_worker.scenes.light_turns import light_turn
 from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
-from lambent_worker.scenes.upright import turned_pose, upright_turns
+from lambent_worker.scenes.upright import turned_pixels, turned_pose, upright_turns
 from lambent_worker.scenes.world import rotation_and_scale, world_matrix
 
 CropRule = Literal["object", "frame"]
@@ -145,7 +145,7 @@ def turned(view: View, turns: int) -> View:
         return view
 
     def left(pictures: Mapping[str, ndarray]) -> dict[str, ndarray]:
-        return {name: np.ascontiguousarray(np.rot90(each, turns)) for name, each in pictures.items()}
+        return {name: turned_pixels(each, turns) for name, each in pictures.items()}
 
     camera, margins = view.camera, view.margins
     focal, centre = (camera.focal_x, camera.focal_y), (camera.centre_x, camera.centre_y)

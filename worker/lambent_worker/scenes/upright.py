@@ -5,7 +5,7 @@ turned where people look at them, and where they become views of a bundle.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 CLEARLY = 0.25
@@ -29,6 +29,11 @@ def turned_pose(camera_to_world: Float[ndarray, "4 4"], turns: int) -> Float[nda
     for _ in range(turns % 4):
         pose[:, :2] = np.stack([-pose[:, 1], pose[:, 0]], axis=1)
     return pose
+
+
+def turned_pixels(pixels: Shaped[ndarray, "height width *channels"], turns: int) -> ndarray:
+    """Return pixels after so many quarter turns to the left, in rows that follow each other in memory."""
+    return np.ascontiguousarray(np.rot90(pixels, turns))
 
 
 def turned_size(size: tuple[int, int], turns: int) -> tuple[int, int]:
