@@ -63,12 +63,16 @@ def ball_on_table(
     ball: tuple[tuple[int, int, int], tuple[int, int, int]] = ((200, 60, 40), (240, 220, 180)),
     block: ndarray | None = None,
     distortion: tuple[float, ...] = (),
+    spots: float = 0.4,
 ) -> BallOnTable:
-    """Return a capture; `block` is the middle of a second ball on the table, painted like the first."""
+    """Return a capture; `block` is the middle of a second ball on the table, painted like the first.
+
+    `spots` is the contrast of the table's pattern, linear light.
+    """
     generator = np.random.default_rng(0)
     pictures, masks, blocks = [], [], []
     for number, camera in enumerate(table_cameras(count, distortion)):
-        light, hit, second = _seen(camera, ball, block)
+        light, hit, second = _seen(camera, ball, block, spots)
         exposed = np.clip(light * (0.8 + 0.4 * (number % 3) / 2.0), 0.0, 1.0)
         encoded = 255.0 * exposed ** (1.0 / 2.2) + 1.5 * generator.normal(size=exposed.shape)
         pictures.append(MaskView(f"v{number:02d}", np.clip(encoded, 0, 255).astype(np.uint8), camera))
@@ -83,7 +87,9 @@ def ball_on_table(
     return BallOnTable(of_pictures(pictures), pictures, masks, blocks, SparsePoints(xyz=xyz))
 
 
-def _seen(camera: PictureCamera, ball: tuple, block: ndarray | None) -> tuple[ndarray, ndarray, ndarray]:
+def _seen(
+    camera: PictureCamera, ball: tuple, block: ndarray | None, spots: float
+) -> tuple[ndarray, ndarray, ndarray]:
     """Return linear light, and which pixels show the ball and the block, by one ray through each pixel."""
     if camera.distortion:
         from lambent_worker.masks.plane_maps import straight_rays
@@ -95,7 +101,7 @@ def _seen(camera: PictureCamera, ball: tuple, block: ndarray | None) -> tuple[nd
     reach = -camera.position[2] / np.minimum(directions[..., 2], -1e-3)
     ground = camera.position[:2] + reach[..., None] * directions[..., :2]
     tone = ndimage.map_coordinates(_SPOTS, (ground * 12.0).transpose(2, 0, 1), order=1, mode="grid-wrap")
-    table = (0.15 + 0.4 * tone[..., None]) * np.array([0.9, 0.75, 0.55])
+    table = (0.35 + spots * (tone[..., None] - 0.5)) * np.array([0.9, 0.75, 0.55])
     shade = np.exp(-(((ground - SHADOW) ** 2).sum(axis=-1) / 0.45**2))
     light = table * (1.0 - 0.6 * shade[..., None])
     hit, points = _hits(camera, directions, CENTRE, RADIUS)

@@ -173,6 +173,8 @@ def agree(
         unmarked = []
         if number == settings.rounds - 1 and given is not None and given.known.marks:
             every = np.sum(free, axis=0)
+            if settings.standing > 0.0:
+                every = _with_what_stands_below(every, grid.lattice, len(views), settings)
             unmarked = [
                 _prior(grid, every - own, v, views[v].camera, middle, leaning, settings)
                 for v, own in enumerate(free)

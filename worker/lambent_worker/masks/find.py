@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
-from lambent_worker.masks.consensus import MaskView
+from lambent_worker.masks.consensus import ConsensusSettings, MaskView
 from lambent_worker.masks.estimate import EstimateSettings, agreed_masks, consistency_of, middle_of
 from lambent_worker.masks.final import preview_masks
 from lambent_worker.masks.lattice import SCENE
@@ -167,20 +167,16 @@ def _above(start: _Start, chosen: SupportSettings) -> Workspace | None:
     )
     if found is None:
         return None
-    return _workspace_above(start.photographs, views, found, start.centre, start.distance)
+    return _workspace_above(start, views, found, chosen.rounds)
 
 
 def _workspace_above(
-    photographs: Sequence[Photograph],
-    views: Sequence[MaskView],
-    found: OnSupport,
-    centre: Float[ndarray, "3"],
-    distance: float,
+    start: _Start, views: Sequence[MaskView], found: OnSupport, rounds: ConsensusSettings
 ) -> Workspace:
     given = found.given
     return Workspace(
         names=tuple(view.name for view in views),
-        cameras=tuple(photograph.camera for photograph in photographs),
+        cameras=tuple(photograph.camera for photograph in start.photographs),
         pictures=tuple(view.image_srgb for view in views),
         support_odds=tuple(odds.astype(np.float16) for odds in found.odds),
         learnt=tuple(each.astype(np.float32) for each in given.known.learnt or ()),
@@ -193,9 +189,10 @@ def _workspace_above(
         found_low=found.agreement.lattice.low,
         found_high=found.agreement.lattice.low
         + np.array(found.agreement.lattice.shape) * found.agreement.lattice.spacing,
-        centre=centre,
-        distance=distance,
+        centre=start.centre,
+        distance=start.distance,
         has_support=True,
+        rounds=rounds,
     )
 
 
@@ -229,6 +226,7 @@ def _by_agreement(
         centre=centre,
         distance=distance,
         has_support=False,
+        rounds=ConsensusSettings(),
         reason=found if isinstance(found, str) else "",
     )
 

@@ -16,7 +16,6 @@ from numpy import ndarray
 from lambent_worker.errors import UsageError
 from lambent_worker.masks.consensus import (
     Agreement,
-    ConsensusSettings,
     Given,
     Leaning,
     MaskView,
@@ -67,7 +66,7 @@ def propagated(
     leaning = Leaning(colour=1.0, distance=0.0, most_hull=2.5, least_hull=4.0)
     # An object that was missed may be outside of the box that was found.
     missed = any((each > 0).any() for each in marks.values())
-    rounds = ConsensusSettings(cells=64, rounds=settings.rounds, refit_after=(0,) if missed else ())
+    rounds = replace(work.rounds, cells=64, rounds=settings.rounds, refit_after=(0,) if missed else ())
     if not missed:
         given = replace(given, low=work.found_low, high=work.found_high)
     agreement = agree(small, work.centre, work.distance, leaning, rounds, given, prepared)

@@ -1,7 +1,7 @@
 """What an estimate works with: kept in a folder, so that a person's corrections need not start again."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,10 @@ from numpy import ndarray
 
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.errors import WorkerError
-from lambent_worker.masks.consensus import MaskView
+from lambent_worker.masks.consensus import ConsensusSettings, MaskView
 from lambent_worker.masks.lattice import Frame
 
-VERSION = 1
+VERSION = 2
 _ABOUT = "estimate.json"
 _ARRAYS = "estimate.npz"
 
@@ -49,6 +49,8 @@ class Workspace:
     """Of the cameras from it."""
     has_support: bool
     """Whether a plane was found that the object stands on."""
+    rounds: ConsensusSettings
+    """How the views were compared when the object was found."""
     reason: str = ""
     """Why nothing was found at all; empty where something was."""
     seeds: dict[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
@@ -76,6 +78,7 @@ class Workspace:
             "names": self.names,
             "distance": self.distance,
             "has_support": self.has_support,
+            "rounds": asdict(self.rounds),
             "reason": self.reason,
             "cameras": [
                 {
@@ -103,7 +106,7 @@ class Workspace:
                 )
             with np.load(folder / _ARRAYS) as arrays:
                 return cls._from(about, dict(arrays))
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, KeyError, TypeError, ValueError) as error:
             raise WorkerError(
                 "scene.mask_estimate_stale",
                 f'"{folder}" holds no estimate that can be corrected; estimate the masks again',
@@ -133,6 +136,9 @@ class Workspace:
             **{name: arrays[name] for name in _VECTORS},
             distance=about["distance"],
             has_support=about["has_support"],
+            rounds=ConsensusSettings(
+                **about["rounds"] | {"refit_after": tuple(about["rounds"]["refit_after"])}
+            ),
             reason=about["reason"],
             **per_view,
         )

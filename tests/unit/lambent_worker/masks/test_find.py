@@ -9,7 +9,10 @@ from lambent_worker.masks.consensus import MaskView
 from lambent_worker.masks.corrections import Correction, corrections_from
 from lambent_worker.masks.final import FinalSettings, colours_of, final_mask, preview_masks
 from lambent_worker.masks.find import FindSettings, _moved, find_object
+from lambent_worker.masks.on_support import SupportSettings, find_on_support, first_footprint, ortho_grid
+from lambent_worker.masks.orthophoto import look_at_support
 from lambent_worker.masks.propagate import propagated
+from lambent_worker.masks.support_plane import PlaneSettings, find_support
 from lambent_worker.masks.workspace import Workspace
 from support.ball_on_table import BallOnTable, ball_on_table
 
@@ -102,6 +105,57 @@ def test_what_an_estimate_keeps_is_read_back(tmp_path):
     assert again.names == work.names
     assert all((a == b).all() for a, b in zip(again.support_odds, work.support_odds, strict=True))
     assert all((a == b).all() for a, b in zip(preview_masks(again), preview_masks(work), strict=True))
+
+
+@cache
+def like_the_table() -> tuple[BallOnTable, Workspace]:
+    colours = (190, 170, 140), (165, 150, 125)
+    capture = ball_on_table(12, ball=colours, spots=0.05)
+    return capture, find_object(capture.photographs, capture.points, FindSettings())
+
+
+@pytest.mark.slow
+def test_an_object_of_the_tables_colours_keeps_its_foot_through_corrections_and_on_disk(tmp_path):
+    capture, work = like_the_table()
+    before = overlaps(preview_masks(work), capture.masks)
+    assert before.mean() > 0.9
+    work.save(tmp_path)
+    mark = Correction(frame="v03", is_object=False, points=((10.0, 10.0), (30.0, 12.0)), radius=3.0)
+    corrected = propagated(Workspace.load(tmp_path), [mark])
+    assert overlaps(preview_masks(corrected), capture.masks).mean() > before.mean() - 0.01
+
+
+@pytest.mark.slow
+def test_what_never_moved_before_a_turntables_camera_is_not_the_object():
+    capture, _ = with_a_second_ball()
+    views = [photograph.reduced(200) for photograph in capture.photographs]
+    positions = np.array([view.camera.position for view in views])
+    middle, distance = np.array([0.0, 0.0, 0.6]), 4.0
+    plane = find_support(capture.points.xyz, positions, middle, distance, PlaneSettings())
+    assert plane is not None
+    settings = SupportSettings()
+    grid = ortho_grid(plane, views, distance, settings)
+    support = look_at_support(views, grid)
+    footprint = first_footprint(grid, capture.points.xyz, distance, settings)
+
+    def shares(moved: list[np.ndarray] | None) -> list[float]:
+        found = find_on_support(views, views, support, footprint, middle, distance, settings, moved=moved)
+        assert found is not None
+        return [
+            float(
+                np.median(
+                    [b[t].mean() for b, t in zip(found.agreement.beliefs, true, strict=True) if t.any()]
+                )
+            )
+            for true in (capture.masks, capture.blocks)
+        ]
+
+    ball, block = shares(None)
+    assert ball > 0.8
+    assert block > 0.8
+    ball, block = shares([~each for each in capture.blocks])
+    assert ball > 0.8
+    assert block < 0.1
 
 
 def test_a_folder_without_an_estimate_says_so(tmp_path):

@@ -8,8 +8,9 @@ from lambent_worker.errors import WorkerError
 from lambent_worker.scenes import radiance
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
+from lambent_worker.scenes.upright import turned_pose
 from PIL import Image
-from support.captures import REFERENCES, save, write_blender, write_tensoir
+from support.captures import REFERENCES, look_at, save, write_blender, write_tensoir
 
 SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
 
@@ -181,6 +182,21 @@ def test_lights_can_be_chosen_when_loading():
     scene = load(SCENE, lights=("venice_sunset_120",))
     assert scene.lights == ("venice_sunset_120",)
     assert all(set(view.images) == {"venice_sunset_120"} for view in scene.train)
+
+
+@pytest.mark.parametrize(("layout", "turns"), [("photographs", 1), ("nerf-synthetic", 0)])
+def test_only_photographs_whose_cameras_were_found_here_are_turned_upright(tmp_path, layout, turns):
+    folder = write_blender(tmp_path)
+    pixels = np.zeros((12, 12, 4), dtype=np.uint8)
+    pixels[2, 9] = 255
+    save(folder / "train" / "r_0.png", pixels)
+    manifest = describe_scene(folder)
+    manifest.layout = layout
+    pose = turned_pose(look_at(np.array([3.0, 1.0, 1.2]), np.zeros(3)), -1)
+    manifest.frames[0].camera.camera_to_world[:] = pose.ravel()
+    view = load_scene(folder, manifest, max_side=1000).train[0]
+    np.testing.assert_array_equal(view.images["capture"][..., 3] > 0.0, np.rot90(pixels[..., 3] > 0, turns))
+    np.testing.assert_allclose(view.camera.camera_to_world, turned_pose(pose, turns))
 
 
 def test_exr_pictures_are_taken_as_linear(tmp_path):
