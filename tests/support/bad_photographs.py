@@ -142,6 +142,12 @@ def _(folder: Path) -> None:
     view(2).save(folder / "edited.jpg", quality=60)
 
 
+@bad("two captures in one folder", "scene.photographs_in_folders")
+def _(folder: Path) -> None:
+    write_views(folder / "jug", 8)
+    write_views(folder / "bowl", 8, first=8)
+
+
 @bad("photographs from almost one place", "scene.photographs_alike")
 def _(folder: Path) -> None:
     folder.mkdir()

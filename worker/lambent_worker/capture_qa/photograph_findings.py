@@ -1,6 +1,7 @@
 """Turns the figures of photographs without cameras into findings: what is wrong, where, and what to do."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -17,6 +18,8 @@ from lambent_worker.scenes.problems import Problems
 
 LIMITS = PhotographLimits()
 _FRAME_NAME = re.compile(r"(?i).*(frame|still|vlcsnap|img|out|image)?[-_ ]?\d{3,}$")
+_CAMERA_FOLDER = re.compile(r"[1-9]\d\d\w{5}")
+"""Folders that cameras make for every so many photographs: three digits and five letters (DCF), 100CANON."""
 _VIDEO_SHAPES = (16 / 9, 9 / 16, 4 / 3, 3 / 4, 256 / 135, 135 / 256)
 _VIDEO_SIDES = frozenset({480, 540, 576, 720, 1080, 1440, 2160, 4320})
 _SCREEN_ASPECTS = (1.5, 2.25)
@@ -55,6 +58,7 @@ def note_photographs(
     _note_each(usable, limits, problems)
     _note_exif(usable, limits, problems)
     _note_same(figures, limits, problems)
+    _note_folders(usable, limits, problems)
     if _look_like_video(usable):
         problems.warning(
             "scene.video_frames",
@@ -243,6 +247,20 @@ def _note_same(figures: PhotographsFigures, limits: PhotographLimits, problems: 
             f"{len(alike)} of {len(usable)} photographs are almost equal to another ({alike[0].name} to "
             f"{alike[0].alike}); either they add little, or the camera stood still while the object turned",
             alike[0].name,
+        )
+
+
+def _note_folders(usable: Sequence[PhotographFigures], limits: PhotographLimits, problems: Problems) -> None:
+    """Note photographs in several folders, each with enough for a capture, but not a camera's own."""
+    counts = Counter(PurePosixPath(each.name).parent for each in usable)
+    theirs = [each for each in counts if not _CAMERA_FOLDER.fullmatch(each.name)]
+    enough = all(counts[each] >= limits.folder_photographs for each in theirs)
+    if len(theirs) > 1 and enough:
+        names = sorted(each.as_posix() for each in theirs)
+        problems.warning(
+            "scene.photographs_in_folders",
+            f"the photographs of {len(names)} folders ({listed(names)}) are taken for one capture; if each "
+            "shows an object of its own, check and train each folder alone",
         )
 
 

@@ -19,6 +19,8 @@ class PhotographLimits:
     min_photographs: int = 3
     few_photographs: int = 20
     """Below this the shape between the views is guesswork; 40 and more are recommended."""
+    folder_photographs: int = 8
+    """Photographs in each of several folders from which on these may be captures of their own."""
     sharpness: float = 0.5
     """Sharpness relative to the sharpest quarter. The bananas: 0.69 to 1.08, and one of 0.48; each of them
     after a Gaussian blur of one pixel at `detail_side`: at most 0.41."""

@@ -49,6 +49,14 @@ def test_a_sound_capture_has_no_finding_but_that_photographs_are_few(tmp_path):
     assert list(figures.lenses) == ["Camera One, 28mm F2, 28 mm, 192 x 144"]
 
 
+def test_folders_that_a_camera_makes_are_one_capture(tmp_path):
+    write_views(tmp_path / "capture" / "100CANON", 8)
+    write_views(tmp_path / "capture" / "101CANON", 8, first=8)
+    problems = Problems()
+    look_at_folder(tmp_path / "capture", problems)
+    assert [finding.code for finding in problems.findings()] == ["scene.views_few"]
+
+
 @pytest.mark.parametrize("name", NEED_CAMERAS)
 def test_what_only_cameras_show_passes_the_look_at_single_photographs(tmp_path, name):
     originals = tmp_path / "originals"
