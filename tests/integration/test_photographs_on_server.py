@@ -117,3 +117,17 @@ def test_masks_are_looked_at_and_corrected_with_neither_photographs_nor_torch(
     half = shown["before"].shape[0] // 2
     assert shown["before"][:half].any()
     assert not shown["after"][: half - 2].any()
+
+
+def test_a_training_takes_the_corrections_that_were_looked_at(client: Client, scene: Scene, trained: Job):
+    mark = {"frame": "IMG_0005", "label": "background", "stroke": [[0, 0], [SIDE, 0]], "radius": 4}
+    corrections = json.dumps({"version": 1, "corrections": [mark]})
+    endless = {**SMALL, "stage_one.num_steps": "100000", "corrections": corrections}
+    job = client.submit(scene.id, preset="tiny", params=endless)
+    for update in client.watch([job.id], after={job.id: 0}):
+        if isinstance(update, Event) and update.progress.stage == "cache":
+            client.cancel(job.id)
+    assert client.job(job.id).state == "cancelled", client.logs(job.id)[-3000:]
+    said = [event.message for event in client.events(job.id) if event.type == "finding"]
+    assert any(each.startswith("scene.mask_estimated") and "corrected by hand" in each for each in said)
+    assert "cameras.restored" in client.logs(job.id)
