@@ -6,7 +6,7 @@ visual hull. Its prediction for a view, without that view's own vote, is the pri
 colours.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.masks import evidence
 from lambent_worker.masks.lattice import SCENE, Frame, Lattice, main_parts
 
+_AS_LIKELY = 0.25
+"""How much less than the best cell behind a marked pixel one may have that is solid, too: votes of a view."""
 _BORDER = 2
 """Pixels along the border that are background by definition."""
 
@@ -152,9 +154,12 @@ def agree(
         odds = _odds(seen, beliefs, leaning, given)
         votes = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
         free = votes.copy()
-        for view, mark in given.known.marks.items() if given is not None else ():
-            votes[view] = _outvoted(votes[view], mark, grid.pixels[view], len(views))
+        marks = given.known.marks if given is not None else {}
+        for view, mark in marks.items():
+            votes[view] = _without_marked(votes[view], mark, grid.pixels[view], len(views))
         total = np.sum(votes, axis=0)
+        if any((mark > 0).any() for mark in marks.values()):
+            total = _with_marked(total, marks, grid, views)
         if given is not None and settings.standing > 0.0:
             total = _with_what_stands_below(total, grid.lattice, len(views), settings)
         solid = total > 0.0
@@ -276,18 +281,47 @@ def _with_what_stands_below(
     return np.where(covered, np.maximum(raised, cells), cells).ravel()
 
 
-def _outvoted(
+def _without_marked(
     votes: Float[ndarray, " cells"],
     mark: Int8[ndarray, "height width"],
     pixels: Int32[ndarray, " cells"],
     num_views: int,
 ) -> Float[ndarray, " cells"]:
-    """Return a view's votes with those of marked pixels: never behind background, likely behind object.
+    """Return a view's votes with those of marked pixels: nothing is solid behind the background."""
+    return np.where(np.append(mark.ravel(), 0)[pixels] < 0, -2.0 * num_views, votes)
 
-    Which cell behind a pixel of the object is solid is not known: they get a fifth of a vote of each view.
+
+def _with_marked(
+    total: Float[ndarray, " cells"],
+    marks: Mapping[int, Int8[ndarray, "height width"]],
+    grid: _Grid,
+    views: Sequence[MaskView],
+) -> Float[ndarray, " cells"]:
+    """Return the sum of votes with something solid behind each pixel that was marked as the object.
+
+    Which cell that is follows from the votes, and from the other views that were marked there: it is the one
+    with the largest sum, where each of them counts for a fifth of all views.
     """
-    marked = np.append(mark.ravel(), 0)[pixels]
-    return np.where(marked < 0, -2.0 * num_views, np.where(marked > 0, 0.2 * num_views, votes))
+    share = 0.2 * len(views)
+    behind = {
+        view: np.append(mark.ravel(), 0)[grid.pixels[view]] > 0
+        for view, mark in marks.items()
+        if (mark > 0).any()
+    }
+    score = total + share * np.sum(list(behind.values()), axis=0)
+    middle = grid.lattice.frame.world(
+        (grid.lattice.low + 0.5 * grid.lattice.spacing * np.array(grid.lattice.shape))[None]
+    )[0]
+    result = total.copy()
+    for view, inside in behind.items():
+        camera, pixels = views[view].camera, grid.pixels[view]
+        best = np.full(camera.height * camera.width + 1, -1e9, dtype=np.float32)
+        np.maximum.at(best, pixels[inside], score[inside].astype(np.float32))
+        radius = max(1, int(np.ceil(0.5 * grid.lattice.spacing * camera.pixels_per_unit(middle))))
+        wide = ndimage.maximum_filter(best[:-1].reshape(camera.height, camera.width), size=2 * radius + 1)
+        chosen = inside & (score >= np.append(wide.ravel(), 1e9)[pixels] - _AS_LIKELY * len(views))
+        result = np.where(chosen, np.maximum(result, share), result)
+    return result
 
 
 def _prior(

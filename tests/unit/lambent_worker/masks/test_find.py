@@ -125,6 +125,33 @@ def test_an_object_of_the_tables_colours_keeps_its_foot_through_corrections_and_
     assert overlaps(preview_masks(corrected), capture.masks).mean() > before.mean() - 0.01
 
 
+def missing(mask: np.ndarray, found: np.ndarray, frame: str) -> list[Correction]:
+    """Return strokes over what a mask has of the object and `found` has not."""
+    part = mask & ~found
+    return [
+        Correction(
+            frame=frame,
+            is_object=True,
+            points=tuple((float(place), row + 0.5) for place in np.flatnonzero(line)[[0, -1]] + 0.5),
+            radius=0.6,
+        )
+        for row, line in enumerate(part)
+        if line.any()
+    ]
+
+
+@pytest.mark.slow
+def test_the_more_photographs_are_marked_the_better_are_all_of_them():
+    capture, work = like_the_table()
+    found = preview_masks(work)
+    means = [overlaps(found, capture.masks).mean()]
+    for marked in ((1, 4, 7, 10), (0, 1, 3, 4, 6, 7, 9, 10)):
+        marks = [each for n in marked for each in missing(capture.masks[n], found[n], f"v{n:02d}")]
+        means.append(overlaps(preview_masks(propagated(work, marks)), capture.masks).mean())
+    assert means == sorted(means)
+    assert means[-1] > means[0] + 0.02
+
+
 @pytest.mark.slow
 def test_what_never_moved_before_a_turntables_camera_is_not_the_object():
     capture, _ = with_a_second_ball()
