@@ -86,3 +86,36 @@ def test_the_model_is_asked_with_full_precision_products(tmp_path):
     finally:
         torch.set_float32_matmul_precision("highest")
     assert set(seen) == {"highest"}
+
+
+def shifted_graph(folder: Path, shift: float) -> Path:
+    """Write the graph x -> x / 4 + 16 max(x - 0.5, 0) + shift where x > 0.5."""
+    shapes = {"half": 0.5, "steep": 16.0, "flat": 0.25, "shift": shift, "zero": 0.0}
+    constants = [numpy_helper.from_array(np.float32(value), name) for name, value in shapes.items()]
+    nodes = [
+        helper.make_node("Sub", ["x", "half"], ["above"]),
+        helper.make_node("Relu", ["above"], ["ramp"]),
+        helper.make_node("Mul", ["ramp", "steep"], ["rise"]),
+        helper.make_node("Mul", ["x", "flat"], ["base"]),
+        helper.make_node("Add", ["base", "rise"], ["sum"]),
+        helper.make_node("Less", ["half", "x"], ["beyond"]),
+        helper.make_node("Where", ["beyond", "shift", "zero"], ["more"]),
+        helper.make_node("Add", ["sum", "more"], ["y"]),
+    ]
+    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["row", 1]) for name in "xy"]
+    graph = helper.make_graph(nodes, "ramp", ends[:1], ends[1:], constants)
+    path = folder / "ramp.onnx"
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9), path)
+    return path
+
+
+def ramp(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
+    return {"y": 0.25 * inputs["x"] + 16.0 * (inputs["x"] - 0.5).relu()}
+
+
+def test_what_rounding_of_the_input_moves_is_allowed_on_top(tmp_path):
+    # A nudge of 5e-7 moves the ramp by 8e-6.
+    result = compare("ramp", shifted_graph(tmp_path, 1.5e-5), ramp, MODEL, inputs(0.51))
+    assert result.num_left_out == 1
+    with pytest.raises(WorkerError, match=r"export\.parity.*1 of 1000"):
+        compare("ramp", shifted_graph(tmp_path, 3e-5), ramp, MODEL, inputs(0.51))
