@@ -26,7 +26,7 @@ SESSION = uuid.uuid4().hex
 os.environ |= {"LAMBENT_TEST_SESSION": SESSION, "LAMBENT_RUN_ENVIRONMENT": "LAMBENT_TEST_SESSION"}
 
 MUST_RUN_IN_CI = ("browser", "services")
-_COMPILED = re.compile(r"^\s*(import|from) (numba|triton)\b", re.MULTILINE)
+_COMPILED = re.compile(r"^\s*(import|from) (numba|triton|flashcache\.kernels\.compiled)\b", re.MULTILINE)
 
 
 def annotated_modules(package: str) -> list[str]:

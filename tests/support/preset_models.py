@@ -7,6 +7,7 @@ from flashcache import presets
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.export.reference import GbufferRule
 from flashcache.fields.density import NormalConfig
+from flashcache.geometry.occupancy import OccupancyConfig
 from flashcache.physical.model import Domain, InverseModel
 
 DOMAIN = Domain(
@@ -32,6 +33,8 @@ def preset_model(variant: str) -> InverseModel:
             nerf=replace(config.nerf, density=density, normals=NormalConfig(own_grid=None)),
             fast=replace(config.fast, distance_layers=4, code_layers=2),
         )
+    if variant == "occupancy":
+        config = replace(config, occupancy=OccupancyConfig(cells=20))
     model = InverseModel(config, DOMAIN)
     with torch.no_grad():
         for module in model.modules():
@@ -42,4 +45,8 @@ def preset_model(variant: str) -> InverseModel:
         model.fast.distance_head.weight.normal_(0.0, 0.3)
         model.nerf.density.head.weight.mul_(20.0)
         model.nerf.density.head.bias.fill_(2.0)
+        if model.nerf.occupancy is not None:
+            filled = torch.ones_like(model.nerf.occupancy.cells, dtype=torch.bool)
+            filled[:7] = False
+            model.nerf.occupancy.set(filled)
     return model

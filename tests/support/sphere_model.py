@@ -1,5 +1,7 @@
 """A small untrained model whose density is a ball, so that exports have a surface to show."""
 
+from dataclasses import replace
+
 import torch
 from flashcache.caches.environment import EnvironmentConfig
 from flashcache.caches.fast_cache import FastCacheConfig
@@ -8,6 +10,7 @@ from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig, NormalConfig
 from flashcache.fields.materials import MaterialConfig
+from flashcache.geometry.occupancy import OccupancyConfig
 from flashcache.physical.light_sampler import LightSamplerConfig
 from flashcache.physical.model import Domain, InverseModel, ModelConfig
 from flashcache.volume.proposal_sampling import SampleCounts
@@ -74,15 +77,18 @@ def sphere_model(
     lights: tuple[str, ...] = ("day", "night"),
     output_scale: float = 1.0,
     turns: tuple[tuple[float, ...], ...] = (),
+    cells: int = 0,
 ) -> InverseModel:
     """Return a model of a ball of radius 0.5 at the origin; all other parameters are random, none is tiny.
 
-    With an `output_scale` the same features lie in tables as many times smaller.
+    With an `output_scale` the same features lie in tables as many times smaller. With `cells` along a side of
+    its box, it knows that the upper quarter of the ball and all outside of it is empty.
     """
     torch.manual_seed(7)
     config = small_config(
         own_normal_grid=own_normal_grid, softplus_beta=softplus_beta, distance_layers=distance_layers
     )
+    config = replace(config, occupancy=OccupancyConfig(cells=cells))
     domain = Domain(
         bounds_min=(-BOUND,) * 3,
         bounds_max=(BOUND,) * 3,
@@ -104,6 +110,10 @@ def sphere_model(
         for grid in (module for module in model.modules() if isinstance(module, HashGrid)):
             grid.output_scale = output_scale
             grid.table.div_(output_scale)
+    if model.nerf.occupancy is not None:
+        middles = ((torch.arange(cells) + 0.5) / cells * 2.0 - 1.0) * BOUND
+        x, y, z = torch.meshgrid(middles, middles, middles, indexing="ij")
+        model.nerf.occupancy.set((x * x + y * y + z * z < 0.8**2) & (z < 0.4))
     return model.eval()
 
 

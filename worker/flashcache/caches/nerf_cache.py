@@ -19,6 +19,7 @@ from flashcache.fields.density import (
     NormalField,
     derived_normal,
 )
+from flashcache.geometry.occupancy import Occupancy
 from flashcache.geometry.rays import Rays
 from flashcache.volume.proposal_sampling import (
     PRIMARY_CURVE,
@@ -107,17 +108,20 @@ class NerfCache(nn.Module):
         num_lights: int,
         secondary: tuple[float, float],
         turns: LightTurns | None = None,
+        occupancy: Occupancy | None = None,
     ) -> None:
         """`secondary` is the near and the far distance of reflected rays, scene units.
 
-        With `turns` a light index is the number of a turn of the one light.
+        With `turns` a light index is the number of a turn of the one light. Outside of `occupancy` all
+        densities are zero.
         """
         super().__init__()
         self.config = config
+        self.occupancy = occupancy
         self.proposals = nn.ModuleList(
-            DensityField(proposal, contraction_radius) for proposal in config.proposals
+            DensityField(proposal, contraction_radius, occupancy) for proposal in config.proposals
         )
-        self.density = DensityField(config.density, contraction_radius)
+        self.density = DensityField(config.density, contraction_radius, occupancy)
         num_hidden = self.density.network.num_outputs
         self.normals = NormalField(config.normals, num_hidden, contraction_radius)
         reflected = None
@@ -163,6 +167,7 @@ class NerfCache(nn.Module):
         """
         counts = self.config.primary_counts
         exponent = self.config.exponent if exponent is None else exponent
+        rays = rays if self.occupancy is None else self.occupancy.narrowed(rays)
         samples = self.sample(rays, counts, PRIMARY_CURVE, exponent=exponent, generator=generator)
         points = samples.positions.reshape(-1, 3)
         split = num_derived * counts.final
@@ -212,8 +217,29 @@ class NerfCache(nn.Module):
         intervals at random, as the paper does in training. `distance` is the mean distance over the
         opaque part, the far end where nothing is hit.
         """
+        if self.occupancy is None:
+            return self._incident(rays, light_index, generator, jitter=jitter)
+        narrow = self.occupancy.narrowed(rays)
+        index = (narrow.far > narrow.near).nonzero()[:, 0]
+        found = self._incident(narrow.select(index), light_index[index], generator, jitter=jitter)
+        opacity = torch.zeros_like(rays.far).index_copy(0, index, found.opacity)
+        distance = rays.far.index_copy(0, index, found.distance)
+        return CacheAnswer(
+            torch.zeros_like(rays.origins).index_copy(0, index, found.near_radiance),
+            opacity,
+            torch.where(opacity < 1e-3, rays.far, distance),
+        )
+
+    def _incident(
+        self,
+        rays: Rays,
+        light_index: Int[Tensor, " rays"],
+        generator: torch.Generator | None,
+        *,
+        jitter: bool,
+    ) -> CacheAnswer:
         num_colours = self.config.secondary_colours if generator is not None else 0
-        met = self.meet(rays, num_colours, generator, jitter=jitter)
+        met = self._meet(rays, num_colours, generator, jitter=jitter)
         repeats = met.factors.shape[-1]
         normal = self.normals(met.positions, met.hidden)
         radiance = self.appearance(
@@ -234,6 +260,13 @@ class NerfCache(nn.Module):
         `num_points` K > 0 draws K points per ray by weight, which needs a generator. `jitter` as in
         `incident`.
         """
+        narrow = rays if self.occupancy is None else self.occupancy.narrowed(rays)
+        met = self._meet(narrow, num_points, generator, jitter=jitter)
+        return met._replace(distance=torch.where(met.opacity < 1e-3, rays.far, met.distance))
+
+    def _meet(
+        self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool
+    ) -> Meeting:
         counts = self.config.secondary_counts
         samples = self.sample(
             rays,

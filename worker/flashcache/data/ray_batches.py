@@ -12,7 +12,11 @@ from torch import Tensor
 
 from flashcache.data.scene import Scene, View
 from flashcache.errors import ConfigError, TrainingError
+from flashcache.geometry.occupancy import Occupancy
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
+
+_CHUNK_PIXELS = 1 << 16
+"""Pixels whose rays are made at once, where all are looked at."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,7 +76,14 @@ class TrainingPixels:
     (`View.margins`) counts too, as pixels without the object, although it is not stored.
     """
 
-    def __init__(self, scene: Scene, choice: PixelChoice, device: torch.device) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        choice: PixelChoice,
+        device: torch.device,
+        occupancy: Occupancy | None = None,
+    ) -> None:
+        """With `occupancy`, only pixels are drawn whose rays meet a cell that may hold something."""
         shown = [
             (view, light, picture)
             for view in scene.train
@@ -122,9 +133,13 @@ class TrainingPixels:
         )
         poses = np.stack([camera.camera_to_world for camera in cameras]).astype(np.float32)
         self.pose = torch.from_numpy(poses).to(device)
+        self.meeting = None if occupancy is None else self._meeting(occupancy)
 
     def draw(self, num_rays: int, generator: torch.Generator) -> RayBatch:
         """Return a batch of pixels drawn with replacement; rays go through pixel centres."""
+        if self.meeting is not None:
+            drawn = torch.randint(len(self.meeting), (num_rays,), generator=generator, device=self.device)
+            return self.at(self.meeting[drawn])
         num_inside = round(num_rays * self.choice.inside_share)
 
         def randint(high: int, count: int) -> Tensor:
@@ -155,6 +170,26 @@ class TrainingPixels:
         clipped = None if self.clipped is None else self.clipped[place] & stored[:, None]
         rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
         return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], clipped)
+
+    def _meeting(self, occupancy: Occupancy) -> Int[Tensor, " pixels"]:
+        """Return the positions of the stored pixels whose rays meet a cell that may hold something."""
+        parts = []
+        for image, (width, height) in enumerate(self.size.tolist()):
+            rows, columns = torch.meshgrid(
+                torch.arange(height, device=self.device),
+                torch.arange(width, device=self.device),
+                indexing="ij",
+            )
+            left, top = self.offset[image].tolist()
+            inside = (rows + top) * self.frame_width[image] + columns + left + self.starts[image]
+            index = inside.reshape(-1)
+            for some in index.split(_CHUNK_PIXELS):
+                narrow = occupancy.narrowed(self.at(some).rays)
+                parts.append(some[narrow.far > narrow.near])
+        meeting = torch.cat(parts)
+        if not len(meeting):
+            raise TrainingError(f"no photograph of scene {self.scene.name!r} shows the object")
+        return meeting
 
     def _places(
         self, image: Int[Tensor, " rays"], column: Int[Tensor, " rays"], row: Int[Tensor, " rays"]

@@ -54,7 +54,8 @@ def camera_rays(model: InverseModel, camera: Camera, device: torch.device) -> Ra
     origins = pose[:3, 3].expand_as(directions)
     domain = model.domain
     low, high = origins.new_tensor(domain.bounds_min), origins.new_tensor(domain.bounds_max)
-    return clip_to_box(origins, directions, low, high, *domain.primary)
+    rays = clip_to_box(origins, directions, low, high, *domain.primary)
+    return rays if model.nerf.occupancy is None else model.nerf.occupancy.narrowed(rays)
 
 
 @torch.no_grad()

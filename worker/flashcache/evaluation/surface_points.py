@@ -112,6 +112,7 @@ def _random_lines(model: InverseModel, count: int, generator: torch.Generator) -
     offset = radius * torch.rand(count, 1, generator=generator, device=device).sqrt()
     origins = 0.5 * (low + high) + offset * normalize(across) - 2.0 * radius * directions
     rays = clip_to_box(origins, directions, low, high, 0.0, float(4.0 * radius))
+    rays = rays if model.nerf.occupancy is None else model.nerf.occupancy.narrowed(rays)
     return rays.select(rays.far > rays.near)
 
 

@@ -23,12 +23,12 @@ def gbuffer_constants(model: InverseModel, rule: GbufferRule) -> dict[str, str]:
         "num_samples": rule.num_samples,
         "group": rule.group,
     }
-    return _metadata("gbuffer.v1", {**_surface(model), **own})
+    return _metadata(f"gbuffer.{_version(model)}", {**_surface(model), **own})
 
 
 def material_constants(model: InverseModel) -> dict[str, str]:
     """Return the metadata of a material graph."""
-    return _metadata("material.v1", _surface(model))
+    return _metadata(f"material.{_version(model)}", _surface(model))
 
 
 def fast_cache_constants(fast: FastCache) -> dict[str, str]:
@@ -45,9 +45,18 @@ def fast_cache_constants(fast: FastCache) -> dict[str, str]:
     return _metadata("fast_cache.v1", values)
 
 
+def _version(model: InverseModel) -> str:
+    return "v1" if model.nerf.occupancy is None else "v2"
+
+
 def _surface(model: InverseModel) -> dict[str, Any]:
     density, materials = model.nerf.density.config, model.materials.config
+    occupancy = model.nerf.occupancy
+    box = {}
+    if occupancy is not None:
+        box = {"occupancy_min": occupancy.low.tolist(), "occupancy_max": occupancy.high.tolist()}
     return {
+        **box,
         "contraction_radius": model.domain.contraction_radius,
         "softplus_beta": density.softplus_beta,
         "density_bias": density.bias,

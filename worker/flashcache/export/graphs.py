@@ -19,14 +19,16 @@ from flashcache.export.constants import fast_cache_constants, gbuffer_constants,
 from flashcache.export.onnx import GraphBuilder, Value, WeightFile
 from flashcache.export.reference import OPACITY_FLOOR, SURFACE_THICKNESS, UPRIGHT_OPACITY, GbufferRule
 from flashcache.fields.materials import ALPHA_MINIMUM
+from flashcache.geometry.occupancy import Occupancy
 from flashcache.physical.model import InverseModel
 
 Metadata = Mapping[str, str]
+OCCUPANCY = "nerf.occupancy"
 
 
-def exported_grids(model: InverseModel) -> dict[str, HashGrid]:
-    """Return the feature grids that the graphs read, by the name of their parameter without ".table"."""
-    grids = {
+def exported_grids(model: InverseModel) -> dict[str, HashGrid | Occupancy]:
+    """Return the grids that the graphs read, by the name of their table without ".table"."""
+    grids: dict[str, HashGrid | Occupancy] = {
         "nerf.density.grid": model.nerf.density.grid,
         "materials.grid": model.materials.grid,
         "fast.distance_grid": model.fast.distance_grid,
@@ -34,6 +36,8 @@ def exported_grids(model: InverseModel) -> dict[str, HashGrid]:
     }
     if model.nerf.normals.grid is not None:
         grids["nerf.normals.grid"] = model.nerf.normals.grid
+    if model.nerf.occupancy is not None:
+        grids[OCCUPANCY] = model.nerf.occupancy
     return grids
 
 
@@ -232,7 +236,14 @@ def _density(graph: GraphBuilder, model: InverseModel, positions: Value) -> tupl
     features = layers.hash_grid(graph, "nerf.density.grid", field.grid, z)
     hidden = layers.hidden(graph, "nerf.density.network", field.network, features)
     raw = layers.linear(graph, "nerf.density.head", field.head, hidden) + field.config.bias
-    return hidden, graph.node("Exp", graph.minimum(raw, 70.0))
+    density = graph.node("Exp", graph.minimum(raw, 70.0))
+    occupancy = model.nerf.occupancy
+    if occupancy is not None:
+        low, high = layers.array_of(occupancy.low)[None], layers.array_of(occupancy.high)[None]
+        half = np.float32(0.5) * (high - low)
+        place = (positions - (low + half)) / half
+        density = density * layers.hash_grid(graph, OCCUPANCY, occupancy, place)
+    return hidden, density
 
 
 def _surface(graph: GraphBuilder, model: InverseModel, positions: Value) -> dict[str, Value]:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.export.onnx import GraphBuilder, Value
 from flashcache.fields.mlp import Hidden
+from flashcache.geometry.occupancy import Occupancy
 
 # A quarter turn in three parts, of which the products with small whole numbers are exact.
 _QUARTER_TURN = (1.5703125, 4.837512969970703e-4, 7.549789948768648e-8)
@@ -117,7 +118,7 @@ def _signed(graph: GraphBuilder, halves: Value, values: Value) -> Value:
     return values * (1.0 - (halves - graph.node("Floor", halves * 0.5) * 2.0) * 2.0)
 
 
-def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid, z: Value) -> Value:
+def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid | Occupancy, z: Value) -> Value:
     """Return the features [row, levels * features] of [row, 3] (`kernels.layout` has the formula).
 
     Works on all levels at once and on the 8 corners one by one. Each corner is one "Gather" of

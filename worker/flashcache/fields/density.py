@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract, contract_vjp
+from flashcache.geometry.occupancy import Occupancy
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,10 +38,17 @@ class DensitySample(NamedTuple):
 
 
 class DensityField(nn.Module):
-    """`sigma(x) = exp(min(raw(x) + bias, 70))`, with raw from a feature grid and a small network."""
+    """`sigma(x) = exp(min(raw(x) + bias, 70))`, with raw from a feature grid and a small network.
 
-    def __init__(self, config: DensityConfig, contraction_radius: float) -> None:
+    It is 0 where `occupancy` says that nothing can be.
+    """
+
+    def __init__(
+        self, config: DensityConfig, contraction_radius: float, occupancy: Occupancy | None = None
+    ) -> None:
         super().__init__()
+        # In a tuple: it belongs to the model, once, and not to each of its densities.
+        self._occupancy = (occupancy,)
         self.config = config
         self.contraction_radius = contraction_radius
         self.grid = HashGrid(config.grid)
@@ -49,13 +57,15 @@ class DensityField(nn.Module):
         )
         self.head = linear(self.network.num_outputs, 1)
 
-    def _density(self, raw: Tensor) -> Tensor:
-        return torch.exp((raw + self.config.bias).clamp_max(70.0))
+    def _density(self, raw: Float[Tensor, " points"], positions: Float[Tensor, "points 3"]) -> Tensor:
+        density = torch.exp((raw + self.config.bias).clamp_max(70.0))
+        (occupancy,) = self._occupancy
+        return density if occupancy is None else density * occupancy.share(positions)
 
     def forward(self, positions: Float[Tensor, "points 3"]) -> DensitySample:
         """Return density and hidden feature at world positions."""
         hidden = self.network(self.grid(contract(positions, self.contraction_radius)))
-        return DensitySample(self._density(self.head(hidden)[:, 0]), hidden)
+        return DensitySample(self._density(self.head(hidden)[:, 0], positions), hidden)
 
     def density(self, positions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
         """Return the density alone, for any batch shape."""
@@ -81,7 +91,7 @@ class DensityField(nn.Module):
             )
         by_contracted = (by_feature[:, :, None] * jacobian).sum(dim=1)
         gradient = contract_vjp(positions, self.contraction_radius, by_contracted)
-        return DensitySample(self._density(raw), hidden), gradient
+        return DensitySample(self._density(raw, positions), hidden), gradient
 
 
 def derived_normal(gradient: Float[Tensor, "points 3"], floor: float) -> Float[Tensor, "points 3"]:

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from flashcache.kernels.compiled import compiled
 from flashcache.kernels.layout import GridLayout
 
 Array = NDArray[np.float32]
@@ -166,19 +167,6 @@ _inlined = numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy")
 # Without fused multiply-add, so that positions between voxels are the reference's, bit for bit. The option
 # must be given: a function without it inherits its caller's.
 _inlined_exact = numba.njit(nogil=True, fastmath=False, error_model="numpy")
-
-
-def _compile(function: Kernel) -> Kernel:
-    """Return `function` compiled, from numba's cache folder where there is a writable one.
-
-    numba looks at NUMBA_CACHE_DIR, beside this file, and in the user's cache folder, and raises where it can
-    write nowhere; then the code is compiled anew in each process (a few seconds).
-    """
-    options = {"nogil": True, "fastmath": FASTMATH, "error_model": "numpy", "boundscheck": False}
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        return numba.njit(**options)(function)
 
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
@@ -379,9 +367,9 @@ def _kernels(num_features: int) -> Kernels:
         return touched
 
     return Kernels(
-        forward=_compile(forward),
-        forward_jacobian=_compile(forward_jacobian),
-        table_gradient=_compile(table_gradient),
-        table_gradient_jacobian=_compile(table_gradient_jacobian),
-        position_gradient=_compile(position_gradient),
+        forward=compiled(forward, fastmath=FASTMATH),
+        forward_jacobian=compiled(forward_jacobian, fastmath=FASTMATH),
+        table_gradient=compiled(table_gradient, fastmath=FASTMATH),
+        table_gradient_jacobian=compiled(table_gradient_jacobian, fastmath=FASTMATH),
+        position_gradient=compiled(position_gradient, fastmath=FASTMATH),
     )

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -73,6 +73,27 @@ def encode_with_jacobian(
     if differentiable and table.requires_grad:
         return _EncodeWithJacobian.apply(z.contiguous(), table, layout, in_place_gradient)
     return _encode_with_jacobian(z, table, layout)
+
+
+def stretch(
+    origins: Float[Tensor, "rays 3"],
+    directions: Float[Tensor, "rays 3"],
+    near: Float[Tensor, " rays"],
+    far: Float[Tensor, " rays"],
+    cells: UInt8[Tensor, "x y z"],
+    low: Float[Tensor, "3"],
+    high: Float[Tensor, "3"],
+    step: float,
+) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
+    """Return near and far of the stretch of each ray on which a lattice has occupied cells; see `march`."""
+    from flashcache.kernels import march
+
+    if not _is_compiled(near):
+        return march.reference_stretch(origins, directions, near, far, cells, low, high, step)
+    tensors = (origins, directions, near, far, cells, low, high)
+    arrays = [each.detach().contiguous().numpy() for each in tensors]
+    first, last = march.stretch(*arrays, step)
+    return torch.from_numpy(first), torch.from_numpy(last)
 
 
 def _is_compiled(table: Tensor) -> bool:

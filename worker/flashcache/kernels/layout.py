@@ -105,3 +105,15 @@ def build_layout(
         )
         first_row += num_rows
     return GridLayout(levels=tuple(levels), num_features=num_features, half_extent=half_extent)
+
+
+def dense_layout(resolution: int) -> GridLayout:
+    """Return the layout of one dense level with one feature over the cube [-1, 1]^3."""
+    level = GridLevel(
+        resolution=resolution,
+        first_row=0,
+        num_rows=resolution**3,
+        multiplier_y=resolution,
+        multiplier_z=resolution**2,
+    )
+    return GridLayout(levels=(level,), num_features=1, half_extent=1.0)

@@ -13,6 +13,7 @@ from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.caches.nerf_cache import CacheAnswer, NerfCache, NerfCacheConfig
 from flashcache.encoding.turns import LightTurns
 from flashcache.fields.materials import MaterialConfig, MaterialField
+from flashcache.geometry.occupancy import Occupancy, OccupancyConfig
 from flashcache.geometry.rays import Rays
 from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.light_sampler import LightSampler, LightSamplerConfig
@@ -27,6 +28,7 @@ class ModelConfig:
     environment: EnvironmentConfig = field(default_factory=EnvironmentConfig)
     materials: MaterialConfig = field(default_factory=MaterialConfig)
     light_sampler: LightSamplerConfig = field(default_factory=LightSamplerConfig)
+    occupancy: OccupancyConfig = field(default_factory=OccupancyConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,7 +67,10 @@ class InverseModel(nn.Module):
         near, far = domain.secondary
         self.config = config
         self.domain = domain
-        self.nerf = NerfCache(config.nerf, radius, num_lights, (near, far), turns)
+        occupancy = None
+        if config.occupancy.cells:
+            occupancy = Occupancy(domain.bounds_min, domain.bounds_max, config.occupancy.cells)
+        self.nerf = NerfCache(config.nerf, radius, num_lights, (near, far), turns, occupancy)
         self.environment = Environment(
             config.environment,
             num_lights,

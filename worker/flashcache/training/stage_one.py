@@ -17,6 +17,7 @@ from flashcache.losses.shape import flatness, recession, tangent_steps
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.halves import Halves
+from flashcache.training.occupied import keep_filled
 from flashcache.training.optimiser import (
     StepRecord,
     build_optimiser,
@@ -51,7 +52,7 @@ class StageOne:
         return self.steps_done >= self.config.num_steps
 
     def step(self) -> StepRecord:
-        """Take one training step."""
+        """Take one training step; after the last one, what is empty is ruled out."""
         config, step = self.config, self.steps_done
         generator = generator_for(self.seed, STAGE, step, "rays", self.pixels.device)
         batch = self.pixels.draw(config.num_rays, generator)
@@ -63,6 +64,8 @@ class StageOne:
         applied = take_step(self.optimiser)
         self.steps_done += 1
         self.num_skipped += not applied
+        if self.finished:
+            keep_filled(self.model.nerf)
         terms = {name: sum(half[name] for half, _ in found) / len(found) for name in found[0][0]}
         return StepRecord(
             step=self.steps_done,

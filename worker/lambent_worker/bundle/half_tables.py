@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
+from flashcache.encoding.hash_grid import HashGrid
 from flashcache.export.graphs import exported_grids
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
@@ -21,7 +22,8 @@ def with_half_tables(model: InverseModel) -> InverseModel:
     rounded = copy.deepcopy(model)
     with torch.no_grad():
         for grid in exported_grids(rounded).values():
-            grid.fold_scale()
+            if isinstance(grid, HashGrid):
+                grid.fold_scale()
             grid.table.copy_(grid.table.half().float())
     return rounded
 

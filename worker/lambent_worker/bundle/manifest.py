@@ -11,6 +11,7 @@ from pathlib import Path
 
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.export.onnx import WeightFile
+from flashcache.geometry.occupancy import Occupancy
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 
@@ -75,7 +76,7 @@ def add_graph(
 
 
 def add_weights(
-    manifest: bundle_pb2.BundleManifest, weights: WeightFile, grids: Mapping[str, HashGrid]
+    manifest: bundle_pb2.BundleManifest, weights: WeightFile, grids: Mapping[str, HashGrid | Occupancy]
 ) -> None:
     """Add the tensors of the weight file and the feature grids among them."""
     for tensor in weights.tensors.values():

@@ -12,15 +12,25 @@ from lambent_relight.fused.weights import NotFused, Weights, chained, graph_cons
 
 CONSTANTS = ("contraction_radius", "density_bias", "albedo_bias", "alpha_bias", "metalness_bias")
 CONSTANTS += ("alpha_minimum",)
+OCCUPANCY_BOX = ("occupancy_min", "occupancy_max")
 
 
 class SurfaceFields:
     """Density, normals and materials at points, with the constants of one of the bundle's graphs."""
 
-    def __init__(self, bundle: Bundle, weights: Weights, graph: str, kind: str, extra: tuple[str, ...] = ()):
+    def __init__(self, bundle: Bundle, weights: Weights, graph: str, extra: tuple[str, ...] = ()):
         """Collect the networks; raises NotFused when the bundle has others."""
         path = bundle.graph_path(graph)
-        self.constants = graph_constants(bundle, path, kind, CONSTANTS + extra, ("softplus_beta",))
+        self._occupancy, box, kind = None, (), f"{graph}.v1"
+        if "nerf.occupancy.table" in weights:
+            self._occupancy, box, kind = weights.grid("nerf.occupancy"), OCCUPANCY_BOX, f"{graph}.v2"
+        self.constants = graph_constants(bundle, path, kind, CONSTANTS + box + extra, ("softplus_beta",))
+        if self._occupancy is not None:
+            low, high = (np.asarray(self.constants[name], np.float32) for name in box)
+            self._box_half = np.float32(0.5) * (high - low)
+            self._box_middle = low + self._box_half
+            if low.shape != (3,) or not (self._box_half > 0.0).all() or self._occupancy.num_outputs != 1:
+                raise NotFused("the occupancy's box or grid is not understood")
         self._radius = np.float32(self.constants["contraction_radius"])
         self._sharpness = self.constants["softplus_beta"]
         if not self._radius > 0.0 or self._sharpness == 0.0:
@@ -42,13 +52,23 @@ class SurfaceFields:
         if shapes != [(1, hidden), (3, width), (5, self._material_grid.num_outputs)]:
             raise NotFused(f"the heads have the shapes {shapes}")
 
+    def occupied(self, points: Rows, count: int) -> Rows | None:
+        """Return the factor on the density at world `points` [3, block], or None where it is 1 everywhere."""
+        if self._occupancy is None:
+            return None
+        places = (points - self._box_middle[:, None]) / self._box_half[:, None]
+        return self._occupancy.encode(places, count)[0]
+
     def contract(self, points: Rows, count: int) -> Rows:
         """Replace world `points` [3, block] by contracted coordinates, and return them."""
         kernels.contract_block(points, count, self._radius)
         return points
 
     def density(self, points: Rows, count: int) -> tuple[Rows, Rows]:
-        """Return the hidden feature [width, block] and density [block], 1/scene unit."""
+        """Return the hidden feature [width, block] and density [block], 1/scene unit, at contracted points.
+
+        The density is not multiplied by `occupied` yet.
+        """
         hidden = self._density_grid.encode(points, count)
         for layer in self._density:
             hidden = run_layers([layer], hidden, relu=self._sharpness is None)

@@ -28,7 +28,7 @@ class FusedGbuffer:
     def __init__(self, bundle: Bundle, weights: Weights) -> None:
         """Collect the networks; raises NotFused when the bundle has others."""
         extra = ("box_min", "box_max", "num_samples", "group")
-        self._fields = SurfaceFields(bundle, weights, "gbuffer", "gbuffer.v1", extra)
+        self._fields = SurfaceFields(bundle, weights, "gbuffer", extra)
         constants = self._fields.constants
         self._low = np.asarray(constants["box_min"], np.float32)
         self._high = np.asarray(constants["box_max"], np.float32)
@@ -91,7 +91,9 @@ class FusedGbuffer:
     def _density(self, positions: Rows) -> NDArray[np.float32]:
         density = np.empty(len(positions), np.float32)
         for part, points, count in kernels.blocks(positions):
-            density[part] = self._fields.density(self._fields.contract(points, count), count)[1][:count]
+            share = self._fields.occupied(points, count)
+            found = self._fields.density(self._fields.contract(points, count), count)[1]
+            density[part] = found[:count] if share is None else (found * share)[:count]
         return density
 
     def _surface(self, positions: Rows) -> NDArray[np.float32]:

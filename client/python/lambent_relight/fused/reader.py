@@ -1,8 +1,8 @@
 """The bundle's networks without a graph runtime, from the same weights.
 
 Reads the tensors that the manifest places in models/weights.bin, and the constants that the graphs carry
-as metadata under `lambent.network`. It knows the networks `gbuffer.v1`, `material.v1` and `fast_cache.v1`;
-for any other the graphs are run by onnxruntime. Answers equal the graphs' within 1e-5.
+as metadata under `lambent.network`. It knows the networks `gbuffer` and `material`, v1 and v2, and
+`fast_cache.v1`; for any other the graphs are run by onnxruntime. Answers equal the graphs' within 1e-5.
 Source: supplement 2.1 (fast cache), 2.2 and 2.6; docs/reference/bundle-format.md.
 """
 
@@ -144,7 +144,7 @@ class FusedMaterials:
 
     def __init__(self, bundle: Bundle, weights: Weights) -> None:
         """Collect the networks; raises NotFused when the bundle has others."""
-        self._fields = SurfaceFields(bundle, weights, "material", "material.v1")
+        self._fields = SurfaceFields(bundle, weights, "material")
 
     def __call__(self, position: Rows, out: PointMaterials) -> None:
         """Write the surface at points [row, 3]."""

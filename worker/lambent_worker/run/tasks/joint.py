@@ -11,5 +11,5 @@ def run(context: TaskContext) -> None:
     scene = read_scene(context)
     # Materials, fast cache and sampler were not touched by stage one: they start fresh.
     model = load_trained(context, scene, "cache")
-    pixels = training_pixels(context, scene)
+    pixels = training_pixels(context, scene, model)
     drive(context, StageTwo(model, pixels, context.spec.config.stage_two, seed=context.spec.seed))

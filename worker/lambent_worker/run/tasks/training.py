@@ -79,9 +79,10 @@ def load_trained(context: TaskContext, scene: Scene, stage: str) -> InverseModel
     return model
 
 
-def training_pixels(context: TaskContext, scene: Scene) -> TrainingPixels:
-    """Return the training photographs on the run's device."""
-    return TrainingPixels(scene, context.spec.config.pixels, torch.device(context.device))
+def training_pixels(context: TaskContext, scene: Scene, model: InverseModel) -> TrainingPixels:
+    """Return the training photographs on the run's device, where the model may hold something."""
+    device, pixels = torch.device(context.device), context.spec.config.pixels
+    return TrainingPixels(scene, pixels, device, model.nerf.occupancy)
 
 
 def drive(context: TaskContext, stage: Stage) -> None:
