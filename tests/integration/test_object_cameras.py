@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from lambent_relight.baked.mesh import read_mesh
 from lambent_relight.bundle.bundle import Bundle, load_bundle
-from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import Camera, turntable
+from lambent_relight.object_cameras import around_object
 from support.baked_bundle import SCENE, write_baked_bundle
 
 VIEWS = 5

@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 from flashcache import presets
 from flashcache.encoding.hash_grid import HashGrid
+from flashcache.encoding.occupancy import OccupancyConfig
 from flashcache.export.reference import GbufferRule
 from flashcache.fields.density import NormalConfig
-from flashcache.geometry.occupancy import OccupancyConfig
 from flashcache.physical.model import Domain, InverseModel
 
 DOMAIN = Domain(

@@ -7,10 +7,10 @@ from flashcache.caches.environment import EnvironmentConfig
 from flashcache.caches.fast_cache import FastCacheConfig
 from flashcache.caches.nerf_cache import NerfCacheConfig
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.encoding.occupancy import OccupancyConfig
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig, NormalConfig
 from flashcache.fields.materials import MaterialConfig
-from flashcache.geometry.occupancy import OccupancyConfig
 from flashcache.physical.light_sampler import LightSamplerConfig
 from flashcache.physical.model import Domain, InverseModel, ModelConfig
 from flashcache.volume.proposal_sampling import SampleCounts

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.encoding.occupancy import Occupancy
 from flashcache.encoding.turns import LightTurns
 from flashcache.errors import ConfigError
 from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
@@ -19,7 +20,6 @@ from flashcache.fields.density import (
     NormalField,
     derived_normal,
 )
-from flashcache.geometry.occupancy import Occupancy
 from flashcache.geometry.rays import Rays
 from flashcache.volume.proposal_sampling import (
     PRIMARY_CURVE,

@@ -11,7 +11,7 @@ from numpy import ndarray
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from flashcache.data.scene import Camera, Scene, View
-from flashcache.geometry.occupancy import OccupancyConfig
+from flashcache.encoding.occupancy import OccupancyConfig
 from flashcache.kernels.cells import count_cells
 from flashcache.physical.model import InverseModel
 

@@ -11,8 +11,8 @@ from scipy.ndimage import binary_dilation
 from torch import Tensor
 
 from flashcache.data.scene import Scene, View
+from flashcache.encoding.occupancy import Occupancy
 from flashcache.errors import ConfigError, TrainingError
-from flashcache.geometry.occupancy import Occupancy
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
 _CHUNK_PIXELS = 1 << 16

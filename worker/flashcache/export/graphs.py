@@ -14,12 +14,12 @@ import torch
 from flashcache.caches.fast_cache import FastCache
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.encoding.hash_grid import HashGrid
+from flashcache.encoding.occupancy import Occupancy
 from flashcache.export import layers
 from flashcache.export.constants import fast_cache_constants, gbuffer_constants, material_constants
 from flashcache.export.onnx import GraphBuilder, Value, WeightFile
 from flashcache.export.reference import OPACITY_FLOOR, SURFACE_THICKNESS, UPRIGHT_OPACITY, GbufferRule
 from flashcache.fields.materials import ALPHA_MINIMUM
-from flashcache.geometry.occupancy import Occupancy
 from flashcache.physical.model import InverseModel
 
 Metadata = Mapping[str, str]

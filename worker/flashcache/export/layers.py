@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from flashcache.encoding.hash_grid import HashGrid
+from flashcache.encoding.occupancy import Occupancy
 from flashcache.export.onnx import GraphBuilder, Value
 from flashcache.fields.mlp import Hidden
-from flashcache.geometry.occupancy import Occupancy
 
 # A quarter turn in three parts, of which the products with small whole numbers are exact.
 _QUARTER_TURN = (1.5703125, 4.837512969970703e-4, 7.549789948768648e-8)

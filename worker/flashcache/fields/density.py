@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.encoding.occupancy import Occupancy
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract, contract_vjp
-from flashcache.geometry.occupancy import Occupancy
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

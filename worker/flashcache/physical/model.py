@@ -11,9 +11,9 @@ from torch import nn
 from flashcache.caches.environment import Environment, EnvironmentConfig
 from flashcache.caches.fast_cache import FastCache, FastCacheConfig
 from flashcache.caches.nerf_cache import CacheAnswer, NerfCache, NerfCacheConfig
+from flashcache.encoding.occupancy import Occupancy, OccupancyConfig
 from flashcache.encoding.turns import LightTurns
 from flashcache.fields.materials import MaterialConfig, MaterialField
-from flashcache.geometry.occupancy import Occupancy, OccupancyConfig
 from flashcache.geometry.rays import Rays
 from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.light_sampler import LightSampler, LightSamplerConfig

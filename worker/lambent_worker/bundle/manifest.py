@@ -10,8 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flashcache.encoding.hash_grid import HashGrid
+from flashcache.encoding.occupancy import Occupancy
 from flashcache.export.onnx import WeightFile
-from flashcache.geometry.occupancy import Occupancy
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 

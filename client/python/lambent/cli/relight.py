@@ -7,8 +7,8 @@ import typer
 from lambent_proto.pictures import RenderSettings
 from lambent_relight import MaterialEdit, load_cameras
 from lambent_relight.batch.manifest import Asset, Files, Light
-from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.environment.axes import OURS
+from lambent_relight.object_cameras import around_object
 
 from lambent.cli.environment_options import (
     EnvAxesOption,

@@ -13,8 +13,8 @@ from lambent_relight import Bundle
 from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.batch.plan import Row
 from lambent_relight.batch.studio import Studio
-from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.environment.axes import OURS
+from lambent_relight.object_cameras import around_object
 from PIL import Image
 
 from lambent import film

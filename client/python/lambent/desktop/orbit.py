@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from lambent_relight import Bundle, Camera, look_at
-from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import position_around
+from lambent_relight.object_cameras import around_object
 
 MAX_ELEVATION_DEG = 89.0
 _NEAREST, _FARTHEST = 0.2, 5.0

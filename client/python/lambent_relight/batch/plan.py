@@ -24,10 +24,10 @@ from lambent_relight.batch.manifest import (
     Quality,
 )
 from lambent_relight.bundle.bundle import Bundle, load_bundle
-from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.cameras import Camera, load_cameras
 from lambent_relight.errors import CameraError, RelightError, SettingError
 from lambent_relight.files import file_sha256
+from lambent_relight.object_cameras import around_object
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")
 

@@ -7,7 +7,7 @@ import torch
 from flashcache.data.hull import fit_occupancy, hull_of
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.scene import Scene
-from flashcache.geometry.occupancy import Occupancy, OccupancyConfig
+from flashcache.encoding.occupancy import Occupancy, OccupancyConfig
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from support.lit_sphere import RADIUS, lit_domain, lit_sphere

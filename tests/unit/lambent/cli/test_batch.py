@@ -10,8 +10,8 @@ from lambent_relight import Renderer, cameras_json, load_bundle, turntable, writ
 from lambent_relight.batch import plan as plan_module
 from lambent_relight.batch.plan import make_plan
 from lambent_relight.batch.reading import read_manifest
-from lambent_relight.bundle.object_cameras import around_object
 from lambent_relight.errors import SettingError
+from lambent_relight.object_cameras import around_object
 from PIL import Image
 from support.small_batch import HEAD, SMALL, batch, pixels, rgb_of, states, table, write_inputs
 

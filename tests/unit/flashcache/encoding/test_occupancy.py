@@ -2,8 +2,8 @@
 
 import pytest
 import torch
+from flashcache.encoding.occupancy import Occupancy, OccupancyConfig
 from flashcache.errors import ConfigError
-from flashcache.geometry.occupancy import Occupancy, OccupancyConfig
 from flashcache.geometry.rays import Rays
 from flashcache.kernels import dispatch
 
