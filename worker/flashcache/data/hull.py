@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from flashcache.data.scene import Camera, Scene, View
 from flashcache.encoding.occupancy import OccupancyConfig
+from flashcache.geometry.rays import pixel_directions
 from flashcache.kernels.cells import count_cells
 from flashcache.physical.model import InverseModel
 
@@ -37,7 +38,7 @@ def hull_of(scene: Scene, config: OccupancyConfig) -> Bool[ndarray, "x y z"] | N
 
     A cell is kept if at most the share `config.dissent` of the views that see it have no mask within
     `config.margin_px` of it, or if a pixel of a mask shows no cell that is denied by fewer. One more layer of
-    cells is added around all.
+    cells is added around all. Only the training views count; margins around their pictures show nothing.
     """
     masks = [_mask(view, scene.lights) for view in scene.train]
     if not masks or np.mean([(mask > 0.0).mean() for mask in masks]) > 1.0 - _LEAST_EMPTY:
@@ -118,17 +119,15 @@ def _along(
     size: Float[ndarray, "3"],
     count: int,
 ) -> Int[ndarray, "rays steps 3"]:
-    """Return the cells that rays through pixels pass, a cell's length apart; -1 outside of the box."""
-    local = np.stack(
-        [
-            (columns - camera.centre_x) / camera.focal_x,
-            -(rows - camera.centre_y) / camera.focal_y,
-            -np.ones_like(columns),
-        ],
-        axis=-1,
-    )
-    directions = local @ camera.camera_to_world[:3, :3].T
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    """Return the cells that rays through pixels pass, a cell's length apart; -1 outside of the box.
+
+    `columns` and `rows` are places in the picture, pixels; `low` and `size` the lattice's corner and a cell's
+    sides, scene units.
+    """
+    lens = torch.tensor([camera.focal_x, camera.focal_y]), torch.tensor([camera.centre_x, camera.centre_y])
+    pose = torch.from_numpy(camera.camera_to_world).float()
+    place = torch.from_numpy(columns).float(), torch.from_numpy(rows).float()
+    directions = pixel_directions(*place, *lens, pose).numpy()
     middle = low + 0.5 * count * size
     half = 0.5 * count * float(np.linalg.norm(size))
     start = max(float(np.linalg.norm(camera.position - middle)) - half, 0.0)

@@ -188,7 +188,10 @@ class TrainingPixels:
                 parts.append(some[narrow.far > narrow.near])
         meeting = torch.cat(parts)
         if not len(meeting):
-            raise TrainingError(f"no photograph of scene {self.scene.name!r} shows the object")
+            raise TrainingError(
+                f"no photograph of scene {self.scene.name!r} shows a cell that may hold the object; look at "
+                "the masks (lambent masks --edit), or train with --set model.occupancy.cells=0"
+            )
         return meeting
 
     def _places(

@@ -4,6 +4,7 @@ Cells come from the masks of the photographs first (`flashcache.data.hull`), fro
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -58,9 +59,9 @@ class Occupancy(nn.Module):
         super().__init__()
         self.layout = dense_layout(resolution)
         self.register_buffer("cells", torch.ones((resolution,) * 3, dtype=torch.uint8))
-        self.register_buffer("table", torch.empty(resolution**3, 1))
-        self.register_buffer("low", torch.tensor(low, dtype=torch.float32))
-        self.register_buffer("high", torch.tensor(high, dtype=torch.float32))
+        self.register_buffer("table", torch.empty(resolution**3, 1), persistent=False)
+        self.register_buffer("low", torch.tensor(low, dtype=torch.float32), persistent=False)
+        self.register_buffer("high", torch.tensor(high, dtype=torch.float32), persistent=False)
         self.set(self.cells > 0)
 
     @property
@@ -81,14 +82,17 @@ class Occupancy(nn.Module):
         their shortest side, so the corner of one may be missed.
         """
         step = 0.5 * float(self.size.min())
-        near, far = dispatch.stretch(
-            rays.origins, rays.directions, rays.near, rays.far, self.cells, self.low, self.high, step
-        )
+        near, far = dispatch.stretch(rays, self.cells, self.low, self.high, step)
         return Rays(rays.origins, rays.directions, near, far)
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
+        """Take cells from a checkpoint; the table follows from them."""
+        super()._load_from_state_dict(state_dict, prefix, *rest)
+        self.set(self.cells > 0)
 
     @torch.no_grad()
     def set(self, cells: Bool[Tensor, "x y z"]) -> None:
-        """Replace the cells that may hold something."""
+        """Replace the cells that may hold something, and the table that follows from them."""
         empty = torch.nn.functional.pad(1.0 - cells.float(), (1,) * 6, value=1.0)
         inner = 1.0 - torch.nn.functional.max_pool3d(empty[None, None], 3, stride=1)[0, 0]
         self.cells.copy_(cells.to(self.cells))

@@ -6,8 +6,9 @@ from flashcache.kernels.compiled import compiled
 
 
 @compiled
-def stretch_loop(origins, directions, near, far, cells, low, high, step, first, last):
-    """Write the stretches of rays into `first` and `last`; see `march`."""
+def write_stretches(origins, directions, near, far, cells, low, high, step, first, last):
+    """Write the stretches of rays into `first` and `last` [rays]; arguments and rule as in `march`."""
+    step = np.float32(step)
     count = cells.shape[0]
     limit = np.float32(count)
     scale = limit / (high - low)
@@ -42,10 +43,11 @@ def stretch_loop(origins, directions, near, far, cells, low, high, step, first, 
 
 @compiled
 def count_cells(world_to_camera, lens, frame, away, low, size, radius, margin_px, seen, denied):
-    """Add to `seen` and `denied` what a view shows of each cell; see `flashcache.data.hull`.
+    """Add to `seen` and `denied` [x, y, z] what a view shows of each cell; see `flashcache.data.hull`.
 
     `lens` has the focal lengths and the centre, `frame` what lies left, above, right and below of the
-    picture, pixels.
+    picture, `away` [height, width] the distance of each pixel from the mask, all in pixels. `low`, `size` and
+    `radius` are the lattice's corner, a cell's sides and half its diagonal, scene units.
     """
     height, width = away.shape
     for i in range(seen.shape[0]):

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flashcache.errors import ConfigError
+from flashcache.geometry.rays import Rays
 from flashcache.kernels import reference
 from flashcache.kernels.layout import GridLayout
 
@@ -76,24 +77,20 @@ def encode_with_jacobian(
 
 
 def stretch(
-    origins: Float[Tensor, "rays 3"],
-    directions: Float[Tensor, "rays 3"],
-    near: Float[Tensor, " rays"],
-    far: Float[Tensor, " rays"],
-    cells: UInt8[Tensor, "x y z"],
-    low: Float[Tensor, "3"],
-    high: Float[Tensor, "3"],
-    step: float,
+    rays: Rays, cells: UInt8[Tensor, "x y z"], low: Float[Tensor, "3"], high: Float[Tensor, "3"], step: float
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
     """Return near and far of the stretch of each ray on which a lattice has occupied cells; see `march`."""
-    from flashcache.kernels import march
+    if not _is_compiled(rays.near):
+        from flashcache.kernels import march
 
-    if not _is_compiled(near):
-        return march.reference_stretch(origins, directions, near, far, cells, low, high, step)
-    tensors = (origins, directions, near, far, cells, low, high)
+        return march.stretch(rays, cells, low, high, step)
+    from flashcache.kernels.cells import write_stretches
+
+    first, last = torch.empty_like(rays.near), torch.empty_like(rays.far)
+    tensors = (rays.origins, rays.directions, rays.near, rays.far, cells, low, high)
     arrays = [each.detach().contiguous().numpy() for each in tensors]
-    first, last = march.stretch(*arrays, step)
-    return torch.from_numpy(first), torch.from_numpy(last)
+    write_stretches(*arrays, step, first.numpy(), last.numpy())
+    return first, last
 
 
 def _is_compiled(table: Tensor) -> bool:

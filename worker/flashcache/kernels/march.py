@@ -1,51 +1,28 @@
-"""The stretch of a ray on which a lattice has occupied cells: compiled loops, and the same in plain torch.
+"""The stretch of a ray on which a lattice has occupied cells, in plain torch; `cells` has the compiled loop.
 
 Points stand at near + (k + 1/2) step, k = 0, 1, ... up to far. The stretch begins a step before the first
 one in an occupied cell, and ends a step behind the last one, within near and far; without any it is empty.
 """
 
-import numpy as np
+import math
+
 import torch
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 from torch import Tensor
 
-from flashcache.kernels.cells import stretch_loop
+from flashcache.geometry.rays import Rays
 
-Array = NDArray[np.float32]
 _CHUNK = 1 << 22
-"""Points that are looked up at once in plain torch."""
+"""Points that are looked up at once."""
 
 
 def stretch(
-    origins: Array,
-    directions: Array,
-    near: Array,
-    far: Array,
-    cells: NDArray[np.uint8],
-    low: Array,
-    high: Array,
-    step: float,
-) -> tuple[Array, Array]:
-    """Return new near and far distances [rays]; `low` and `high` are the lattice's corners."""
-    first, last = np.empty_like(near), np.empty_like(far)
-    stretch_loop(origins, directions, near, far, cells, low, high, np.float32(step), first, last)
-    return first, last
-
-
-def reference_stretch(
-    origins: Float[Tensor, "rays 3"],
-    directions: Float[Tensor, "rays 3"],
-    near: Float[Tensor, " rays"],
-    far: Float[Tensor, " rays"],
-    cells: UInt8[Tensor, "x y z"],
-    low: Float[Tensor, "3"],
-    high: Float[Tensor, "3"],
-    step: float,
+    rays: Rays, cells: UInt8[Tensor, "x y z"], low: Float[Tensor, "3"], high: Float[Tensor, "3"], step: float
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
-    """Return new near and far distances, by plain torch on any device."""
+    """Return new near and far distances; `low` and `high` are the lattice's corners, all in scene units."""
+    origins, directions, near, far = rays.origins, rays.directions, rays.near, rays.far
     longest = float((far - near).max()) if len(near) else 0.0
-    number = max(1, int(np.ceil(longest / step)))
+    number = max(1, math.ceil(longest / step))
     parts = []
     rows = max(1, _CHUNK // number)
     k = torch.arange(number, device=near.device, dtype=near.dtype) + 0.5

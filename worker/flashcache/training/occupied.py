@@ -14,7 +14,10 @@ _CHUNK_CELLS = 1 << 14
 
 @torch.no_grad()
 def keep_filled(nerf: NerfCache) -> None:
-    """Rule out the cells in which the density is next to nothing, and so in all cells around."""
+    """Rule out the cells in which the density is next to nothing, and so in all cells around.
+
+    A density that is next to nothing everywhere rules out none: it has not learned what is there.
+    """
     occupancy = nerf.occupancy
     if occupancy is None:
         return
@@ -28,6 +31,8 @@ def keep_filled(nerf: NerfCache) -> None:
         depth = nerf.density.density(points) * size.max()
         kept = some[-torch.expm1(-depth.amax(dim=-1)) > LEAST_OPACITY]
         filled[tuple(kept.unbind(dim=-1))] = True
+    if not filled.any():
+        return
     # Cells beside those count as well, and one layer more, on which the share of densities fades.
     occupancy.set(_grown(_grown(filled)) & (occupancy.cells > 0))
 

@@ -19,7 +19,8 @@ from lambent_worker.masks import evidence
 from lambent_worker.masks.lattice import SCENE, Frame, Lattice, main_parts
 
 _AS_LIKELY = 0.25
-"""How much less than the best cell behind a marked pixel one may have that is solid, too: votes of a view."""
+"""How much smaller the sum of a cell may be than the best behind a marked pixel for it to be solid, too; log
+odds for each view of the capture."""
 _BORDER = 2
 """Pixels along the border that are background by definition."""
 
@@ -314,14 +315,28 @@ def _with_marked(
     )[0]
     result = total.copy()
     for view, inside in behind.items():
-        camera, pixels = views[view].camera, grid.pixels[view]
-        best = np.full(camera.height * camera.width + 1, -1e9, dtype=np.float32)
-        np.maximum.at(best, pixels[inside], score[inside].astype(np.float32))
-        radius = max(1, int(np.ceil(0.5 * grid.lattice.spacing * camera.pixels_per_unit(middle))))
-        wide = ndimage.maximum_filter(best[:-1].reshape(camera.height, camera.width), size=2 * radius + 1)
-        chosen = inside & (score >= np.append(wide.ravel(), 1e9)[pixels] - _AS_LIKELY * len(views))
-        result = np.where(chosen, np.maximum(result, share), result)
+        best, _ = _best_behind(grid, np.where(inside, score, -1e9), view, views[view].camera, middle)
+        least = np.append(best.ravel(), np.inf)[grid.pixels[view]] - _AS_LIKELY * len(views)
+        result = np.where(inside & (score >= least), np.maximum(result, share), result)
     return result
+
+
+def _best_behind(
+    grid: _Grid,
+    votes: Float[ndarray, " cells"],
+    view: int,
+    camera: PictureCamera,
+    middle: Float[ndarray, "3"],
+) -> tuple[Float[ndarray, "height width"], int]:
+    """Return the largest sum of votes behind each pixel, within reach of a cell's size, and that reach.
+
+    Log odds, and pixels.
+    """
+    best = np.full(camera.height * camera.width + 1, -1e3, dtype=np.float32)
+    np.maximum.at(best, grid.pixels[view], votes)
+    radius = max(1, int(np.ceil(0.5 * grid.lattice.spacing * camera.pixels_per_unit(middle))))
+    picture = best[:-1].reshape(camera.height, camera.width)
+    return ndimage.maximum_filter(picture, size=2 * radius + 1), radius
 
 
 def _prior(
@@ -338,10 +353,7 @@ def _prior(
     Against the object where no cell is solid within reach of a cell's size; for it only further inside, since
     cells are larger than pixels.
     """
-    best = np.full(camera.height * camera.width + 1, -1e3, dtype=np.float32)
-    np.maximum.at(best, grid.pixels[view], votes)
-    radius = max(1, int(np.ceil(0.5 * grid.lattice.spacing * camera.pixels_per_unit(middle))))
-    wide = ndimage.maximum_filter(best[:-1].reshape(camera.height, camera.width), size=2 * radius + 1)
+    wide, radius = _best_behind(grid, votes, view, camera, middle)
     deep = ndimage.minimum_filter(wide, size=2 * (radius + 1) + 1)
     against = np.clip(wide / settings.scale, -leaning.least_hull, 0.0)
     return against + np.clip(deep / settings.scale, 0.0, leaning.most_hull)

@@ -116,3 +116,13 @@ def test_a_stretch_stays_within_near_and_far():
 def test_settings_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ConfigError, match=r"model\.occupancy"):
         OccupancyConfig(**wrong)
+
+
+def test_a_checkpoint_brings_the_cells_and_the_shares_that_follow_from_them():
+    trained, fresh = with_ball(16), Occupancy(LOW, HIGH, 16)
+    kept = trained.state_dict()
+    assert list(kept) == ["cells"]
+    fresh.load_state_dict(kept)
+    points = 2.0 * torch.rand(500, 3, generator=torch.Generator().manual_seed(2)) - 1.0
+    torch.testing.assert_close(fresh.share(points), trained.share(points))
+    assert 0.0 < float(fresh.share(points).mean()) < 1.0

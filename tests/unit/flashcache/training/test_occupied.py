@@ -59,3 +59,12 @@ def test_secondary_rays_see_what_they_saw_and_nothing_beside_it():
     met = model.nerf.meet(beside, 1, torch.Generator().manual_seed(0))
     assert bool((met.factors == 0.0).all())
     torch.testing.assert_close(met.distance, far[2:])
+
+
+def test_a_density_that_is_nothing_everywhere_rules_nothing_out():
+    model = sphere_model(cells=CELLS).requires_grad_(False)
+    model.nerf.density.head.bias.fill_(-200.0)
+    assert model.nerf.occupancy is not None
+    before = model.nerf.occupancy.cells.clone()
+    keep_filled(model.nerf)
+    assert torch.equal(model.nerf.occupancy.cells, before)

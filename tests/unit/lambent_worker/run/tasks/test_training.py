@@ -5,14 +5,17 @@ from dataclasses import replace
 import pytest
 import torch
 from flashcache.config import Config, DistilConfig
+from flashcache.data.hull import hull_of
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.space import SpaceConfig
+from flashcache.encoding.occupancy import OccupancyConfig
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
 from lambent_worker.errors import Stopped
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import domain_for, drive, new_model
+from lambent_worker.run.tasks import cache
+from lambent_worker.run.tasks.training import domain_for, drive, load_trained, new_model, training_pixels
 from support.lit_sphere import lit_sphere
 from support.recording_reporter import RecordingReporter
 
@@ -63,3 +66,25 @@ def test_the_space_of_a_preset_is_that_of_its_models(tmp_path):
     domain = domain_for(context_of(tmp_path, config), SCENE)
     assert (domain.contraction_radius, domain.secondary) == (3.0, (0.1, 1.0))
     assert domain.primary == SCENE.primary
+
+
+def test_stage_one_trains_in_the_hull_and_stage_two_goes_on_in_what_is_left_of_it(tmp_path, monkeypatch):
+    base = short()
+    config = replace(
+        base,
+        model=replace(base.model, occupancy=OccupancyConfig(cells=16)),
+        stage_one=replace(base.stage_one, num_steps=2, num_rays=32, warmup_steps=0),
+    )
+    context = context_of(tmp_path, config)
+    cache_context = replace(context, task="cache")
+    cache_context.folder.mkdir()
+    monkeypatch.setattr(cache, "read_scene", lambda context: SCENE)
+    cache.run(cache_context)
+    model = load_trained(context, SCENE, "cache")
+    hull = hull_of(SCENE, config.model.occupancy)
+    assert hull is not None
+    assert model.nerf.occupancy is not None
+    assert 0.0 < model.nerf.occupancy.cells.float().mean() <= hull.mean() < 1.0
+    pixels = training_pixels(context, SCENE, model)
+    assert pixels.meeting is not None
+    assert len(pixels.meeting) < pixels.num_positions
