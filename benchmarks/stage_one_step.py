@@ -35,7 +35,7 @@ def double_backward(self: DensityField, positions: Tensor) -> tuple[DensitySampl
     hidden = self.network(self.grid(contract(positions, self.contraction_radius)))
     raw = self.head(hidden)[:, 0]
     (gradient,) = torch.autograd.grad(raw.sum(), positions, create_graph=True)
-    return DensitySample(self._density(raw), hidden), gradient
+    return DensitySample(self._density(raw, positions), hidden), gradient
 
 
 def new_stage(name: str) -> StageOne:

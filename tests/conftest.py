@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import os
 import re
+import signal
 import sys
 import time
 import uuid
@@ -24,6 +25,10 @@ sys.path[:0] = [str(TESTS), str(ROOT), *(str(ROOT / name) for name in ("scripts"
 # Inherited by every process that the tests start, and by the runs of their servers.
 SESSION = uuid.uuid4().hex
 os.environ |= {"LAMBENT_TEST_SESSION": SESSION, "LAMBENT_RUN_ENVIRONMENT": "LAMBENT_TEST_SESSION"}
+
+# A shell that starts the tests in the background has them ignore Ctrl-C, and all that they start with them.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 MUST_RUN_IN_CI = ("browser", "services")
 _COMPILED = re.compile(r"^\s*(import|from) (numba|triton|flashcache\.kernels\.compiled)\b", re.MULTILINE)

@@ -1,0 +1,170 @@
+"""Train stage one with several settings and say how long each takes to reach a quality.
+
+    python -m benchmarks time_to_quality SUITE/cowcrate SUITE/goldbowl --seeds 0 1 2 -o OUT \
+        --variant base --variant 'half: stage_one.num_rays=512 stage_one.num_steps=2400'
+
+A variant is a name and the settings by which it differs from `--preset`. Each is trained with each seed on
+each scene; about `--marks` times on the way, evenly spaced in steps, the cache's picture and normals of
+`--views` test views are compared with the truth, over white on the whole frame, in encoded values. Time is
+wall clock, that of the steps and of what they need before (visual hull, pixels), without reading the capture.
+Curves are kept in OUT/<scene>_<variant>_<seed>.json, and one that is there is not repeated. Prints the mean
+seconds to each of `--levels` [dB] and the last figures.
+"""
+
+import argparse
+import json
+import math
+import statistics
+import time
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+from flashcache.data.hull import fit_occupancy
+from flashcache.data.scene import Scene, View
+from flashcache.evaluation.metrics import over_white
+from flashcache.evaluation.views import render_surface
+from flashcache.physical.model import InverseModel
+from flashcache.training.stage_one import StageOne
+from lambent_worker.console_reporter import ConsoleReporter
+from lambent_worker.report.predictions import encoded
+from lambent_worker.report.request import evenly_spaced
+from lambent_worker.run.hashes import PREPARATION
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import device_for, open_task
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks.training import new_model, read_scene, training_pixels
+from lambent_worker.startup import prepare
+
+QUICK = (
+    "{sample} --preset tiny --marks 2 --views 1 --seeds 0 --variant base --variant few:stage_one.num_rays=128"
+)
+
+
+class Mark(TypedDict):
+    """The quality after some training."""
+
+    step: int
+    seconds: float
+    psnr: float
+    """Of the cache's picture [dB], from the mean squared error over all views."""
+    normals: float
+    """Mean angle to the true normals inside the masks [deg]; NaN where the capture has none."""
+
+
+def quality(model: InverseModel, scene: Scene, views: int) -> tuple[float, float]:
+    """Return PSNR [dB] and angle [deg] of the cache on test views; see `Mark`."""
+    errors, angles = [], []
+    light = scene.lights[0]
+    for view in evenly_spaced(scene.test, views):
+        truth = view.images[light]
+        buffer = render_surface(model, view.camera)
+        straight = buffer.cache_rgb / np.maximum(buffer.opacity, 1e-6)
+        found = over_white(encoded(straight, buffer.opacity))
+        difference = found - over_white(encoded(truth[..., :3], truth[..., 3:]))
+        # What was cut off is white in both.
+        errors.append(float(np.square(difference).mean()) * truth[..., 3].size / _frame(view))
+        if "normal" in view.truth:
+            inside = truth[..., 3] > 0.5
+            cosine = (buffer.normal * view.truth["normal"][..., :3]).sum(axis=-1)[inside]
+            angles.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    angle = float(np.concatenate(angles).mean()) if angles else math.nan
+    return -10.0 * math.log10(max(statistics.fmean(errors), 1e-10)), angle
+
+
+def _frame(view: View) -> int:
+    """Return the pixels of a view with its margins."""
+    camera, margins = view.camera, view.margins
+    return (camera.width + margins.left + margins.right) * (camera.height + margins.top + margins.bottom)
+
+
+def curve(run: Path, seed: int, settings: dict[str, str], arguments: argparse.Namespace) -> list[Mark]:
+    """Return the marks of one training."""
+    spec = RunSpec.from_options(arguments.scene, preset=arguments.preset, overrides=settings, seed=seed)
+    with ConsoleReporter(run) as reporter:
+        run_pipeline(spec, run, device_for(run), reporter, PREPARATION)
+        context = open_task(run, "cache", reporter)
+        scene = read_scene(context)
+        model = new_model(context, scene)
+        began = time.perf_counter()
+        fit_occupancy(model, scene)
+        pixels = training_pixels(context, scene, model)
+        stage = StageOne(model, pixels, spec.config.stage_one, seed=seed)
+        seconds = time.perf_counter() - began
+        marks: list[Mark] = []
+        every = math.ceil(spec.config.stage_one.num_steps / arguments.marks)
+        while not stage.finished:
+            began = time.perf_counter()
+            stage.step()
+            seconds += time.perf_counter() - began
+            if stage.steps_done % every == 0 or stage.finished:
+                psnr, normals = quality(model, scene, arguments.views)
+                marks.append(Mark(step=stage.steps_done, seconds=seconds, psnr=psnr, normals=normals))
+                print(
+                    f"  {stage.steps_done:6d} steps {seconds:7.1f} s {psnr:6.2f} dB {normals:5.1f} deg",
+                    flush=True,
+                )
+    return marks
+
+
+def seconds_to(marks: list[Mark], level: float) -> float:
+    """Return the seconds after which a curve reaches `level` [dB], or infinity; linear between marks."""
+    before = Mark(step=0, seconds=0.0, psnr=0.0, normals=math.nan)
+    for mark in marks:
+        if mark["psnr"] >= level:
+            share = (level - before["psnr"]) / (mark["psnr"] - before["psnr"])
+            return before["seconds"] + share * (mark["seconds"] - before["seconds"])
+        before = mark
+    return math.inf
+
+
+def variant(text: str) -> tuple[str, dict[str, str]]:
+    """Return name and settings of a variant, `NAME: KEY=VALUE KEY=VALUE`."""
+    name, _, settings = text.partition(":")
+    return name.strip(), dict(setting.split("=", 1) for setting in settings.split())
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--variant", action="append", type=variant, default=[], metavar="NAME: KEY=VALUE ...")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--marks", type=int, default=8)
+    parser.add_argument("--views", type=int, default=4, help="test views, evenly spaced")
+    parser.add_argument("--levels", nargs="+", type=float, default=[30.0, 32.0, 34.0], help="dB")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Train what is not there yet and print the table."""
+    prepare()
+    levels = arguments.levels
+    rows = []
+    for scene in arguments.scenes:
+        arguments.scene = scene
+        for name, settings in arguments.variant or [("base", {})]:
+            curves = []
+            for seed in arguments.seeds:
+                kept = arguments.out / f"{scene.name}_{name}_{seed}.json"
+                if not kept.exists():
+                    print(f"{scene.name}, {name}, seed {seed}", flush=True)
+                    run = arguments.out / "runs" / kept.stem
+                    marks = curve(run, seed, settings, arguments)
+                    kept.write_text(json.dumps({"settings": settings, "marks": marks}, indent=1))
+                curves.append(json.loads(kept.read_text())["marks"])
+            reached = [statistics.fmean(seconds_to(marks, level) for marks in curves) for level in levels]
+            last = [marks[-1] for marks in curves]
+            figures = [statistics.fmean(mark[key] for mark in last) for key in ("seconds", "psnr", "normals")]
+            spread = statistics.stdev(mark["psnr"] for mark in last) if len(last) > 1 else 0.0
+            rows.append(
+                f"| {scene.name} | {name} | "
+                + " | ".join(f"{value:.0f}" for value in reached)
+                + f" | {figures[0]:.0f} | {figures[1]:.2f} ± {spread:.2f} | {figures[2]:.1f} |"
+            )
+    print(
+        "| scene | variant | "
+        + " | ".join(f"{level:g} dB [s]" for level in levels)
+        + " | all [s] | [dB] | [deg] |"
+    )
+    print("| --- " * (5 + len(levels)) + "|")
+    print("\n".join(rows))
