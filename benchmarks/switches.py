@@ -4,7 +4,8 @@
 
 Stage one is trained once per seed. Each switch then gets a run folder of its own with the shared NeRF cache
 in it; its stage two is trained and evaluated, and scored by `tests/references/evaluate.py`. Results are kept
-in OUT/<switch>_<seed>/; a run that is there is not repeated. Seconds are those of stage two alone.
+in OUT/<switch>_<seed>/; a run that is there is not repeated. Seconds are those of stage two alone. With
+`--variant 'NAME: KEY=VALUE ...'` settings of your own are compared in place of the switches.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from lambent_worker.startup import prepare
 
 from benchmarks.reference_scores import figures_of
 from benchmarks.stage_sharing import adopt_nerf_cache
+from benchmarks.variants import add_variants
 
 QUICK = "{sample} --preset tiny --only no-clusters --views 1"
 
@@ -42,6 +44,13 @@ SWITCHES: dict[str, dict[str, str]] = {
     "cache-gradient": {"stage_two.estimator.through_cache": "1e-4"},
 }
 """Settings by switch, weights as first guesses; "base" is the preset itself, "no-..." lacks a part of it."""
+
+
+def compared(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
+    """Return the settings to compare, by name."""
+    if arguments.variant:
+        return dict(arguments.variant)
+    return {name: SWITCHES[name] for name in arguments.only or SWITCHES}
 
 
 def spec_of(overrides: dict[str, str], seed: int, arguments: argparse.Namespace) -> RunSpec:
@@ -64,7 +73,7 @@ def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -
     result = folder / "figures.json"
     if result.exists():
         return json.loads(result.read_text())
-    spec = spec_of(SWITCHES[name], seed, arguments)
+    spec = spec_of(compared(arguments)[name], seed, arguments)
     do_tasks(spec, folder / "run", *PREPARATION)
     with ConsoleReporter(folder / "run") as reporter:
         adopt_nerf_cache(folder / "run", shared, reporter)
@@ -102,6 +111,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("--environments", type=Path, help="maps of unseen lights; none: no relit pictures")
     parser.add_argument("--only", nargs="+", choices=list(SWITCHES), help="switches to run, base included")
+    add_variants(parser, "stage two")
     parser.add_argument("--preset", default="fast")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--views", type=int, default=0, help="test views, evenly spaced; 0 for all")
@@ -111,7 +121,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """Run every switch with every seed and print the table."""
     prepare()
-    names = arguments.only or list(SWITCHES)
+    names = list(compared(arguments))
     runs: dict[str, list[dict[str, float]]] = {name: [] for name in names}
     for seed in arguments.seeds:
         shared = arguments.out / f"stage-one_{seed}"

@@ -6,7 +6,8 @@
 A variant is a name and the settings by which it differs from `--preset`. Each is trained with each seed on
 each scene; about `--marks` times on the way, evenly spaced in steps, the cache's picture and normals of
 `--views` test views are compared with the truth, over white on the whole frame, in encoded values. Time is
-wall clock, that of the steps and of what they need before (visual hull, pixels), without reading the capture.
+that of the steps and of what they need before (visual hull, pixels), without reading the capture: `--clock`
+says whether the wall's, or the processor's over all threads, which tells little of a busy neighbour.
 Curves are kept in OUT/<scene>_<variant>_<seed>.json, and one that is there is not repeated. Prints the mean
 seconds to each of `--levels` [dB] and the last figures.
 """
@@ -16,8 +17,10 @@ import json
 import math
 import statistics
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypedDict
+from typing import Literal, TypedDict
 
 import numpy as np
 from flashcache.data.hull import fit_occupancy
@@ -36,16 +39,27 @@ from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks.training import new_model, read_scene, training_pixels
 from lambent_worker.startup import prepare
 
+from benchmarks.variants import add_variants
+
 QUICK = (
     "{sample} --preset tiny --marks 2 --views 1 --seeds 0 --variant base --variant few:stage_one.num_rays=128"
 )
+
+
+ANTIALIAS = 2
+"""Rays along each side of a pixel, as in the presets' evaluation: with one, sharp outlines score less."""
+
+Clock = Literal["wall", "processor"]
 
 
 class Mark(TypedDict):
     """The quality after some training."""
 
     step: int
-    seconds: float
+    wall: float
+    """Seconds of training, by the clock on the wall."""
+    processor: float
+    """Seconds of training, of all threads together."""
     psnr: float
     """Of the cache's picture [dB], from the mean squared error over all views."""
     normals: float
@@ -58,7 +72,7 @@ def quality(model: InverseModel, scene: Scene, views: int) -> tuple[float, float
     light = scene.lights[0]
     for view in evenly_spaced(scene.test, views):
         truth = view.images[light]
-        buffer = render_surface(model, view.camera)
+        buffer = render_surface(model, view.camera, antialias=ANTIALIAS)
         straight = buffer.cache_rgb / np.maximum(buffer.opacity, 1e-6)
         found = over_white(encoded(straight, buffer.opacity))
         difference = found - over_white(encoded(truth[..., :3], truth[..., 3:]))
@@ -86,52 +100,54 @@ def curve(run: Path, seed: int, settings: dict[str, str], arguments: argparse.Na
         context = open_task(run, "cache", reporter)
         scene = read_scene(context)
         model = new_model(context, scene)
-        began = time.perf_counter()
-        fit_occupancy(model, scene)
-        pixels = training_pixels(context, scene, model)
-        stage = StageOne(model, pixels, spec.config.stage_one, seed=seed)
-        seconds = time.perf_counter() - began
+        used = [0.0, 0.0]
+        with counted(used):
+            fit_occupancy(model, scene)
+            pixels = training_pixels(context, scene, model)
+            stage = StageOne(model, pixels, spec.config.stage_one, seed=seed)
         marks: list[Mark] = []
         every = math.ceil(spec.config.stage_one.num_steps / arguments.marks)
         while not stage.finished:
-            began = time.perf_counter()
-            stage.step()
-            seconds += time.perf_counter() - began
+            with counted(used):
+                stage.step()
             if stage.steps_done % every == 0 or stage.finished:
                 psnr, normals = quality(model, scene, arguments.views)
-                marks.append(Mark(step=stage.steps_done, seconds=seconds, psnr=psnr, normals=normals))
-                print(
-                    f"  {stage.steps_done:6d} steps {seconds:7.1f} s {psnr:6.2f} dB {normals:5.1f} deg",
-                    flush=True,
-                )
+                wall, processor = used
+                mark = Mark(step=stage.steps_done, wall=wall, processor=processor, psnr=psnr, normals=normals)
+                marks.append(mark)
+                print(f"  {json.dumps({name: round(value, 2) for name, value in mark.items()})}", flush=True)
     return marks
 
 
-def seconds_to(marks: list[Mark], level: float) -> float:
+@contextmanager
+def counted(used: list[float]) -> Iterator[None]:
+    """Add the seconds that pass in the context, on the wall and of the processor."""
+    began = time.perf_counter(), time.process_time()
+    yield
+    used[0] += time.perf_counter() - began[0]
+    used[1] += time.process_time() - began[1]
+
+
+def seconds_to(marks: list[Mark], level: float, clock: Clock) -> float:
     """Return the seconds after which a curve reaches `level` [dB], or infinity; linear between marks."""
-    before = Mark(step=0, seconds=0.0, psnr=0.0, normals=math.nan)
+    before = Mark(step=0, wall=0.0, processor=0.0, psnr=0.0, normals=math.nan)
     for mark in marks:
         if mark["psnr"] >= level:
             share = (level - before["psnr"]) / (mark["psnr"] - before["psnr"])
-            return before["seconds"] + share * (mark["seconds"] - before["seconds"])
+            return before[clock] + share * (mark[clock] - before[clock])
         before = mark
     return math.inf
-
-
-def variant(text: str) -> tuple[str, dict[str, str]]:
-    """Return name and settings of a variant, `NAME: KEY=VALUE KEY=VALUE`."""
-    name, _, settings = text.partition(":")
-    return name.strip(), dict(setting.split("=", 1) for setting in settings.split())
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--preset", default="fast")
-    parser.add_argument("--variant", action="append", type=variant, default=[], metavar="NAME: KEY=VALUE ...")
+    add_variants(parser, "stage one")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--marks", type=int, default=8)
     parser.add_argument("--views", type=int, default=4, help="test views, evenly spaced")
+    parser.add_argument("--clock", choices=("wall", "processor"), default="wall")
     parser.add_argument("--levels", nargs="+", type=float, default=[30.0, 32.0, 34.0], help="dB")
 
 
@@ -152,9 +168,11 @@ def main(arguments: argparse.Namespace) -> None:
                     marks = curve(run, seed, settings, arguments)
                     kept.write_text(json.dumps({"settings": settings, "marks": marks}, indent=1))
                 curves.append(json.loads(kept.read_text())["marks"])
-            reached = [statistics.fmean(seconds_to(marks, level) for marks in curves) for level in levels]
-            last = [marks[-1] for marks in curves]
-            figures = [statistics.fmean(mark[key] for mark in last) for key in ("seconds", "psnr", "normals")]
+            clock, last = arguments.clock, [marks[-1] for marks in curves]
+            reached = [
+                statistics.fmean(seconds_to(marks, level, clock) for marks in curves) for level in levels
+            ]
+            figures = [statistics.fmean(mark[key] for mark in last) for key in (clock, "psnr", "normals")]
             spread = statistics.stdev(mark["psnr"] for mark in last) if len(last) > 1 else 0.0
             rows.append(
                 f"| {scene.name} | {name} | "

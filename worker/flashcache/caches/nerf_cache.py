@@ -52,6 +52,8 @@ class NerfCacheConfig:
     secondary_counts: SampleCounts = field(default_factory=SampleCounts)
     secondary_colours: int = 0
     """Points at which a secondary ray's radiance is evaluated, drawn by weight; 0 evaluates all."""
+    least_weight: float = 0.0
+    """Render weight up to which a point on a camera ray is not asked for its radiance and sends none."""
     normal_floor: float = 4.0
     """Gradient of log density below which derived normals shrink [1/scene unit]."""
     exponent: float = 1.0
@@ -60,6 +62,8 @@ class NerfCacheConfig:
     def __post_init__(self) -> None:
         if self.secondary_colours < 0:
             raise ConfigError(f"secondary_colours must not be negative, got {self.secondary_colours}")
+        if not 0.0 <= self.least_weight < 1.0:
+            raise ConfigError(f"least_weight must lie in 0..1, got {self.least_weight}")
 
 
 class Geometry(NamedTuple):
@@ -191,16 +195,34 @@ class NerfCache(nn.Module):
         *,
         with_specular: bool = True,
     ) -> Appearance:
-        """Return the radiance that all points of `geometry` send back along their rays."""
+        """Return the radiance that all points of `geometry` send back along their rays.
+
+        Those whose render weight is at most `least_weight` send none and cost nothing.
+        """
+        weights = geometry.weights.detach().reshape(-1)
         num_samples = geometry.weights.shape[-1]
-        return self.appearance(
-            geometry.samples.positions.reshape(-1, 3),
-            geometry.hidden,
-            geometry.normal,
-            -directions.repeat_interleave(num_samples, dim=0),
-            light_index.repeat_interleave(num_samples),
+        positions = geometry.samples.positions.reshape(-1, 3)
+        if not self.config.least_weight:
+            return self.appearance(
+                positions,
+                geometry.hidden,
+                geometry.normal,
+                -directions.repeat_interleave(num_samples, dim=0),
+                light_index.repeat_interleave(num_samples),
+                with_specular=with_specular,
+            )
+        index = (weights > self.config.least_weight).nonzero()[:, 0]
+        ray = index.div(num_samples, rounding_mode="floor")
+        found = self.appearance(
+            positions[index],
+            geometry.hidden[index],
+            geometry.normal[index],
+            -directions[ray],
+            light_index[ray],
             with_specular=with_specular,
         )
+        nothing = torch.zeros_like(positions)
+        return Appearance(*(nothing.index_copy(0, index, part) for part in found))
 
     def incident(
         self,

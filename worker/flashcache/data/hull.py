@@ -12,14 +12,15 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from flashcache.data.scene import Camera, Scene, View
 from flashcache.encoding.occupancy import OccupancyConfig
-from flashcache.geometry.rays import pixel_directions
+from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
+from flashcache.kernels import dispatch
 from flashcache.kernels.cells import count_cells
 from flashcache.physical.model import InverseModel
 
 _COVERED = 0.5
 """Coverage from which a pixel must keep a cell."""
-_PIXELS = 8192
-"""Pixels whose rays are followed at once."""
+_AGREED = 0.005
+"""Share of the masks' pixels that may show no undenied cell for masks that agree."""
 _LEAST_EMPTY = 0.02
 """Share of the pixels without the object below which masks say nothing."""
 
@@ -36,9 +37,11 @@ def fit_occupancy(model: InverseModel, scene: Scene) -> None:
 def hull_of(scene: Scene, config: OccupancyConfig) -> Bool[ndarray, "x y z"] | None:
     """Return the cells of the scene's box that may hold the object, or None where the masks tell nothing.
 
-    A cell is kept if at most the share `config.dissent` of the views that see it have no mask within
-    `config.margin_px` of it, or if a pixel of a mask shows no cell that is denied by fewer. One more layer of
-    cells is added around all. Only the training views count; margins around their pictures show nothing.
+    Where the masks agree, a cell is kept if every view that sees it has a mask within `config.margin_px` of
+    it. They agree if nearly each of their pixels shows such a cell. Where they do not, some are wrong, and a
+    cell is kept if at most the share `config.dissent` of the views denies it. Either way a pixel of a mask
+    that shows no cell that is kept keeps those that the fewest views deny, and one more layer of cells is
+    added around all. Only the training views count; margins around their pictures show nothing.
     """
     masks = [_mask(view, scene.lights) for view in scene.train]
     if not masks or np.mean([(mask > 0.0).mean() for mask in masks]) > 1.0 - _LEAST_EMPTY:
@@ -51,9 +54,14 @@ def hull_of(scene: Scene, config: OccupancyConfig) -> Bool[ndarray, "x y z"] | N
     for view, mask in zip(scene.train, masks, strict=True):
         _count(view, mask, low, size, radius, config.margin_px, seen, denied)
     share = denied / np.maximum(seen, 1)
-    kept = share <= config.dissent
-    for view, mask in zip(scene.train, masks, strict=True):
-        kept |= _least_denied(view.camera, mask, share, kept, low, size)
+    rays = [_rays(view.camera, mask, scene) for view, mask in zip(scene.train, masks, strict=True)]
+    kept = denied == 0
+    lonely = [_lonely(some, kept, low, size) for some in rays]
+    if sum(map(len, lonely)) > _AGREED * sum(map(len, rays)):
+        kept = share <= config.dissent
+        lonely = [_lonely(some, kept, low, size) for some in rays]
+    for some in lonely:
+        kept |= _least_denied(some, share, low, size)
     return np.asarray(binary_dilation(kept, np.ones((3, 3, 3), bool)))
 
 
@@ -85,53 +93,42 @@ def _count(
     )
 
 
-def _least_denied(
-    camera: Camera,
-    mask: Float32[ndarray, "height width"],
-    share: Float[ndarray, "x y z"],
-    kept: Bool[ndarray, "x y z"],
-    low: Float[ndarray, "3"],
-    size: Float[ndarray, "3"],
-) -> Bool[ndarray, "x y z"]:
-    """Return for the pixels of a mask that show no cell that is kept those that the fewest views deny."""
-    more = np.zeros_like(kept)
+def _rays(camera: Camera, mask: Float32[ndarray, "height width"], scene: Scene) -> Rays:
+    """Return the rays through the pixels of a mask, on their way through the scene's box."""
     rows, columns = np.nonzero(mask > _COVERED)
-    for first in range(0, len(rows), _PIXELS):
-        some = slice(first, first + _PIXELS)
-        cells = _along(camera, columns[some] + 0.5, rows[some] + 0.5, low, size, len(share))
-        inside = cells[..., 0] >= 0
-        index = tuple(np.maximum(cells, 0).transpose(2, 0, 1))
-        lonely = inside.any(axis=1) & ~(kept[index] & inside).any(axis=1)
-        if not lonely.any():
-            continue
-        index = tuple(each[lonely] for each in index)
-        denied = np.where(inside[lonely], share[index], np.inf)
-        least = denied <= denied.min(axis=1, keepdims=True)
-        more[tuple(each[least] for each in index)] = True
-    return more
-
-
-def _along(
-    camera: Camera,
-    columns: Float[ndarray, " rays"],
-    rows: Float[ndarray, " rays"],
-    low: Float[ndarray, "3"],
-    size: Float[ndarray, "3"],
-    count: int,
-) -> Int[ndarray, "rays steps 3"]:
-    """Return the cells that rays through pixels pass, a cell's length apart; -1 outside of the box.
-
-    `columns` and `rows` are places in the picture, pixels; `low` and `size` the lattice's corner and a cell's
-    sides, scene units.
-    """
     lens = torch.tensor([camera.focal_x, camera.focal_y]), torch.tensor([camera.centre_x, camera.centre_y])
     pose = torch.from_numpy(camera.camera_to_world).float()
-    place = torch.from_numpy(columns).float(), torch.from_numpy(rows).float()
-    directions = pixel_directions(*place, *lens, pose).numpy()
-    middle = low + 0.5 * count * size
-    half = 0.5 * count * float(np.linalg.norm(size))
-    start = max(float(np.linalg.norm(camera.position - middle)) - half, 0.0)
-    t = start + (np.arange(int(np.ceil(2.0 * half / float(size.min())))) + 0.5) * float(size.min())
-    points = camera.position + t[:, None] * directions[:, None]
-    cells = np.floor((points - low) / size).astype(np.int32)
-    return np.where(((cells >= 0) & (cells < count)).all(axis=-1, keepdims=True), cells, -1)
+    place = torch.from_numpy(columns + 0.5).float(), torch.from_numpy(rows + 0.5).float()
+    directions = pixel_directions(*place, *lens, pose)
+    low, high = torch.tensor(scene.bounds_min), torch.tensor(scene.bounds_max)
+    return clip_to_box(pose[:3, 3].expand_as(directions), directions, low, high, *scene.primary)
+
+
+def _lonely(
+    rays: Rays, kept: Bool[ndarray, "x y z"], low: Float[ndarray, "3"], size: Float[ndarray, "3"]
+) -> Rays:
+    """Return the rays that pass no cell that is kept, of those that pass the box."""
+    corners = torch.from_numpy(low).float(), torch.from_numpy(low + kept.shape[0] * size).float()
+    near, far = dispatch.stretch(rays, torch.from_numpy(kept.astype(np.uint8)), *corners, _step(size))
+    return rays.select((rays.far > rays.near) & ~(far > near))
+
+
+def _step(size: Float[ndarray, "3"]) -> float:
+    """Return the distance of the points at which rays look for cells."""
+    return 0.5 * float(size.min())
+
+
+def _least_denied(
+    rays: Rays, share: Float[ndarray, "x y z"], low: Float[ndarray, "3"], size: Float[ndarray, "3"]
+) -> Bool[ndarray, "x y z"]:
+    """Return for each ray the cells on its way that the fewest views deny."""
+    least = np.zeros(share.shape, bool)
+    for ray in range(len(rays)):
+        near, far = float(rays.near[ray]), float(rays.far[ray])
+        t = np.arange(near + 0.5 * _step(size), far, _step(size))[:, None]
+        points = rays.origins[ray].numpy() + t * rays.directions[ray].numpy()
+        cells = np.floor((points - low) / size).astype(int)
+        cells = cells[((cells >= 0) & (cells < len(share))).all(axis=1)]
+        denied = share[tuple(cells.T)]
+        least[tuple(cells[denied <= denied.min(initial=np.inf)].T)] = True
+    return least

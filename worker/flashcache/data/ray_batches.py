@@ -212,7 +212,7 @@ def _frame_size(view: View) -> tuple[int, int]:
 def _clipped(view: View, light: str) -> Bool[Tensor, "pixels 3"]:
     """Return which channels of a view's pixels are at the end of the scale."""
     if light in view.clipped:
-        return torch.from_numpy(np.ascontiguousarray(view.clipped[light])).reshape(-1, 3)
+        return torch.tensor(view.clipped[light]).reshape(-1, 3)
     return torch.zeros(view.camera.width * view.camera.height, 3, dtype=torch.bool)
 
 

@@ -25,7 +25,7 @@ class OccupancyConfig:
     margin_px: float = 2.0
     """Distance from a mask up to which a pixel may still show the object, pixels of the training pictures."""
     dissent: float = 0.1
-    """Share of the views that see a cell which may see nothing of the object there."""
+    """Share of the views that see a cell which may see nothing of the object there, where masks disagree."""
 
     def __post_init__(self) -> None:
         if self.cells < 0 or self.cells == 1 or self.cells > 256:

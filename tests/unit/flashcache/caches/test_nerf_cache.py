@@ -97,6 +97,28 @@ def test_outgoing_radiance_is_asked_for_towards_the_rays_origin():
     torch.testing.assert_close(found.radiance, direct.radiance)
 
 
+def test_points_of_little_weight_send_nothing_and_the_others_what_they_would():
+    made = cache()
+    geometry = made.trace(rays(7), exponent=1.0, generator=None)
+    whole = made.outgoing(geometry, rays(7).directions, light(7))
+    weights = geometry.weights.detach().reshape(-1)
+    made.config = replace(made.config, least_weight=float(weights.median()))
+    some = made.outgoing(geometry, rays(7).directions, light(7))
+    counted = weights > made.config.least_weight
+    assert 0 < int(counted.sum()) < len(weights)
+    for part, wanted in zip(some, whole, strict=True):
+        torch.testing.assert_close(part[counted], wanted[counted])
+        assert not part[~counted].any()
+    some.radiance.sum().backward()
+    assert made.appearance.heads.weight.grad is not None
+
+
+@pytest.mark.parametrize("weight", [-0.1, 1.0])
+def test_a_least_weight_that_leaves_nothing_is_refused(weight):
+    with pytest.raises(ConfigError, match="least_weight"):
+        NerfCacheConfig(least_weight=weight)
+
+
 def test_a_negative_number_of_colours_is_refused():
     with pytest.raises(ConfigError, match="secondary_colours"):
         NerfCacheConfig(secondary_colours=-1)

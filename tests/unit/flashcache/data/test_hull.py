@@ -98,3 +98,39 @@ def test_a_model_has_no_density_outside_and_pixels_that_meet_nothing_are_not_dra
     assert bool((narrow.far > narrow.near).all())
     covered = sum(int((view.images["sky"][..., 3] > 0.0).sum()) for view in scene.train)
     assert covered <= len(pixels.meeting) < 0.8 * pixels.num_positions
+
+
+def test_a_mask_without_half_of_the_object_cuts_nothing():
+    scene = lit_sphere(num_views=16, side=64)
+
+    def halved(number: int, mask: np.ndarray) -> np.ndarray:
+        return mask * (np.arange(mask.shape[1]) < mask.shape[1] // 2) if number == 3 else mask
+
+    hull = hull_of(with_masks(scene, halved), CONFIG)
+    assert hull is not None
+    assert hull[middles(scene) < RADIUS].all()
+
+
+def test_where_masks_agree_one_view_past_the_object_is_enough():
+    """A disc, seen from its side in one photograph of seventeen: the others do not see what is under it."""
+    scene = lit_sphere(num_views=16, side=64)
+    *above, side = sorted(scene.train, key=lambda view: -abs(view.camera.position[2]))
+    scene = replace(scene, train=(*(2 * above[:8]), side))
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+    disc = (RADIUS * np.linspace(0.0, 1.0, 100)[:, None, None] * ring).reshape(-1, 3)
+
+    def shown(number: int, mask: np.ndarray) -> np.ndarray:
+        camera = scene.train[number].camera
+        world_to_camera = np.linalg.inv(camera.camera_to_world)
+        local = disc @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+        column = (camera.centre_x - camera.focal_x * local[:, 0] / local[:, 2]).astype(int)
+        row = (camera.centre_y + camera.focal_y * local[:, 1] / local[:, 2]).astype(int)
+        found = np.zeros_like(mask)
+        found[row, column] = 1.0
+        return found
+
+    with_side = with_masks(scene, shown)
+    hulls = [hull_of(one, CONFIG) for one in (with_side, replace(with_side, train=with_side.train[:-1]))]
+    thick, thicker = (hull[16, 16].sum() for hull in hulls if hull is not None)
+    assert 1 <= thick < 0.7 * thicker
