@@ -42,3 +42,8 @@ def stage(config: Config | None = None, **settings) -> StageTwo:
             parameter.add_(0.02 * torch.randn(parameter.shape))
     pixels = TrainingPixels(SCENE, config.pixels, torch.device("cpu"))
     return StageTwo(model, pixels, two, seed=0)
+
+
+def terms_of_step(made: StageTwo) -> dict[str, torch.Tensor]:
+    """Return the weighted losses of the next step, by name, on the whole batch."""
+    return made.losses(made.model, made.draw())[0]

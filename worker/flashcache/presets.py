@@ -17,6 +17,7 @@ from flashcache.config import (
 )
 from flashcache.data.ray_batches import PixelChoice
 from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.encoding.occupancy import OccupancyConfig
 from flashcache.errors import ConfigError
 from flashcache.fields.appearance import AppearanceConfig
 from flashcache.fields.density import DensityConfig, NormalConfig
@@ -52,6 +53,35 @@ def _grid(
     )
 
 
+def _shape_prior(emptiness_weight: float = 0.0) -> ShapePriorConfig:
+    return ShapePriorConfig(recession_weight=0.15, flatness_weight=0.03, emptiness_weight=emptiness_weight)
+
+
+def _stage_one() -> StageOneConfig:
+    """Return the losses of stage one for short trainings, with rates for batches of 1024 rays."""
+    return StageOneConfig(
+        num_steps=1200,
+        num_rays=1024,
+        rates=Rates(grid=1e-2, network=3e-3),
+        final_rate=0.05,
+        warmup_steps=80,
+        carving_share=0.2,
+        specular_from=0.08,
+        random_background=True,
+        mask_weight=0.3,
+        distortion_weight=0.3,
+        distortion_from=0.3,
+        orientation_weight=0.01,
+        normal_weight=0.25,
+        normal_start=0.0,
+        normal_ramp=(0.18, 0.25),
+        normal_every=1,
+        normal_rays=0.5,
+        shape_prior=_shape_prior(),
+        proposal_exponent=1.0,
+    )
+
+
 def fast() -> Config:
     """Return the preset for a first result on your own scene: minutes on two CPU cores (decision 0001)."""
     nerf = NerfCacheConfig(
@@ -71,9 +101,10 @@ def fast() -> Config:
             reflection_width=64,
             reflection_layers=2,
         ),
-        primary_counts=SampleCounts(first=32, second=32, final=16),
+        primary_counts=SampleCounts(first=16, second=16, final=8),
         secondary_counts=SampleCounts(first=12, second=12, final=8),
         secondary_colours=1,
+        least_weight=1e-3,
     )
     model = ModelConfig(
         nerf=nerf,
@@ -88,6 +119,7 @@ def fast() -> Config:
         environment=EnvironmentConfig(width=64, num_layers=2, last_width=64),
         materials=MaterialConfig(grid=_grid(256, 8, 2, 17), width=64, metalness_bias=-2.0),
         light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 15), width=32, num_lobes=16),
+        occupancy=OccupancyConfig(cells=64),
     )
     return Config(
         preset="fast",
@@ -95,26 +127,14 @@ def fast() -> Config:
         crop="object",
         model=model,
         pixels=PixelChoice(clipped="at_least"),
-        stage_one=StageOneConfig(
-            num_steps=1200,
-            num_rays=1024,
-            rates=Rates(grid=1e-2, network=3e-3),
-            final_rate=0.05,
-            warmup_steps=80,
-            carving_share=0.2,
-            specular_from=0.08,
-            random_background=True,
-            mask_weight=0.3,
-            distortion_weight=0.3,
-            distortion_from=0.3,
-            orientation_weight=0.01,
-            normal_weight=0.25,
-            normal_start=0.0,
-            normal_ramp=(0.18, 0.25),
-            normal_every=1,
-            normal_rays=0.5,
-            shape_prior=ShapePriorConfig(recession_weight=0.15, flatness_weight=0.03),
-            proposal_exponent=1.0,
+        stage_one=replace(
+            _stage_one(),
+            num_steps=1800,
+            num_rays=512,
+            rates=Rates(grid=1.5e-2, network=4e-3),
+            warmup_steps=120,
+            normal_rays=1.0,
+            shape_prior=_shape_prior(emptiness_weight=0.01),
         ),
         stage_two=StageTwoConfig(
             num_steps=700,
@@ -185,6 +205,7 @@ def tiny() -> Config:
         environment=EnvironmentConfig(width=32, num_layers=2, last_width=32),
         materials=replace(base.model.materials, grid=_grid(96, 4, 2, 15), width=32),
         light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 14), width=16, num_lobes=8),
+        occupancy=OccupancyConfig(cells=32),
     )
     return replace(
         base,
@@ -197,6 +218,7 @@ def tiny() -> Config:
             num_rays=512,
             warmup_steps=30,
             rates=Rates(grid=2e-2, network=1e-2),
+            shape_prior=_shape_prior(emptiness_weight=0.1),
         ),
         stage_two=replace(
             base.stage_two,
@@ -227,11 +249,14 @@ def tiny() -> Config:
 def long() -> Config:
     """Return a longer run without a GPU; figures: docs/benchmarks/long-curve.md."""
     base = fast()
+    counts = SampleCounts(first=32, second=32, final=16)
+    nerf = replace(base.model.nerf, primary_counts=counts, least_weight=0.0)
     return replace(
         base,
         preset="long",
         max_side=256,
-        stage_one=replace(base.stage_one, num_steps=8_000, num_rays=1024),
+        model=replace(base.model, nerf=nerf, occupancy=OccupancyConfig()),
+        stage_one=replace(_stage_one(), num_steps=8_000),
         stage_two=replace(
             base.stage_two,
             num_steps=4_000,
@@ -268,7 +293,7 @@ def standard() -> Config:
         model=replace(sizes, nerf=nerf),
         pixels=base.pixels,
         stage_one=replace(
-            base.stage_one, num_steps=12_000, num_rays=4096, warmup_steps=500, distortion_weight=1e-3
+            _stage_one(), num_steps=12_000, num_rays=4096, warmup_steps=500, distortion_weight=1e-3
         ),
         stage_two=replace(
             base.stage_two,

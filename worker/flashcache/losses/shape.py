@@ -24,10 +24,19 @@ class ShapePriorConfig:
     """Standard deviation of the step between compared points."""
     flatness_rays: int = 512
     """Rays of a batch that take part in flatness, one point each."""
+    emptiness_weight: float = 0.0
+    """Weight of the mean opacity of the space that may hold something (decision 0021)."""
+    emptiness_until: float = 1.0
+    """Share of the steps in which it counts."""
+    emptiness_step: float = 0.03
+    """Length over which it is an opacity."""
+    emptiness_points: int = 256
+    """Random points of a batch at which it is looked for."""
 
     def __post_init__(self) -> None:
-        if self.flatness_rays < 1:
-            raise ConfigError(f"flatness_rays must be at least 1, got {self.flatness_rays}")
+        for name in ("flatness_rays", "emptiness_points"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}")
 
 
 def recession(
@@ -66,3 +75,12 @@ def tangent_steps(
     frozen = normal.detach()
     step = scale * torch.randn(normal.shape, generator=generator, device=normal.device, dtype=normal.dtype)
     return step - (step * frozen).sum(dim=-1, keepdim=True) * frozen
+
+
+def emptiness(density: Float[Tensor, " points"], length: float) -> Float[Tensor, ""]:
+    """Return the mean opacity of stretches of `length` through points of `density` [1/scene unit].
+
+    What no photograph shows would keep the density that it began with; this term makes it empty. Where
+    photographs show something, their losses are far stronger.
+    """
+    return -torch.expm1(-density * length).mean()

@@ -15,8 +15,8 @@ from flashcache.physical.incident import Incident, SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.distillation_rays import relit_rays, solid_points
-from flashcache.training.halves import Halves
 from flashcache.training.joint_losses import in_reach
+from flashcache.training.parts import Parts
 
 STAGE = "distil"
 
@@ -28,20 +28,20 @@ class Distillation:
         self, model: InverseModel, pixels: TrainingPixels, config: DistilConfig, *, seed: int
     ) -> None:
         self.pixels, self.config, self.seed = pixels, config, seed
-        self.halves = Halves(model, lambda whole: whole.fast)
+        self.parts = Parts(model, lambda whole: whole.fast, config.num_points)
 
     def differentiate(self, step: int) -> float:
         """Add the gradient of the loss of step `step` to the fast cache's gradients and return the loss."""
         batch = self.pixels.draw(
             self.config.num_points, generator_for(self.seed, STAGE, step, "points", self.pixels.device)
         )
-        found = self.halves.differentiate(lambda model, half: self._loss(model, batch, step, half))
+        found = self.parts.differentiate(lambda model, part: self._loss(model, batch, step, part))
         return sum(found) / len(found)
 
-    def _loss(self, model: InverseModel, batch: RayBatch, step: int, half: int) -> tuple[Tensor, float]:
-        generator = generator_for(self.seed, STAGE, step, f"half {half}", self.pixels.device)
+    def _loss(self, model: InverseModel, batch: RayBatch, step: int, part: int) -> tuple[Tensor, float]:
+        generator = generator_for(self.seed, STAGE, step, f"part {part}", self.pixels.device)
         with torch.no_grad():
-            rays = taught_rays(model, self.halves.part_of(batch, half), self.config, generator)
+            rays = taught_rays(model, self.parts.of(batch, part), self.config, generator)
             seen = model.ask_nerf(rays, generator) if len(rays) else None
         if seen is None:  # A cache without a surface yet: there is nothing to learn, which is not an error.
             return 0.0 * torch.stack([one.sum() for one in model.fast.parameters()]).sum(), 0.0

@@ -1,6 +1,6 @@
 """Adam over the parts of a model, each with its own peak rate."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +32,7 @@ def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str,
     for module, rates in parts:
         found = [grid for grid in module.modules() if isinstance(grid, HashGrid)]
         for grid in found:
-            grid.in_place_gradient = True  # `apply_gradients` calls nothing but `backward`.
+            grid.in_place_gradient = True  # Training calls nothing but `backward`.
         grids = {id(grid.table) for grid in found}
         of_grid = [p for p in module.parameters() if id(p) in grids]
         of_network = [p for p in module.parameters() if id(p) not in grids]
@@ -64,17 +64,10 @@ def set_rates(optimiser: torch.optim.Adam, factor: float, part: nn.Module | None
         group["lr"] = 0.0 if rests else group["peak"] * factor
 
 
-def apply_gradients(
-    optimiser: torch.optim.Adam, loss: torch.Tensor, collect: Callable[[], None] | None = None
-) -> bool:
-    """Back-propagate and take a step; returns False, and changes nothing, if a gradient is not finite.
-
-    `collect` adds gradients of its own before the step, while the graph of `loss` is still there.
-    """
+def apply_gradients(optimiser: torch.optim.Adam, loss: torch.Tensor) -> bool:
+    """Back-propagate and take a step; returns False, and changes nothing, if a gradient is not finite."""
     optimiser.zero_grad(set_to_none=False)
-    loss.backward(retain_graph=collect is not None)
-    if collect is not None:
-        collect()
+    loss.backward()
     return take_step(optimiser)
 
 

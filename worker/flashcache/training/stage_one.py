@@ -1,8 +1,10 @@
 """Stage one: the NeRF cache learns to reproduce the photographs (supplement 2.4)."""
 
 import math
+from collections.abc import Mapping, Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from flashcache.caches.nerf_cache import Geometry
@@ -13,10 +15,9 @@ from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
 from flashcache.losses.proposal import distortion, interlevel
-from flashcache.losses.shape import flatness, recession, tangent_steps
+from flashcache.losses.shape import emptiness, flatness, recession, tangent_steps
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
-from flashcache.training.halves import Halves
 from flashcache.training.occupied import keep_filled
 from flashcache.training.optimiser import (
     StepRecord,
@@ -25,6 +26,7 @@ from flashcache.training.optimiser import (
     set_rates,
     take_step,
 )
+from flashcache.training.parts import Parts
 from flashcache.training.schedule import proposal_exponent, ramp, rate_factor
 from flashcache.volume.proposal_sampling import midpoints
 from flashcache.volume.quadrature import composite, draw_points
@@ -40,9 +42,12 @@ class StageOne:
     ) -> None:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         self.optimiser = build_optimiser(parameter_groups([(model.nerf, config.rates)]))
-        self.halves = Halves(model, lambda whole: whole.nerf)
+        self.parts = Parts(model, lambda whole: whole.nerf, config.num_rays)
         scene = pixels.scene
-        self.half_diagonal = 0.5 * math.dist(scene.bounds_min, scene.bounds_max)
+        self.box = scene.bounds_min, scene.bounds_max
+        self.half_diagonal = 0.5 * math.dist(*self.box)
+        occupancy = model.nerf.occupancy
+        self.cells = torch.empty(0, 3) if occupancy is None else occupancy.cells.nonzero()
         self.steps_done = 0
         self.num_skipped = 0
 
@@ -60,13 +65,13 @@ class StageOne:
         factor = rate_factor(step, config.num_steps, config.warmup_steps, config.final_rate, linear=linear)
         set_rates(self.optimiser, factor)
         self.optimiser.zero_grad(set_to_none=False)
-        found = self.halves.differentiate(lambda model, half: self._losses(model, batch, half))
+        found = self.parts.differentiate(lambda model, part: self._losses(model, batch, part))
         applied = take_step(self.optimiser)
         self.steps_done += 1
         self.num_skipped += not applied
         if self.finished:
             keep_filled(self.model.nerf)
-        terms = {name: sum(half[name] for half, _ in found) / len(found) for name in found[0][0]}
+        terms = mean_terms([of_part for of_part, _ in found])
         return StepRecord(
             step=self.steps_done,
             num_steps=config.num_steps,
@@ -77,13 +82,13 @@ class StageOne:
         )
 
     def _losses(
-        self, model: InverseModel, batch: RayBatch, half: int
+        self, model: InverseModel, batch: RayBatch, part: int
     ) -> tuple[Tensor, tuple[dict[str, float], Tensor]]:
-        """Return the loss of one half of a batch, its terms, and its premultiplied picture."""
+        """Return the loss of one part of a batch, its terms, and its premultiplied picture."""
         config, step = self.config, self.steps_done
         fraction = step / config.num_steps
-        generator = generator_for(self.seed, STAGE, step, f"half {half}", self.pixels.device)
-        batch = self.halves.part_of(batch, half)
+        generator = generator_for(self.seed, STAGE, step, f"part {part}", self.pixels.device)
+        batch = self.parts.of(batch, part)
         normal_weight = self._normal_weight(fraction)
         with_normals = normal_weight > 0.0 and step % config.normal_every == 0
         geometry = model.nerf.trace(
@@ -108,7 +113,7 @@ class StageOne:
             densities = (*model.nerf.proposals, model.nerf.density)
             terms["grid_decay"] = config.grid_decay * grid_decay(density.grid for density in densities)
         loss = torch.stack(list(terms.values())).sum()
-        return loss, ({name: float(value.detach()) for name, value in terms.items()}, picture.detach())
+        return loss, (numbers(terms), picture.detach())
 
     def _picture_terms(
         self,
@@ -160,13 +165,29 @@ class StageOne:
             terms["flatness"] = (
                 config.flatness_weight * rise * self._flatness(model, batch, geometry, generator)
             )
+        if config.emptiness_weight and fraction < config.emptiness_until:
+            points = self._anywhere(model, config.emptiness_points // self.parts.count, generator)
+            empty = emptiness(model.nerf.density.density(points), config.emptiness_step * self.half_diagonal)
+            terms["emptiness"] = config.emptiness_weight * empty
         return terms
+
+    def _anywhere(
+        self, model: InverseModel, count: int, generator: torch.Generator
+    ) -> Float[Tensor, "points 3"]:
+        """Return random points of the space in which the model may hold something."""
+        device, occupancy = self.pixels.device, model.nerf.occupancy
+        u = torch.rand(count, 3, generator=generator, device=device)
+        if occupancy is None:
+            low, high = (torch.tensor(corner, device=device) for corner in self.box)
+            return low + u * (high - low)
+        index = torch.randint(len(self.cells), (count,), generator=generator, device=device)
+        return occupancy.low + (self.cells[index] + u) * occupancy.size
 
     def _flatness(
         self, model: InverseModel, batch: RayBatch, geometry: Geometry, generator: torch.Generator
     ) -> Tensor:
         config = self.config.shape_prior
-        count = min(config.flatness_rays // self.halves.count, len(batch))
+        count = min(config.flatness_rays // self.parts.count, len(batch))
         weights = geometry.weights[:count].detach()
         u = torch.rand(count, 1, generator=generator, device=weights.device)
         row = weights.shape[-1] * torch.arange(count, device=weights.device)
@@ -183,6 +204,16 @@ class StageOne:
         config = self.config
         rise = ramp(fraction, *config.normal_ramp)
         return config.normal_start + (config.normal_weight - config.normal_start) * rise
+
+
+def numbers(terms: Mapping[str, Tensor]) -> dict[str, float]:
+    """Return the values of loss terms."""
+    return {name: float(value.detach()) for name, value in terms.items()}
+
+
+def mean_terms(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the mean of the parts' loss terms, by name."""
+    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[0]}
 
 
 def proposal_terms(geometry: Geometry, weight: float, blur: tuple[float, float]) -> dict[str, Tensor]:

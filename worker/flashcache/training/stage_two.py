@@ -4,9 +4,6 @@ Names: pass A and pass B are two independent estimates of the same pixels; with 
 the squared error would gain the estimator's variance (supplement Eq. 2).
 """
 
-import functools
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
@@ -30,16 +27,15 @@ from flashcache.training.joint_losses import (
 from flashcache.training.optimiser import (
     Rates,
     StepRecord,
-    apply_gradients,
     build_optimiser,
     parameter_groups,
     set_rates,
     take_step,
 )
+from flashcache.training.parts import Parts
 from flashcache.training.passes import shade
 from flashcache.training.schedule import rate_factor
-from flashcache.training.second_pass import SecondPass, half_the_threads
-from flashcache.training.stage_one import masked_psnr
+from flashcache.training.stage_one import masked_psnr, mean_terms, numbers
 from flashcache.volume.quadrature import composite
 
 STAGE = "joint"
@@ -53,7 +49,7 @@ class StageTwo:
     ) -> None:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         light = Rates(grid=config.environment_rate, network=config.environment_rate)
-        parts = [
+        groups = [
             (model.materials, config.material_rates),
             (model.environment, light),
             (model.fast, config.fast_rates),
@@ -64,8 +60,8 @@ class StageTwo:
         ]
         model.nerf.requires_grad_(True)
         model.nerf.proposals.requires_grad_(False)
-        self.optimiser = build_optimiser(parameter_groups(parts))
-        self.second = SecondPass(model, config)
+        self.optimiser = build_optimiser(parameter_groups(groups))
+        self.parts = Parts(model, lambda whole: whole, config.num_rays)
         self.distillation: Distillation | None = None
         self.steps_done = 0
         self.num_skipped = 0
@@ -87,18 +83,24 @@ class StageTwo:
             return self._distil(step - config.num_steps)
         factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
         set_rates(self.optimiser, factor)
-        with half_the_threads(self.second.parallel and step >= config.warmup_steps):
-            terms, picture, batch, collect = self.losses()
-            loss = torch.stack(list(terms.values())).sum()
-            applied = apply_gradients(self.optimiser, loss, collect)
+        self.optimiser.zero_grad(set_to_none=False)
+        batch = self.draw()
+
+        def loss_of(model: InverseModel, part: int) -> tuple[Tensor, tuple[dict[str, float], Tensor]]:
+            terms, picture = self.losses(model, self.parts.of(batch, part), part)
+            return torch.stack(list(terms.values())).sum(), (numbers(terms), picture.detach())
+
+        found = self.parts.differentiate(loss_of)
+        applied = take_step(self.optimiser)
         self.steps_done += 1
         self.num_skipped += not applied
+        terms = mean_terms([of_part for of_part, _ in found])
         return StepRecord(
             step=self.steps_done,
             num_steps=self.num_steps,
-            loss=float(loss.detach()),
-            psnr=masked_psnr(picture.detach(), batch),
-            terms={name: float(value.detach()) for name, value in terms.items()},
+            loss=sum(terms.values()),
+            psnr=masked_psnr(torch.cat([picture for _, picture in found]), batch),
+            terms=terms,
             skipped=not applied,
         )
 
@@ -123,15 +125,23 @@ class StageTwo:
             skipped=not applied,
         )
 
-    def losses(self) -> tuple[Terms, Tensor, RayBatch, Callable[[], None] | None]:
-        """Return the weighted losses of the next step by name, its physical picture over black, its batch.
+    def draw(self) -> RayBatch:
+        """Return the batch of the next step."""
+        generator = generator_for(self.seed, STAGE, self.steps_done, "rays", self.pixels.device)
+        return self.pixels.draw(self.config.num_rays, generator)
 
-        The last result adds the gradients that reach the model through pass B, where it has any.
+    def losses(self, model: InverseModel, batch: RayBatch, part: int = 0) -> tuple[Terms, Tensor]:
+        """Return the weighted losses of a part of the next step's batch by name, and its physical picture.
+
+        `model` is the stage's own, or a twin of it. The picture is over black.
         """
-        config, model, step = self.config, self.model, self.steps_done
-        device = self.pixels.device
-        generator = generator_for(self.seed, STAGE, step, "rays", device)
-        batch = self.pixels.draw(config.num_rays, generator)
+        config, step = self.config, self.steps_done
+
+        def generator_of(purpose: str) -> torch.Generator:
+            name = f"{purpose} {part}"
+            return generator_for(self.seed, STAGE, step, name, self.pixels.device)
+
+        generator = generator_of("part")
         with_normals = config.normal_weight > 0.0 and step % config.normal_every == 0
         geometry = model.nerf.trace(
             batch.rays,
@@ -143,21 +153,18 @@ class StageTwo:
         cache = composite(geometry.weights, appearance.radiance)
         terms = cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
         terms |= decay_terms(model, config)
+        first = shade(model, config, batch, geometry, generator_of("pass A"))
+        picture = first.picture
         with_second = step >= config.warmup_steps
         if with_second:
-            self.second.start(batch, geometry, generator_for(self.seed, STAGE, step, "pass B", device))
-        first = shade(model, config, batch, geometry, generator_for(self.seed, STAGE, step, "pass A", device))
-        picture, collect = first.picture, None
-        if with_second:
-            second = self.second.result().picture
-            picture = 0.5 * (first.picture + second.detach())
+            with torch.set_grad_enabled(config.symmetric):
+                own = generator_of("pass B")
+                second = shade(model, config, batch, geometry, own, supervise=False).picture
+            picture = 0.5 * (first.picture + second)
             terms["physical"] = physical_loss(config, batch, cache, first.picture, second)
             if config.symmetric:
-                leaf = second.detach().requires_grad_()
-                other = physical_loss(config, batch, cache, leaf, first.picture)
-                self.second.differentiate(second, *torch.autograd.grad(other, leaf))
-                terms["physical"] = terms["physical"] + other.detach()
-                collect = functools.partial(self.second.collect, geometry)
+                mirrored = physical_loss(config, batch, cache, second, first.picture)
+                terms["physical"] = terms["physical"] + mirrored
             if config.consistency_weight:
                 points = first.points
                 terms |= consistency_terms(
@@ -174,7 +181,7 @@ class StageTwo:
             model, config, batch, geometry, first, generator, warming_up=step < config.warmup_steps
         )
         terms |= secondary_terms(model, config, first)
-        return terms, picture, batch, collect
+        return terms, picture
 
     def scale(self) -> dict[str, float]:
         """Return the mean radiance of each light and the mean albedo on the surface.

@@ -1,7 +1,7 @@
 import pytest
 import torch
 from flashcache.errors import ConfigError
-from flashcache.losses.shape import ShapePriorConfig, flatness, recession, tangent_steps
+from flashcache.losses.shape import ShapePriorConfig, emptiness, flatness, recession, tangent_steps
 
 
 def test_recession_moves_weight_from_near_to_far_and_leaves_distances_alone():
@@ -61,6 +61,12 @@ def test_tangent_steps_stay_on_the_surface_and_have_the_stated_spread():
     assert steps.square().sum(dim=-1).mean().sqrt() == pytest.approx(0.05 * 2**0.5, rel=0.02)
 
 
-def test_a_batch_without_rays_for_flatness_is_refused():
-    with pytest.raises(ConfigError, match="flatness_rays"):
-        ShapePriorConfig(flatness_rays=0)
+def test_emptiness_is_the_mean_opacity_of_short_stretches():
+    found = emptiness(torch.tensor([0.0, 2.0, 1e6]), 0.5)
+    torch.testing.assert_close(found, torch.tensor((0.0 + (1.0 - 2.718281828**-1.0) + 1.0) / 3.0))
+
+
+@pytest.mark.parametrize("name", ["flatness_rays", "emptiness_points"])
+def test_a_prior_without_rays_or_points_is_refused(name):
+    with pytest.raises(ConfigError, match=name):
+        ShapePriorConfig(**{name: 0})

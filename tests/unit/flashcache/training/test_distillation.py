@@ -121,7 +121,7 @@ def test_two_threads_teach_what_one_does(solid):
             stage.optimiser.zero_grad(set_to_none=False)
             config = DistilConfig(num_points=4096)
             distillation = Distillation(stage.model, stage.pixels, config, seed=0)
-            assert distillation.halves.count == threads
+            assert distillation.parts.count == threads
             distillation.differentiate(0)
             head = stage.model.fast.distance_head.parameters()
             found[threads] = torch.cat([one.grad.flatten() for one in head])

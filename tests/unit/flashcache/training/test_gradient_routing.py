@@ -8,7 +8,7 @@ from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.joint_losses import physical_loss
 from flashcache.training.stage_two import StageTwo
-from support.joint_stage import stage
+from support.joint_stage import stage, terms_of_step
 
 PARTS = (
     "nerf.proposals",
@@ -62,7 +62,7 @@ def sizes(made: StageTwo, term: torch.Tensor) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def reached() -> dict[str, set[str]]:
     made = stage()
-    terms = made.losses()[0]
+    terms = terms_of_step(made)
     return {name: set(sizes(made, term)) for name, term in terms.items()}
 
 
@@ -78,7 +78,7 @@ def test_a_loss_moves_the_parts_it_should_and_no_other(reached, name):
 def physical_gradients(**settings) -> dict[str, float]:
     base = tiny().stage_two.estimator
     made = stage(estimator=replace(base, **settings))
-    return sizes(made, made.losses()[0]["physical"])
+    return sizes(made, terms_of_step(made)["physical"])
 
 
 def test_gradients_through_the_caches_reach_their_parts_in_proportion():
@@ -99,14 +99,14 @@ def test_the_width_gets_a_quarter_of_its_gradient():
     for factor in (1.0, 0.25):
         materials = replace(config.model.materials, alpha_gradient=factor)
         made = stage(replace(config, model=replace(config.model, materials=materials)))
-        made.losses()[0]["physical"].backward()
+        terms_of_step(made)["physical"].backward()
         # Row 6 of the head is the raw width.
         gradients.append(made.model.materials.head.bias.grad[6])
     torch.testing.assert_close(gradients[1], 0.25 * gradients[0])
 
 
 def terms_of(**settings) -> dict[str, float]:
-    return {name: float(term.detach()) for name, term in stage(**settings).losses()[0].items()}
+    return {name: float(term.detach()) for name, term in terms_of_step(stage(**settings)).items()}
 
 
 def changed(**settings) -> set[str]:
@@ -125,7 +125,7 @@ def test_distances_enter_the_fast_caches_loss_by_their_weight():
         made = stage(distance_weight=weight)
         with torch.no_grad():
             made.model.nerf.density.head.bias.add_(5.0)  # Opaque, so that distances count.
-        losses.append(float(made.losses()[0]["fast"].detach()))
+        losses.append(float(terms_of_step(made)["fast"].detach()))
     assert losses[1] > losses[0]
     assert losses[2] - losses[0] == pytest.approx(2.0 * (losses[1] - losses[0]), rel=1e-3)
 
@@ -141,8 +141,8 @@ def test_jitter_of_secondary_rays_reaches_what_comes_from_the_nerf_cache():
 def test_the_radius_of_the_fast_caches_loss_is_the_domains():
     made, near = stage(), stage()
     near.model.domain = replace(near.model.domain, fast_radius=1e-3)
-    assert float(made.losses()[0]["fast"].detach()) > 0.0
-    assert float(near.losses()[0]["fast"].detach()) == 0.0
+    assert float(terms_of_step(made)["fast"].detach()) > 0.0
+    assert float(terms_of_step(near)["fast"].detach()) == 0.0
 
 
 def test_the_fast_cache_alone_is_taught_by_the_first_pass_only(monkeypatch):
@@ -155,7 +155,7 @@ def test_the_fast_cache_alone_is_taught_by_the_first_pass_only(monkeypatch):
         return right(self, rays, generator, **options)
 
     monkeypatch.setattr(InverseModel, "ask_nerf", counted)
-    terms = made.losses()[0]
+    terms = terms_of_step(made)
     assert len(asked) == 1
     assert {"fast", "sampler"} <= set(terms)
 

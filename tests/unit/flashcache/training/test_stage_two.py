@@ -11,7 +11,7 @@ from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.randomness import generator_for
 from flashcache.training import stage_two
-from support.joint_stage import SCENE, stage
+from support.joint_stage import SCENE, stage, terms_of_step
 from support.lit_sphere import BOTTOM, RADIUS, TOP, lit_domain
 from support.sphere_model import make_ball, small_config
 from support.statistics import assert_mean
@@ -22,16 +22,18 @@ def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeyp
         # The same rays in every step: what differs is the noise of the passes.
         return generator_for(seed, stage, 0 if stream == "rays" else step, stream, device)
 
-    first = []
+    passes = []
     right = stage_two.shade
     monkeypatch.setattr(stage_two, "generator_for", of_two_steps)
-    monkeypatch.setattr(stage_two, "shade", lambda *given: first.append(right(*given)) or first[-1])
+    monkeypatch.setattr(
+        stage_two, "shade", lambda *given, **options: passes.append(right(*given, **options)) or passes[-1]
+    )
     made = stage(num_rays=256, symmetric=False, normal_weight=0.0)
     pictures = []
     for step in range(2):
         made.steps_done = step
-        made.losses()
-        pictures.append((first[-1].picture.detach(), made.second.result().picture.detach()))
+        made.losses(made.model, made.draw())
+        pictures.append([made_pass.picture.detach() for made_pass in passes[-2:]])
     noise_a, noise_b = (one - other for one, other in zip(*pictures, strict=True))
     rough = (noise_a.abs().sum(dim=-1) > 0.0) & (noise_b.abs().sum(dim=-1) > 0.0)
     assert int(rough.sum()) > 100
@@ -46,11 +48,40 @@ def test_the_physical_loss_compares_each_pass_with_the_other(monkeypatch):
     monkeypatch.setattr(
         stage_two, "physical_loss", lambda *given: compared.append(given[-2:]) or right(*given)
     )
-    stage(num_rays=64, symmetric=True, normal_weight=0.0).losses()
+    terms_of_step(stage(num_rays=64, symmetric=True, normal_weight=0.0))
     (first, its_other), (second, other) = compared
     assert torch.equal(first, other)
     assert torch.equal(second, its_other)
     assert not torch.equal(first, second)
+
+
+def test_gradients_reach_the_materials_through_both_passes_alike(monkeypatch):
+    """With the noise of the passes exchanged, a symmetric loss and its gradient stay what they are."""
+
+    def exchanged(seed, stage, step, stream, device):
+        other = {"pass A 0": "pass B 0", "pass B 0": "pass A 0"}
+        return generator_for(seed, stage, step, other.get(stream, stream), device)
+
+    def gradient() -> torch.Tensor:
+        made = stage(symmetric=True)
+        made.optimiser.zero_grad(set_to_none=False)
+        terms_of_step(made)["physical"].backward()
+        return made.model.materials.head.weight.grad.clone()
+
+    usual = gradient()
+    monkeypatch.setattr(stage_two, "generator_for", exchanged)
+    assert usual.any()
+    torch.testing.assert_close(gradient(), usual, rtol=1e-4, atol=1e-7)
+
+
+def test_without_symmetry_the_second_pass_is_a_constant(monkeypatch):
+    passes = []
+    right = stage_two.shade
+    monkeypatch.setattr(
+        stage_two, "shade", lambda *given, **options: passes.append(right(*given, **options)) or passes[-1]
+    )
+    terms_of_step(stage(symmetric=False))
+    assert [made.picture.requires_grad for made in passes] == [True, False]
 
 
 class Radial(torch.nn.Module):

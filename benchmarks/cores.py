@@ -1,0 +1,99 @@
+"""Time steps of both stages and of the distillation on one core and on several.
+
+    python -m benchmarks cores SUITE/cowcrate --threads 1 2 -o OUT [--set KEY=VALUE ...]
+
+Stage one is trained for `--warm` steps first, so that rays meet something. Then each phase takes `--steps`
+steps with each number of threads, all in turn in one process, `--rounds` times. Prints median and range of
+the wall clock of a step, and the processor time of all threads.
+"""
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from flashcache.data.hull import fit_occupancy
+from flashcache.training.optimiser import StepRecord
+from flashcache.training.stage_one import StageOne
+from flashcache.training.stage_two import StageTwo
+from lambent_worker.console_reporter import ConsoleReporter
+from lambent_worker.run.hashes import PREPARATION
+from lambent_worker.run.pipeline import run_pipeline
+from lambent_worker.run.prepare import device_for, open_task
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks.training import new_model, read_scene, training_pixels
+from lambent_worker.startup import prepare
+
+QUICK = "{sample} --preset tiny --warm 2 --steps 1 --rounds 1"
+PHASES = ("stage one", "stage two", "distillation")
+LATE = 0.7
+"""Share of stage one after which all of its losses are on."""
+
+Step = Callable[[], StepRecord]
+
+
+def phases(run: Path, spec: RunSpec, warm: int, counts: list[int]) -> dict[tuple[str, int], Step]:
+    """Return the step of each phase for each number of threads, on models of their own."""
+    found: dict[tuple[str, int], Step] = {}
+    with ConsoleReporter(run) as reporter:
+        run_pipeline(spec, run, device_for(run), reporter, PREPARATION)
+        context = open_task(run, "cache", reporter)
+        scene = read_scene(context)
+        config = spec.config
+        for count in counts:
+            torch.set_num_threads(count)
+            model = new_model(context, scene)
+            fit_occupancy(model, scene)
+            pixels = training_pixels(context, scene, model)
+            begin = StageOne(model, pixels, replace(config.stage_one, num_steps=warm), seed=0)
+            while not begin.finished:
+                begin.step()
+            one = StageOne(model, pixels, config.stage_one, seed=0)
+            one.steps_done = round(LATE * config.stage_one.num_steps)
+            two, last = (StageTwo(model, pixels, config.stage_two, seed=0) for _ in range(2))
+            two.steps_done = config.stage_two.warmup_steps
+            last.steps_done = config.stage_two.num_steps
+            found |= {(name, count): stage.step for name, stage in zip(PHASES, (one, two, last), strict=True)}
+    return found
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
+    parser.add_argument("--warm", type=int, default=150)
+    parser.add_argument("--steps", type=int, default=10)
+    parser.add_argument("--rounds", type=int, default=4)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the table."""
+    prepare()
+    overrides = dict(setting.split("=", 1) for setting in arguments.set)
+    spec = RunSpec.from_options(arguments.scene, preset=arguments.preset, overrides=overrides, seed=0)
+    steps = phases(arguments.out / "run", spec, arguments.warm, arguments.threads)
+    wall: dict[tuple[str, int], list[float]] = {key: [] for key in steps}
+    processor: dict[tuple[str, int], list[float]] = {key: [] for key in steps}
+    for number in range(arguments.rounds + 1):
+        for (phase, count), step in steps.items():
+            torch.set_num_threads(count)
+            for _ in range(arguments.steps):
+                began = time.perf_counter(), time.process_time()
+                step()
+                if number:  # The first round warms up.
+                    wall[phase, count].append(1e3 * (time.perf_counter() - began[0]))
+                    processor[phase, count].append(1e3 * (time.process_time() - began[1]))
+    print("| phase | threads | wall clock [ms] | range | processor [ms] | as fast as one thread |")
+    print("| --- " * 6 + "|")
+    for phase, count in steps:
+        times = wall[phase, count]
+        ratio = statistics.median(wall[phase, arguments.threads[0]]) / statistics.median(times)
+        print(
+            f"| {phase} | {count} | {statistics.median(times):.0f} | {min(times):.0f} to {max(times):.0f} "
+            f"| {statistics.median(processor[phase, count]):.0f} | {ratio:.2f} |"
+        )
