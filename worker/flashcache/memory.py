@@ -53,12 +53,13 @@ class MemoryEstimate:
 
 
 def estimate(config: Config, *, num_lights: int = 1, device: str = "cpu") -> tuple[MemoryEstimate, ...]:
-    """Return the memory that both stages need on a device ("cpu" or "cuda", whose kernels differ).
+    """Return the memory that both stages need on a device ("cpu" or "cuda", where kernels need Triton).
 
     Builds the model in this process's memory and takes a few steps of a few rays on an invented scene: a
     minute at most for the largest preset. The state of the caller's random numbers is kept.
     """
-    choice = "reference" if device.startswith("cuda") else "auto"
+    # The compiled backends of both devices keep the same tensors; the reference keeps many more.
+    choice = "reference" if device.startswith("cuda") and not dispatch.has_gpu_kernels() else "auto"
     threads = torch.get_num_threads()
     with torch.random.fork_rng(devices=[]), dispatch.using(choice):
         torch.set_num_threads(1)  # One thread, so that the meter sees both passes of stage two.

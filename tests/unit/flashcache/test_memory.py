@@ -9,8 +9,8 @@ import torch
 from flashcache import memory
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.space import domain_of
-from flashcache.kernels import cpu
-from flashcache.memory import AllocationMeter, estimate
+from flashcache.kernels import cpu, dispatch
+from flashcache.memory import AllocationMeter, MemoryEstimate, estimate
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.stage_one import StageOne
@@ -86,6 +86,19 @@ def test_estimating_leaves_random_numbers_and_threads_as_they_were():
     estimate(tiny(), num_lights=2, device="cuda")
     assert torch.equal(torch.get_rng_state(), before)
     assert torch.get_num_threads() == threads
+
+
+def test_a_gpu_without_kernels_of_its_own_needs_the_memory_of_the_reference(monkeypatch):
+    def stage_estimate(_config, _num_lights, stage):
+        reference = dispatch._backend(torch.device("cpu"), torch.float32) is None
+        counts = {"num_parameters": 0, "parameters": 0, "gradients": 0, "moments": 0}
+        return MemoryEstimate(stage=stage, activations=2 if reference else 1, **counts)
+
+    monkeypatch.setattr(memory, "_stage_estimate", stage_estimate)
+    for installed in (True, False):
+        monkeypatch.setattr(dispatch, "_has_triton", lambda installed=installed: installed)
+        assert estimate(tiny(), device="cuda")[0].activations == (1 if installed else 2)
+        assert estimate(tiny(), device="cpu")[0].activations == 1
 
 
 @pytest.mark.slow

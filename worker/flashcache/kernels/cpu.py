@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flashcache.kernels.compiled import compiled
-from flashcache.kernels.layout import GridLayout
+from flashcache.kernels.layout import GridLayout, level_constants
 
 Array = NDArray[np.float32]
 Kernel = Callable[..., Any]
@@ -37,12 +37,10 @@ FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 class Levels(NamedTuple):
-    """A layout as arrays, one entry per level."""
+    """The constants of a layout as arrays, one entry per level (`layout.level_constants`)."""
 
     counts: NDArray[np.uint64]
-    """First row, row mask, multiplier of y, multiplier of z, resolution - 2, rows."""
     scales: Array
-    """d u / d z, u of the cube's centre, largest u."""
 
 
 class Kernels(NamedTuple):
@@ -145,22 +143,8 @@ def _pool(num_threads: int) -> ThreadPoolExecutor:
 @lru_cache
 def _levels(layout: GridLayout) -> Levels:
     """Return the layout as the arrays the kernels read."""
-    counts = [
-        (
-            le.first_row,
-            2**32 - 1 if le.is_dense else le.num_rows - 1,
-            le.multiplier_y,
-            le.multiplier_z,
-            le.resolution - 2,
-            le.num_rows,
-        )
-        for le in layout.levels
-    ]
-    scales = [
-        (le.resolution / (2.0 * layout.half_extent), (le.resolution - 1) / 2.0, le.resolution - 1.0)
-        for le in layout.levels
-    ]
-    return Levels(np.array(counts, np.uint64), np.array(scales, np.float32))
+    counts, scales = level_constants(layout)
+    return Levels(np.array(counts).astype(np.uint64), np.array(scales, np.float32))
 
 
 _inlined = numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy")

@@ -1,13 +1,16 @@
 """The choice of the backend for an encoder call, and its automatic differentiation.
 
-float32 on a processor goes to the compiled loops of `cpu`, everything else to `reference`. The environment
-variable LAMBENT_KERNELS=reference, read once at import, sends everything to the reference (tests, debugging).
+float32 on a processor goes to the compiled loops of `cpu`; float32 on a GPU to the kernels of `gpu`, where
+Triton is installed; everything else to `reference`. The environment variable LAMBENT_KERNELS=reference, read
+once at import, sends everything to the reference (tests, debugging).
 """
 
+import importlib.util
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from functools import lru_cache
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, UInt8
@@ -22,6 +25,38 @@ from flashcache.kernels.layout import GridLayout
 _CHOICE = os.environ.get("LAMBENT_KERNELS", "auto")
 if _CHOICE not in ("auto", "reference"):
     raise ConfigError(f'LAMBENT_KERNELS must be "auto" or "reference", got "{_CHOICE}"')
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """What a compiled backend does with float32 tensors of one device; no gradients are recorded."""
+
+    def encode(self, z: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+        """Return the features of `z`."""
+        ...
+
+    def encode_with_jacobian(self, z: Tensor, table: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
+        """Return the features of `z` and their derivative by `z`."""
+        ...
+
+    def position_gradient(
+        self, z: Tensor, table: Tensor, layout: GridLayout, features_gradient: Tensor
+    ) -> Tensor:
+        """Return the gradient by `z`, given the one by the features."""
+        ...
+
+    def add_table_gradient(
+        self,
+        z: Tensor,
+        layout: GridLayout,
+        features_gradient: Tensor,
+        jacobian_gradient: Tensor | None,
+        gradient: Tensor,
+        *,
+        overwrite: bool = False,
+    ) -> None:
+        """Add the gradient by the table to `gradient`, or write it there."""
+        ...
 
 
 @contextmanager
@@ -44,16 +79,17 @@ def encode(
 ) -> Float[Tensor, "points outputs"]:
     """Return the interpolated features of `z`, levels coarse to fine.
 
-    Differentiable by `z` and `table`; once on the compiled backend, any number of times on the reference.
+    Differentiable by `z` and `table`; once on a compiled backend, any number of times on the reference.
     With `in_place_gradient` a backward pass adds to `table.grad`, where there is one, instead of handing out
     a gradient as large as the table: only for `Tensor.backward` and a table that is a leaf.
     """
     z = z.to(table.dtype)
-    if not _is_compiled(table):
+    backend = _backend(table.device, table.dtype)
+    if backend is None:
         return reference.encode(z, table, layout)
     if torch.is_grad_enabled() and (z.requires_grad or table.requires_grad):
-        return _Encode.apply(z.contiguous(), table, layout, in_place_gradient)
-    return _encode(z, table, layout)
+        return _Encode.apply(z.contiguous(), table, layout, in_place_gradient, backend)
+    return backend.encode(z.detach(), table.detach(), layout)
 
 
 def encode_with_jacobian(
@@ -68,19 +104,20 @@ def encode_with_jacobian(
     A `z` that requires a gradient uses the reference, the only backend with a second derivative by `z`.
     """
     z = z.to(table.dtype)
+    backend = _backend(table.device, table.dtype)
     differentiable = torch.is_grad_enabled()
-    if not _is_compiled(table) or (differentiable and z.requires_grad):
+    if backend is None or (differentiable and z.requires_grad):
         return reference.encode_with_jacobian(z, table, layout)
     if differentiable and table.requires_grad:
-        return _EncodeWithJacobian.apply(z.contiguous(), table, layout, in_place_gradient)
-    return _encode_with_jacobian(z, table, layout)
+        return _EncodeWithJacobian.apply(z.contiguous(), table, layout, in_place_gradient, backend)
+    return backend.encode_with_jacobian(z.detach(), table.detach(), layout)
 
 
 def stretch(
     rays: Rays, cells: UInt8[Tensor, "x y z"], low: Float[Tensor, "3"], high: Float[Tensor, "3"], step: float
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
     """Return near and far of the stretch of each ray on which a lattice has occupied cells; see `march`."""
-    if not _is_compiled(rays.near):
+    if _CHOICE != "auto" or rays.near.device.type != "cpu" or rays.near.dtype != torch.float32:
         from flashcache.kernels import march
 
         return march.stretch(rays, cells, low, high, step)
@@ -93,39 +130,42 @@ def stretch(
     return first, last
 
 
-def _is_compiled(table: Tensor) -> bool:
-    return _CHOICE == "auto" and table.device.type == "cpu" and table.dtype == torch.float32
+def has_gpu_kernels() -> bool:
+    """Return whether float32 on a GPU has kernels of its own here: whether Triton is installed."""
+    return _CHOICE == "auto" and _has_triton()
 
 
-def _encode(z: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    from flashcache.kernels import cpu  # numba takes a third of a second to import
-
-    arrays = z.detach().contiguous().numpy(), table.detach().numpy()
-    return torch.from_numpy(cpu.encode(*arrays, layout, torch.get_num_threads()))
+@lru_cache
+def _has_triton() -> bool:
+    return importlib.util.find_spec("triton") is not None
 
 
-def _encode_with_jacobian(z: Tensor, table: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
-    from flashcache.kernels import cpu
+def _backend(device: torch.device, dtype: torch.dtype) -> Backend | None:
+    """Return the compiled backend for a table, or None for the reference.
 
-    arrays = z.detach().contiguous().numpy(), table.detach().numpy()
-    features, jacobian = cpu.encode_with_jacobian(*arrays, layout, torch.get_num_threads())
-    return torch.from_numpy(features), torch.from_numpy(jacobian)
+    Each is imported when it is first needed: numba takes a third of a second, and Triton is not everywhere.
+    """
+    if _CHOICE != "auto" or dtype != torch.float32:
+        return None
+    if device.type == "cpu":
+        from flashcache.kernels import cpu_tensors
+
+        return cpu_tensors
+    if device.type == "cuda" and _has_triton():
+        from flashcache.kernels import gpu
+
+        return gpu
+    return None
 
 
 def _table_gradient(ctx: Any, z: Tensor, features_gradient: Tensor, jacobian_gradient: Tensor | None) -> Any:
     """Return the gradient of the table, or None once it has been added in place."""
-    from flashcache.kernels import cpu
-
     in_place = ctx.in_place_gradient and ctx.table.grad is not None
-    gradient = ctx.table.grad if in_place else torch.empty_like(ctx.table)
-    cpu.add_table_gradient(
-        z.numpy(),
-        ctx.layout,
-        features_gradient.contiguous().numpy(),
-        None if jacobian_gradient is None else jacobian_gradient.contiguous().numpy(),
-        gradient.numpy(),
-        torch.get_num_threads(),
-        overwrite=not in_place,
+    gradient = (
+        ctx.table.grad if in_place else torch.empty_like(ctx.table, memory_format=torch.contiguous_format)
+    )
+    ctx.backend.add_table_gradient(
+        z, ctx.layout, features_gradient, jacobian_gradient, gradient, overwrite=not in_place
     )
     return None if in_place else gradient
 
@@ -134,24 +174,23 @@ class _Encode(torch.autograd.Function):
     """Features with first-order gradients by position and table."""
 
     @staticmethod
-    def forward(ctx: Any, z: Tensor, table: Tensor, layout: GridLayout, in_place_gradient: bool) -> Tensor:
+    def forward(
+        ctx: Any, z: Tensor, table: Tensor, layout: GridLayout, in_place_gradient: bool, backend: Backend
+    ) -> Tensor:
         ctx.save_for_backward(z, table)
-        ctx.table, ctx.layout, ctx.in_place_gradient = table, layout, in_place_gradient
-        return _encode(z, table, layout)
+        ctx.table, ctx.layout, ctx.in_place_gradient, ctx.backend = table, layout, in_place_gradient, backend
+        return backend.encode(z.detach(), table.detach(), layout)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Any:
-        from flashcache.kernels import cpu
-
-        z, table = ctx.saved_tensors
+        z, table = (saved.detach() for saved in ctx.saved_tensors)
         z_gradient = table_gradient = None
         if ctx.needs_input_grad[0]:
-            arrays = z.detach().numpy(), table.detach().numpy(), ctx.layout, gradient.contiguous().numpy()
-            z_gradient = torch.from_numpy(cpu.position_gradient(*arrays, torch.get_num_threads()))
+            z_gradient = ctx.backend.position_gradient(z, table, ctx.layout, gradient)
         if ctx.needs_input_grad[1]:
-            table_gradient = _table_gradient(ctx, z.detach(), gradient, None)
-        return z_gradient, table_gradient, None, None
+            table_gradient = _table_gradient(ctx, z, gradient, None)
+        return z_gradient, table_gradient, None, None, None
 
 
 class _EncodeWithJacobian(torch.autograd.Function):
@@ -159,14 +198,15 @@ class _EncodeWithJacobian(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, z: Tensor, table: Tensor, layout: GridLayout, in_place_gradient: bool
+        ctx: Any, z: Tensor, table: Tensor, layout: GridLayout, in_place_gradient: bool, backend: Backend
     ) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(z)
-        ctx.table, ctx.layout, ctx.in_place_gradient = table, layout, in_place_gradient
-        return _encode_with_jacobian(z, table, layout)
+        ctx.table, ctx.layout, ctx.in_place_gradient, ctx.backend = table, layout, in_place_gradient, backend
+        return backend.encode_with_jacobian(z.detach(), table.detach(), layout)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, features_gradient: Tensor, jacobian_gradient: Tensor) -> Any:
         (z,) = ctx.saved_tensors
-        return None, _table_gradient(ctx, z.detach(), features_gradient, jacobian_gradient), None, None
+        gradient = _table_gradient(ctx, z.detach(), features_gradient, jacobian_gradient)
+        return None, gradient, None, None, None

@@ -117,3 +117,20 @@ def dense_layout(resolution: int) -> GridLayout:
         multiplier_z=resolution**2,
     )
     return GridLayout(levels=(level,), num_features=1, half_extent=1.0)
+
+
+def level_constants(layout: GridLayout) -> tuple[list[tuple[int, ...]], list[tuple[float, ...]]]:
+    """Return what the compiled backends read per level: six integers, and three numbers for float32.
+
+    The integers are first row, row mask, multiplier of y, multiplier of z, resolution - 2, and rows. A voxel
+    with the number x + multiplier_y y + multiplier_z z is row `first row + (number & mask)`: the mask has all
+    bits where rows are no power of two, since such a level is dense and its numbers are below that already.
+    The others are d u / d z, u of the cube's centre, and the largest u.
+    """
+    counts, scales = [], []
+    for le in layout.levels:
+        mask = -1 if le.num_rows & (le.num_rows - 1) else le.num_rows - 1
+        n = le.resolution
+        counts.append((le.first_row, mask, le.multiplier_y, le.multiplier_z, n - 2, le.num_rows))
+        scales.append((n / (2.0 * layout.half_extent), (n - 1) / 2.0, n - 1.0))
+    return counts, scales

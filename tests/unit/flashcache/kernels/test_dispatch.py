@@ -1,5 +1,6 @@
 """Which backend answers, and what takes part in differentiation."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -107,6 +108,35 @@ def test_a_position_with_a_gradient_gets_the_second_derivative_from_the_referenc
     (gradient,) = torch.autograd.grad(jacobian.square().sum(), z)
     assert gradient.any()
     assert calls == []
+
+
+def test_single_precision_on_a_gpu_has_kernels_where_triton_is_installed(monkeypatch):
+    pytest.importorskip("triton", reason="needs Triton, which there is for Linux only")
+    cuda, single = torch.device("cuda"), torch.float32
+    assert dispatch.has_gpu_kernels()
+    assert dispatch._backend(cuda, single) is importlib.import_module("flashcache.kernels.gpu")
+    assert dispatch._backend(cuda, torch.float64) is None
+    assert dispatch._backend(torch.device("mps"), single) is None
+    with dispatch.using("reference"):
+        assert dispatch._backend(cuda, single) is None
+    monkeypatch.setattr(dispatch, "_has_triton", lambda: False)
+    assert dispatch._backend(cuda, single) is None
+    assert not dispatch.has_gpu_kernels()
+
+
+@pytest.mark.slow
+def test_grids_on_a_processor_never_import_triton():
+    """torch does so itself, in the first step of an optimiser."""
+    code = (
+        "import sys, torch\n"
+        "import flashcache.presets, flashcache.training.stage_two, flashcache.evaluation.gbuffer\n"
+        "from flashcache.encoding.hash_grid import HashGrid, HashGridConfig\n"
+        "grid = HashGrid(HashGridConfig(log2_table_size=12))\n"
+        "grid(torch.zeros(1, 3)).sum().backward()\n"
+        "assert 'numba' in sys.modules and 'triton' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("choice", ["reference", "fastest"])

@@ -1,0 +1,110 @@
+"""The GPU's kernels, compiled without a GPU for the processors they are meant for."""
+
+import itertools
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+triton = pytest.importorskip("triton", reason="needs Triton, which there is for Linux only")
+gpu = pytest.importorskip("flashcache.kernels.gpu")
+gpu_kernels = gpu.gpu_kernels
+
+pytestmark = pytest.mark.slow
+
+TARGETS = (80, 90, 120)
+"""Compute capabilities times ten: A100, H100 and H200, RTX 50."""
+MAX_REGISTERS = 96
+"""Of 65536 per multiprocessor: five programs of 128 threads each at least."""
+KERNELS = {
+    "forward": (gpu_kernels.forward, {"JACOBIAN": False}),
+    "forward with Jacobian": (gpu_kernels.forward, {"JACOBIAN": True}),
+    "position gradient": (gpu_kernels.position_gradient, {}),
+    "table gradient": (gpu_kernels.table_gradient, {"JACOBIAN": False}),
+    "table gradient with Jacobian": (gpu_kernels.table_gradient, {"JACOBIAN": True}),
+}
+RESOURCES = re.compile(r"REG:(\d+) STACK:(\d+) SHARED:\d+ LOCAL:(\d+)")
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_compiled_before(monkeypatch, tmp_path):
+    monkeypatch.setenv("TRITON_CACHE_DIR", str(tmp_path / "cache"))
+
+
+def compiled(name: str, num_features: int, target: int, counts: str = "*i32") -> Any:
+    """Return a kernel as Triton compiles it for tensors of torch's, whose addresses are multiples of 16."""
+    kernel, constants = KERNELS[name]
+    constants = constants | gpu.block_sizes(num_features)
+    types = {"counts": counts, "num_points": "i32", "num_levels": "i32"} | dict.fromkeys(
+        constants, "constexpr"
+    )
+    signature = {argument: types.get(argument, "*fp32") for argument in kernel.arg_names}
+    aligned = {
+        (place,): [["tt.divisibility", 16]]
+        for place, kind in enumerate(signature.values())
+        if kind.startswith("*")
+    }
+    source = triton.compiler.ASTSource(fn=kernel, signature=signature, constexprs=constants, attrs=aligned)
+    return triton.compile(source, target=gpu_target(target), options=gpu.OPTIONS)
+
+
+def gpu_target(capability: int) -> Any:
+    return triton.backends.compiler.GPUTarget("cuda", capability, 32)
+
+
+def resources(kernel: Any, folder: Path) -> tuple[int, int, int]:
+    """Return registers, bytes of stack and bytes of local memory per thread."""
+    tool = Path(triton.__file__).parent / "backends/nvidia/bin/cuobjdump"
+    path = folder / "kernel.cubin"
+    path.write_bytes(kernel.asm["cubin"])
+    listing = subprocess.run(
+        [tool, "--dump-resource-usage", path], capture_output=True, text=True, check=True
+    ).stdout
+    [found] = RESOURCES.findall(listing)
+    registers, stack, local = map(int, found)
+    return registers, stack, local
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_kernels_fit_into_registers(name, tmp_path):
+    for target, num_features in itertools.product(TARGETS, (1, 2, 3, 4, 5, 8)):
+        kernel = compiled(name, num_features, target)
+        registers, stack, local = resources(kernel, tmp_path)
+        assert registers <= MAX_REGISTERS, (target, num_features)
+        assert stack == local == 0, (target, num_features)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_kernels_with_64_bit_offsets_fit_into_registers(name, tmp_path):
+    for target, num_features in itertools.product(TARGETS, (2, 8)):
+        registers, stack, local = resources(compiled(name, num_features, target, "*i64"), tmp_path)
+        assert registers <= MAX_REGISTERS, (target, num_features)
+        assert stack == local == 0, (target, num_features)
+
+
+@pytest.mark.parametrize(("num_features", "vector"), [(2, "v2"), (4, "v4"), (8, "v4")])
+def test_rows_are_read_and_added_to_as_vectors(num_features, vector):
+    ptx = compiled("forward", num_features, 90).asm["ptx"]
+    assert len(re.findall(rf"ld\.global\.{vector}\.b32", ptx)) == 8
+    assert len(re.findall(rf"st\.global\.{vector}\.b32", ptx)) == 1
+    ptx = compiled("table gradient", num_features, 90).asm["ptx"]
+    assert len(re.findall(rf"atom\.global\.gpu\.relaxed\.add\.{vector}\.f32", ptx)) == 8
+
+
+@pytest.mark.parametrize("name", ["table gradient", "table gradient with Jacobian"])
+@pytest.mark.parametrize("target", TARGETS)
+def test_additions_to_the_table_are_relaxed(name, target):
+    ptx = compiled(name, 2, target).asm["ptx"]
+    atomics = re.findall(r"\batom\.\S+", ptx)
+    assert atomics
+    assert all(".relaxed." in atomic for atomic in atomics)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_positions_are_computed_without_fused_multiply_add(target):
+    """The table's gradient has none of its own, so that any would be one that the compiler made."""
+    ptx = compiled("table gradient", 2, target).asm["ptx"]
+    assert "fma" not in ptx
+    assert len(re.findall(r"mul\.rn\.f32", ptx)) >= 3
