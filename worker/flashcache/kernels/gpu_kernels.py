@@ -31,9 +31,9 @@ def require_launcher() -> None:
         driver.active.get_current_device()
     except (RuntimeError, OSError, ImportError, subprocess.CalledProcessError) as error:
         raise ConfigError(
-            f"Triton cannot start kernels on this machine ({error}); it needs a C compiler and Python's "
-            f"header files (on Debian: gcc and python3-dev). Install them, or set LAMBENT_KERNELS=reference, "
-            f"which is slower"
+            f"Triton cannot start kernels on this machine ({error}); it needs a C compiler, Python's header "
+            f"files (on Debian: gcc and python3-dev), and a folder that it may write to (TRITON_CACHE_DIR); "
+            f"provide them, or set LAMBENT_KERNELS=reference, which is slower"
         ) from error
 
 

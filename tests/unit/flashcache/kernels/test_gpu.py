@@ -1,4 +1,4 @@
-"""The GPU's encoder in Triton's interpreter, against the reference; on a GPU: `test_cuda.py`."""
+"""The GPU's encoder against the reference: in Triton's interpreter, and on a GPU where there is one."""
 
 import subprocess
 import sys
@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 from flashcache.errors import ConfigError
-from flashcache.kernels import reference
-from flashcache.kernels.layout import GridLayout
+from flashcache.kernels import dispatch, reference
+from flashcache.kernels.layout import GridLayout, build_layout, dense_layout, level_resolutions
 from support import grid_cases
 from support.grid_cases import INTERPRETED, case, close
 
 pytest.importorskip("triton", reason="needs Triton, which there is for Linux only")
+gpu = pytest.importorskip("flashcache.kernels.gpu")
 SCRIPT = Path(grid_cases.__file__).with_name("interpreted_grid.py")
 Answers = dict[str, torch.Tensor]
 
@@ -89,14 +90,123 @@ def test_gradients_recorded_on_the_backend_equal_the_reference(way, found):
 
 
 def test_where_triton_cannot_start_kernels_the_user_is_told_what_to_do(monkeypatch):
-    from flashcache.kernels import gpu_kernels
-
     class NoCompiler:
         @property
         def active(self):
             raise RuntimeError("Failed to find C compiler.")
 
-    monkeypatch.setattr(gpu_kernels, "driver", NoCompiler())
-    gpu_kernels.require_launcher.cache_clear()
+    monkeypatch.setattr(gpu.gpu_kernels, "driver", NoCompiler())
+    gpu.gpu_kernels.require_launcher.cache_clear()
     with pytest.raises(ConfigError, match=r"C compiler.*LAMBENT_KERNELS=reference"):
-        gpu_kernels.require_launcher()
+        gpu.gpu_kernels.require_launcher()
+
+
+CUDA = torch.device("cuda")
+REALISTIC = {
+    "proposal": build_layout(
+        level_resolutions(16, 128, 6), num_features=1, log2_table_size=15, half_extent=1.0
+    ),
+    "density": build_layout(
+        level_resolutions(16, 256, 8), num_features=2, log2_table_size=17, half_extent=1.0
+    ),
+    "finest": build_layout(
+        level_resolutions(16, 2048, 8), num_features=4, log2_table_size=19, half_extent=1.0
+    ),
+}
+
+
+def realistic(layout: GridLayout, points: int, device: torch.device) -> tuple[torch.Tensor, ...]:
+    """Return points, some outside, a table, and upstream gradients of features and Jacobian."""
+    torch.manual_seed(3)
+    z = torch.rand(points, 3, device=device) * 2.2 - 1.1
+    table = torch.randn(layout.num_rows, layout.num_features, device=device)
+    by_features = torch.randn(points, layout.num_outputs, device=device)
+    return z, table, by_features, torch.randn(points, layout.num_outputs, 3, device=device)
+
+
+def error(found: torch.Tensor, wanted: torch.Tensor) -> float:
+    """Return the largest difference as a share of the largest value."""
+    return float((found - wanted).detach().abs().max() / wanted.detach().abs().max())
+
+
+def skip_without_memory(gibibytes: int) -> None:
+    if torch.cuda.mem_get_info()[0] < gibibytes * 2**30:
+        pytest.skip(f"needs {gibibytes} GiB of the GPU's memory")
+
+
+@pytest.mark.gpu
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REALISTIC)
+def test_on_a_gpu_values_and_gradients_equal_the_reference(name):
+    layout = REALISTIC[name]
+    z, table, by_features, by_jacobian = realistic(layout, 2**17 + 1, CUDA)
+    gradients = []
+    for backend in (dispatch, reference):
+        points, values = z.clone().requires_grad_(), table.clone().requires_grad_()
+        features = backend.encode(points, values, layout)
+        features.backward(by_features)
+        of_features, values.grad = values.grad, None
+        outputs = backend.encode_with_jacobian(z, values, layout)
+        torch.autograd.backward(outputs, [by_features, by_jacobian])
+        gradients.append((features, *outputs, points.grad, of_features, values.grad))
+    assert gradients[0][0].grad_fn.name().startswith("_Encode")
+    # Sums over many points are rounded in another order.
+    for found, wanted in zip(*gradients, strict=True):
+        assert error(found, wanted) < 1e-5
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("in_place", [False, True])
+def test_on_a_gpu_gradients_are_added_to_what_is_there(in_place):
+    layout = REALISTIC["density"]
+    z, table, by_features, _ = realistic(layout, 5000, CUDA)
+    table.requires_grad_()
+    table.grad = buffer = torch.ones_like(table)
+    dispatch.encode(z, table, layout, in_place_gradient=in_place).backward(by_features)
+    assert table.grad is buffer
+    (wanted,) = torch.autograd.grad(reference.encode(z, table, layout), table, by_features)
+    assert error(buffer, wanted + 1.0) < 1e-5
+
+
+@pytest.mark.gpu
+def test_on_a_gpu_there_may_be_no_points_and_points_that_are_not_numbers():
+    layout = REALISTIC["density"]
+    _, table, _, _ = realistic(layout, 1, CUDA)
+    features, jacobian = dispatch.encode_with_jacobian(torch.empty(0, 3, device=CUDA), table, layout)
+    assert features.shape == (0, layout.num_outputs)
+    assert jacobian.shape == (0, layout.num_outputs, 3)
+    nan, corner = torch.full((2, 3), torch.nan, device=CUDA), torch.full((2, 3), -1.0, device=CUDA)
+    assert torch.equal(dispatch.encode(nan, table, layout), dispatch.encode(corner, table, layout))
+
+
+@pytest.mark.gpu
+@pytest.mark.slow
+def test_on_a_gpu_there_may_be_more_values_than_32_bits_count():
+    skip_without_memory(16)
+    layout = REALISTIC["density"]
+    points = 2**31 // (3 * layout.num_outputs) + 1000
+    assert 3 * points * layout.num_outputs > 2**31
+    _, table, by_features, by_jacobian = realistic(layout, 1000, CUDA)
+    z = torch.rand(points, 3, device=CUDA) * 2.2 - 1.1
+    features, jacobian = gpu.encode_with_jacobian(z, table, layout)
+    last = gpu.encode_with_jacobian(z[-1000:], table, layout)
+    assert torch.equal(features[-1000:], last[0])
+    assert torch.equal(jacobian[-1000:], last[1])
+    features.zero_()[-1000:] = by_features
+    jacobian.zero_()[-1000:] = by_jacobian
+    found, wanted = torch.zeros_like(table), torch.zeros_like(table)
+    gpu.add_table_gradient(z, layout, features, jacobian, found)
+    gpu.add_table_gradient(z[-1000:], layout, by_features, by_jacobian, wanted)
+    assert error(found, wanted) < 1e-5
+
+
+@pytest.mark.gpu
+@pytest.mark.slow
+def test_on_a_gpu_a_table_may_have_more_rows_than_32_bits_count():
+    skip_without_memory(12)
+    layout = dense_layout(1300)
+    table = torch.rand(layout.num_rows, 1, device=CUDA)
+    assert table.numel() > 2**31
+    z = torch.rand(1000, 3, device=CUDA) * 2.2 - 1.1
+    z[0] = 1.0
+    assert error(gpu.encode(z, table, layout), reference.encode(z, table, layout)) < 1e-5
