@@ -24,6 +24,11 @@ def case(layout: GridLayout, count: int = 3000) -> tuple[np.ndarray, np.ndarray,
     random = np.random.default_rng(5)
     z = random.uniform(-1.1, 1.1, (count, 3)).astype(np.float32) * np.float32(layout.half_extent)
     z[:4] = [[0.0] * 3, [layout.half_extent] * 3, [-layout.half_extent] * 3, [np.inf, -np.inf, 0.1]]
+    for place, level in enumerate(layout.levels, start=2):
+        # The centres of the first and the last voxel, where the derivative across the border ends.
+        z[2 * place : 2 * place + 2] = (
+            np.array([[-1.0], [1.0]]) * (1.0 - 1.0 / level.resolution) * layout.half_extent
+        )
     table = random.normal(size=(layout.num_rows, layout.num_features)).astype(np.float32)
     by_features = random.normal(size=(count, layout.num_outputs)).astype(np.float32)
     by_jacobian = random.normal(size=(count, layout.num_outputs, 3)).astype(np.float32)

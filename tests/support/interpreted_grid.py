@@ -18,10 +18,20 @@ from flashcache.kernels import dispatch, gpu
 from flashcache.kernels.layout import GridLayout
 from support.grid_cases import INTERPRETED, case
 
+GUARDS = 10_000
+
+
+def guarded(table: torch.Tensor) -> torch.Tensor:
+    """Return the table with rows before and after it that show in every result that reads them."""
+    surrounded = torch.full((len(table) + 2 * GUARDS, table.shape[1]), torch.nan)
+    surrounded[GUARDS:-GUARDS] = table
+    return surrounded[GUARDS:-GUARDS]
+
 
 def answers(layout: GridLayout, points: int) -> dict[str, torch.Tensor]:
     """Return what all kernels answer for the points of `case`; gradients are added to ones."""
     z, table, by_features, by_jacobian = (torch.from_numpy(array) for array in case(layout, points))
+    table = guarded(table)
     features, jacobian = gpu.encode_with_jacobian(z, table, layout)
     of_features, of_both = torch.ones_like(table), torch.ones_like(table)
     gpu.add_table_gradient(z, layout, by_features, None, of_features)
@@ -49,7 +59,7 @@ def with_64_bits(layout: GridLayout, points: int) -> dict[str, torch.Tensor]:
 
 def not_a_number(layout: GridLayout) -> dict[str, torch.Tensor]:
     """Return the answers for a point without a position, and for the corner whose voxels it should read."""
-    table = torch.from_numpy(case(layout, 10)[1])
+    table = guarded(torch.from_numpy(case(layout, 10)[1]))
     found = {}
     for name, value in (("nan", np.nan), ("corner", -layout.half_extent)):
         z = torch.full((1, 3), value)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from flashcache.kernels.layout import GridLayout
+from flashcache.kernels.layout import GridLayout, level_constants
 
 
 def encode(
@@ -48,16 +48,14 @@ def _voxels(
     Int[Tensor, "points levels 8"], Float[Tensor, "points levels 3"], Float[Tensor, "points levels 3"]
 ]:
     """Return the rows of the 8 voxels around each point, the position between them and d position / d z."""
-    resolution, numbers = _level_tensors(layout, z.device)
-    n = resolution.to(z.dtype)[:, None]
-    scale = n / (2.0 * layout.half_extent)
-    free = z[:, None, :] * scale + 0.5 * (n - 1.0)
-    u = torch.clamp(free, min=torch.zeros_like(n), max=n - 1.0)
-    cell = torch.minimum(u.detach().floor(), n - 2.0)
+    numbers, (scale, centre, largest) = _level_tensors(layout, z.dtype, z.device)
+    free = z[:, None, :] * scale + centre
+    u = torch.clamp(free, min=torch.zeros_like(largest), max=largest)
+    cell = torch.minimum(u.detach().floor(), largest - 1.0)
     corner = cell.long()[:, :, None, :] + _corners(z.device)
     first_row, num_rows, multiplier_y, multiplier_z = numbers
     mixed = corner[..., 0] + corner[..., 1] * multiplier_y + corner[..., 2] * multiplier_z
-    inside = (free.detach() >= 0.0) & (free.detach() <= n - 1.0)
+    inside = (free.detach() >= 0.0) & (free.detach() <= largest)
     return first_row + mixed % num_rows, u - cell, inside * scale
 
 
@@ -89,9 +87,15 @@ def _corners(device: torch.device) -> Int[Tensor, "8 3"]:
 
 @lru_cache
 def _level_tensors(
-    layout: GridLayout, device: torch.device
-) -> tuple[Int[Tensor, "levels"], Int[Tensor, "4 levels 1"]]:
-    """Return the resolutions and (first row, rows, multipliers of y and z) of all levels."""
-    resolution = torch.tensor([level.resolution for level in layout.levels], device=device)
+    layout: GridLayout, dtype: torch.dtype, device: torch.device
+) -> tuple[Int[Tensor, "4 levels 1"], Float[Tensor, "3 levels 1"]]:
+    """Return (first row, rows, multipliers of y and z) and (d u / d z, u of the centre, largest u) per level.
+
+    The latter are rounded to `dtype` once, as those of the other backends are.
+    """
     rows = [(le.first_row, le.num_rows, le.multiplier_y, le.multiplier_z) for le in layout.levels]
-    return resolution, torch.tensor(rows, device=device).T[:, :, None]
+    _, scales = level_constants(layout)
+    return (
+        torch.tensor(rows, device=device).T[:, :, None],
+        torch.tensor(scales, dtype=dtype, device=device).T[:, :, None],
+    )
