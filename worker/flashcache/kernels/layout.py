@@ -127,7 +127,8 @@ def level_constants(layout: GridLayout) -> tuple[list[tuple[int, ...]], list[tup
     bits where rows are no power of two, since such a level is dense and its numbers are below that already.
     The others are d u / d z, u of the cube's centre, and the largest u.
     """
-    counts, scales = [], []
+    counts: list[tuple[int, ...]] = []
+    scales: list[tuple[float, ...]] = []
     for le in layout.levels:
         mask = -1 if le.num_rows & (le.num_rows - 1) else le.num_rows - 1
         n = le.resolution
