@@ -1,11 +1,13 @@
 """Time the compiled encoder against the torch reference, side by side in one run.
 
     OMP_NUM_THREADS=1 python -m benchmarks kernels
+    python -m benchmarks kernels --device cuda --rays 65536
 
 Each row is one step on points along rays. `features` is forward and backward; `normals` is a density with its
 gradient by position and a loss on both: from features and Jacobian on the compiled side, by eager double
-backward on the other. Figures are milliseconds of processor time in this thread, the smaller half of the
-repeats averaged, so that a busy neighbour matters little; the ratio is reference / compiled.
+backward on the other. Figures are milliseconds of processor time in this thread, or of time until a GPU has
+finished; the smaller half of the repeats is averaged, so that a busy neighbour matters little. The ratio is
+reference / compiled.
 """
 
 import argparse
@@ -64,14 +66,22 @@ def double_backward_step(grid: HashGrid, network: torch.nn.Module, z: Tensor) ->
     (gradient.square().sum() + density.sum()).backward()
 
 
-def milliseconds(step: Callable[[], None], repeats: int) -> float:
-    """Return the typical processor time of one call."""
+def seconds(device: torch.device) -> float:
+    """Return the processor time of this thread, or the time when the GPU has finished what it was given."""
+    if device.type == "cpu":
+        return time.thread_time()
+    torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def milliseconds(step: Callable[[], None], repeats: int, device: torch.device) -> float:
+    """Return the typical time of one call."""
     step()
     times = []
     for _ in range(repeats):
-        start = time.thread_time()
+        start = seconds(device)
         step()
-        times.append(1e3 * (time.thread_time() - start))
+        times.append(1e3 * (seconds(device) - start))
     return statistics.mean(sorted(times)[: (repeats + 1) // 2])
 
 
@@ -79,6 +89,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("--rays", type=int, default=1024)
     parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--device", type=torch.device, default=torch.device("cpu"))
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -86,12 +97,12 @@ def main(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(1)
     print(f"{'grid':22}{'points':>8}{'step':>10}{'compiled':>10}{'reference':>11}{'ratio':>7}")
     for name, (config, num_samples) in GRIDS.items():
-        z = points_on_rays(arguments.rays, num_samples)
-        grid = HashGrid(config)
+        z = points_on_rays(arguments.rays, num_samples).to(arguments.device)
+        grid = HashGrid(config).to(arguments.device)
         torch.nn.init.normal_(grid.table)
         network = torch.nn.Sequential(
             torch.nn.Linear(grid.out_features, 64), torch.nn.Softplus(beta=10.0), torch.nn.Linear(64, 1)
-        )
+        ).to(arguments.device)
         steps = {
             "features": (
                 lambda grid=grid, z=z: features_step(grid, z, grid.table),
@@ -105,6 +116,6 @@ def main(arguments: argparse.Namespace) -> None:
             ),
         }
         for kind, (compiled, eager) in steps.items():
-            fast = milliseconds(compiled, arguments.repeats)
-            slow = milliseconds(eager, max(2, arguments.repeats // 3))
+            fast = milliseconds(compiled, arguments.repeats, arguments.device)
+            slow = milliseconds(eager, max(2, arguments.repeats // 3), arguments.device)
             print(f"{name:22}{len(z):8}{kind:>10}{fast:10.2f}{slow:11.2f}{slow / fast:7.1f}", flush=True)
