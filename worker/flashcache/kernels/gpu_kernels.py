@@ -6,7 +6,8 @@ The formula is in `flashcache.kernels.layout`; `flashcache.kernels.gpu` starts t
   `layout.level_constants`. `counts` are 32-bit integers where every offset into the table fits, else 64-bit
   ones, and offsets into the table are of the same type. Numbers of points are 64-bit.
 - Tensors have the axes [BLOCK, WIDTH], points and features; one of them is 1 where nothing depends on it.
-  WIDTH is F, the number of features, rounded up to a power of two. Where F is one, a row is one vector.
+  WIDTH is F, the number of features, rounded up to a power of two. Where the two are equal, rows are read as
+  vectors of up to four values.
 - Kernels are compiled with `enable_fp_fusion=False`, so that positions between voxels are the reference's,
   bit for bit. A fused multiply-add is written out where it is welcome.
 """
