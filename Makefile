@@ -19,12 +19,15 @@ SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 help: ## Show the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
+# With `gpu` the tests of the GPU's kernels run too, in an interpreter where there is no GPU (0.7 GB more).
+EXTRAS ?= dev
+
 setup: $(SETUP) ## Install everything into .venv and client/web/node_modules
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(if $(TORCH_INDEX),$(BIN)/pip install -q -c constraints.txt --index-url $(TORCH_INDEX) torch)
-	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@
 
 $(WEB)/node_modules/.installed: $(WEB)/package.json $(WEB)/package-lock.json $(WEB)/tools/openapi/package-lock.json

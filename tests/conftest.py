@@ -94,6 +94,13 @@ def nothing_is_left_behind() -> Iterator[None]:
     assert not left, f"processes are left behind: {left}"
 
 
+def pytest_configure() -> None:
+    """Refuse a run in CI that would leave out the tests of the GPU's kernels."""
+    missing = sys.platform == "linux" and importlib.util.find_spec("triton") is None
+    if os.environ.get("CI") == "true" and missing:
+        raise pytest.UsageError("CI tests the GPU's kernels: make setup EXTRAS=dev,gpu")
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("gpu") and not _has_cuda():
         pytest.skip("needs a CUDA device")
