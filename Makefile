@@ -49,8 +49,8 @@ wheel: $(VENV)/.installed pages ## Build the wheel, web pages included, into bui
 # Without Node there are no web pages: the demo's link says so, and browser tests are skipped.
 BUILT := $(if $(shell command -v npm),$(PAGES)/.built)
 
-demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (5 to 11 minutes on two cores)
-	$(BIN)/lambent demo
+demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (5 to 11 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
+	$(BIN)/lambent demo $(DEMO_ARGS)
 
 # Two workers on two cores: one thread each.
 test: export OMP_NUM_THREADS ?= 1

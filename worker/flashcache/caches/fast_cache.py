@@ -19,6 +19,9 @@ from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
 from flashcache.volume.proposal_sampling import SECONDARY_CURVE
 
+LEAST_OPACITY = 1e-3
+"""Opacity below which nothing is hit and the distance jumps to the far end of the ray."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FastCacheConfig:
@@ -135,8 +138,8 @@ class FastCache(nn.Module):
         hidden = torch.relu(self.decoder[1](torch.relu(self.decoder[0](mixed))))
         colour = self._of_light(self.decoder_head(hidden), light_index)
         colour = torch.nn.functional.softplus(colour + self.colour_bias)
-        mean = (weights * distances).sum(dim=-1) / opacity.clamp_min(1e-3)
-        distance = torch.where(opacity < 1e-3, torch.full_like(mean, self.far), mean)
+        mean = (weights * distances).sum(dim=-1) / opacity.clamp_min(LEAST_OPACITY)
+        distance = torch.where(opacity < LEAST_OPACITY, torch.full_like(mean, self.far), mean)
         # Differs from the paper: colour times opacity (docs/decisions/0019-small-departures.md).
         return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)
 

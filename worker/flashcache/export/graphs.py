@@ -11,7 +11,7 @@ import numpy as np
 import onnx
 import torch
 
-from flashcache.caches.fast_cache import FastCache
+from flashcache.caches.fast_cache import LEAST_OPACITY, FastCache
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.encoding.occupancy import Occupancy
@@ -178,9 +178,9 @@ def _cache_graph(
     decoder_head = fast.decoder_head
     colour = layers.affine(graph, head_name, decoder_head.weight[rows], decoder_head.bias[rows], values)
 
-    mean = graph.reduce("ReduceSum", weight * distances) / graph.at_least(opacity, 1e-3)
+    mean = graph.reduce("ReduceSum", weight * distances) / graph.at_least(opacity, LEAST_OPACITY)
     distance = graph.node(
-        "Where", graph.node("Less", opacity, graph.value(1e-3)), graph.value(fast.far), mean
+        "Where", graph.node("Less", opacity, graph.value(LEAST_OPACITY)), graph.value(fast.far), mean
     )
     outputs = {
         "radiance": (opacity * layers.softplus(graph, colour + fast.colour_bias), 3),

@@ -51,14 +51,17 @@ def compare(
     inputs: Inputs,
     *,
     trained: nn.Module | None = None,
+    edge: tuple[str, float] | None = None,
 ) -> ParityResult:
     """Return the error of the graph in the file `graph` relative to `twin`, over all rows of `inputs`.
+
+    `edge` names an output and the value of it at which other outputs jump.
 
     Where `model` has rounded tables, `trained` is the model without, whose answers `rounding` refers to.
     A row whose error is above 1e-5 does not count if the function is too steep there for float32 to decide:
     if the twin's own float32 result is as far from its float64 result, or if that moves as far when the input
-    is nudged by 5e-7. What it moves there is allowed on top of 1e-5, too. Raises WorkerError when another row
-    is above, or more than 1 % of all rows are above 1e-5.
+    is nudged by 5e-7, or if it lies within 1e-5 of the `edge`. What it moves there is allowed on top of 1e-5,
+    too. Raises WorkerError when another row is above, or more than 1 % of all rows are above 1e-5.
     """
     expected = _twin(twin, model, inputs)
     found = _run(graph, inputs)
@@ -69,7 +72,8 @@ def compare(
     if len(suspects):
         rows = torch.from_numpy(suspects)
         few = {key: value[rows] for key, value in inputs.items()}
-        steep = _steepness(twin, model, few, {key: value[suspects] for key, value in expected.items()})
+        few_expected = {key: value[suspects] for key, value in expected.items()}
+        steep = _steepness(twin, model, few, few_expected, edge)
         wrong = suspects[~((steep > TOLERANCE) | (error[suspects] <= TOLERANCE + steep))]
         if len(wrong):
             raise _refused(name, float(error[wrong].max()), len(wrong), len(error))
@@ -140,13 +144,25 @@ def _largest_error(
 
 
 def _steepness(
-    twin: Twin, model: nn.Module, inputs: Inputs, single: Mapping[str, NDArray[np.floating]]
+    twin: Twin,
+    model: nn.Module,
+    inputs: Inputs,
+    single: Mapping[str, NDArray[np.floating]],
+    edge: tuple[str, float] | None,
 ) -> NDArray[np.float64]:
-    """Return the effect of rounding on each row's result, as an error like that of `_largest_error`."""
+    """Return the effect of rounding on each row's result, as an error like that of `_largest_error`.
+
+    It is infinite at the edge.
+    """
     exact_model = copy.deepcopy(model).double().cpu()
     exact_inputs = {key: value.double() for key, value in inputs.items()}
     exact = _twin(twin, exact_model, exact_inputs)
     moved = [_largest_error(single, exact)]
+    if edge is not None:
+        name, value = edge
+        # The graph's own output may be that far on the other side.
+        near = np.abs(exact[name][:, 0] - value) <= TOLERANCE
+        moved.append(np.where(near, np.inf, 0.0))
     for key, value in exact_inputs.items():
         for axis in range(value.shape[1]):
             for step in (-NUDGE, NUDGE):

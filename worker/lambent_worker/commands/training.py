@@ -17,7 +17,7 @@ def train(
     scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture, or of photographs.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
     preset: Annotated[
-        str, typer.Option(help="tiny, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
+        str, typer.Option(help="tiny, quick, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
     ] = "fast",
     light: Annotated[str, typer.Option(help="Training light, or several with commas.")] = "",
     rotated: Annotated[

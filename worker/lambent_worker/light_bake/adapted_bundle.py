@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import onnx
 import torch
-from flashcache.caches.fast_cache import FastCache
+from flashcache.caches.fast_cache import LEAST_OPACITY, FastCache
 from flashcache.export import graphs, reference
 from flashcache.export.onnx import StoredTensor, WeightFile
 from lambent_proto.v1 import bundle_pb2
@@ -71,6 +71,7 @@ def write_adapted(
         lambda own, inputs: reference.cache_outputs(own, 0, **inputs),
         cache,
         secondary_rays(tuple(manifest.bounds.minimum), tuple(manifest.bounds.maximum), PARITY_ROWS, 0),
+        edge=("opacity", LEAST_OPACITY),
     )
     manifest.metrics.update(figures)
     manifests.add_graph(manifest, "fast_cache", path, light.name, parity)

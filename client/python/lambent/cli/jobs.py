@@ -20,7 +20,7 @@ JobArguments = Annotated[list[str], typer.Argument(metavar="JOB...", help="Job i
 
 def submit(
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="Scene id, as `lambent push` prints it.")],
-    preset: Annotated[str, typer.Option("--preset", "-p", help="tiny, fast, long, standard, ...")] = "fast",
+    preset: Annotated[str, typer.Option("--preset", "-p", help="quick, fast, long, standard, ...")] = "fast",
     settings: Annotated[
         list[str], typer.Option("--set", metavar="KEY=VALUE", help="A setting over the preset; repeatable.")
     ] = [],  # noqa: B006 - typer reads it once

@@ -119,3 +119,41 @@ def test_what_rounding_of_the_input_moves_is_allowed_on_top(tmp_path):
     assert result.num_left_out == 1
     with pytest.raises(WorkerError, match=r"export\.parity.*1 of 1000"):
         compare("ramp", shifted_graph(tmp_path, 3e-5), ramp, MODEL, inputs(0.51))
+
+
+def jumping_graph(folder: Path, threshold: float) -> Path:
+    """Write the graph x -> x, and 2 where x < threshold, else 0."""
+    constants = [
+        numpy_helper.from_array(np.float32(value), name)
+        for name, value in (("threshold", threshold), ("two", 2.0), ("zero", 0.0))
+    ]
+    nodes = [
+        helper.make_node("Identity", ["x"], ["opacity"]),
+        helper.make_node("Less", ["x", "threshold"], ["below"]),
+        helper.make_node("Where", ["below", "two", "zero"], ["distance"]),
+    ]
+    ends = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["row", 1])
+        for name in ("x", "opacity", "distance")
+    ]
+    graph = helper.make_graph(nodes, "jump", ends[:1], ends[1:], constants)
+    path = folder / "jump.onnx"
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9), path)
+    return path
+
+
+def test_an_output_on_the_edge_at_which_another_jumps_does_not_count(tmp_path, monkeypatch):
+    """A nudge of the input does not reach the edge, as behind a flat network."""
+    monkeypatch.setattr("lambent_worker.bundle.parity.NUDGE", 0.0)
+
+    def jump(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
+        x = inputs["x"]
+        return {"opacity": x, "distance": 2.0 * (x < 1e-3).to(x.dtype)}
+
+    graph, edge = jumping_graph(tmp_path, 1.000004e-3), ("opacity", 1e-3)
+    result = compare("jump", graph, jump, MODEL, inputs(1.000002e-3), edge=edge)
+    assert (result.max_abs_error, result.num_left_out) == (0.0, 1)
+    with pytest.raises(WorkerError, match=r"1 of 1000"):
+        compare("jump", graph, jump, MODEL, inputs(1.000002e-3))
+    with pytest.raises(WorkerError, match=r"1 of 1000"):
+        compare("jump", jumping_graph(tmp_path, 1.2e-3), jump, MODEL, inputs(1.1e-3), edge=edge)
