@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from flashcache.caches.fast_cache import LEAST_OPACITY
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import turntable
 from lambent_relight.directions import pixel_directions
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.errors import UnsupportedQuality
 from lambent_relight.renderer import Renderer
+from lambent_worker.bundle import graphs
 from lambent_worker.errors import WorkerError
 from lambent_worker.run.tasks import export
 from support.small_export import LIGHTS, small_context
@@ -55,6 +57,20 @@ def test_full_precision_on_request_changes_nothing(tmp_path, model, monkeypatch)
     bundle, _ = exported(tmp_path, model, monkeypatch, weights="fp32", transport_tier="none")
     assert dtypes(bundle) == {(True, "float32"), (False, "float32")}
     assert not any(graph.rounding for graph in bundle.manifest.graphs)
+
+
+def test_only_the_fast_caches_are_compared_with_an_edge_in_mind(tmp_path, model, monkeypatch):
+    edges, right = {}, graphs.compare
+
+    def watched(name, *given, edge=None, **options):
+        edges[name] = edge
+        return right(name, *given, edge=edge, **options)
+
+    monkeypatch.setattr(graphs, "compare", watched)
+    exported(tmp_path, model, monkeypatch, transport_tier="none")
+    caches = {name for name in edges if "fast_cache" in name}
+    assert caches
+    assert {name for name, edge in edges.items() if edge == ("opacity", LEAST_OPACITY)} == caches
 
 
 def test_tables_stay_float32_where_halves_would_move_an_answer(tmp_path, model, monkeypatch):

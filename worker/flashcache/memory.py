@@ -62,7 +62,7 @@ def estimate(config: Config, *, num_lights: int = 1, device: str = "cpu") -> tup
     choice = "reference" if device.startswith("cuda") and not dispatch.has_gpu_kernels() else "auto"
     threads = torch.get_num_threads()
     with torch.random.fork_rng(devices=[]), dispatch.using(choice):
-        torch.set_num_threads(1)  # One thread, so that the meter sees both passes of stage two.
+        torch.set_num_threads(1)  # One thread, so that the meter sees the whole batch as one part.
         try:
             return tuple(_stage_estimate(config, num_lights, stage) for stage in PROBE_RAYS)
         finally:

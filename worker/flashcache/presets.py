@@ -54,6 +54,7 @@ def _grid(
 
 
 def _shape_prior(emptiness_weight: float = 0.0) -> ShapePriorConfig:
+    """Return the priors on shape for short trainings (decisions 0014 and 0021)."""
     return ShapePriorConfig(recession_weight=0.15, flatness_weight=0.03, emptiness_weight=emptiness_weight)
 
 

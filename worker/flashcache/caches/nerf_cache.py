@@ -199,19 +199,11 @@ class NerfCache(nn.Module):
 
         Those whose render weight is at most `least_weight` send none and cost nothing.
         """
-        weights = geometry.weights.detach().reshape(-1)
         num_samples = geometry.weights.shape[-1]
         positions = geometry.samples.positions.reshape(-1, 3)
-        if not self.config.least_weight:
-            return self.appearance(
-                positions,
-                geometry.hidden,
-                geometry.normal,
-                -directions.repeat_interleave(num_samples, dim=0),
-                light_index.repeat_interleave(num_samples),
-                with_specular=with_specular,
-            )
-        index = (weights > self.config.least_weight).nonzero()[:, 0]
+        index = torch.arange(len(positions), device=positions.device)
+        if self.config.least_weight:
+            index = index[geometry.weights.detach().reshape(-1) > self.config.least_weight]
         ray = index.div(num_samples, rounding_mode="floor")
         found = self.appearance(
             positions[index],

@@ -26,8 +26,6 @@ class ShapePriorConfig:
     """Rays of a batch that take part in flatness, one point each."""
     emptiness_weight: float = 0.0
     """Weight of the mean opacity of the space that may hold something (decision 0021)."""
-    emptiness_until: float = 1.0
-    """Share of the steps in which it counts."""
     emptiness_step: float = 0.03
     """Length over which it is an opacity."""
     emptiness_points: int = 256

@@ -165,7 +165,7 @@ class StageOne:
             terms["flatness"] = (
                 config.flatness_weight * rise * self._flatness(model, batch, geometry, generator)
             )
-        if config.emptiness_weight and fraction < config.emptiness_until:
+        if config.emptiness_weight:
             points = self._anywhere(model, config.emptiness_points // self.parts.count, generator)
             empty = emptiness(model.nerf.density.density(points), config.emptiness_step * self.half_diagonal)
             terms["emptiness"] = config.emptiness_weight * empty

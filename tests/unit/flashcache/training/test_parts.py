@@ -121,6 +121,15 @@ def test_small_batches_are_not_divided(threads):
     ]
 
 
+def test_operations_of_an_undivided_batch_use_one_core(threads):
+    threads(2)
+    seen = parts_of(model(), 1).differentiate(
+        lambda model, part: (density_loss(model, part)[0], torch.get_num_threads())
+    )
+    assert seen == [1]
+    assert torch.get_num_threads() == 2
+
+
 def test_what_is_not_trained_has_no_gradients(threads):
     threads(2)
     made = model()
