@@ -157,14 +157,20 @@ class Renderer:
 
         Raises SettingError where that was asked for by name and is not there.
         """
-        plain = Scene(self.caches, self.bundle.manifest.secondary_rays.origin_offset, edit)
+        caches, adapted, num_threads = self.caches, self._networks.adapted, 1
+        if caches is self._networks and caches.name == "fused":
+            # Compiled code is called by the threads that do everything else; onnxruntime has its own.
+            caches, num_threads = caches.in_callers_thread(), caches.num_threads
+            adapted = caches.adapted
+        offset = self.bundle.manifest.secondary_rays.origin_offset
+        plain = Scene(caches, offset, edit, num_threads=num_threads)
         if not settings.indirect:
             return plain, ""
         if settings.bounces in ("auto", "adapted"):
             insists = settings.bounces == "adapted"
             light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
             if light is not None:
-                adapted = functools.partial(self._networks.adapted, light.name)
+                adapted = functools.partial(adapted, light.name)
                 return replace(plain, adapted=adapted), f"adapted:{light.name}"
             if insists:
                 found = why_not or "the bundle has no adapted caches"

@@ -46,11 +46,16 @@ class BakedLight:
         )
 
 
-def prepare_light(environment: Environment, bands: int, dominant_lights: int) -> BakedLight:
-    """Return `environment` for transport of `bands` bands, with up to `dominant_lights` split off."""
+def prepare_light(
+    environment: Environment, bands: int, dominant_lights: int, prefiltered: Prefiltered | None = None
+) -> BakedLight:
+    """Return `environment` for transport of `bands` bands, with up to `dominant_lights` split off.
+
+    `prefiltered` are its levels, where they are known.
+    """
     lights = split(environment, dominant_lights)
     return BakedLight(
-        prefilter(environment),
+        prefiltered or prefilter(environment),
         harmonics.project(lights.residual, bands),
         lights.directions,
         lights.radiance_solid_angle,

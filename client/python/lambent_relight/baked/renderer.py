@@ -66,7 +66,17 @@ class BakedRenderer:
         )
         if known is None:
             bands = round(len(self.scene.transport.direct) ** 0.5)
-            known = (environment, dominant_lights, prepare_light(environment, bands, dominant_lights))
+            # Levels do not depend on the lights that are split off.
+            levels = next(
+                (
+                    light.prefiltered.rotated(environment.rotate_deg - other.rotate_deg)
+                    for other, _, light in self._lights
+                    if other.radiance is environment.radiance
+                ),
+                None,
+            )
+            light = prepare_light(environment, bands, dominant_lights, levels)
+            known = (environment, dominant_lights, light)
             self._lights = [*self._lights[1 - _KEPT_LIGHTS :], known]
         turn = environment.rotate_deg - known[0].rotate_deg
         return known[2].rotated(turn) if turn else known[2]

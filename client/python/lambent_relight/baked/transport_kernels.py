@@ -15,7 +15,7 @@ from lambent_relight.compiling import COMPILE_OPTIONS
 
 
 @cache
-def _recurrence(bands: int) -> NDArray[np.float32]:
+def recurrence(bands: int) -> NDArray[np.float32]:
     """Return the factors of the recurrence in `harmonics.legendre`: diagonal, two per degree and order."""
     table = np.zeros((3, bands, bands), np.float32)
     diagonal = math.sqrt(0.25 / math.pi)
@@ -32,7 +32,7 @@ def _recurrence(bands: int) -> NDArray[np.float32]:
 
 
 @njit(**COMPILE_OPTIONS)
-def _basis(x, y, z, table, out):
+def basis_at(x, y, z, table, out):
     """Write the basis at one unit direction to `out` [bands^2]."""
     bands = table.shape[1]
     cosine, sine = np.float32(1.0), np.float32(0.0)
@@ -51,13 +51,13 @@ def _basis(x, y, z, table, out):
 @njit(**COMPILE_OPTIONS)
 def _basis_rows(directions, table, out):
     for row in range(directions.shape[0]):
-        _basis(directions[row, 0], directions[row, 1], directions[row, 2], table, out[row])
+        basis_at(directions[row, 0], directions[row, 1], directions[row, 2], table, out[row])
 
 
 def basis_rows(directions: NDArray[np.floating], bands: int) -> NDArray[np.float32]:
     """Return the basis at unit directions [n, 3], as [n, bands^2]; `harmonics.basis`, faster."""
     out = np.empty((len(directions), bands**2), np.float32)
-    _basis_rows(np.ascontiguousarray(directions, np.float32), _recurrence(bands), out)
+    _basis_rows(np.ascontiguousarray(directions, np.float32), recurrence(bands), out)
     return out
 
 
@@ -71,7 +71,7 @@ def _mirrored_sums(opacity, normals, directions, least, scale, table, out):
                 continue
             x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
             twice = np.float32(2.0) * (x * nx + y * ny + z * nz)
-            _basis(x - twice * nx, y - twice * ny, z - twice * nz, table, values)
+            basis_at(x - twice * nx, y - twice * ny, z - twice * nz, table, values)
             weight = scale * np.float32(opacity[t, j])
             for k in range(out.shape[1]):
                 out[t, k] += weight * values[k]
@@ -92,7 +92,7 @@ def mirrored_sums(
     """
     out = np.zeros((len(opacity), bands**2), np.float32)
     arguments = (opacity, np.ascontiguousarray(normals, np.float32), directions)
-    _mirrored_sums(*arguments, least, np.float32(scale), _recurrence(bands), out)
+    _mirrored_sums(*arguments, least, np.float32(scale), recurrence(bands), out)
     return out
 
 

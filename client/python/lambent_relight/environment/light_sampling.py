@@ -17,8 +17,6 @@ from lambent_relight.directions import (
     dot,
     pixel_directions,
     pixel_solid_angles,
-    rotate_about_z,
-    uv_of_directions,
 )
 from lambent_relight.environment.maps import Environment
 
@@ -29,7 +27,8 @@ _SHARPNESS_TIMES_ALPHA_SQUARED = 0.84
 """Gives the lobe exp(k (cos - 1)) the same half width as a GGX reflection of width alpha."""
 _MAX_ROWS = 512
 _CELL_ROWS, _CELL_COLUMNS = 32, 64
-_AXES_SIDE = 16
+AXES_SIDE = 16
+"""Bins along each side of the octahedral map of axes."""
 _FLOOR_SHARE = 0.02
 
 
@@ -44,28 +43,31 @@ class LightSampler:
 
     def __init__(self, environment: Environment) -> None:
         """Tabulate `environment`; linear in its number of pixels."""
-        self._rotate_deg = environment.rotate_deg
-        mass = _pixel_masses(environment.radiance)
-        self._height, self._width = mass.shape
-        self._solid_angles = pixel_solid_angles(self._height, self._width)
-        cell = _cells(self._height, self._width)
-        self._order = np.argsort(cell.ravel(), kind="stable")
-        self._ends = np.cumsum(mass.ravel()[self._order])
-        num_cells = int(cell.max()) + 1
-        cell_ends = np.searchsorted(cell.ravel()[self._order], np.arange(num_cells), side="right")
-        self._cell_last = cell_ends - 1
-        self._cell_first = np.concatenate([[0], cell_ends[:-1]])
-        self._cell = cell
-        cell_mass = np.bincount(cell.ravel(), mass.ravel(), num_cells)
-        self._inside = mass / (np.maximum(cell_mass, 1e-300)[cell] * self._solid_angles[:, None])
-        table = _lobe_table(cell_mass, _cell_directions(cell, self._solid_angles, num_cells))
-        self._pmf = table.astype(np.float32)
-        # Rows are searched as one sorted list, row r between r and r + 1.
-        self._cell_ends = (np.cumsum(table, axis=1) + np.arange(len(table))[:, None]).ravel()
-        self._num_cells = num_cells
+        # Compiled code takes a second to import, which programs that only look at maps do not pay.
+        from lambent_relight.environment.light_sampling_kernels import Table
 
-    def _rows(self, axis: Array, lobe: NDArray[np.integer] | int) -> NDArray[np.int64]:
-        return np.asarray(lobe) * _AXES_SIDE**2 + _axis_bin(axis)
+        mass = _pixel_masses(environment.radiance)
+        height, width = mass.shape
+        cell = _cells(height, width)
+        order = np.argsort(cell.ravel(), kind="stable")
+        num_cells = int(cell.max()) + 1
+        cell_ends = np.searchsorted(cell.ravel()[order], np.arange(num_cells), side="right")
+        cell_mass = np.bincount(cell.ravel(), mass.ravel(), num_cells)
+        solid_angles = pixel_solid_angles(height, width)
+        inside = mass / (np.maximum(cell_mass, 1e-300)[cell] * solid_angles[:, None])
+        table = _lobe_table(cell_mass, _cell_directions(cell, solid_angles, num_cells))
+        self.table = Table(
+            pmf=table.astype(np.float32),
+            cell_ends=(np.cumsum(table, axis=1) + np.arange(len(table))[:, None]).ravel(),
+            cells=np.stack([np.concatenate([[0], cell_ends[:-1]]), cell_ends - 1], axis=1),
+            ends=np.cumsum(mass.ravel()[order]),
+            order=order,
+            cell_of_pixel=cell.ravel(),
+            inside=inside.ravel(),
+            height=height,
+            width=width,
+            angle=math.radians(environment.rotate_deg),
+        )
 
     def sample(
         self, u1: Array, u2: Array, axis: Array, lobe: NDArray[np.integer] | int
@@ -74,50 +76,26 @@ class LightSampler:
 
         Nearby uniforms mostly give nearby directions, so stratified uniforms stay stratified.
         """
-        row = self._rows(self._to_map(axis), lobe)
-        found = np.searchsorted(self._cell_ends, row + u1, side="right")
-        cell = np.clip(found - row * self._num_cells, 0, self._num_cells - 1)
-        index = row * self._num_cells + cell
-        start = self._cell_ends[index] - self._pmf[index // self._num_cells, cell]
-        inside_cell = np.clip((row + u1 - start) / np.maximum(self._pmf[row, cell], 1e-30), 0.0, 1.0)
+        from lambent_relight.environment import light_sampling_kernels as kernels
 
-        first, last = self._cell_first[cell], self._cell_last[cell]
-        begin = np.where(first > 0, self._ends[first - 1], 0.0)
-        target = begin + u2 * (self._ends[last] - begin)
-        place = np.clip(np.searchsorted(self._ends, target, side="right"), first, last)
-        pixel_begin = np.where(place > 0, self._ends[place - 1], 0.0)
-        pixel_mass = np.maximum(self._ends[place] - pixel_begin, 1e-300)
-        inside_pixel = np.clip((target - pixel_begin) / pixel_mass, 0.0, 1.0)
-
-        pixel_row, pixel_column = np.divmod(self._order[place], self._width)
-        top = np.cos(math.pi * pixel_row / self._height)
-        bottom = np.cos(math.pi * (pixel_row + 1) / self._height)
-        z = top + (bottom - top) * inside_cell
-        azimuth = math.pi - (2.0 * math.pi / self._width) * (pixel_column + inside_pixel)
-        radius = np.sqrt(np.maximum(1.0 - z * z, 0.0))
-        directions = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
-        return rotate_about_z(directions, self._rotate_deg).astype(np.float32)
+        out = np.empty((len(axis), 3), np.float32)
+        uniforms = (np.ascontiguousarray(u, np.float64) for u in (u1, u2))
+        kernels.sample(self.table, *uniforms, *_lobes(axis, lobe), out)
+        return out
 
     def pdf(self, directions: Array, axis: Array, lobe: NDArray[np.integer] | int) -> NDArray[np.float32]:
         """Return the density of `sample` at unit `directions` [n, 3], 1/sr, as [n, 1]."""
-        return self.pdfs(directions, [(axis, lobe)])[0]
+        from lambent_relight.environment import light_sampling_kernels as kernels
 
-    def pdfs(
-        self, directions: Array, lobes: list[tuple[Array, NDArray[np.integer] | int]]
-    ) -> list[NDArray[np.float32]]:
-        """Return the densities at the same `directions` [n, 3] for several (axis, lobe), each [n, 1]."""
-        u, v = uv_of_directions(self._to_map(directions))
-        column = np.floor(u * self._width).astype(np.int64) % self._width
-        row = np.clip(np.floor(v * self._height).astype(np.int64), 0, self._height - 1)
-        pixel = row * self._width + column
-        cell, inside = self._cell.ravel()[pixel], self._inside.ravel()[pixel]
-        return [
-            (self._pmf[self._rows(self._to_map(axis), lobe), cell] * inside).astype(np.float32)[:, None]
-            for axis, lobe in lobes
-        ]
+        out = np.empty((len(directions), 1), np.float32)
+        kernels.densities(self.table, np.ascontiguousarray(directions, np.float64), *_lobes(axis, lobe), out)
+        return out
 
-    def _to_map(self, directions: Array) -> Array:
-        return rotate_about_z(directions, -self._rotate_deg) if self._rotate_deg else directions
+
+def _lobes(axis: Array, lobe: NDArray[np.integer] | int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return axes [n, 3] and the lobe of each [n] as compiled code takes them."""
+    numbers = np.ascontiguousarray(np.broadcast_to(np.asarray(lobe, np.int64), (len(axis),)))
+    return np.ascontiguousarray(axis, np.float64), numbers
 
 
 def _pixel_masses(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -179,21 +157,9 @@ def _lobe_table(cell_mass: NDArray[np.float64], directions: NDArray[np.float64])
     return np.concatenate(rows)
 
 
-def _axis_bin(axis: Array) -> NDArray[np.int64]:
-    """Return the bin of unit vectors [*batch, 3] in an octahedral map of 16 x 16 bins."""
-    x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
-    size = np.maximum(np.abs(x) + np.abs(y) + np.abs(z), 1e-20)
-    px, py = x / size, y / size
-    folded_x = np.where(z < 0, (1 - np.abs(py)) * np.where(px < 0, -1, 1), px)
-    folded_y = np.where(z < 0, (1 - np.abs(px)) * np.where(py < 0, -1, 1), py)
-    column = np.clip(((folded_x + 1) * (_AXES_SIDE / 2)).astype(np.int64), 0, _AXES_SIDE - 1)
-    row = np.clip(((folded_y + 1) * (_AXES_SIDE / 2)).astype(np.int64), 0, _AXES_SIDE - 1)
-    return row * _AXES_SIDE + column
-
-
 def _bin_axes() -> NDArray[np.float64]:
-    """Return the unit vector at the middle of every bin of `_axis_bin`, [bin, 3]."""
-    middle = (np.arange(_AXES_SIDE) + 0.5) * (2 / _AXES_SIDE) - 1
+    """Return the unit vector at the middle of every bin of the kernels' `row_of`, [bin, 3]."""
+    middle = (np.arange(AXES_SIDE) + 0.5) * (2 / AXES_SIDE) - 1
     y, x = (a.ravel() for a in np.meshgrid(middle, middle, indexing="ij"))
     z = 1 - np.abs(x) - np.abs(y)
     folded_x = np.where(z < 0, (1 - np.abs(y)) * np.where(x < 0, -1, 1), x)

@@ -1,97 +1,212 @@
-"""Density, normal and material networks, evaluated a block of contracted points at a time.
+"""Density, normals and materials at points, as compiled code.
 
 Source: supplement 2.2 (density, predicted normals) and 2.6 (materials); docs/reference/bundle-format.md.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import njit
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import Rows
-from lambent_relight.fused import kernels
-from lambent_relight.fused.weights import NotFused, Weights, chained, graph_constants, run_layers
+from lambent_relight.compiling import COMPILE_OPTIONS
+from lambent_relight.fused import grids, kernels
+from lambent_relight.fused.networks import Layer, Network, run_network, work_space
+from lambent_relight.fused.tiles import BLOCK, STRIDE, affine
+from lambent_relight.fused.weights import NotFused, Weights, chained, graph_constants
 
 CONSTANTS = ("contraction_radius", "density_bias", "albedo_bias", "alpha_bias", "metalness_bias")
 CONSTANTS += ("alpha_minimum",)
 OCCUPANCY_BOX = ("occupancy_min", "occupancy_max")
+NUM_PROPERTIES = 8
+"""Normal (3), albedo (3), perceptual roughness and metalness of a point."""
+_LARGEST_LOG = np.float32(70.0)
 
 
-class SurfaceFields:
-    """Density, normals and materials at points, with the constants of one of the bundle's graphs."""
+class Occupancy(NamedTuple):
+    """The factor on densities: a grid over a box of the world; without levels it is 1 everywhere."""
 
-    def __init__(self, bundle: Bundle, weights: Weights, graph: str, extra: tuple[str, ...] = ()):
-        """Collect the networks; raises NotFused when the bundle has others."""
-        path = bundle.graph_path(graph)
-        self._occupancy, box, kind = None, (), f"{graph}.v1"
-        if "nerf.occupancy.table" in weights:
-            self._occupancy, box, kind = weights.grid("nerf.occupancy"), OCCUPANCY_BOX, f"{graph}.v2"
-        self.constants = graph_constants(bundle, path, kind, CONSTANTS + box + extra, ("softplus_beta",))
-        if self._occupancy is not None:
-            low, high = (np.asarray(self.constants[name], np.float32) for name in box)
-            self._box_half = np.float32(0.5) * (high - low)
-            self._box_middle = low + self._box_half
-            if low.shape != (3,) or not (self._box_half > 0.0).all() or self._occupancy.num_outputs != 1:
-                raise NotFused("the occupancy's box or grid is not understood")
-        self._radius = np.float32(self.constants["contraction_radius"])
-        self._sharpness = self.constants["softplus_beta"]
-        if not self._radius > 0.0 or self._sharpness == 0.0:
-            raise NotFused("contraction_radius and softplus_beta must be positive")
-        self._density_grid = weights.grid("nerf.density.grid")
-        self._density = weights.layers("nerf.density.network.layers")
-        self._density_head = weights.layer("nerf.density.head")
-        hidden, _ = chained(self._density, self._density_grid.num_outputs)
-        self._normal_head = weights.layer("nerf.normals.head")
-        self._normal_grid, self._normal_network = None, []
-        width = hidden
-        if "nerf.normals.grid.table" in weights:
-            self._normal_grid = weights.grid("nerf.normals.grid")
-            self._normal_network = weights.layers("nerf.normals.network.layers")
-            width, _ = chained(self._normal_network, self._normal_grid.num_outputs + hidden)
-        self._material_grid = weights.grid("materials.grid")
-        self._materials = weights.layer("materials.albedo", "materials.alpha", "materials.metalness")
-        shapes = [layer.weight.shape for layer in (self._density_head, self._normal_head, self._materials)]
-        if shapes != [(1, hidden), (3, width), (5, self._material_grid.num_outputs)]:
-            raise NotFused(f"the heads have the shapes {shapes}")
+    grid: grids.Grid
+    middle: Rows
+    half: Rows
+    """Half the box's sides, scene units."""
 
-    def occupied(self, points: Rows, count: int) -> Rows | None:
-        """Return the factor on the density at world `points` [3, block], or None where it is 1 everywhere."""
-        if self._occupancy is None:
-            return None
-        places = (points - self._box_middle[:, None]) / self._box_half[:, None]
-        return self._occupancy.encode(places, count)[0]
 
-    def contract(self, points: Rows, count: int) -> Rows:
-        """Replace world `points` [3, block] by contracted coordinates, and return them."""
-        kernels.contract_block(points, count, self._radius)
-        return points
+class Fields(NamedTuple):
+    """The networks of density, normals and materials."""
 
-    def density(self, points: Rows, count: int) -> tuple[Rows, Rows]:
-        """Return the hidden feature [width, block] and density [block], 1/scene unit, at contracted points.
+    radius: np.float32
+    """Contraction radius, scene units."""
+    occupancy: Occupancy
+    density_grid: grids.Grid
+    density: Network
+    density_head: Layer
+    density_bias: np.float32
+    normal_grid: grids.Grid
+    normals: Network
+    normal_head: Layer
+    material_grid: grids.Grid
+    materials: Layer
+    material_bias: Rows
+    alpha_minimum: np.float32
 
-        The density is not multiplied by `occupied` yet.
+    @classmethod
+    def of(
+        cls, bundle: Bundle, weights: Weights, graph: str, extra: tuple[str, ...] = ()
+    ) -> tuple["Fields", dict]:
+        """Return the networks, and the constants of one of the bundle's graphs.
+
+        Raises NotFused when the bundle has other networks.
         """
-        hidden = self._density_grid.encode(points, count)
-        for layer in self._density:
-            hidden = run_layers([layer], hidden, relu=self._sharpness is None)
-            if self._sharpness is not None:
-                kernels.softplus(hidden, np.float32(self._sharpness))
-        raw = run_layers([self._density_head], hidden, relu=False)[0]
-        return hidden, np.exp(np.minimum(raw + np.float32(self.constants["density_bias"]), np.float32(70.0)))
+        occupied = "nerf.occupancy.table" in weights
+        names = CONSTANTS + (OCCUPANCY_BOX if occupied else ()) + extra
+        kind = f"{graph}.v2" if occupied else f"{graph}.v1"
+        constants = graph_constants(bundle, bundle.graph_path(graph), kind, names, ("softplus_beta",))
+        radius, sharpness = np.float32(constants["contraction_radius"]), constants["softplus_beta"]
+        if not radius > 0.0 or (sharpness is not None and not sharpness > 0.0):
+            raise NotFused("contraction_radius and softplus_beta must be positive")
+        density_grid, density = (
+            weights.grid("nerf.density.grid"),
+            weights.layers("nerf.density.network.layers"),
+        )
+        hidden, _ = chained(density, density_grid.num_outputs)
+        normal_grid, normals, width = grids.Grid.empty(), [], hidden
+        if "nerf.normals.grid.table" in weights:
+            normal_grid = weights.grid("nerf.normals.grid")
+            normals = weights.layers("nerf.normals.network.layers")
+            width, _ = chained(normals, normal_grid.num_outputs + hidden)
+        material_grid = weights.grid("materials.grid")
+        density_head, normal_head = weights.layer("nerf.density.head"), weights.layer("nerf.normals.head")
+        materials = weights.layer("materials.albedo", "materials.alpha", "materials.metalness")
+        shapes = [layer.weight.shape for layer in (density_head, normal_head, materials)]
+        if shapes != [(1, hidden), (3, width), (5, material_grid.num_outputs)]:
+            raise NotFused(f"the heads have the shapes {shapes}")
+        bias_names = ("albedo_bias",) * 3 + ("alpha_bias", "metalness_bias")
+        found = cls(
+            radius=radius,
+            occupancy=_occupancy(weights, constants) if occupied else _everywhere(),
+            density_grid=density_grid,
+            density=Network.of(density, sharpness=sharpness or 0.0),
+            density_head=density_head,
+            density_bias=np.float32(constants["density_bias"]),
+            normal_grid=normal_grid,
+            normals=Network.of(normals),
+            normal_head=normal_head,
+            material_grid=material_grid,
+            materials=materials,
+            material_bias=np.array([constants[name] for name in bias_names], np.float32),
+            alpha_minimum=np.float32(constants["alpha_minimum"]),
+        )
+        return found, constants
 
-    def normal(self, points: Rows, count: int, hidden: Rows) -> Rows:
-        """Return predicted unit normals [3, block] from the density's hidden feature."""
-        if self._normal_grid is not None:
-            hidden = run_layers(
-                self._normal_network, np.concatenate([self._normal_grid.encode(points, count), hidden])
-            )
-        raw = run_layers([self._normal_head], hidden, relu=False)
-        return -raw / np.maximum(np.sqrt((raw * raw).sum(axis=0)), np.float32(1e-8))
+    def work(self) -> Rows:
+        """Return room for the networks' activations."""
+        return work_space(self.density, self.normals)
 
-    def materials(self, points: Rows, count: int) -> Rows:
-        """Return albedo (3), perceptual roughness and metalness as [5, block]."""
-        raw = run_layers([self._materials], self._material_grid.encode(points, count), relu=False)
-        names = ("albedo_bias",) * 3 + ("alpha_bias", "metalness_bias")
-        raw += np.array([self.constants[name] for name in names], np.float32)[:, None]
-        values = np.float32(1.0) / (np.float32(1.0) + np.exp(-raw))
-        floor = np.float32(self.constants["alpha_minimum"])
-        values[3] = np.sqrt(values[3] * (np.float32(1.0) - floor) + floor)
-        return values
+
+def _everywhere() -> Occupancy:
+    return Occupancy(grids.Grid.empty(), np.zeros(3, np.float32), np.ones(3, np.float32))
+
+
+def _occupancy(weights: Weights, constants: dict) -> Occupancy:
+    grid = weights.grid("nerf.occupancy")
+    low, high = (np.asarray(constants[name], np.float32) for name in OCCUPANCY_BOX)
+    half = np.float32(0.5) * (high - low)
+    if low.shape != (3,) or not (half > 0.0).all() or grid.num_outputs != 1:
+        raise NotFused("the occupancy's box or grid is not understood")
+    return Occupancy(grid, low + half, half)
+
+
+@njit(**COMPILE_OPTIONS)
+def _shares(occupancy, points, count, places, out):
+    """Write the factors on the density at world `points` [3, STRIDE] to `out` [1, STRIDE]."""
+    for axis in range(3):
+        for r in range(BLOCK):
+            places[axis, r] = (points[axis, r] - occupancy.middle[axis]) / occupancy.half[axis]
+            out[0, r] = np.float32(1.0)
+    grids.encode(occupancy.grid, places, count, out)
+
+
+@njit(**COMPILE_OPTIONS)
+def _hidden(fields, points, count, features, work):
+    """Return the hidden feature [width, STRIDE] of the density at world points, which are contracted."""
+    kernels.contract_block(points, count, fields.radius)
+    grids.encode(fields.density_grid, points, count, features)
+    return run_network(fields.density, features, work)
+
+
+@njit(**COMPILE_OPTIONS)
+def densities(fields, positions, work, out):
+    """Write densities [point], 1/scene unit, at world positions [point, 3]; `work` is that of `Fields.work`.
+
+    Networks are evaluated only where the occupancy leaves something of the density.
+    """
+    points, places = np.zeros((3, STRIDE), np.float32), np.zeros((3, STRIDE), np.float32)
+    share, raw = np.empty((1, STRIDE), np.float32), np.empty((1, STRIDE), np.float32)
+    num_features = len(fields.density_grid.levels) * fields.density_grid.table.shape[1]
+    features = np.zeros((num_features, STRIDE), np.float32)
+    kept, factors = np.empty(2 * BLOCK, np.int64), np.empty(2 * BLOCK, np.float32)
+    bits, num_kept = np.empty(BLOCK, np.int32), np.int64(0)
+    for first in range(0, len(positions), BLOCK):
+        count = min(BLOCK, len(positions) - first)
+        kernels.load_rows(positions, first, count, points)
+        _shares(fields.occupancy, points, count, places, share)
+        for r in range(count):
+            out[first + r] = np.float32(0.0)
+            if share[0, r] > np.float32(0.0):
+                kept[num_kept], factors[num_kept] = first + r, share[0, r]
+                num_kept += 1
+        at_end = first + BLOCK >= len(positions)
+        while num_kept >= BLOCK or (at_end and num_kept > 0):
+            some = min(BLOCK, num_kept)
+            for r in range(some):
+                for axis in range(3):
+                    points[axis, r] = positions[kept[r], axis]
+            hidden = _hidden(fields, points, some, features, work)
+            affine(fields.density_head.weight, fields.density_head.bias, hidden, raw)
+            for r in range(BLOCK):
+                raw[0, r] = min(raw[0, r] + fields.density_bias, _LARGEST_LOG)
+            kernels.exponentials(raw[0], raw[0], bits)
+            for r in range(some):
+                out[kept[r]] = raw[0, r] * factors[r]
+            num_kept -= some
+            for r in range(num_kept):
+                kept[r], factors[r] = kept[some + r], factors[some + r]
+
+
+@njit(**COMPILE_OPTIONS)
+def surfaces(fields, positions, work, out):
+    """Write normals and materials at world positions [point, 3] to `out` [point, NUM_PROPERTIES]."""
+    points, values = np.zeros((3, STRIDE), np.float32), np.zeros((NUM_PROPERTIES, STRIDE), np.float32)
+    num_features = len(fields.density_grid.levels) * fields.density_grid.table.shape[1]
+    features = np.zeros((num_features, STRIDE), np.float32)
+    width = fields.density_head.weight.shape[1]
+    num_own = len(fields.normal_grid.levels) * fields.normal_grid.table.shape[1]
+    inputs = np.zeros((num_own + width, STRIDE), np.float32)
+    found = np.zeros((fields.materials.weight.shape[1], STRIDE), np.float32)
+    bits, one = np.empty(BLOCK, np.int32), np.float32(1.0)
+    for first in range(0, len(positions), BLOCK):
+        count = min(BLOCK, len(positions) - first)
+        kernels.load_rows(positions, first, count, points)
+        kernels.copy_rows(_hidden(fields, points, count, features, work), width, inputs, num_own)
+        grids.encode(fields.normal_grid, points, count, inputs)
+        last = run_network(fields.normals, inputs, work)
+        affine(fields.normal_head.weight, fields.normal_head.bias, last, values)
+        for r in range(count):
+            x, y, z = values[0, r], values[1, r], values[2, r]
+            share = -one / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-8))
+            values[0, r], values[1, r], values[2, r] = share * x, share * y, share * z
+        grids.encode(fields.material_grid, points, count, found)
+        affine(fields.materials.weight, fields.materials.bias, found, values[3:])
+        for k in range(3, NUM_PROPERTIES):
+            for r in range(BLOCK):
+                values[k, r] = -(values[k, r] + fields.material_bias[k - 3])
+            kernels.exponentials(values[k], values[k], bits)
+            for r in range(BLOCK):
+                values[k, r] = one / (one + values[k, r])
+        for r in range(BLOCK):
+            values[6, r] = np.sqrt(values[6, r] * (one - fields.alpha_minimum) + fields.alpha_minimum)
+        for r in range(count):
+            for k in range(NUM_PROPERTIES):
+                out[first + r, k] = values[k, r]

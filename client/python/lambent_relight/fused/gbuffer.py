@@ -2,23 +2,26 @@
 parts.
 
 A ray is sampled at fixed fractions of its stretch inside the object's box. Its samples are taken front to
-back until less than 1e-7 of the light gets through; normal and material are not evaluated for groups of
-samples whose share of the ray is below 1e-6. Source: paper Eq. 3; docs/reference/bundle-format.md.
+back until less than 1e-7 of the light gets through; the density is not evaluated where the occupancy leaves
+nothing of it, normal and material not for groups of samples whose share of the ray is below 1e-6.
+Source: paper Eq. 3; docs/reference/bundle-format.md.
 """
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import PrimaryHits, Rows
-from lambent_relight.fused import kernels
-from lambent_relight.fused.fields import SurfaceFields
+from lambent_relight.compiling import COMPILE_OPTIONS
+from lambent_relight.fused import fields
 from lambent_relight.fused.weights import NotFused, Weights
 
 _OPACITY_FLOOR = np.float32(1e-3)
 _UPRIGHT_OPACITY = np.float32(0.01)
 _DARK = 1e-7
-_NEGLIGIBLE = 1e-6
+_NEGLIGIBLE = np.float32(1e-6)
 _SAMPLES_AT_ONCE = 16
 
 
@@ -28,34 +31,28 @@ class FusedGbuffer:
     def __init__(self, bundle: Bundle, weights: Weights) -> None:
         """Collect the networks; raises NotFused when the bundle has others."""
         extra = ("box_min", "box_max", "num_samples", "group")
-        self._fields = SurfaceFields(bundle, weights, "gbuffer", extra)
-        constants = self._fields.constants
-        self._low = np.asarray(constants["box_min"], np.float32)
-        self._high = np.asarray(constants["box_max"], np.float32)
-        self._count, self._group = int(constants["num_samples"]), int(constants["group"])
-        whole = self._group >= 1 and self._count >= 1 and self._count % self._group == 0
-        if not whole or self._count > 4096 or self._low.shape != (3,) or self._high.shape != (3,):
+        self._fields, constants = fields.Fields.of(bundle, weights, "gbuffer", extra)
+        low, high = (np.asarray(constants[name], np.float32) for name in extra[:2])
+        count, group = int(constants["num_samples"]), int(constants["group"])
+        whole = group >= 1 and count >= 1 and count % group == 0
+        if not whole or count > 4096 or low.shape != (3,) or high.shape != (3,):
             raise NotFused("the gbuffer's sampling rule is not understood")
+        self._low, self._high, self._count, self._group = low, high, count, group
 
     def __call__(self, origin: Rows, direction: Rows, out: PrimaryHits) -> None:
         """Write the surfaces hit by rays [row, 3]."""
-        start, end = self._stretch(origin, direction)
-        entry = origin + start * direction
-        length = end - start
-        weight, inside = self._weights(entry, direction, length)
-        opacity = weight.sum(axis=1, keepdims=True)
+        entry, start, length = self._stretches(origin, direction)
+        work = self._fields.work()
+        weight = self._weights(entry, direction, length, work)
+        rays, positions, masses, opacity, distance = _groups(
+            entry, direction, length[:, 0], weight, self._group
+        )
+        found = np.empty((len(rays), fields.NUM_PROPERTIES), np.float32)
+        fields.surfaces(self._fields, positions, work, found)
+        total = _sums(rays, masses, found, len(origin))
         share = np.float32(1.0) / np.maximum(opacity, _OPACITY_FLOOR)
         out.opacity[:] = opacity
-        out.distance[:] = (weight * (start + inside)).sum(axis=1, keepdims=True) * share
-
-        grouped = (len(origin), self._count // self._group, self._group)
-        mass = weight.reshape(grouped).sum(axis=-1)
-        moment = (weight * inside).reshape(grouped).sum(axis=-1)
-        row, group = np.nonzero(mass > _NEGLIGIBLE * np.maximum(opacity, _OPACITY_FLOOR))
-        middle = moment[row, group] / np.maximum(mass[row, group], np.float32(1e-6))
-        found = self._surface(entry[row] + middle[:, None] * direction[row]) * mass[row, group]
-        total = np.stack([np.bincount(row, values, len(origin)) for values in found], axis=-1)
-        total = total.astype(np.float32)
+        out.distance[:] = (distance + start * opacity) * share
         normal = total[:, :3]
         normal[:, 2:] += np.maximum(_UPRIGHT_OPACITY - opacity, 0.0)
         out.normal[:] = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-8)
@@ -63,45 +60,106 @@ class FusedGbuffer:
         out.perceptual_roughness[:] = total[:, 6:7] * share
         out.metalness[:] = total[:, 7:8] * share
 
-    def _stretch(self, origin: Rows, direction: Rows) -> tuple[Rows, Rows]:
+    def _stretches(self, origin: Rows, direction: Rows) -> tuple[Rows, Rows, Rows]:
+        """Return where rays enter the box [ray, 3], at which distance, and the length inside [ray, 1]."""
         safe = np.where(np.abs(direction) < 1e-9, np.float32(1e-9), direction)
         first, second = (self._low - origin) / safe, (self._high - origin) / safe
         start = np.maximum(np.minimum(first, second).max(axis=-1, keepdims=True), np.float32(0.0))
-        return start, np.maximum(np.maximum(first, second).min(axis=-1, keepdims=True), start)
+        end = np.maximum(np.maximum(first, second).min(axis=-1, keepdims=True), start)
+        return origin + start * direction, start, end - start
 
-    def _weights(self, entry: Rows, direction: Rows, length: Rows) -> tuple[Rows, Rows]:
-        """Return render weights and distances from the box of every sample, [ray, sample] each."""
-        fractions = ((np.arange(self._count) + 0.5) / self._count).astype(np.float32)
-        inside = length * fractions
-        weight = np.zeros_like(inside)
+    def _weights(self, entry: Rows, direction: Rows, length: Rows, work: Rows) -> Rows:
+        """Return the render weights of all samples, [ray, sample]."""
+        weight = np.zeros((len(entry), self._count), np.float32)
         depth_before = np.zeros(len(entry))
         active = np.flatnonzero(length[:, 0] > 0.0)
         for first in range(0, self._count, _SAMPLES_AT_ONCE):
-            part = slice(first, min(first + _SAMPLES_AT_ONCE, self._count))
-            steps = inside[active, part]
-            points = entry[active, None] + steps[..., None] * direction[active, None]
-            density = self._density(points.reshape(-1, 3)).reshape(steps.shape)
-            depth = density.astype(np.float64) * (length[active] / self._count)
-            ends = depth_before[active, None] + np.cumsum(depth, axis=1)
-            weight[active, part] = -np.expm1(-depth) * np.exp(depth - ends)
-            depth_before[active] = ends[:, -1]
-            active = active[np.exp(-ends[:, -1]) > _DARK]
-        return weight, inside
+            last = min(first + _SAMPLES_AT_ONCE, self._count)
+            positions = _positions(entry, direction, length[:, 0], active, first, last, self._count)
+            density = np.empty(len(positions), np.float32)
+            fields.densities(self._fields, positions, work, density)
+            active = _march(density, length[:, 0], active, first, last, depth_before, weight)
+        return weight
 
-    def _density(self, positions: Rows) -> NDArray[np.float32]:
-        density = np.empty(len(positions), np.float32)
-        for part, points, count in kernels.blocks(positions):
-            share = self._fields.occupied(points, count)
-            found = self._fields.density(self._fields.contract(points, count), count)[1]
-            density[part] = found[:count] if share is None else (found * share)[:count]
-        return density
 
-    def _surface(self, positions: Rows) -> NDArray[np.float32]:
-        """Return normal (3), albedo (3), perceptual roughness and metalness as [8, point]."""
-        found = np.empty((8, len(positions)), np.float32)
-        for part, points, count in kernels.blocks(positions):
-            self._fields.contract(points, count)
-            hidden, _ = self._fields.density(points, count)
-            found[:3, part] = self._fields.normal(points, count, hidden)[:, :count]
-            found[3:, part] = self._fields.materials(points, count)[:, :count]
-        return found
+@njit(**COMPILE_OPTIONS)
+def _inside(length, k, count):
+    """Return the distance of sample `k` of `count` from the box."""
+    return length * np.float32((k + 0.5) / count)
+
+
+@njit(**COMPILE_OPTIONS)
+def _positions(entry, direction, length, active, first, last, count):
+    """Return the places of samples `first` to `last` of the rays `active`, [ray * sample, 3]."""
+    positions = np.empty((len(active) * (last - first), 3), np.float32)
+    row = np.int64(0)
+    for ray in active:
+        for k in range(first, last):
+            step = _inside(length[ray], k, count)
+            for axis in range(3):
+                positions[row, axis] = entry[ray, axis] + step * direction[ray, axis]
+            row += 1
+    return positions
+
+
+@njit(**COMPILE_OPTIONS)
+def _march(density, length, active, first, last, depth_before, weight):
+    """Write the weights of samples `first` to `last`; return the rays through which light still gets."""
+    count, num_left, row = weight.shape[1], np.int64(0), np.int64(0)
+    left = np.empty(len(active), np.int64)
+    for ray in active:
+        step, before = length[ray] / np.float32(count), depth_before[ray]
+        for k in range(first, last):
+            depth = np.float64(density[row]) * np.float64(step)
+            if depth > 0.0:
+                weight[ray, k] = -math.expm1(-depth) * math.exp(-before)
+                before += depth
+            row += 1
+        depth_before[ray] = before
+        if math.exp(-before) > _DARK:
+            left[num_left] = ray
+            num_left += 1
+    return left[:num_left]
+
+
+@njit(**COMPILE_OPTIONS)
+def _groups(entry, direction, length, weight, group):
+    """Return the groups of samples that count, and per ray the opacity and the mean distance from the box.
+
+    Of each group: its ray, the place of its mean sample [group, 3], and its share of the ray.
+    """
+    num_rays, count = weight.shape
+    most = num_rays * (count // group)
+    rays, masses = np.empty(most, np.int64), np.empty(most, np.float32)
+    positions = np.empty((most, 3), np.float32)
+    opacity, distance = np.empty((num_rays, 1), np.float32), np.empty((num_rays, 1), np.float32)
+    found = np.int64(0)
+    for ray in range(num_rays):
+        total, moments = 0.0, 0.0
+        for k in range(count):
+            total += weight[ray, k]
+            moments += weight[ray, k] * _inside(length[ray], k, count)
+        opacity[ray, 0], distance[ray, 0] = total, moments
+        least = _NEGLIGIBLE * max(opacity[ray, 0], _OPACITY_FLOOR)
+        for first in range(0, count, group):
+            mass, moment = np.float32(0.0), np.float32(0.0)
+            for k in range(first, first + group):
+                mass += weight[ray, k]
+                moment += weight[ray, k] * _inside(length[ray], k, count)
+            if mass > least:
+                middle = moment / max(mass, np.float32(1e-6))
+                for axis in range(3):
+                    positions[found, axis] = entry[ray, axis] + middle * direction[ray, axis]
+                rays[found], masses[found] = ray, mass
+                found += 1
+    return rays[:found], positions[:found], masses[:found], opacity, distance
+
+
+@njit(**COMPILE_OPTIONS)
+def _sums(rays, masses, found, num_rays):
+    """Return the sums of `found` [group, n] times `masses` over the groups of each ray, [ray, n]."""
+    total = np.zeros((num_rays, found.shape[1]))
+    for g in range(len(rays)):
+        for i in range(found.shape[1]):
+            total[rays[g], i] += found[g, i] * masses[g]
+    return total.astype(np.float32)

@@ -1,136 +1,49 @@
-"""Compiled evaluation of the bundle's networks, a block of rows at a time.
+"""Compiled functions of a block of rows: contraction, encodings, activations, and places along rays.
 
-Inside a block, activations lie as [feature, row], so that the innermost loop runs over rows and is
-vectorised. All kernels release the interpreter lock and write nothing but their outputs, so blocks run
+Inside a block, values lie as [feature, STRIDE] with BLOCK rows, so that the innermost loop runs over rows and
+is vectorised. All kernels release the interpreter lock and write nothing but their outputs, so blocks run
 in threads. Numbers are float32 as in the ONNX graphs; sums are reordered (1e-6 relative).
 """
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from lambent_relight.compiling import COMPILE_OPTIONS
+from lambent_relight.fused.tiles import BLOCK
 
 _IN_ORDER = {**COMPILE_OPTIONS, "fastmath": {"contract"}}
 """For code whose steps undo each other's rounding, so that they may not change places."""
 _LADDER_STEPS = 16_384
 
-BLOCK = 256
-"""Rows that are evaluated together."""
+
+@njit(**COMPILE_OPTIONS)
+def load_rows(rows, first, count, columns):
+    """Write `count` rows of `rows` [row, n] from number `first` on to `columns` [n, STRIDE]."""
+    for r in range(count):
+        for i in range(rows.shape[1]):
+            columns[i, r] = rows[first + r, i]
 
 
-def blocks(positions: NDArray[np.float32]) -> Iterator[tuple[slice, NDArray[np.float32], int]]:
-    """Yield (rows, [3, BLOCK] array of them, count) for positions [row, 3]; the array may be changed."""
-    for start in range(0, len(positions), BLOCK):
-        rows = slice(start, min(start + BLOCK, len(positions)))
-        points = np.zeros((3, BLOCK), np.float32)
-        points[:, : rows.stop - start] = positions[rows].T
-        yield rows, points, rows.stop - start
+@njit(**COMPILE_OPTIONS)
+def copy_rows(source, count, target, first):
+    """Copy the first `count` features of `source` [n, STRIDE] to `target`, from feature `first` on."""
+    for i in range(count):
+        for r in range(BLOCK):
+            target[first + i, r] = source[i, r]
 
 
 @njit(**COMPILE_OPTIONS)
 def contract_block(points, count, radius):
-    """Replace `points` [3, BLOCK] by contracted coordinates (Mip-NeRF 360 Eq. 10, in units of the radius)."""
+    """Replace `points` [3, STRIDE] by contracted coordinates (Mip-NeRF 360 Eq. 10), in units of `radius`."""
     one, two = np.float32(1.0), np.float32(2.0)
     for r in range(count):
         x, y, z = points[0, r] / radius, points[1, r] / radius, points[2, r] / radius
         norm = max(math.sqrt(x * x + y * y + z * z), one)
         scale = (two - one / norm) / norm
         points[0, r], points[1, r], points[2, r] = x * scale, y * scale, z * scale
-
-
-@njit(**COMPILE_OPTIONS)
-def _row_of(index, num_rows):
-    """Return `index` mod `num_rows`; a division is avoided where it can be, which is nearly everywhere."""
-    if index < num_rows:
-        return index
-    if num_rows & (num_rows - 1) == 0:
-        return index & (num_rows - 1)
-    return index % num_rows
-
-
-@njit(**COMPILE_OPTIONS)
-def encode_grid(points, count, table, levels, half_extent, output_scale, out):
-    """Write trilinear features of `points` [3, BLOCK] to `out` [levels * features, BLOCK].
-
-    `levels` [level, 5]: resolution, first row, number of rows, multipliers of y and z (int64).
-    Source: docs/reference/bundle-format.md (feature grids).
-    """
-    num_features = table.shape[1]
-    zero, one = np.float32(0.0), np.float32(1.0)
-    for level in range(levels.shape[0]):
-        n, first, rows = levels[level, 0], levels[level, 1], levels[level, 2]
-        by, bz = levels[level, 3], levels[level, 4]
-        # The factor is rounded once, as in the ONNX graph, or points on a voxel border would part ways.
-        scale = np.float32(n / (2.0 * half_extent))
-        shift = np.float32(0.5 * (n - 1))
-        last = np.float32(n - 1)
-        column = level * num_features
-        for r in range(count):
-            u = min(max(points[0, r] * scale + shift, zero), last)
-            v = min(max(points[1, r] * scale + shift, zero), last)
-            w = min(max(points[2, r] * scale + shift, zero), last)
-            i, j, k = min(int(u), n - 2), min(int(v), n - 2), min(int(w), n - 2)
-            fu, fv, fw = u - np.float32(i), v - np.float32(j), w - np.float32(k)
-            base = i + by * j + bz * k
-            r000, r100 = first + _row_of(base, rows), first + _row_of(base + 1, rows)
-            r010, r110 = first + _row_of(base + by, rows), first + _row_of(base + by + 1, rows)
-            base += bz
-            r001, r101 = first + _row_of(base, rows), first + _row_of(base + 1, rows)
-            r011, r111 = first + _row_of(base + by, rows), first + _row_of(base + by + 1, rows)
-            for f in range(num_features):
-                x00 = table[r000, f] + fu * (table[r100, f] - table[r000, f])
-                x10 = table[r010, f] + fu * (table[r110, f] - table[r010, f])
-                x01 = table[r001, f] + fu * (table[r101, f] - table[r001, f])
-                x11 = table[r011, f] + fu * (table[r111, f] - table[r011, f])
-                y0, y1 = x00 + fv * (x10 - x00), x01 + fv * (x11 - x01)
-                out[column + f, r] = y0 + fw * (y1 - y0)
-        if output_scale != one:
-            for f in range(num_features):
-                for r in range(count):
-                    out[column + f, r] *= output_scale
-
-
-@njit(**COMPILE_OPTIONS)
-def affine(weights, bias, source, out, relu):
-    """Write weights [out, in] times `source` [in, BLOCK] plus bias to `out` [out, BLOCK].
-
-    Two outputs share what is loaded of four inputs.
-    """
-    num_out, num_in = weights.shape
-    zero = np.float32(0.0)
-    for pair in range(0, num_out, 2):
-        o, p = pair, min(pair + 1, num_out - 1)
-        first, second = out[o], out[p]
-        for r in range(BLOCK):
-            first[r] = bias[o]
-            second[r] = bias[p]
-        for i in range(0, num_in - 3, 4):
-            w0, w1, w2, w3 = weights[o, i], weights[o, i + 1], weights[o, i + 2], weights[o, i + 3]
-            v0, v1, v2, v3 = weights[p, i], weights[p, i + 1], weights[p, i + 2], weights[p, i + 3]
-            s0, s1, s2, s3 = source[i], source[i + 1], source[i + 2], source[i + 3]
-            if o == p:
-                for r in range(BLOCK):
-                    first[r] += w0 * s0[r] + w1 * s1[r] + w2 * s2[r] + w3 * s3[r]
-            else:
-                for r in range(BLOCK):
-                    a, b, c, d = s0[r], s1[r], s2[r], s3[r]
-                    first[r] += w0 * a + w1 * b + w2 * c + w3 * d
-                    second[r] += v0 * a + v1 * b + v2 * c + v3 * d
-        for i in range(num_in - num_in % 4, num_in):
-            w0, v0, s0 = weights[o, i], weights[p, i], source[i]
-            for r in range(BLOCK):
-                first[r] += w0 * s0[r]
-            if o != p:
-                for r in range(BLOCK):
-                    second[r] += v0 * s0[r]
-        if relu:
-            for r in range(BLOCK):
-                first[r] = max(first[r], zero)
-                second[r] = max(second[r], zero)
 
 
 @njit(**COMPILE_OPTIONS)
@@ -163,7 +76,7 @@ def _log_of_one_plus(t):
 
 @njit(**COMPILE_OPTIONS)
 def softplus(values, sharpness):
-    """Replace `values` [n, BLOCK] by log(1 + exp(sharpness v)) / sharpness.
+    """Replace `values` [n, STRIDE] by log(1 + exp(sharpness v)) / sharpness.
 
     Written as max(x, 0) + log(1 + exp(-|x|)) with both functions as polynomials (error 1e-7), which a
     compiler vectorises; calls into the mathematical library it does not.
@@ -209,7 +122,7 @@ def _sines_and_cosines(angles, factor, count, sines, cosines):
 
 @njit(**COMPILE_OPTIONS)
 def encode_frequencies(vectors, count, num_frequencies, out, first):
-    """Write [v, sin(2^j v).., cos(2^j v)..] of `vectors` [3, BLOCK] to rows `first`.. of `out`."""
+    """Write [v, sin(2^j v).., cos(2^j v)..] of `vectors` [3, STRIDE] to rows `first`.. of `out`."""
     for axis in range(3):
         for r in range(count):
             out[first + axis, r] = vectors[axis, r]
@@ -249,8 +162,8 @@ def distance_ladder(near: float, far: float, power: float, premultiplier: float)
 def place_samples(raw, count, ladder, far, opacity, distance, first, places, weights):
     """Write opacity and expected distance of a block to rows `first`.. of the outputs.
 
-    `raw` [3 num_samples + 1, BLOCK] holds offsets, gates, weight logits, and the logit of the sum; `ladder`
-    is `distance_ladder`. `places` and `weights` [num_samples, BLOCK] get the samples' distances and their
+    `raw` [3 num_samples + 1, STRIDE] holds offsets, gates, weight logits, and the logit of the sum; `ladder`
+    is `distance_ladder`. `places` and `weights` [num_samples, STRIDE] get the samples' distances and their
     shares of the opacity. Source: docs/reference/bundle-format.md (fast cache).
     """
     num_samples = places.shape[0]
@@ -298,7 +211,7 @@ def place_samples(raw, count, ladder, far, opacity, distance, first, places, wei
 
 @njit(**COMPILE_OPTIONS)
 def points_along(origins, directions, places, count, points):
-    """Write origins + places * directions to `points` [3, BLOCK]; all but `places` [BLOCK] are [3, BLOCK]."""
+    """Write origins + places * directions to `points`, all [3, STRIDE] but `places` [STRIDE]."""
     for axis in range(3):
         for r in range(count):
             points[axis, r] = origins[axis, r] + places[r] * directions[axis, r]
@@ -306,7 +219,7 @@ def points_along(origins, directions, places, count, points):
 
 @njit(**COMPILE_OPTIONS)
 def add_weighted(values, weights, total):
-    """Add `values` [n, BLOCK] times `weights` [BLOCK] to `total` [n, BLOCK]."""
+    """Add `values` [n, STRIDE] times `weights` [BLOCK] to `total` [n, STRIDE]."""
     for i in range(values.shape[0]):
         for r in range(BLOCK):
             total[i, r] += values[i, r] * weights[r]

@@ -6,7 +6,8 @@ as metadata under `lambent.network`. It knows the networks `gbuffer` and `materi
 Source: supplement 2.1 (fast cache), 2.2 and 2.6; docs/reference/bundle-format.md.
 """
 
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -22,121 +23,17 @@ from lambent_relight.bundle.graphs import (
     in_threads,
     output_widths,
 )
-from lambent_relight.fused import kernels
-from lambent_relight.fused.fields import SurfaceFields
+from lambent_relight.fused import fields
+from lambent_relight.fused.fast_cache import FusedAdaptedCache, FusedFastCache
 from lambent_relight.fused.gbuffer import FusedGbuffer
-from lambent_relight.fused.weights import (
-    NotFused,
-    Weights,
-    chained,
-    graph_constants,
-    run_layers,
-)
+from lambent_relight.fused.weights import NotFused, Weights
+
+__all__ = ["FusedCaches", "NotFused"]
 
 T = TypeVar("T")
 
 _RAYS_PER_TASK = 4096
-_CAMERA_RAYS_PER_TASK = 256
-
-
-class FusedFastCache:
-    """Opacity and distance of secondary rays."""
-
-    def __init__(self, bundle: Bundle, weights: Weights) -> None:
-        """Collect the network; raises NotFused when the bundle has another one."""
-        names = ("contraction_radius", "near", "far", "num_frequencies", "curve_power", "curve_premultiplier")
-        constants = graph_constants(bundle, bundle.graph_path("fast_cache"), "fast_cache.v1", names)
-        self._radius = np.float32(constants["contraction_radius"])
-        self._num_frequencies = int(constants["num_frequencies"])
-        near, far, power, premultiplier = (float(constants[name]) for name in names[1:3] + names[4:])
-        if not self._radius > 0.0 or not 0 <= self._num_frequencies <= 16 or power in (0.0, 1.0):
-            raise NotFused("the fast cache's constants are out of range")
-        self._far, self._ladder = np.float32(far), kernels.distance_ladder(near, far, power, premultiplier)
-        if not np.isfinite(self._ladder).all():
-            raise NotFused("the fast cache's distances are not finite")
-        self._grid = weights.grid("fast.distance_grid")
-        self._code = weights.layers("fast.code.layers")
-        self._network = weights.layers("fast.distance_network.layers")
-        heads = [f"fast.{name}_head" for name in ("offset", "gate", "logit", "opacity")]
-        self._head = weights.layer(*heads)
-        self._num_samples = len(weights.tensor("fast.logit_head.bias"))
-        self._num_encoded = 3 + 6 * self._num_frequencies
-        self._num_code, _ = chained(self._code, self._grid.num_outputs)
-        num_inputs = self._num_code + 2 * self._num_encoded
-        last, self._skip = chained(self._network, num_inputs, may_skip=True)
-        if self._head.weight.shape != (3 * self._num_samples + 1, last) or self._num_samples < 2:
-            raise NotFused("the fast cache's heads have another shape")
-
-    def __call__(self, origin: Rows, direction: Rows, out: SecondaryHits) -> None:
-        """Write the hits of rays [row, 3]."""
-        for _ in self.placed(origin, direction, out):
-            pass
-
-    def placed(
-        self, origin: Rows, direction: Rows, out: SecondaryHits
-    ) -> Iterator[tuple[slice, int, Rows, Rows]]:
-        """Write the hits of rays [row, 3] block by block, and yield the samples of each block.
-
-        Yields its rows, their number, and distances and weights [sample, BLOCK], which are used again.
-        """
-        inputs = np.zeros((self._num_code + 2 * self._num_encoded, kernels.BLOCK), np.float32)
-        places, weights = np.zeros((2, self._num_samples, kernels.BLOCK), np.float32)
-        for part, points, count in kernels.blocks(origin):
-            vectors = np.zeros_like(points)
-            vectors[:, :count] = direction[part].T
-            kernels.contract_block(points, count, self._radius)
-            inputs[: self._num_code] = run_layers(self._code, self._grid.encode(points, count))
-            middle = self._num_code + self._num_encoded
-            kernels.encode_frequencies(points, count, self._num_frequencies, inputs, self._num_code)
-            kernels.encode_frequencies(vectors, count, self._num_frequencies, inputs, middle)
-            last = run_layers(self._network, inputs, self._skip)
-            raw = run_layers([self._head], last, relu=False)
-            kernels.place_samples(
-                raw,
-                count,
-                self._ladder,
-                self._far,
-                out.opacity,
-                out.distance,
-                part.start,
-                places,
-                weights,
-            )
-            yield part, count, places, weights
-
-
-class FusedAdaptedCache:
-    """Opacity, distance and radiance of secondary rays in the light that a cache was adapted to."""
-
-    def __init__(self, bundle: Bundle, weights: Weights, light: str) -> None:
-        """Collect the network; raises NotFused when the bundle has another one."""
-        self._geometry = FusedFastCache(bundle, weights)
-        path = bundle.graph_path("fast_cache", light)
-        constants = graph_constants(bundle, path, "fast_cache.v1", ("contraction_radius", "colour_bias"))
-        self._radius = np.float32(constants["contraction_radius"])
-        self._bias = np.float32(constants["colour_bias"])
-        prefix = f"adapted.{light}"
-        self._grid = weights.grid(f"{prefix}.feature_grid")
-        self._decoder = weights.layers(f"{prefix}.decoder")
-        self._head = weights.layer(f"{prefix}.decoder_head")
-        width, _ = chained(self._decoder, self._grid.num_outputs)
-        if self._head.weight.shape != (3, width):
-            raise NotFused("the adapted cache's head has another shape")
-
-    def __call__(self, origin: Rows, direction: Rows, out: AdaptedHits) -> None:
-        """Write the hits and radiance of rays [row, 3]."""
-        for part, count, places, weights in self._geometry.placed(origin, direction, out):
-            origins, directions, points = np.zeros((3, 3, kernels.BLOCK), np.float32)
-            origins[:, :count], directions[:, :count] = origin[part].T, direction[part].T
-            mixed = np.zeros((self._grid.num_outputs, kernels.BLOCK), np.float32)
-            for place, weight in zip(places, weights, strict=True):
-                kernels.points_along(origins, directions, place, count, points)
-                kernels.contract_block(points, count, self._radius)
-                kernels.add_weighted(self._grid.encode(points, count), weight, mixed)
-            colour = run_layers([self._head], run_layers(self._decoder, mixed), relu=False)
-            colour += self._bias
-            kernels.softplus(colour, np.float32(1.0))
-            out.radiance[part] = out.opacity[part] * colour[:, :count].T
+_CAMERA_RAYS_PER_TASK = 1024
 
 
 class FusedMaterials:
@@ -144,17 +41,14 @@ class FusedMaterials:
 
     def __init__(self, bundle: Bundle, weights: Weights) -> None:
         """Collect the networks; raises NotFused when the bundle has others."""
-        self._fields = SurfaceFields(bundle, weights, "material")
+        self._fields, _ = fields.Fields.of(bundle, weights, "material")
 
     def __call__(self, position: Rows, out: PointMaterials) -> None:
         """Write the surface at points [row, 3]."""
-        for part, points, count in kernels.blocks(position):
-            self._fields.contract(points, count)
-            hidden, _ = self._fields.density(points, count)
-            values = self._fields.materials(points, count)[:, :count].T
-            out.albedo[part] = values[:, 0:3]
-            out.perceptual_roughness[part], out.metalness[part] = values[:, 3:4], values[:, 4:5]
-            out.normal[part] = self._fields.normal(points, count, hidden)[:, :count].T
+        found = np.empty((len(position), fields.NUM_PROPERTIES), np.float32)
+        fields.surfaces(self._fields, position, self._fields.work(), found)
+        out.normal[:], out.albedo[:] = found[:, 0:3], found[:, 3:6]
+        out.perceptual_roughness[:], out.metalness[:] = found[:, 6:7], found[:, 7:8]
 
 
 class FusedCaches:
@@ -171,6 +65,17 @@ class FusedCaches:
         self._materials = FusedMaterials(bundle, weights)
         self._gbuffer = FusedGbuffer(bundle, weights)
         self._threads = num_threads or available_threads()
+
+    @property
+    def num_threads(self) -> int:
+        """The threads that answer a call."""
+        return self._threads
+
+    def in_callers_thread(self) -> "FusedCaches":
+        """Return the same functions, answered by the thread that calls them."""
+        single = copy.copy(self)
+        single._threads = 1
+        return single
 
     def gbuffer(self, origin: Rows, direction: Rows) -> PrimaryHits:
         """Return the surfaces hit by camera rays [ray, 3]."""

@@ -6,16 +6,15 @@ Everything compiled code will index is checked here.
 
 import json
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import Rows
 from lambent_relight.bundle.onnx_check import metadata
 from lambent_relight.errors import BundleError
-from lambent_relight.fused import kernels
+from lambent_relight.fused.grids import Grid
+from lambent_relight.fused.networks import Layer
 
 METADATA_KEY = "lambent.network"
 _DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
@@ -23,35 +22,6 @@ _DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
 
 class NotFused(Exception):  # noqa: N818 - an answer, not a fault
     """Compiled code does not support the bundle's networks; the message says why."""
-
-
-@dataclass(frozen=True)
-class Layer:
-    """An affine layer: weight [out, in], bias [out]."""
-
-    weight: Rows
-    bias: Rows
-
-
-@dataclass(frozen=True)
-class FeatureGrid:
-    """A multi-resolution feature grid."""
-
-    table: Rows
-    levels: NDArray[np.int64]
-    half_extent: float
-    output_scale: np.float32
-
-    @property
-    def num_outputs(self) -> int:
-        """Features of a point."""
-        return len(self.levels) * self.table.shape[1]
-
-    def encode(self, points: Rows, count: int) -> Rows:
-        """Return the features [num_outputs, block] of contracted `points` [3, block]."""
-        out = np.zeros((self.num_outputs, kernels.BLOCK), np.float32)
-        kernels.encode_grid(points, count, self.table, self.levels, self.half_extent, self.output_scale, out)
-        return out
 
 
 class Weights:
@@ -84,7 +54,10 @@ class Weights:
                 "export the bundle again",
             )
         values = np.frombuffer(self._data, dtype, count, int(offset)).reshape(shape)
-        return values.astype(np.float32, copy=False)
+        values = values.astype(np.float32, copy=False)
+        # All alike: functions are compiled anew for arrays that may be written to.
+        values.flags.writeable = False
+        return values
 
     def layer(self, *names: str) -> Layer:
         """Return an affine layer, or several with the same inputs as one, their outputs after each other."""
@@ -102,7 +75,7 @@ class Weights:
             found.append(self.layer(f"{name}.{len(found)}"))
         return found
 
-    def grid(self, name: str) -> FeatureGrid:
+    def grid(self, name: str) -> Grid:
         """Return the feature grid of this name; raises BundleError where it names rows that are not there."""
         entry = self._grids.get(name)
         if entry is None:
@@ -122,7 +95,7 @@ class Weights:
                 f"grid {name!r} names rows its table has not",
                 "export the bundle again",
             )
-        return FeatureGrid(table, levels, entry.half_extent, np.float32(entry.output_scale))
+        return Grid(table, levels, entry.half_extent, np.float32(entry.output_scale))
 
 
 def graph_constants(
@@ -163,15 +136,3 @@ def chained(layers: list[Layer], num_inputs: int, *, may_skip: bool = False) -> 
             raise NotFused(f"a layer has {size} inputs, expected {width}")
         width = layer.weight.shape[0]
     return width, skip
-
-
-def run_layers(layers: list[Layer], values: Rows, skip: int | None = None, *, relu: bool = True) -> Rows:
-    """Return the activations [out, block] behind `layers`; the inputs join again before layer `skip`."""
-    inputs = values
-    for index, layer in enumerate(layers):
-        if index == skip:
-            values = np.concatenate([values, inputs])
-        out = np.empty((len(layer.bias), kernels.BLOCK), np.float32)
-        kernels.affine(layer.weight, layer.bias, values, out, relu)
-        values = out
-    return values

@@ -11,18 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import (
-    DIELECTRIC_F0,
-    Materials,
-    brdf_cos,
-    cosine_pdf,
-    cosine_sample,
-    ggx_pdf,
-    ggx_sample,
-    half_vector,
-)
-from lambent_relight.directions import Array, dot
-from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
+from lambent_relight.brdf import DIELECTRIC_F0, Materials
+from lambent_relight.directions import Array
+from lambent_relight.environment.light_sampling import LightSampler, lobe_of_alpha
 
 LIGHT_SHARE = 0.6
 """Share of each lobe's directions that is drawn in proportion to the light as well."""
@@ -43,14 +34,6 @@ class SurfacePoints:
             self.position[index], self.normal[index], self.omega_o[index], self.materials[index]
         )
 
-    def repeat(self, count: int) -> "SurfacePoints":
-        """Return every point `count` times in a row."""
-        return self[np.repeat(np.arange(len(self.position)), count)]
-
-    def mirror(self) -> Array:
-        """Return the directions of mirror reflection, [point, 3]."""
-        return 2.0 * dot(self.normal, self.omega_o) * self.normal - self.omega_o
-
 
 @dataclass(frozen=True)
 class LightDirections:
@@ -61,7 +44,7 @@ class LightDirections:
     """Diffuse BRDF times cosine over density, [point, 3]; times radiance it is an unbiased estimate."""
     specular: Array
     pdf_solid_angle: Array
-    """Density of the mixture, 1/sr, [point, 1]."""
+    """Density of the mixture, 1/sr, [point, 1]; zero below the surface."""
     active: NDArray[np.intp]
     """Indices of the directions above the surface; all others contribute nothing."""
 
@@ -97,45 +80,32 @@ def whole_shares(shares: NDArray[np.float32], count: int) -> NDArray[np.float32]
     return (np.diff(ends, axis=-1, prepend=0.0) / count).astype(np.float32)
 
 
-def mixture_pdf(
-    omega_i: Array, points: SurfacePoints, light: LightSampler, shares: NDArray[np.float32]
-) -> Array:
-    """Return the density of `draw_directions` at `omega_i`, 1/sr, [point, 1]."""
-    half = half_vector(points.omega_o, omega_i, points.normal)
-    lobes = [(points.normal, COSINE_LOBE), (points.mirror(), lobe_of_alpha(points.materials.alpha))]
-    lit_cosine, lit_mirror = light.pdfs(omega_i, lobes)
-    return (
-        shares[:, 0:1] * lit_cosine
-        + shares[:, 1:2] * cosine_pdf(omega_i, points.normal)
-        + shares[:, 2:3] * ggx_pdf(half, points.materials.alpha)
-        + shares[:, 3:4] * lit_mirror
-    )
-
-
 def draw_directions(
     points: SurfacePoints, light: LightSampler, u: NDArray[np.floating], shares: NDArray[np.float32]
 ) -> LightDirections:
-    """Return one direction per point from uniforms `u` [point, 3].
+    """Return directions from uniforms `u` [ray, 3]; rays divide evenly among the points, in their order.
 
     The first uniform chooses the strategy, by `shares` [point, 4] (see `strategy_shares`).
     Directions below the surface are kept, with weight zero.
     """
-    ends = np.cumsum(shares, axis=-1)
-    strategy = (u[:, :1] >= ends[:, :3]).sum(axis=-1)
-    omega_i = np.empty_like(points.normal)
-    samplers = (
-        lambda p, a, b: light.sample(a, b, p.normal, COSINE_LOBE),
-        lambda p, a, b: cosine_sample(a, b, p.normal),
-        lambda p, a, b: ggx_sample(a, b, p.omega_o, p.normal, p.materials.alpha),
-        lambda p, a, b: light.sample(a, b, p.mirror(), lobe_of_alpha(p.materials.alpha)),
+    # Compiled code takes a second to import, which programs that only look at bundles do not pay.
+    from lambent_relight.refined import scattering_kernels as kernels
+
+    albedo, alpha, metalness = points.materials.albedo, points.materials.alpha, points.materials.metalness
+    values = (points.normal, points.omega_o, albedo, alpha[:, 0], metalness[:, 0])
+    arrays = (np.ascontiguousarray(array, np.float64) for array in values)
+    omega_i, diffuse, specular = np.empty((3, len(u), 3), np.float32)
+    pdf = np.empty(len(u))
+    uniforms = np.ascontiguousarray(u, np.float64)
+    chances = np.ascontiguousarray(shares, np.float64)
+    kernels.draw(
+        kernels.Points(*arrays, lobe_of_alpha(alpha)),
+        light.table,
+        uniforms,
+        chances,
+        omega_i,
+        diffuse,
+        specular,
+        pdf,
     )
-    for index, sampler in enumerate(samplers):
-        chosen = np.flatnonzero(strategy == index)
-        omega_i[chosen] = sampler(points[chosen], u[chosen, 1], u[chosen, 2])
-    pdf = mixture_pdf(omega_i, points, light, shares)
-    diffuse_cos, specular_cos = brdf_cos(points.omega_o, omega_i, points.normal, points.materials)
-    above = (dot(points.normal, omega_i) > 0.0) & (pdf > 0.0)
-    scale = np.where(above, 1.0 / np.maximum(pdf, 1e-20), 0.0).astype(np.float32)
-    return LightDirections(
-        omega_i, diffuse_cos * scale, specular_cos * scale, pdf, np.flatnonzero(above[:, 0])
-    )
+    return LightDirections(omega_i, diffuse, specular, pdf[:, None], np.flatnonzero(pdf > 0.0))

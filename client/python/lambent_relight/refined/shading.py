@@ -12,6 +12,7 @@ Source: paper Eq. 1 with the visibility of supplement 2.1; docs/reference/conven
 """
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
 from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares, whole_shares
+from lambent_relight.threads import in_order
 
 RAYS_PER_CHUNK = 1 << 16
 """Maximum number of secondary rays in memory."""
@@ -52,6 +54,8 @@ class Scene:
     """Radiance of points [n, 3] towards directions [n, 3]; None: traced once more, see `hit_radiance`."""
     adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
     """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `hits`."""
+    num_threads: int = 1
+    """Threads that may call these functions at once."""
 
 
 @dataclass(frozen=True)
@@ -106,22 +110,29 @@ def outgoing_radiance(
     """Return the radiance that `points` reflect towards their `omega_o`, with its standard error.
 
     `num_samples` (at least 2) is rounded up to whole passes. Passes are independent; inside a pass the
-    directions of a point are a randomly shifted even sequence. Equal seeds give equal results.
+    directions of a point are a randomly shifted even sequence. Equal seeds give equal results, whatever the
+    number of threads.
     """
     num_passes, per_pass = split_samples(num_samples)
     num_points = len(points.position)
     sums = np.zeros((5, num_points, 3))
     chunk = max(1, RAYS_PER_CHUNK // per_pass)
     starts = range(0, num_points, chunk)
-    for pass_index in range(num_passes):
-        for chunk_index, start in enumerate(starts):
-            rng = np.random.default_rng([seed, pass_index, chunk_index])
-            part = slice(start, start + chunk)
-            found = _one_pass(points[part], scene, light, per_pass, rng, indirect)
+    tasks = [(number, index) for number in range(num_passes) for index in range(len(starts))]
+
+    def work(task: tuple[int, int]) -> NDArray[np.float32]:
+        rng = np.random.default_rng([seed, *task])
+        start = starts[task[1]]
+        return _one_pass(points[start : start + chunk], scene, light, per_pass, rng, indirect)
+
+    # In the order of the tasks, so that sums are the same for any number of threads.
+    with closing(in_order(work, tasks, scene.num_threads)) as results:
+        for done, ((_, index), found) in enumerate(zip(tasks, results, strict=True)):
+            part = slice(starts[index], starts[index] + chunk)
             sums[:4, part] += found
             sums[4, part] += (found[0].astype(np.float64) + found[1]) ** 2
             if progress is not None:
-                progress((pass_index + (chunk_index + 1) / len(starts)) / num_passes)
+                progress((done + 1) / len(tasks))
     means = sums / num_passes
     variance = np.maximum(means[4] - (means[0] + means[1]) ** 2, 0.0) / (num_passes - 1)
     single = means[:4].astype(np.float32)
@@ -135,14 +146,16 @@ def _one_pass(
 
     Direct radiance, once-reflected radiance, the specular part of both, and the free share.
     """
+    from lambent_relight.refined import scattering_kernels as kernels
+
     count = len(points.position)
     u = _even_uniforms(count, per_pass, rng).reshape(-1, 3)
-    rays = points.repeat(per_pass)
-    shares = np.repeat(whole_shares(strategy_shares(points.materials), per_pass), per_pass, axis=0)
-    drawn = draw_directions(rays, light.sampler, u, shares)
+    shares = whole_shares(strategy_shares(points.materials), per_pass)
+    drawn = draw_directions(points, light.sampler, u, shares)
     active = drawn.active
-    origin = rays.position[active] + np.float32(scene.origin_offset) * rays.normal[active]
-    direction = drawn.omega_i[active]
+    owner = active // per_pass
+    normal, direction = points.normal[owner], drawn.omega_i[active]
+    origin = points.position[owner] + np.float32(scene.origin_offset) * normal
     adapted = scene.adapted(origin, direction) if indirect and scene.adapted is not None else None
     seen = scene.caches.secondary(origin, direction) if adapted is None else adapted
     arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
@@ -155,13 +168,12 @@ def _one_pass(
             bouncing[hit] = scene.hits(position, -direction[hit])
         else:
             bouncing[hit] = hit_radiance(position, -direction[hit], scene, light, rng.random((len(hit), 3)))
-    result = np.zeros((4, count * per_pass, 3), np.float32)
-    weight = drawn.weight[active]
-    result[0, active], result[1, active] = weight * arriving, weight * bouncing
-    result[2, active] = drawn.specular[active] * (arriving + bouncing)
-    cosine = cosine_pdf(direction, rays.normal[active]) / drawn.pdf_solid_angle[active]
-    result[3, active] = cosine * (1.0 - seen.opacity)
-    return result.reshape(4, count, per_pass, 3).mean(axis=2)
+    cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
+    result = np.zeros((4, count, 3))
+    lobes = (drawn.diffuse, drawn.specular)
+    free = 1.0 - seen.opacity
+    kernels.add_up(active, per_pass, *lobes, arriving, bouncing, cosine, free, result)
+    return result.astype(np.float32)
 
 
 def _even_uniforms(count: int, per_pass: int, rng: np.random.Generator) -> NDArray[np.float64]:
