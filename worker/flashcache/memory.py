@@ -24,10 +24,14 @@ from flashcache.training.joint_losses import GREY_DIRECTIONS
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 
-PROBE_RAYS = {"cache": (256, 512), "joint": (64, 128)}
+PROBE_RAYS = {"cache": (512, 1024), "joint": (64, 128)}
 """Numbers of rays at which each stage is measured: enough to outweigh temporaries as large as a table."""
 TRACED_SHARE = 0.8
 """Share of the secondary directions that are above the surface once a scene has been learned."""
+PAIR_BYTES = 16
+"""Bytes that the prior on clusters of materials keeps for every pair of rays."""
+ALLOCATED_SHARE = 1.08
+"""Memory that a process takes for tensors, by their size: blocks are rounded and some are kept."""
 LATE = 0.9
 """Share of the training at which it is measured: all losses are on."""
 
@@ -58,31 +62,39 @@ def estimate(config: Config, *, num_lights: int = 1, device: str = "cpu") -> tup
     Builds the model in this process's memory and takes a few steps of a few rays on an invented scene: a
     minute at most for the largest preset. The state of the caller's random numbers is kept.
     """
-    # The compiled backends of both devices keep the same tensors; the reference keeps many more.
-    choice = "reference" if device.startswith("cuda") and not dispatch.has_gpu_kernels() else "auto"
+    # The compiled encoders of both devices keep the same tensors; the reference keeps many more. Only a
+    # processor has compiled queries.
+    choice = "auto"
+    if device.startswith("cuda"):
+        choice = "encoder" if dispatch.has_gpu_kernels() else "reference"
     threads = torch.get_num_threads()
     with torch.random.fork_rng(devices=[]), dispatch.using(choice):
         torch.set_num_threads(1)  # One thread, so that the meter sees the whole batch as one part.
         try:
-            return tuple(_stage_estimate(config, num_lights, stage) for stage in PROBE_RAYS)
+            fixed = device.startswith("cuda")
+            return tuple(_stage_estimate(config, num_lights, stage, fixed) for stage in PROBE_RAYS)
         finally:
             torch.set_num_threads(threads)
 
 
-def _stage_estimate(config: Config, num_lights: int, stage: str) -> MemoryEstimate:
+def _stage_estimate(config: Config, num_lights: int, stage: str, fixed: bool) -> MemoryEstimate:
     few, more = PROBE_RAYS[stage]
-    probe = _Probe(config, num_lights)
+    probe = _Probe(config, num_lights, fixed)
     first, traced = probe.peak(stage, few)
     second, _ = probe.peak(stage, more)
     per_ray = (second - first) / (more - few)
     num_rays = config.stage_one.num_rays if stage == "cache" else config.stage_two.num_rays
     activations = max(first + per_ray * (num_rays - few), 0.0)
     if stage == "joint":
-        # Directions that point into matter are not traced; on random surfaces there are more of them.
+        if config.stage_two.clusters.weight:
+            activations += PAIR_BYTES * max(num_rays**2 - more**2, 0)
+        # Directions that point into matter are not traced; on random surfaces there are more of them. With
+        # fixed shapes all are traced, here too.
         doubled, twice = probe.peak(stage, few, factor=2)
         per_direction = max(doubled - first, 0) / max(twice - traced, 1)
         estimator, points = config.stage_two.estimator, config.stage_two.points_per_ray
-        directions = _total(estimator.fast, estimator.exact, estimator.control_variate) * points
+        at_once = 2 * points if config.stage_two.symmetric else points
+        directions = _total(estimator.fast, estimator.exact, estimator.control_variate) * at_once
         activations += per_direction * max(TRACED_SHARE * directions - traced / few, 0.0) * num_rays
     trained = probe.trained_bytes(stage)
     parameters = sum(p.numel() * p.element_size() for p in probe.model.parameters())
@@ -92,7 +104,7 @@ def _stage_estimate(config: Config, num_lights: int, stage: str) -> MemoryEstima
         parameters=parameters,
         gradients=trained,
         moments=2 * trained,
-        activations=round(activations),
+        activations=round(ALLOCATED_SHARE * activations),
     )
 
 
@@ -105,16 +117,21 @@ def _total(fast: DirectionCounts, exact: DirectionCounts, control_variate: str) 
 class _Probe:
     """A model of full size in an invented scene."""
 
-    def __init__(self, config: Config, num_lights: int) -> None:
+    def __init__(self, config: Config, num_lights: int, fixed: bool) -> None:
+        # At first no point of a ray weighs too little to be asked for its radiance: that is the peak.
+        nerf = replace(config.model.nerf, least_weight=0.0)
+        config = replace(config, model=replace(config.model, nerf=nerf))
         self.config = config
         self.scene = _invented_scene(config, num_lights)
         environment = replace(config.model.environment, lights="separate")
         torch.manual_seed(0)
         self.model = InverseModel(config.model, domain_of(self.scene, config.space, environment))
         self.pixels = TrainingPixels(self.scene, config.pixels, torch.device("cpu"))
+        self.fixed = fixed
+        """Steps have fixed shapes, as on a GPU (`flashcache.rows`)."""
 
     def peak(self, stage: str, num_rays: int, factor: int = 1) -> tuple[int, int]:
-        """Return the peak bytes of a step of `num_rays`, and the number of directions that pass A traced."""
+        """Return the peak bytes of a step of `num_rays`, and the number of directions traced at once."""
         made = self._stage(stage, num_rays, factor)
         made.step()
         fixed = [*self.model.parameters(), *self.model.buffers()]
@@ -129,10 +146,10 @@ class _Probe:
         with AllocationMeter(fixed) as meter:
             made.step()
         hook.remove()
-        # With symmetric passes the second asks the twin's environment.
-        passes = 1 if self.config.stage_two.symmetric else 2
         asked_by_prior = GREY_DIRECTIONS if self.config.stage_two.grey_weight else 0
-        return meter.peak, (traced[0] - asked_by_prior) // passes
+        # Both passes ask: at once, or one after the other.
+        calls = 1 if self.config.stage_two.symmetric else 2
+        return meter.peak, (traced[0] - asked_by_prior) // calls
 
     def trained_bytes(self, stage: str) -> int:
         """Return the size of the parameters that a stage trains."""
@@ -144,7 +161,7 @@ class _Probe:
             parameter.grad = None
         if stage == "cache":
             one = replace(self.config.stage_one, num_rays=num_rays, normal_every=1)
-            made: StageOne | StageTwo = StageOne(self.model, self.pixels, one, seed=0)
+            made: StageOne | StageTwo = StageOne(self.model, self.pixels, one, seed=0, fixed=self.fixed)
         else:
             two = self.config.stage_two
             estimator = two.estimator
@@ -154,7 +171,7 @@ class _Probe:
                 exact=_multiplied(estimator.exact, factor),
             )
             two = replace(two, num_rays=num_rays, normal_every=1, estimator=estimator)
-            made = StageTwo(self.model, self.pixels, two, seed=0)
+            made = StageTwo(self.model, self.pixels, two, seed=0, fixed=self.fixed)
         made.steps_done = round(LATE * made.config.num_steps)
         return made
 

@@ -162,7 +162,7 @@ def fast() -> Config:
             smoothness_weight=0.0,
             clusters=ClusterConfig(weight=0.004),
             grey_weight=0.015,
-            metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3),
+            metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3, num_directions=8),
             proposal_exponent=1.0,
             distil=DistilConfig(num_steps=300),
         ),
@@ -279,7 +279,9 @@ def long() -> Config:
             base.stage_two,
             num_steps=4_000,
             warmup_steps=300,
-            metalness_prior=replace(base.stage_two.metalness_prior, bright_variation=BRIGHT_VARIATION),
+            metalness_prior=replace(
+                base.stage_two.metalness_prior, num_directions=16, bright_variation=BRIGHT_VARIATION
+            ),
             distil=DistilConfig(num_steps=1500),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=2, antialias=2),
@@ -319,7 +321,9 @@ def standard() -> Config:
             num_rays=1024,
             warmup_steps=500,
             estimator=EstimatorConfig(stratified=True),
-            metalness_prior=replace(base.stage_two.metalness_prior, bright_variation=BRIGHT_VARIATION),
+            metalness_prior=replace(
+                base.stage_two.metalness_prior, num_directions=16, bright_variation=BRIGHT_VARIATION
+            ),
             distil=DistilConfig(num_steps=1000, num_points=2048),
         ),
         evaluation=EvaluationConfig(num_views=8, num_repeats=4, antialias=2),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float64, Int, Int64
 from torch import Tensor, nn
 
 from flashcache.encoding.directional import positional_encoding
@@ -50,6 +50,11 @@ class Environment(nn.Module):
     """
 
     known_images: Tensor
+    angles: Float64[Tensor, " lights"]
+    """Of rotated lights, radians; empty where lights are not rotated."""
+    known_place: Int64[Tensor, " lights"]
+    """Of each light among the known ones; -1 for those that are learned."""
+    learned_lights: Int64[Tensor, " learned"]
 
     def __init__(
         self,
@@ -72,6 +77,15 @@ class Environment(nn.Module):
         if self.known:
             rows = config.known_height
             self.register_buffer("known_images", torch.zeros(len(self.known), rows, 2 * rows, 3))
+        # Buffers: tensors that are made from lists in each step are copied to a GPU, which waits.
+        place = [self.known.index(light) if light in self.known else -1 for light in range(self.num_lights)]
+        constants = {
+            "angles": torch.tensor(self.rotations, dtype=torch.float64),
+            "known_place": torch.tensor(place),
+            "learned_lights": torch.tensor(self.learned, dtype=torch.long),
+        }
+        for name, values in constants.items():
+            self.register_buffer(name, values, persistent=False)
         num_inputs = 3 + 6 * config.num_frequencies
         self.network = Hidden(num_inputs, config.width, config.num_layers, skip_after=config.num_layers)
         self.last = linear(self.network.num_outputs, config.last_width)
@@ -106,12 +120,12 @@ class Environment(nn.Module):
         given = self._given(directions, light_index)
         if not self.learned:
             return given
-        is_known = torch.isin(light_index, torch.tensor(self.known, device=light_index.device))
+        is_known = self.known_place[light_index] >= 0
         return torch.where(is_known[:, None], given, self._learned(directions, light_index))
 
     def _turned_back(self, directions: Tensor, light_index: Tensor) -> Tensor:
         """Return directions in the unrotated environment: `L_deg(d) = L_0(R_z(-deg) d)`."""
-        angle = directions.new_tensor(self.rotations)[light_index]
+        angle = self.angles.to(directions.dtype)[light_index]
         cosine, sine = angle.cos(), angle.sin()
         x, y, z = directions.unbind(dim=-1)
         return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], dim=-1)
@@ -128,10 +142,7 @@ class Environment(nn.Module):
 
     def _given(self, directions: Tensor, light_index: Tensor) -> Tensor:
         """Return the given radiance; that of any given light for rays of the others."""
-        place = torch.zeros(self.num_lights, dtype=torch.long, device=light_index.device)
-        for position, light in enumerate(self.known):
-            place[light] = position
-        return look_up(self.known_images, directions, place[light_index])
+        return look_up(self.known_images, directions, self.known_place[light_index].clamp_min(0))
 
     @torch.no_grad()
     def image(self, height: int, light: int = 0) -> Float[Tensor, "height width 3"]:

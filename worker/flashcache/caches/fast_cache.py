@@ -17,6 +17,7 @@ from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.encoding.turns import LightTurns
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
+from flashcache.kernels import dispatch
 from flashcache.volume.proposal_sampling import SECONDARY_CURVE
 
 LEAST_OPACITY = 1e-3
@@ -113,8 +114,13 @@ class FastCache(nn.Module):
     ) -> FastCacheAnswer:
         """Return radiance, opacity and distance along rays from (offset) surface points.
 
+        Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
         Source: supplement 2.1; the explicit product of colour and opacity makes empty rays black.
         """
+        if dispatch.answers_compiled(origins, directions, self.distance_grid.table) and self._is_plain:
+            from flashcache.caches import compiled_fast
+
+            return compiled_fast.answer(self, origins, directions, light_index)
         count = self.config.num_samples
         contracted = contract(origins, self.contraction_radius)
         encoded = [
@@ -129,8 +135,7 @@ class FastCache(nn.Module):
         weights = torch.softmax(logit, dim=-1) * total
         opacity = weights.sum(dim=-1)
         points = origins[:, None] + distances[..., None] * directions[:, None]
-        features = self.feature_grid(contract(points.reshape(-1, 3), self.contraction_radius))
-        mixed = (weights[..., None] * features.reshape(-1, count, features.shape[-1])).sum(dim=1)
+        mixed = self.feature_grid.mixture(points, weights, self.contraction_radius)
         if self.origin_frequencies is not None:
             mixed = torch.cat([mixed, positional_encoding(origins, self.origin_frequencies)], dim=-1)
         if self.turns is not None:
@@ -157,6 +162,11 @@ class FastCache(nn.Module):
         still.decoder[0] = own
         return still
 
+    @property
+    def _is_plain(self) -> bool:
+        """Whether the decoder sees nothing but features: then there is compiled code."""
+        return self.turns is None and self.origin_frequencies is None
+
     def _sample_distances(self, offset: Tensor, gate: Tensor) -> Tensor:
         """Spread the samples over the ray, shift each by its learned offset and fold back into [0, 1].
 
@@ -170,7 +180,8 @@ class FastCache(nn.Module):
         rest = shifted - whole
         odd = whole - 2.0 * (whole / 2.0).floor()
         folded = rest + odd * (1.0 - 2.0 * rest)
-        near, far = offset.new_tensor(self.near), offset.new_tensor(self.far)
+        # Filled on the device: numbers that are copied there make a GPU wait.
+        near, far = offset.new_full((), self.near), offset.new_full((), self.far)
         return SECONDARY_CURVE.distance(folded, near, far)
 
     def _of_light(self, values: Tensor, light_index: Tensor) -> Tensor:

@@ -21,6 +21,8 @@ from flashcache.fields.density import (
     derived_normal,
 )
 from flashcache.geometry.rays import Rays
+from flashcache.kernels import dispatch
+from flashcache.rows import Rows
 from flashcache.volume.proposal_sampling import (
     PRIMARY_CURVE,
     SECONDARY_CURVE,
@@ -150,7 +152,7 @@ class NerfCache(nn.Module):
         counts: SampleCounts,
         curve: DistanceCurve,
         *,
-        exponent: float,
+        exponent: float | Float[Tensor, ""],
         generator: torch.Generator | None,
     ) -> RaySamples:
         """Return the final intervals of `rays`; see `sample_rays`."""
@@ -161,7 +163,7 @@ class NerfCache(nn.Module):
         self,
         rays: Rays,
         *,
-        exponent: float | None = None,
+        exponent: float | Float[Tensor, ""] | None = None,
         generator: torch.Generator | None,
         num_derived: int = 0,
     ) -> Geometry:
@@ -201,20 +203,21 @@ class NerfCache(nn.Module):
         """
         num_samples = geometry.weights.shape[-1]
         positions = geometry.samples.positions.reshape(-1, 3)
-        index = torch.arange(len(positions), device=positions.device)
+        rows = Rows.all(len(positions), positions.device)
         if self.config.least_weight:
-            index = index[geometry.weights.detach().reshape(-1) > self.config.least_weight]
-        ray = index.div(num_samples, rounding_mode="floor")
+            rows = Rows.where(geometry.weights.detach().reshape(-1) > self.config.least_weight)
+        point = rows.of(torch.arange(len(positions), device=positions.device))
+        ray = point.div(num_samples, rounding_mode="floor")
         found = self.appearance(
-            positions[index],
-            geometry.hidden[index],
-            geometry.normal[index],
+            rows.of(positions),
+            rows.of(geometry.hidden),
+            rows.of(geometry.normal),
             -directions[ray],
             light_index[ray],
             with_specular=with_specular,
         )
         nothing = torch.zeros_like(positions)
-        return Appearance(*(nothing.index_copy(0, index, part) for part in found))
+        return Appearance(*(rows.into(nothing, part) for part in found))
 
     def incident(
         self,
@@ -234,12 +237,13 @@ class NerfCache(nn.Module):
         if self.occupancy is None:
             return self._incident(rays, light_index, generator, jitter=jitter)
         narrow = self.occupancy.narrowed(rays)
-        index = (narrow.far > narrow.near).nonzero()[:, 0]
-        found = self._incident(narrow.select(index), light_index[index], generator, jitter=jitter)
-        opacity = torch.zeros_like(rays.far).index_copy(0, index, found.opacity)
-        distance = rays.far.index_copy(0, index, found.distance)
+        rows = Rows.where(narrow.far > narrow.near)
+        met = narrow if rows.index is None else narrow.select(rows.index)
+        found = self._incident(met, rows.of(light_index), generator, jitter=jitter)
+        opacity = rows.into(torch.zeros_like(rays.far), found.opacity)
+        distance = rows.into(rays.far, found.distance)
         return CacheAnswer(
-            torch.zeros_like(rays.origins).index_copy(0, index, found.near_radiance),
+            rows.into(torch.zeros_like(rays.origins), found.near_radiance),
             opacity,
             torch.where(opacity < 1e-3, rays.far, distance),
         )
@@ -253,6 +257,10 @@ class NerfCache(nn.Module):
         jitter: bool,
     ) -> CacheAnswer:
         num_colours = self.config.secondary_colours if generator is not None else 0
+        if self._samples_compiled(rays, jitter=jitter):
+            from flashcache.caches import compiled_nerf
+
+            return compiled_nerf.incident(self, rays, light_index, num_colours, generator)
         met = self._meet(rays, num_colours, generator, jitter=jitter)
         repeats = met.factors.shape[-1]
         normal = self.normals(met.positions, met.hidden)
@@ -265,6 +273,10 @@ class NerfCache(nn.Module):
         ).radiance
         near = (met.factors[..., None] * radiance.reshape(len(rays), repeats, 3)).sum(dim=1)
         return CacheAnswer(near, met.opacity, met.distance)
+
+    def _samples_compiled(self, rays: Rays, *, jitter: bool) -> bool:
+        """Return whether compiled code samples secondary rays, with intervals that are not moved."""
+        return not jitter and dispatch.answers_compiled(rays.origins, rays.near, self.density.grid.table)
 
     def meet(
         self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool = False
@@ -281,6 +293,10 @@ class NerfCache(nn.Module):
     def _meet(
         self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool
     ) -> Meeting:
+        if self._samples_compiled(rays, jitter=jitter):
+            from flashcache.caches import compiled_nerf
+
+            return compiled_nerf.meet(self, rays, num_points, generator)
         counts = self.config.secondary_counts
         samples = self.sample(
             rays,

@@ -133,6 +133,8 @@ class TrainingPixels:
         )
         poses = np.stack([camera.camera_to_world for camera in cameras]).astype(np.float32)
         self.pose = torch.from_numpy(poses).to(device)
+        corners = (scene.bounds_min, scene.bounds_max)
+        self.low, self.high = (torch.tensor(corner, dtype=torch.float32, device=device) for corner in corners)
         self.meeting = None if occupancy is None else self._meeting(occupancy)
 
     def draw(self, num_rays: int, generator: torch.Generator) -> RayBatch:
@@ -168,7 +170,8 @@ class TrainingPixels:
         place, stored = self._places(image, column, row)
         values = self.pixels[place] * stored[:, None]
         clipped = None if self.clipped is None else self.clipped[place] & stored[:, None]
-        rays = clip_to_scene(pose[:, :3, 3], directions, self.scene)
+        # Differs from the paper: rays also end at the box (docs/decisions/0019-small-departures.md).
+        rays = clip_to_box(pose[:, :3, 3], directions, self.low, self.high, *self.scene.primary)
         return RayBatch(rays, values[:, :3], values[:, 3], self.light[image], clipped)
 
     def _meeting(self, occupancy: Occupancy) -> Int[Tensor, " pixels"]:
@@ -227,13 +230,3 @@ def _inside(
     mask = binary_dilation(np.pad(picture[..., 3] > 0.0, room), iterations=around)
     rows, columns = np.nonzero(mask)
     return (rows + margins.top - top) * _frame_size(view)[0] + columns + margins.left - left
-
-
-def clip_to_scene(
-    origins: Float[Tensor, "rays 3"], directions: Float[Tensor, "rays 3"], scene: Scene
-) -> Rays:
-    """Return rays limited to the scene's box and to its near and far distance."""
-    # Differs from the paper: rays also end at the box (docs/decisions/0019-small-departures.md).
-    low = origins.new_tensor(scene.bounds_min)
-    high = origins.new_tensor(scene.bounds_max)
-    return clip_to_box(origins, directions, low, high, *scene.primary)

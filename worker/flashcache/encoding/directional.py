@@ -9,6 +9,8 @@ from numpy.polynomial import Chebyshev, Legendre
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from flashcache.kernels import dispatch
+
 
 def positional_encoding(
     values: Float[Tensor, "*batch channels"], num_frequencies: int
@@ -51,6 +53,8 @@ class IntegratedDirectionalEncoding(nn.Module):
         }
         for name, values in constants.items():
             self.register_buffer(name, torch.tensor(values, dtype=torch.float32), persistent=False)
+        term_orders = torch.tensor([order for _, order in terms], dtype=torch.int32)
+        self.register_buffer("term_orders", term_orders, persistent=False)
 
     def forward(
         self, directions: Float[Tensor, "*batch 3"], inverse_concentration: Float[Tensor, "*batch 1"]
@@ -61,6 +65,11 @@ class IntegratedDirectionalEncoding(nn.Module):
         term of degree l is attenuated by exp(-l (l + 1) / (2 kappa)), the approximation of Ref-NeRF Eq. 8.
         It can be differentiated once.
         """
+        if dispatch.is_fused(directions.device, directions.dtype):
+            from flashcache.kernels import gpu_directional
+
+            terms = gpu_directional.Terms(self.polynomials, self.slopes, self.rates, self.term_orders)
+            return gpu_directional.encode(directions, inverse_concentration, terms)
         return _Encoded.apply(
             directions, inverse_concentration, self.polynomials, self.slopes, self.orders, self.rates
         )

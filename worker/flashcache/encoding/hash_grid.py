@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from flashcache.errors import ConfigError
+from flashcache.geometry.contraction import contract
 from flashcache.kernels import dispatch
 from flashcache.kernels.layout import GridLayout, build_layout, level_resolutions
 
@@ -79,6 +80,26 @@ class HashGrid(nn.Module):
             z.reshape(-1, 3), self.table, self.layout, in_place_gradient=self.in_place_gradient
         )
         return self._scaled(features).reshape(*z.shape[:-1], self.out_features)
+
+    def mixture(
+        self,
+        points: Float[Tensor, "rays samples 3"],
+        weights: Float[Tensor, "rays samples"],
+        radius: float,
+    ) -> Float[Tensor, "rays outputs"]:
+        """Return the sum along each ray of the features of its contracted `points`, times `weights`.
+
+        `points` and `radius`, the radius that contraction maps to 1, are in scene units.
+        """
+        if dispatch.is_fused(self.table.device, self.table.dtype):
+            from flashcache.kernels.mixture import encode_mixture
+
+            mixed = encode_mixture(
+                points, weights, self.table, self.layout, radius, in_place_gradient=self.in_place_gradient
+            )
+            return self._scaled(mixed)
+        features = self(contract(points.reshape(-1, 3), radius))
+        return (weights[..., None] * features.reshape(*weights.shape, self.out_features)).sum(dim=1)
 
     def encode_with_jacobian(
         self, z: Float[Tensor, "*batch 3"]

@@ -62,6 +62,8 @@ class Occupancy(nn.Module):
         self.register_buffer("table", torch.empty(resolution**3, 1), persistent=False)
         self.register_buffer("low", torch.tensor(low, dtype=torch.float32), persistent=False)
         self.register_buffer("high", torch.tensor(high, dtype=torch.float32), persistent=False)
+        # Computed here, for reading it from a GPU in each call would wait for the GPU.
+        self._step = 0.5 * float(self.size.min())
         self.set(self.cells > 0)
 
     @property
@@ -81,8 +83,7 @@ class Occupancy(nn.Module):
         A ray that meets none gets an empty stretch (`far == near`). Cells are looked for in steps of half of
         their shortest side, so the corner of one may be missed.
         """
-        step = 0.5 * float(self.size.min())
-        near, far = dispatch.stretch(rays, self.cells, self.low, self.high, step)
+        near, far = dispatch.stretch(rays, self.cells, self.low, self.high, self._step)
         return Rays(rays.origins, rays.directions, near, far)
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:

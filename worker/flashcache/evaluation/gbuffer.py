@@ -13,6 +13,7 @@ from torch import Tensor
 
 from flashcache.color import perceptual_roughness_from_alpha
 from flashcache.data.scene import Camera
+from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.physical.model import InverseModel
 from flashcache.volume.proposal_sampling import midpoints
@@ -63,16 +64,15 @@ def render_gbuffer(model: InverseModel, camera: Camera, *, light: int = 0) -> GB
     """Return the surface as `camera` sees it, deterministic; the cache's picture is under light `light`."""
     device = next(model.parameters()).device
     rays = camera_rays(model, camera, device)
-    parts = []
-    for start in range(0, len(rays), CHUNK_RAYS):
-        chunk = rays.select(slice(start, start + CHUNK_RAYS))
-        part = torch.zeros(len(chunk), 13, device=device)
-        part[:, 4] = 1.0
-        hit = chunk.far > chunk.near
-        if bool(hit.any()):
-            part[hit] = _surface(model, chunk.select(hit), light)
-        parts.append(part)
-    values = torch.cat(parts).reshape(camera.height, camera.width, 13).cpu().numpy()
+    values = torch.zeros(len(rays), 13, device=device)
+    values[:, 4] = 1.0
+    hits = (rays.far > rays.near).nonzero()[:, 0]
+
+    def fill(some: Tensor) -> None:
+        values[some] = _surface(model, rays.select(some), light)
+
+    on_all_cores(fill, hits.split(CHUNK_RAYS) if len(hits) else (), device)
+    values = values.reshape(camera.height, camera.width, 13).cpu().numpy()
     opacity, distance, normal, albedo, width, metalness, colour = np.split(
         values, [1, 2, 5, 8, 9, 10], axis=-1
     )

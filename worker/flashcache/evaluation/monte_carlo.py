@@ -16,6 +16,7 @@ from torch import Tensor
 from flashcache.data.scene import Camera
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import CHUNK_RAYS, OPACITY_FLOOR, camera_rays
+from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.rays import Rays
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
@@ -117,13 +118,16 @@ def monte_carlo(
     error = torch.zeros(len(rays), 3, device=device)
     opacity = torch.zeros(len(rays), 1, device=device)
     hits = (rays.far > rays.near).nonzero()[:, 0]
-    for number, some in enumerate(hits.split(CHUNK_RAYS) if len(hits) else ()):
+
+    def fill(part: tuple[int, Tensor]) -> None:
+        """Write the pictures' values for some rays, which are in no other part."""
+        number, some = part
         generator = generator_for(seed, purpose, number, camera_key(camera), device)
         geometry = model.nerf.trace(rays.select(some), generator=None)
         opacity[some, 0] = geometry.opacity
         seen = geometry.opacity > OPACITY_FLOOR
         if not bool(seen.any()):
-            continue
+            return
         pixels, weights = some[seen], geometry.weights[seen]
         first_sample = weights.shape[-1] * seen.nonzero()
         positions = geometry.samples.positions.reshape(-1, 3)
@@ -139,6 +143,8 @@ def monte_carlo(
         assert spread is not None
         colour[pixels] = spread.mean.mean(dim=1)
         error[pixels] = variance_of_mean(spread).sqrt()
+
+    on_all_cores(fill, enumerate(hits.split(CHUNK_RAYS) if len(hits) else ()), device)
     shape = (camera.height, camera.width, -1)
     to_numpy = [values.reshape(shape).cpu().numpy() for values in (colour, error, opacity)]
     return Picture(*to_numpy)

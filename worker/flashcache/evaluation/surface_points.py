@@ -12,6 +12,7 @@ from torch import Tensor
 from flashcache.data.scene import Camera, Scene
 from flashcache.evaluation.gbuffer import camera_rays
 from flashcache.evaluation.radiance_derivatives import SeenPoints
+from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.directions import normalize
 from flashcache.geometry.rays import Rays, clip_to_box
 from flashcache.physical.incident import RadianceSource, SecondaryRays
@@ -129,7 +130,8 @@ def seen_points(
     """
     device = points.positions.device
     eyes = torch.from_numpy(np.stack([view.camera.position for view in scene.train])).float().to(device)
-    visible = torch.stack([_visibility(model, points, view.camera, source) for view in scene.train], dim=1)
+    shares = on_all_cores(lambda view: _visibility(model, points, view.camera, source), scene.train, device)
+    visible = torch.stack(shares, dim=1)
     pairs = [
         (number, model.light_at(light, view.light_turn))
         for number, view in enumerate(scene.train)

@@ -17,8 +17,11 @@ from flashcache.encoding.turns import LightTurns
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract
 from flashcache.geometry.directions import reflect
+from flashcache.kernels import dispatch
 
 RADIANCE_MAXIMUM = 1e4
+FACTOR_BIAS = math.log(3.0)
+"""Added to the raw factor of the specular part, which begins at three quarters."""
 NORMAL_FREQUENCIES = 2
 """Frequencies of the normal in the light's frame, where the light turns."""
 
@@ -127,7 +130,14 @@ class AppearanceField(nn.Module):
         """Return the outgoing radiance towards `omega_o`.
 
         Without `with_specular` the specular part is zero and costs nothing (the first phase of training).
+        Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
         """
+        plain = self.config.architecture == "ide" and self.turns is None
+        if plain and dispatch.answers_compiled(positions, hidden, normal, omega_o, self.grid.table):
+            from flashcache.fields import compiled_surface
+
+            inputs = positions, hidden, normal, omega_o, light_index
+            return compiled_surface.outgoing(self, *inputs, with_specular=with_specular)
         encoded = self.grid(contract(positions, self.contraction_radius))
         features = torch.cat([hidden, encoded], dim=-1)
         raw = self.heads(features)
@@ -146,7 +156,7 @@ class AppearanceField(nn.Module):
             bottleneck = self.bottleneck(features)
         cosine = (normal * omega_o).sum(dim=-1, keepdim=True)
         factor = torch.sigmoid(
-            self.factor_head(self.factor(torch.cat([bottleneck, cosine], dim=-1))) + math.log(3.0)
+            self.factor_head(self.factor(torch.cat([bottleneck, cosine], dim=-1))) + FACTOR_BIAS
         )
         reflected = self._reflected(
             positions, reflect(omega_o, normal), omega_o, width, bottleneck, light_index

@@ -14,6 +14,7 @@ from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.contraction import contract, contract_vjp
+from flashcache.kernels import dispatch
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,13 +58,25 @@ class DensityField(nn.Module):
         )
         self.head = linear(self.network.num_outputs, 1)
 
+    @property
+    def occupancy(self) -> Occupancy | None:
+        """Return the cells outside of which the density is zero, if there are any."""
+        return self._occupancy[0]
+
     def _density(self, raw: Float[Tensor, " points"], positions: Float[Tensor, "points 3"]) -> Tensor:
         density = torch.exp((raw + self.config.bias).clamp_max(70.0))
-        (occupancy,) = self._occupancy
+        occupancy = self.occupancy
         return density if occupancy is None else density * occupancy.share(positions)
 
     def forward(self, positions: Float[Tensor, "points 3"]) -> DensitySample:
-        """Return density and hidden feature at world positions."""
+        """Return density and hidden feature at world positions.
+
+        Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
+        """
+        if dispatch.answers_compiled(positions, self.grid.table):
+            from flashcache.fields import compiled_density
+
+            return compiled_density.sample(self, positions)
         hidden = self.network(self.grid(contract(positions, self.contraction_radius)))
         return DensitySample(self._density(self.head(hidden)[:, 0], positions), hidden)
 
@@ -130,7 +143,14 @@ class NormalField(nn.Module):
     def forward(
         self, positions: Float[Tensor, "points 3"], hidden: Float[Tensor, "points width"]
     ) -> Float[Tensor, "points 3"]:
-        """Return unit normals that face outwards, at world positions with their density features."""
+        """Return unit normals that face outwards, at world positions with their density features.
+
+        Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
+        """
+        if dispatch.answers_compiled(positions, hidden, self.head.weight):
+            from flashcache.fields import compiled_surface
+
+            return compiled_surface.normals(self, positions, hidden)
         if self.grid is None or self.network is None:
             raw = self.head(hidden)
         else:

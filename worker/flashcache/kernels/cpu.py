@@ -55,7 +55,7 @@ class Kernels(NamedTuple):
 
 def encode(z: Array, table: Array, layout: GridLayout, num_threads: int) -> Array:
     """Return the features [points, outputs] of `z` [points, 3]."""
-    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    kernels, levels = _kernels(layout.num_features), levels_of(layout)
     features = np.empty((len(z), layout.num_outputs), np.float32)
     _over_points(kernels.forward, len(z), layout, num_threads, (z, table, *levels, features))
     return features
@@ -63,7 +63,7 @@ def encode(z: Array, table: Array, layout: GridLayout, num_threads: int) -> Arra
 
 def encode_with_jacobian(z: Array, table: Array, layout: GridLayout, num_threads: int) -> tuple[Array, Array]:
     """Return the features [points, outputs] of `z` and their derivative [points, outputs, 3]."""
-    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    kernels, levels = _kernels(layout.num_features), levels_of(layout)
     features = np.empty((len(z), layout.num_outputs), np.float32)
     jacobian = np.empty((len(z), layout.num_outputs, 3), np.float32)
     arguments = (z, table, *levels, features, jacobian)
@@ -75,7 +75,7 @@ def position_gradient(
     z: Array, table: Array, layout: GridLayout, features_gradient: Array, num_threads: int
 ) -> Array:
     """Return the gradient by `z` [points, 3], given the one by the features."""
-    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    kernels, levels = _kernels(layout.num_features), levels_of(layout)
     gradient = np.empty((len(z), 3), np.float32)
     arguments = (z, table, *levels, features_gradient, gradient)
     _over_points(kernels.position_gradient, len(z), layout, num_threads, arguments)
@@ -96,7 +96,7 @@ def add_table_gradient(
 
     `jacobian_gradient` [points, outputs, 3] is None where only features were used.
     """
-    kernels, levels = _kernels(layout.num_features), _levels(layout)
+    kernels, levels = _kernels(layout.num_features), levels_of(layout)
 
     def one_level(level: int) -> None:
         le = layout.levels[level]
@@ -110,7 +110,7 @@ def add_table_gradient(
     # Fine levels first: they take longest, for their rows are far apart.
     order = range(len(layout.levels) - 1, -1, -1)
     if num_threads > 1 and len(z) * len(layout.levels) > PARALLEL_POINTS * num_threads:
-        _drain(_pool(num_threads).map(one_level, order))
+        in_pool(one_level, order, num_threads)
     else:
         _drain(map(one_level, order))
 
@@ -125,8 +125,12 @@ def _over_points(
         return
     step = BLOCK * math.ceil(num_points / (BLOCK * pieces))
     starts = range(0, num_points, step)
-    pool = _pool(num_threads)
-    _drain(pool.map(lambda first: kernel(first, min(first + step, num_points), *arguments), starts))
+    in_pool(lambda first: kernel(first, min(first + step, num_points), *arguments), starts, num_threads)
+
+
+def in_pool(function: Callable[[int], Any], values: Sequence[int], num_threads: int) -> None:
+    """Call `function` with each of `values` in a pool of threads; raise what it raised."""
+    _drain(_pool(num_threads).map(function, values))
 
 
 def _drain(results: Any) -> None:
@@ -141,7 +145,7 @@ def _pool(num_threads: int) -> ThreadPoolExecutor:
 
 
 @lru_cache
-def _levels(layout: GridLayout) -> Levels:
+def levels_of(layout: GridLayout) -> Levels:
     """Return the layout as the arrays the kernels read."""
     counts, scales = level_constants(layout)
     return Levels(np.array(counts).astype(np.uint64), np.array(scales, np.float32))

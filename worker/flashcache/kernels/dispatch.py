@@ -1,8 +1,9 @@
 """The choice of the backend for an encoder call, and its automatic differentiation.
 
 float32 on a processor goes to the compiled loops of `cpu`; float32 on a GPU to the kernels of `gpu`, where
-Triton is installed; everything else to `reference`. The environment variable LAMBENT_KERNELS=reference, read
-once at import, sends everything to the reference (tests, debugging).
+Triton is installed; everything else to `reference`. On a processor, queries of the caches without gradients
+are compiled as a whole (`answers_compiled`). The environment variable LAMBENT_KERNELS, read once at import,
+chooses less: `encoder` leaves all but the encoder to torch, `reference` everything (tests, debugging).
 """
 
 import importlib.util
@@ -21,10 +22,12 @@ from flashcache.errors import ConfigError
 from flashcache.geometry.rays import Rays
 from flashcache.kernels import reference
 from flashcache.kernels.layout import GridLayout
+from flashcache.rows import shapes_are_fixed
 
 _CHOICE = os.environ.get("LAMBENT_KERNELS", "auto")
-if _CHOICE not in ("auto", "reference"):
-    raise ConfigError(f'LAMBENT_KERNELS must be "auto" or "reference", got "{_CHOICE}"')
+CHOICES = ("auto", "encoder", "reference")
+if _CHOICE not in CHOICES:
+    raise ConfigError(f'LAMBENT_KERNELS must be "auto", "encoder" or "reference", got "{_CHOICE}"')
 
 
 @runtime_checkable
@@ -113,11 +116,26 @@ def encode_with_jacobian(
     return backend.encode_with_jacobian(z.detach(), table.detach(), layout)
 
 
+def answers_compiled(*tensors: Tensor) -> bool:
+    """Return whether a query without gradients of these inputs and parameters is for compiled code.
+
+    So it is while no gradients are recorded, for float32 on a processor; not with fixed shapes, which are
+    there to compute what a GPU does.
+    """
+    if _CHOICE != "auto" or torch.is_grad_enabled() or shapes_are_fixed():
+        return False
+    return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
+
+
 def stretch(
     rays: Rays, cells: UInt8[Tensor, "x y z"], low: Float[Tensor, "3"], high: Float[Tensor, "3"], step: float
 ) -> tuple[Float[Tensor, " rays"], Float[Tensor, " rays"]]:
     """Return near and far of the stretch of each ray on which a lattice has occupied cells; see `march`."""
-    if _CHOICE != "auto" or rays.near.device.type != "cpu" or rays.near.dtype != torch.float32:
+    if is_fused(rays.near.device, rays.near.dtype):
+        from flashcache.kernels import gpu_march
+
+        return gpu_march.stretch(rays, cells, low, high, step)
+    if _CHOICE == "reference" or rays.near.device.type != "cpu" or rays.near.dtype != torch.float32:
         from flashcache.kernels import march
 
         return march.stretch(rays, cells, low, high, step)
@@ -132,7 +150,12 @@ def stretch(
 
 def has_gpu_kernels() -> bool:
     """Return whether float32 on a GPU has kernels of its own here: whether Triton is installed."""
-    return _CHOICE == "auto" and _has_triton()
+    return _CHOICE != "reference" and _has_triton()
+
+
+def is_fused(device: torch.device, dtype: torch.dtype) -> bool:
+    """Return whether tensors of this kind take the fused kernels: float32 on a GPU, with Triton."""
+    return device.type == "cuda" and dtype == torch.float32 and has_gpu_kernels()
 
 
 @lru_cache
@@ -145,7 +168,7 @@ def _backend(device: torch.device, dtype: torch.dtype) -> Backend | None:
 
     Each is imported when it is first needed: numba takes a third of a second, and Triton is not everywhere.
     """
-    if _CHOICE != "auto" or dtype != torch.float32:
+    if _CHOICE == "reference" or dtype != torch.float32:
         return None
     if device.type == "cpu":
         from flashcache.kernels import cpu_tensors

@@ -30,8 +30,8 @@ def encode(
 ) -> Float[Tensor, "points outputs"]:
     """Return the features of `z`."""
     features = z.new_empty(len(z), layout.num_outputs)
-    arrays = z.contiguous(), table.contiguous(), *_levels(layout, z.device), features, features
-    _launch(gpu_kernels.forward, layout, arrays, len(layout.levels), JACOBIAN=False)
+    arrays = z.contiguous(), table.contiguous(), *levels(layout, z.device), features, features
+    launch(gpu_kernels.forward, layout, len(z), len(layout.levels), *arrays, JACOBIAN=False)
     return features
 
 
@@ -41,8 +41,8 @@ def encode_with_jacobian(
     """Return the features of `z` and their derivative by `z`."""
     features = z.new_empty(len(z), layout.num_outputs)
     jacobian = z.new_empty(len(z), layout.num_outputs, 3)
-    arrays = z.contiguous(), table.contiguous(), *_levels(layout, z.device), features, jacobian
-    _launch(gpu_kernels.forward, layout, arrays, len(layout.levels), JACOBIAN=True)
+    arrays = z.contiguous(), table.contiguous(), *levels(layout, z.device), features, jacobian
+    launch(gpu_kernels.forward, layout, len(z), len(layout.levels), *arrays, JACOBIAN=True)
     return features, jacobian
 
 
@@ -54,10 +54,10 @@ def position_gradient(
 ) -> Float[Tensor, "points 3"]:
     """Return the gradient by `z`, given the one by the features."""
     gradient = z.new_empty(len(z), 3)
-    levels = _levels(layout, z.device)
-    arrays = z.contiguous(), table.contiguous(), *levels, features_gradient.contiguous(), gradient
+    constants = levels(layout, z.device)
+    arrays = z.contiguous(), table.contiguous(), *constants, features_gradient.contiguous(), gradient
     # One program takes all levels of its points: their sum needs no additions in any order.
-    _launch(gpu_kernels.position_gradient, layout, arrays, 1)
+    launch(gpu_kernels.position_gradient, layout, len(z), 1, *arrays)
     return gradient
 
 
@@ -79,9 +79,10 @@ def add_table_gradient(
         gradient.zero_()
     by_features = features_gradient.contiguous()
     by_jacobian = by_features if jacobian_gradient is None else jacobian_gradient.contiguous()
-    arrays = z.contiguous(), *_levels(layout, z.device), by_features, by_jacobian, gradient
+    arrays = z.contiguous(), *levels(layout, z.device), by_features, by_jacobian, gradient
     uses_jacobian = jacobian_gradient is not None
-    _launch(gpu_kernels.table_gradient, layout, arrays, len(layout.levels), JACOBIAN=uses_jacobian)
+    kernel, columns = gpu_kernels.table_gradient, len(layout.levels)
+    launch(kernel, layout, len(z), columns, *arrays, JACOBIAN=uses_jacobian)
 
 
 def block_sizes(num_features: int) -> dict[str, int]:
@@ -90,25 +91,31 @@ def block_sizes(num_features: int) -> dict[str, int]:
     return {"F": num_features, "WIDTH": width, "BLOCK": min(MAX_POINTS, MAX_VALUES // width)}
 
 
-def _launch(
-    kernel: Any, layout: GridLayout, arrays: tuple[Tensor, ...], num_columns: int, **constants: bool
+def launch(
+    kernel: Any, layout: GridLayout, num_points: int, num_columns: int, *arguments: Any, **constants: bool
 ) -> None:
-    """Start `num_columns` programs of a kernel per block of points; `arrays` begins with the points."""
-    num_points = len(arrays[0])
-    if num_points == 0:
-        return
-    if arrays[0].is_cuda:
-        gpu_kernels.require_launcher()
+    """Start `num_columns` programs of a kernel per block of points.
+
+    The kernel gets `arguments`, then the numbers of points and levels.
+    """
     sizes = block_sizes(layout.num_features)
+    grid = math.ceil(num_points / sizes["BLOCK"]), num_columns
+    start(kernel, grid, *arguments, num_points, len(layout.levels), **sizes, **constants)
+
+
+def start(kernel: Any, grid: tuple[int, ...], *arguments: Any, **constants: int) -> None:
+    """Start a kernel on the device of the first argument, a tensor; nothing where the grid is empty."""
+    if grid[0] == 0:
+        return
+    if arguments[0].is_cuda:
+        gpu_kernels.require_launcher()
     # Triton starts kernels on the current device, which need not be that of the tensors.
-    with torch.cuda.device_of(arrays[0]):
-        kernel[(math.ceil(num_points / sizes["BLOCK"]), num_columns)](
-            *arrays, num_points, len(layout.levels), **sizes, **constants, **OPTIONS
-        )
+    with torch.cuda.device_of(arguments[0]):
+        kernel[grid](*arguments, **constants, **OPTIONS)
 
 
 @lru_cache
-def _levels(
+def levels(
     layout: GridLayout, device: torch.device
 ) -> tuple[Int[Tensor, "levels 6"], Float[Tensor, "levels 3"]]:
     """Return the layout as the tensors the kernels read."""

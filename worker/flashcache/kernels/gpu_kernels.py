@@ -45,7 +45,7 @@ def _mix(a, b, t):
 
 
 @triton.jit
-def _points(num_points, BLOCK: tl.constexpr):
+def block_of(num_points, BLOCK: tl.constexpr):
     """Return the numbers of this program's points and which of them exist."""
     point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)[:, None]
     return point, point < num_points
@@ -62,7 +62,15 @@ def _axis(coordinate, scale, centre, largest):
 
 
 @triton.jit
-def _locate(z, point, exists, counts, scales, level):
+def load_vector(vectors, place, exists):
+    """Return x, y and z of each vector; 0 where it does not exist."""
+    x = tl.load(vectors + place * 3, exists, 0.0)
+    y = tl.load(vectors + place * 3 + 1, exists, 0.0)
+    return x, y, tl.load(vectors + place * 3 + 2, exists, 0.0)
+
+
+@triton.jit
+def locate(coordinates, counts, scales, level):
     """Return the 8 rows around each point, x fastest, its position between them, and d position / d z."""
     scale = tl.load(scales + level * 3)
     centre = tl.load(scales + level * 3 + 1)
@@ -72,9 +80,9 @@ def _locate(z, point, exists, counts, scales, level):
     step_y = tl.load(counts + level * 6 + 2)
     step_z = tl.load(counts + level * 6 + 3)
     top = tl.load(counts + level * 6 + 4)
-    x, rate_x = _axis(tl.load(z + point * 3, exists, 0.0), scale, centre, largest)
-    y, rate_y = _axis(tl.load(z + point * 3 + 1, exists, 0.0), scale, centre, largest)
-    w, rate_z = _axis(tl.load(z + point * 3 + 2, exists, 0.0), scale, centre, largest)
+    x, rate_x = _axis(coordinates[0], scale, centre, largest)
+    y, rate_y = _axis(coordinates[1], scale, centre, largest)
+    w, rate_z = _axis(coordinates[2], scale, centre, largest)
     cell_x = tl.minimum(x.to(top.dtype), top)
     cell_y = tl.minimum(y.to(top.dtype), top)
     cell_z = tl.minimum(w.to(top.dtype), top)
@@ -95,7 +103,7 @@ def _locate(z, point, exists, counts, scales, level):
 
 
 @triton.jit
-def _interpolate(table, rows, position, feature, exists, F: tl.constexpr):
+def interpolate(table, rows, position, feature, exists, F: tl.constexpr):
     """Return the features of each point and their derivatives by its position along x, y and z."""
     x, y, w = position
     wanted = exists & (feature < F)
@@ -115,6 +123,30 @@ def _interpolate(table, rows, position, feature, exists, F: tl.constexpr):
     return _mix(near, far, w), (by_x, by_y, far - near)
 
 
+@triton.jit
+def spread(g, position):
+    """Return the gradients by the sums c and by the far values b along x of `interpolate`, given its own."""
+    x, y, w = position
+    far = g * w
+    near = g - far
+    c3, c1 = far * y, near * y
+    c2, c0 = far - c3, near - c1
+    return (c0, c1, c2, c3), (c0 * x, c1 * x, c2 * x, c3 * x)
+
+
+@triton.jit
+def add_to_rows(result, rows, feature, c, b, wanted, F: tl.constexpr):
+    """Add the gradients by the values of the 8 rows to `result`; see `spread`."""
+    tl.atomic_add(result + rows[0] * F + feature, c[0] - b[0], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[1] * F + feature, b[0], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[2] * F + feature, c[1] - b[1], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[3] * F + feature, b[1], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[4] * F + feature, c[2] - b[2], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[5] * F + feature, b[2], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[6] * F + feature, c[3] - b[3], wanted, sem="relaxed")
+    tl.atomic_add(result + rows[7] * F + feature, b[3], wanted, sem="relaxed")
+
+
 @triton.jit(do_not_specialize=_VARYING)
 def forward(
     z, table, counts, scales, features, jacobian, num_points, num_levels,
@@ -122,10 +154,10 @@ def forward(
 ):  # fmt: skip
     """Write the features [points, levels, F] and, with JACOBIAN, their derivative [points, levels, F, 3]."""
     level = tl.program_id(1)
-    point, exists = _points(num_points, BLOCK)
+    point, exists = block_of(num_points, BLOCK)
     feature = tl.arange(0, WIDTH)[None, :]
-    rows, position, rates = _locate(z, point, exists, counts, scales, level)
-    value, slopes = _interpolate(table, rows, position, feature, exists, F)
+    rows, position, rates = locate(load_vector(z, point, exists), counts, scales, level)
+    value, slopes = interpolate(table, rows, position, feature, exists, F)
     wanted = exists & (feature < F)
     column = (point * num_levels + level) * F + feature
     tl.store(features + column, value, wanted)
@@ -140,15 +172,15 @@ def position_gradient(
     F: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Write the gradient by z [points, 3]; a program sums over all levels of its points."""
-    point, exists = _points(num_points, BLOCK)
+    point, exists = block_of(num_points, BLOCK)
     feature = tl.arange(0, WIDTH)[None, :]
     wanted = exists & (feature < F)
     sum_x = tl.zeros((BLOCK, WIDTH), tl.float32)
     sum_y = tl.zeros((BLOCK, WIDTH), tl.float32)
     sum_z = tl.zeros((BLOCK, WIDTH), tl.float32)
     for level in range(num_levels):
-        rows, position, rates = _locate(z, point, exists, counts, scales, level)
-        _, slopes = _interpolate(table, rows, position, feature, exists, F)
+        rows, position, rates = locate(load_vector(z, point, exists), counts, scales, level)
+        _, slopes = interpolate(table, rows, position, feature, exists, F)
         g = tl.load(by_features + (point * num_levels + level) * F + feature, wanted, 0.0)
         sum_x = tl.fma(rates[0] * slopes[0], g, sum_x)
         sum_y = tl.fma(rates[1] * slopes[1], g, sum_y)
@@ -165,15 +197,15 @@ def table_gradient(
 ):  # fmt: skip
     """Add the gradient by the table to `result` [rows, F]; the order of the additions is left open."""
     level = tl.program_id(1)
-    point, exists = _points(num_points, BLOCK)
+    point, exists = block_of(num_points, BLOCK)
     feature = tl.arange(0, WIDTH)[None, :]
     wanted = exists & (feature < F)
-    rows, position, rates = _locate(z, point, exists, counts, scales, level)
-    x, y, w = position
+    rows, position, rates = locate(load_vector(z, point, exists), counts, scales, level)
     column = (point * num_levels + level) * F + feature
     g = tl.load(by_features + column, wanted, 0.0)
     # `forward` read backwards: each line gives the gradient of what that line read.
     if JACOBIAN:
+        x, y, w = position
         gx = rates[0] * tl.load(by_jacobian + column * 3, wanted, 0.0)
         gy = rates[1] * tl.load(by_jacobian + column * 3 + 1, wanted, 0.0)
         gz = rates[2] * tl.load(by_jacobian + column * 3 + 2, wanted, 0.0)
@@ -187,18 +219,8 @@ def table_gradient(
         dx_near = gx - dx_far
         d3, d1 = dx_far * y, dx_near * y
         d2, d0 = dx_far - d3, dx_near - d1
-        b0, b1, b2, b3 = tl.fma(c0, x, d0), tl.fma(c1, x, d1), tl.fma(c2, x, d2), tl.fma(c3, x, d3)
+        c = c0, c1, c2, c3
+        b = tl.fma(c0, x, d0), tl.fma(c1, x, d1), tl.fma(c2, x, d2), tl.fma(c3, x, d3)
     else:
-        far = g * w
-        near = g - far
-        c3, c1 = far * y, near * y
-        c2, c0 = far - c3, near - c1
-        b0, b1, b2, b3 = c0 * x, c1 * x, c2 * x, c3 * x
-    tl.atomic_add(result + rows[0] * F + feature, c0 - b0, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[1] * F + feature, b0, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[2] * F + feature, c1 - b1, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[3] * F + feature, b1, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[4] * F + feature, c2 - b2, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[5] * F + feature, b2, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[6] * F + feature, c3 - b3, wanted, sem="relaxed")
-    tl.atomic_add(result + rows[7] * F + feature, b3, wanted, sem="relaxed")
+        c, b = spread(g, position)
+    add_to_rows(result, rows, feature, c, b, wanted, F)

@@ -46,6 +46,8 @@ def material_entropy(
     mean = (point_weight[:, None] * materials.albedo).sum() / (3.0 * total)
     albedo = TYPICAL_ALBEDO * materials.albedo / mean.clamp_min(1e-3)
     vectors = torch.cat([albedo, materials.alpha, materials.metalness], dim=-1)
-    squared = (vectors[:, None] - vectors[None]).square().sum(dim=-1)
+    # As a matrix product: differences of all pairs would take five times the memory.
+    length = vectors.square().sum(dim=-1)
+    squared = (length[:, None] + length[None] - 2.0 * vectors @ vectors.T).clamp_min(0.0)
     pairs = (point_weight[:, None] * point_weight[None]).clamp_min(1e-12).log()
     return 2.0 * total.log() - torch.logsumexp((pairs - squared / (4.0 * width**2)).reshape(-1), dim=0)

@@ -4,10 +4,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from flashcache.errors import ConfigError
+from flashcache.rows import shapes_are_fixed
+
+BRIGHT = 0.9
+"""Share of the points that are darker than bright ones."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,10 +62,22 @@ def directional_variation(
     """
     shine = specular.sum(dim=-1)
     mean = shine.mean(dim=-1) + diffuse.sum(dim=-1).mean(dim=-1)
-    seen = mean[weight > 0.0]
-    bright = torch.quantile(seen, 0.9) if len(seen) else mean.new_zeros(())
+    bright = _quantile_where(mean, weight > 0.0, BRIGHT)
     spread = shine.std(dim=-1)
     return Variation(spread / (mean + 1e-4), spread / (torch.maximum(mean, bright) + 1e-4))
+
+
+def _quantile_where(
+    values: Float[Tensor, " points"], counted: Bool[Tensor, " points"], share: float
+) -> Float[Tensor, ""]:
+    """Return the value below which `share` of the counted values lie; 0 without any."""
+    if not shapes_are_fixed():
+        seen = values[counted]
+        return torch.quantile(seen, share) if len(seen) else values.new_zeros(())
+    ordered = torch.where(counted, values, torch.full_like(values, torch.inf)).sort().values
+    place = share * (counted.sum() - 1).clamp_min(0)
+    low, high = ordered[torch.stack([place.floor(), place.ceil()]).long()]
+    return torch.where(counted.any(), torch.lerp(low, high, place - place.floor()), torch.zeros_like(low))
 
 
 def metalness_prior(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.errors import ConfigError
@@ -37,6 +37,8 @@ class SecondaryRays:
     near: float
     far: float
     light_index: Int[Tensor, " rays"]
+    counted: Bool[Tensor, " rays"] | None = None
+    """Which rays count, where shapes are fixed (`flashcache.rows`); None: all."""
 
     def __len__(self) -> int:
         """Return the number of rays."""
@@ -47,12 +49,19 @@ class SecondaryRays:
         head, tail = slice(None, first), slice(first, None)
         return self._part(head), self._part(tail)
 
+    def masked(self, values: Float[Tensor, "rays channels"]) -> Float[Tensor, "rays channels"]:
+        """Return `values` per ray, zero for rays that do not count."""
+        if self.counted is None:
+            return values
+        return torch.where(self.counted[:, None], values, torch.zeros_like(values))
+
     def _part(self, part: slice) -> "SecondaryRays":
         return replace(
             self,
             origins=self.origins[part],
             directions=self.directions[part],
             light_index=self.light_index[part],
+            counted=None if self.counted is None else self.counted[part],
         )
 
 

@@ -8,6 +8,7 @@ of any direction on the whole sphere. Uniform variates and directions have shape
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -174,8 +175,9 @@ def draw_uniforms(
     ratio = 2.0
     for _ in range(40):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
-    steps = torch.tensor([ratio ** -(k + 1) for k in range(dimensions)], dtype=torch.float64)
-    lattice = (torch.arange(count, dtype=torch.float64)[:, None] * steps) % 1.0
+    # From numbers alone: a tensor that is made from a list is copied to a GPU, which waits for the copy.
+    number = torch.arange(count, dtype=torch.float64, device=like.device)
+    lattice = torch.stack([number * ratio ** -(k + 1) for k in range(dimensions)], dim=-1) % 1.0
     # The remainder of a float32 sum can round up to 1.
     return ((shift + lattice.to(like)) % 1.0).clamp_max(1.0 - torch.finfo(like.dtype).eps / 2)
 
@@ -224,13 +226,19 @@ def draw_directions(
             dim=1,
         )
         own = own.clamp_min(PDF_FLOOR)
-        expected = own * like.new_tensor(groups).repeat_interleave(torch.tensor(groups, device=like.device))
+        expected = own * _row(like, [length for length in groups for _ in range(length)])
         if len(strategies) == 1:
             mis_weight = torch.ones_like(own)
         else:
             total = torch.zeros_like(own)
             for density, (_, counts) in zip(densities, strategies, strict=True):
                 rivals = [counts[estimate] for estimate, _, length in blocks for _ in range(length)]
-                total += (density.clamp_min(PDF_FLOOR) * like.new_tensor(rivals)).square()
+                total += (density.clamp_min(PDF_FLOOR) * _row(like, rivals)).square()
             mis_weight = expected.square() / total
         return DirectionSamples(omega_i, own, mis_weight, mis_weight / expected, groups)
+
+
+def _row(like: Tensor, numbers: Sequence[int]) -> Float[Tensor, " numbers"]:
+    """Return numbers as a tensor; equal neighbours are filled in on the device."""
+    runs = [(number, len(list(equal))) for number, equal in groupby(numbers)]
+    return torch.cat([like.new_full((length,), number) for number, length in runs])

@@ -17,6 +17,7 @@ from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials, diffuse_albedo, lambert_cos, specular_brdf_cos
 from flashcache.physical.incident import Incident, NearField, RayLimits, SecondaryRays
 from flashcache.physical.sampling import DirectionSamples, Strategy, draw_directions
+from flashcache.rows import Rows, shapes_are_fixed
 
 CONTRIBUTION_MAXIMUM = 1e4
 """Bound on radiance times reflectance times cosine of one direction."""
@@ -44,7 +45,8 @@ class ExactDirections:
     pdf_solid_angle: Float[Tensor, "points lights"]
     mis_weight: Float[Tensor, "points lights"]
     above: Bool[Tensor, "points lights"]
-    """Whether the direction is above the surface; rays exist only for these, in this (row-major) order."""
+    """Whether the direction is above the surface; only these have rays, in this (row-major) order, or, with
+    fixed shapes, only their rays are counted."""
     num_diffuse: int
     radiance: Float[Tensor, "points lights 3"]
     """What the NeRF cache and the environment send, detached; zero below the surface."""
@@ -57,7 +59,8 @@ class ExactDirections:
     @property
     def from_diffuse(self) -> Bool[Tensor, " rays"]:
         """Return whether each of `rays` belongs to the diffuse half."""
-        return self.above.nonzero()[:, 1] < self.num_diffuse
+        light = torch.arange(self.above.shape[1], device=self.above.device).expand_as(self.above)
+        return Rows.where(self.above.reshape(-1)).of(light.reshape(-1)) < self.num_diffuse
 
 
 class Estimate(NamedTuple):
@@ -88,7 +91,8 @@ class DrawnDirections:
     omega_i: Tensor
     above: Tensor
     """Whether a direction is above the surface: only these are traced."""
-    is_exact: Tensor
+    num_exact: tuple[int, int]
+    """Exact directions of a point in either half; they come first in it."""
     index: Tensor
     """Flat positions (point * lights + light) of the directions that are traced, exact ones first."""
     num_exact_rays: int
@@ -102,10 +106,12 @@ class DrawnDirections:
         stratified: bool,
         limits: RayLimits,
         generator: torch.Generator,
+        which: Bool[Tensor, " points"] | None = None,
     ) -> "DrawnDirections":
         """Return fresh directions; each strategy comes with its numbers of exact and fast directions.
 
-        A single number per strategy makes all directions exact.
+        A single number per strategy makes all directions exact. Rays of points outside of `which` are not
+        counted, or not traced.
         """
         with torch.no_grad():
             like = points.positions
@@ -114,15 +120,16 @@ class DrawnDirections:
             )
             omega_i = torch.cat([half.omega_i for half in halves], dim=1)
             above = dot(points.normal.unsqueeze(1), omega_i).squeeze(-1) > 0.0
-            flags = []
-            for half in (diffuse, specular):
-                exact = sum(counts[0] for _, counts in half)
-                everything = sum(sum(counts) for _, counts in half)
-                flags += [True] * exact + [False] * (everything - exact)
-            is_exact = torch.tensor(flags, dtype=torch.bool, device=like.device)
-            first = (above & is_exact).reshape(-1).nonzero().squeeze(-1)
-            second = (above & ~is_exact).reshape(-1).nonzero().squeeze(-1)
-            index = torch.cat([first, second])
+            num_exact = tuple(sum(counts[0] for _, counts in half) for half in (diffuse, specular))
+            position = torch.arange(above.numel(), device=like.device).reshape(above.shape)
+            counted = above if which is None else above & which[:, None]
+            parts, flags = [], []
+            for own in _exact_and_fast(halves[0].omega_i.shape[1], num_exact):
+                flag = torch.cat([counted[:, some] for some in own], dim=1).reshape(-1)
+                rows = Rows.where(flag)
+                parts.append(rows.of(torch.cat([position[:, some] for some in own], dim=1).reshape(-1)))
+                flags.append(rows.counted)
+            index = torch.cat(parts)
             owner = index.div(omega_i.shape[1], rounding_mode="floor")
             origins = points.positions + limits.origin_offset * points.normal
             rays = SecondaryRays(
@@ -131,13 +138,16 @@ class DrawnDirections:
                 near=limits.near,
                 far=limits.far,
                 light_index=points.light_index[owner],
+                counted=torch.cat(flags) if shapes_are_fixed() else None,
             )
-        return DrawnDirections(points, halves, omega_i, above, is_exact, index, len(first), rays)
+        return DrawnDirections(points, halves, omega_i, above, num_exact, index, len(parts[0]), rays)
 
     def scatter(self, values: Tensor) -> Tensor:
         """Return [points, lights, 3] of values per ray, zero where no ray was traced."""
         flat = values.new_zeros((self.above.numel(), values.shape[-1]))
-        return flat.index_copy(0, self.index, values).reshape(*self.above.shape, values.shape[-1])
+        return flat.index_copy(0, self.index, self.rays.masked(values)).reshape(
+            *self.above.shape, values.shape[-1]
+        )
 
     def integrate(
         self, radiance: Tensor, materials: Materials, normal_gradient: float, with_variance: bool
@@ -168,25 +178,39 @@ class DrawnDirections:
     def exact(self, nerf: NearField, fast: NearField | None, environment: Tensor) -> "ExactDirections":
         """Return what the losses of the fast cache and the light sampler need, given the answers."""
         num_diffuse = self.halves[0].omega_i.shape[1]
-        columns = self.is_exact.nonzero().squeeze(-1)
+        exact, _ = _exact_and_fast(num_diffuse, self.num_exact)
         rays, _ = self.rays.split(self.num_exact_rays)
         index = self.index[: self.num_exact_rays]
         sky = environment[: self.num_exact_rays].detach()
         answer = Incident(nerf.near_radiance, nerf.opacity, nerf.distance, sky)
         known = None if fast is None else Incident(fast.near_radiance, fast.opacity, fast.distance, sky)
-        dense = sky.new_zeros((self.above.numel(), 3)).index_copy(0, index, answer.radiance.detach())
+        dense = sky.new_zeros((self.above.numel(), 3))
+        dense = dense.index_copy(0, index, rays.masked(answer.radiance.detach()))
+
+        def of_exact(values: Tensor) -> Tensor:
+            return torch.cat([values[:, some] for some in exact], dim=1)
+
         return ExactDirections(
-            omega_i=self.omega_i[:, columns],
-            pdf_solid_angle=torch.cat([half.pdf_solid_angle for half in self.halves], dim=1)[:, columns],
-            mis_weight=torch.cat([half.mis_weight for half in self.halves], dim=1)[:, columns],
-            above=self.above[:, columns],
-            num_diffuse=int(self.is_exact[:num_diffuse].sum()),
-            radiance=dense.reshape(*self.above.shape, 3)[:, columns],
+            omega_i=of_exact(self.omega_i),
+            pdf_solid_angle=of_exact(torch.cat([half.pdf_solid_angle for half in self.halves], dim=1)),
+            mis_weight=of_exact(torch.cat([half.mis_weight for half in self.halves], dim=1)),
+            above=of_exact(self.above),
+            num_diffuse=self.num_exact[0],
+            radiance=of_exact(dense.reshape(*self.above.shape, 3)),
             rays=rays,
             point_index=index.div(self.above.shape[1], rounding_mode="floor"),
             nerf=answer,
             fast=known,
         )
+
+
+def _exact_and_fast(
+    num_diffuse: int, num_exact: tuple[int, int]
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the exact and the fast directions of a point, in the diffuse and in the specular half."""
+    diffuse, specular = num_exact
+    exact = slice(0, diffuse), slice(num_diffuse, num_diffuse + specular)
+    return exact, (slice(diffuse, num_diffuse), slice(num_diffuse + specular, None))
 
 
 def _variance(weighted: Tensor, groups: tuple[int, ...]) -> Tensor:

@@ -56,7 +56,8 @@ class ModelScene:
         near, far = (origins.new_full((len(origins),), end) for end in self.model.domain.primary)
         geometry = self.model.nerf.trace(Rays(origins, directions, near, far), generator=None)
         light = torch.zeros(len(origins), dtype=torch.long, device=origins.device)
-        return solid_points(geometry, directions, light, generator, count)
+        points, _ = solid_points(geometry, directions, light, generator, count)
+        return points
 
     def meet(self, rays: SecondaryRays, generator: torch.Generator) -> Hits:
         """Return the points that secondary rays meet according to the NeRF cache, one each."""

@@ -5,43 +5,40 @@ it sees few rays, those of the correction term; here it sees several thousand a 
 opacity, which shadows are made of (docs/decisions/0017-distillation.md). The paper has no such step.
 """
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from flashcache.config import DistilConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.losses.fast_cache import fast_cache_loss
+from flashcache.parallel.processes import Processes
 from flashcache.physical.incident import Incident, SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.distillation_rays import relit_rays, solid_points
 from flashcache.training.joint_losses import in_reach
-from flashcache.training.parts import Parts
+from flashcache.training.optimiser import Number
+from flashcache.training.parts import Parts, numbers
 
 STAGE = "distil"
 
 
-class Distillation:
-    """Adds the gradients of successive batches to those of the fast cache."""
+@dataclass
+class DistilLosses:
+    """The loss of a part of a batch of the distillation; `flashcache.training.parts.Losses`."""
 
-    def __init__(
-        self, model: InverseModel, pixels: TrainingPixels, config: DistilConfig, *, seed: int
-    ) -> None:
-        self.pixels, self.config, self.seed = pixels, config, seed
-        self.parts = Parts(model, lambda whole: whole.fast, config.num_points)
+    config: DistilConfig
+    seed: int
 
-    def differentiate(self, step: int) -> float:
-        """Add the gradient of the loss of step `step` to the fast cache's gradients and return the loss."""
-        batch = self.pixels.draw(
-            self.config.num_points, generator_for(self.seed, STAGE, step, "points", self.pixels.device)
-        )
-        found = self.parts.differentiate(lambda model, part: self._loss(model, batch, step, part))
-        return sum(found) / len(found)
-
-    def _loss(self, model: InverseModel, batch: RayBatch, step: int, part: int) -> tuple[Tensor, float]:
-        generator = generator_for(self.seed, STAGE, step, f"part {part}", self.pixels.device)
+    def __call__(
+        self, model: InverseModel, batch: RayBatch, step: int, part: int, count: int
+    ) -> tuple[Tensor, Number]:
+        """Return the loss of one part of a batch, with its value."""
+        generator = generator_for(self.seed, STAGE, step, f"part {part}", batch.colour.device)
         with torch.no_grad():
-            rays = taught_rays(model, self.parts.of(batch, part), self.config, generator)
+            rays = taught_rays(model, batch, self.config, generator)
             seen = model.ask_nerf(rays, generator) if len(rays) else None
         if seen is None:  # A cache without a surface yet: there is nothing to learn, which is not an error.
             return 0.0 * torch.stack([one.sum() for one in model.fast.parameters()]).sum(), 0.0
@@ -51,9 +48,35 @@ class Distillation:
             Incident(seen.near_radiance, seen.opacity, seen.distance),
             in_reach(model, rays),
             model.limits,
+            counted=rays.counted,
             opacity_weight=self.config.opacity_weight,
         )
-        return loss, float(loss.detach())
+        return loss, numbers({"fast": loss})["fast"]
+
+
+class Distillation:
+    """Adds the gradients of successive batches to those of the fast cache."""
+
+    def __init__(
+        self,
+        model: InverseModel,
+        pixels: TrainingPixels,
+        config: DistilConfig,
+        *,
+        seed: int,
+        processes: Processes | None = None,
+    ) -> None:
+        self.pixels, self.config, self.seed = pixels, config, seed
+        losses = DistilLosses(config, seed)
+        self.parts = Parts(model, lambda whole: whole.fast, losses, config.num_points, processes)
+
+    def differentiate(self, step: int) -> Number:
+        """Add the gradient of the loss of step `step` to the fast cache's gradients and return the loss."""
+        batch = self.pixels.draw(
+            self.config.num_points, generator_for(self.seed, STAGE, step, "points", self.pixels.device)
+        )
+        found = self.parts.differentiate(batch, step)
+        return sum(found) / len(found)
 
 
 def taught_rays(
@@ -61,6 +84,6 @@ def taught_rays(
 ) -> SecondaryRays:
     """Return the secondary rays that leave the surface where a batch of camera rays meets it."""
     geometry = model.nerf.trace(batch.rays, generator=generator)
-    points = solid_points(geometry, batch.rays.directions, batch.light_index, generator)
+    points, solid = solid_points(geometry, batch.rays.directions, batch.light_index, generator)
     alpha = model.materials(points.positions).alpha
-    return relit_rays(points, alpha, config.taught, model.limits, generator)
+    return relit_rays(points, alpha, config.taught, model.limits, generator, solid)

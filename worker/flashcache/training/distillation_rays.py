@@ -1,7 +1,7 @@
 """The secondary rays with which a cache is trained, distributed as in relighting."""
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.caches.nerf_cache import Geometry
@@ -10,6 +10,7 @@ from flashcache.physical.estimator import DirectionCounts
 from flashcache.physical.incident import RayLimits, SecondaryRays
 from flashcache.physical.sampling import CosineLobe, GgxLobe
 from flashcache.physical.shading import DrawnDirections, ShadingPoints
+from flashcache.rows import Rows
 from flashcache.volume.quadrature import draw_points
 
 SOLID = 0.5
@@ -22,22 +23,25 @@ def solid_points(
     light_index: Int[Tensor, " rays"],
     generator: torch.Generator,
     count: int | None = None,
-) -> ShadingPoints:
+) -> tuple[ShadingPoints, Bool[Tensor, " points"] | None]:
     """Return one point for each camera ray that meets the surface, at most `count`, drawn by render weight.
 
+    With fixed shapes there is one for every ray, and the mask says which rays meet it; else it is None.
     `directions` are unit, away from the camera; normals are turned towards it. Points are in world space.
     """
     num_rays, num_samples = geometry.weights.shape
-    kept = (geometry.opacity > SOLID).nonzero().squeeze(-1)[:count]
+    rows = Rows.where(geometry.opacity > SOLID)
+    kept = rows.of(torch.arange(num_rays, device=geometry.weights.device))[:count]
     u = torch.rand(num_rays, 1, generator=generator, device=geometry.weights.device)
     index = draw_points(geometry.weights, u).index[kept, 0] + num_samples * kept
     omega_o = -directions[kept]
-    return ShadingPoints(
+    points = ShadingPoints(
         positions=geometry.samples.positions.reshape(-1, 3)[index],
         normal=facing(geometry.normal[index], omega_o),
         omega_o=omega_o,
         light_index=light_index[kept],
     )
+    return points, rows.counted
 
 
 def relit_rays(
@@ -46,10 +50,12 @@ def relit_rays(
     counts: DirectionCounts,
     limits: RayLimits,
     generator: torch.Generator,
+    which: Bool[Tensor, " points"] | None = None,
 ) -> SecondaryRays:
     """Return secondary rays as relighting draws them: around the normal, and around the mirror lobe.
 
-    `alpha` is the GGX roughness; without a light to sample, its directions go to the cosine.
+    `alpha` is the GGX roughness; without a light to sample, its directions go to the cosine. Rays of
+    points outside of `which` do not count.
     """
     mirror = GgxLobe(points.omega_o, points.normal, alpha)
     return DrawnDirections.draw(
@@ -59,4 +65,5 @@ def relit_rays(
         True,
         limits,
         generator,
+        which,
     ).rays

@@ -8,6 +8,7 @@ from flashcache.caches.nerf_cache import Geometry
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch
 from flashcache.fields.appearance import Appearance
+from flashcache.fields.materials import Materials
 from flashcache.losses.clusters import material_entropy
 from flashcache.losses.consistency import consistency
 from flashcache.losses.environment import grey_prior
@@ -20,8 +21,8 @@ from flashcache.losses.smoothness import pseudo_albedo, smoothness
 from flashcache.physical.incident import SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import Estimate, ShadingPoints
-from flashcache.training.passes import Pass
-from flashcache.training.stage_one import shape_terms
+from flashcache.training.cache_losses import shape_terms
+from flashcache.training.passes import Shaded
 
 Terms = dict[str, Tensor]
 
@@ -32,7 +33,7 @@ GREY_DIRECTIONS = 256
 def covered(batch: RayBatch, points: ShadingPoints) -> Float[Tensor, " points"]:
     """Return one for shaded points whose pixel shows the object, else zero."""
     repeats = len(points.positions) // len(batch)
-    return (batch.coverage > 0.0).repeat_interleave(repeats).to(points.positions.dtype)
+    return (batch.coverage > 0.0).repeat(repeats).to(points.positions.dtype)
 
 
 def cache_terms(
@@ -117,11 +118,11 @@ def material_terms(
     config: StageTwoConfig,
     batch: RayBatch,
     appearance: Appearance,
-    first: Pass,
+    shaded: Shaded,
     generator: torch.Generator,
 ) -> Terms:
     """Return the priors on materials."""
-    points, terms = first.points, {}
+    points, terms = shaded.points, {}
     if config.smoothness_weight:
         shape, device = points.positions.shape, points.positions.device
         step = config.smoothness_step * torch.randn(shape, generator=generator, device=device)
@@ -131,19 +132,21 @@ def material_terms(
             moved = model.nerf.appearance(nearby, hidden, points.normal, points.omega_o, points.light_index)
             guesses = [
                 pseudo_albedo(getattr(found, config.pseudo_albedo), found.irradiance)
-                for found in (Appearance(*(part[first.index] for part in appearance)), moved)
+                for found in (Appearance(*(part[shaded.index] for part in appearance)), moved)
             ]
         terms["smoothness"] = config.smoothness_weight * smoothness(
-            first.materials,
+            shaded.materials,
             model.materials(nearby),
             *guesses,
             covered(batch, points),
             guided=config.smoothness_guide,
         )
     if config.clusters.weight:
-        terms["clusters"] = config.clusters.weight * material_entropy(
-            first.materials, covered(batch, points), config.clusters.width
-        )
+        # One point of each ray: all pairs are compared.
+        found, first = shaded.materials, slice(len(batch))
+        materials = Materials(found.albedo[first], found.alpha[first], found.metalness[first])
+        seen = (batch.coverage > 0.0).to(points.positions.dtype)
+        terms["clusters"] = config.clusters.weight * material_entropy(materials, seen, config.clusters.width)
     return terms
 
 
@@ -152,22 +155,24 @@ def metalness_terms(
     config: StageTwoConfig,
     batch: RayBatch,
     geometry: Geometry,
-    first: Pass,
+    shaded: Shaded,
     generator: torch.Generator,
     *,
     warming_up: bool,
 ) -> Terms:
     """Return the prior that prefers metal on strongly view-dependent surfaces (decision 0015)."""
-    prior, points = config.metalness_prior, first.points
+    prior = config.metalness_prior
     weight = prior.warmup_weight if warming_up else prior.weight
     if not weight:
         return {}
-    repeats = prior.num_directions
+    # One point of each ray: the appearance is asked for many directions.
+    first, repeats = slice(len(batch)), prior.num_directions
+    points = ShadingPoints(*(part[first] for part in shaded.points))
     with torch.no_grad():
         normal = points.normal
         outgoing = model.nerf.appearance(
             points.positions.repeat_interleave(repeats, dim=0),
-            geometry.hidden[first.index].repeat_interleave(repeats, dim=0),
+            geometry.hidden[shaded.index[first]].repeat_interleave(repeats, dim=0),
             normal.repeat_interleave(repeats, dim=0),
             directions_around(normal, repeats, generator).reshape(-1, 3),
             points.light_index.repeat_interleave(repeats),
@@ -177,13 +182,14 @@ def metalness_terms(
         variation = directional_variation(
             outgoing.diffuse.reshape(shape), outgoing.specular.reshape(shape), seen
         )
-    return {"metalness": weight * metalness_prior(first.materials.metalness, variation, seen, prior)}
+    metalness = shaded.materials.metalness[first]
+    return {"metalness": weight * metalness_prior(metalness, variation, seen, prior)}
 
 
 def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:
     """Return the prior on the environments that are learned (decision 0006)."""
-    device = next(model.parameters()).device
-    learned = torch.tensor(model.environment.learned, device=device)
+    learned = model.environment.learned_lights
+    device = learned.device
     if not len(learned) or not config.grey_weight:
         return {}
     directions = torch.randn(GREY_DIRECTIONS, 3, generator=generator, device=device)
@@ -198,9 +204,9 @@ def in_reach(model: InverseModel, rays: SecondaryRays) -> Float[Tensor, " rays"]
     return (rays.origins.norm(dim=-1) < radius).to(rays.origins.dtype)
 
 
-def secondary_terms(model: InverseModel, config: StageTwoConfig, first: Pass) -> Terms:
+def secondary_terms(model: InverseModel, config: StageTwoConfig, shaded: Shaded) -> Terms:
     """Return the losses that train the fast cache and the light sampler on the exact rays."""
-    exact, terms = first.estimate.exact, {}
+    exact, terms = shaded.estimate.exact, {}
     if exact is None:
         return terms
     if exact.fast is not None:
@@ -209,9 +215,10 @@ def secondary_terms(model: InverseModel, config: StageTwoConfig, first: Pass) ->
             exact.nerf,
             in_reach(model, exact.rays),
             model.limits,
+            counted=exact.rays.counted,
             from_diffuse=exact.from_diffuse if config.fast_by_half else None,
             distance_weight=config.distance_weight,
         )
-    if first.mixture is not None:
-        terms["sampler"] = light_sampler_loss(first.mixture, exact)
+    if shaded.mixture is not None:
+        terms["sampler"] = light_sampler_loss(shaded.mixture, exact)
     return terms

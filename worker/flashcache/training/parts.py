@@ -1,39 +1,44 @@
-"""Parts of a batch on as many cores, each differentiated on its own thread.
+"""Parts of a batch on as many cores, each differentiated by a process of its own.
 
-Each part has a model of its own that shares all values and has gradients of its own; the gradients are added
-in one fixed order, so that a step is the same, bit for bit, for the same number of parts.
+The processes share the values of the model; each has gradients of its own, which are added in one fixed
+order, so that a step is the same, bit for bit, for the same number of parts.
 """
 
-import copy
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
 
 from flashcache.data.ray_batches import RayBatch
+from flashcache.parallel.processes import Processes
+from flashcache.parallel.shared_memory import SharedMemory, bytes_for
 from flashcache.physical.model import InverseModel
+from flashcache.rows import shapes_are_fixed
+from flashcache.training.optimiser import Number
 
-T = TypeVar("T")
-
-LEAST_RAYS = 512
-"""Rays below which a thread of its own costs a part more than it saves (docs/benchmarks/training-step.md)."""
-_CHUNK_VALUES = 1 << 18
-"""Values of a gradient that are added at once (1 MiB, a core's own cache)."""
+LEAST_RAYS = 64
+"""Rays below which a process of its own saves a part nothing (docs/benchmarks/training-step.md)."""
 
 
-def twin_of(model: InverseModel) -> InverseModel:
-    """Return a model that shares all values with `model`, and has parameters and gradients of its own."""
-    twin = copy.deepcopy(model)
-    for own, other in zip(model.parameters(), twin.parameters(), strict=True):
-        other.data = own.data
-        other.grad = None
-    for name, buffer in model.named_buffers():
-        module, _, leaf = name.rpartition(".")
-        setattr(twin.get_submodule(module), leaf, buffer)
-    return twin
+@runtime_checkable
+class Losses(Protocol):
+    """The losses of a stage of training; other processes get copies."""
+
+    def __call__(
+        self, model: InverseModel, batch: RayBatch, step: int, part: int, count: int
+    ) -> tuple[Tensor, Any]:
+        """Return the loss of part number `part` of `count`, and what the stage wants to know about it.
+
+        `batch` is that part of the batch of step `step`. Random numbers depend on the arguments alone.
+        """
+
+
+def num_parts(num_rays: int, most: int) -> int:
+    """Return the number of parts of a batch: at most `most`, and as few as leave each `LEAST_RAYS`."""
+    return max(1, min(most, num_rays // LEAST_RAYS))
 
 
 @contextmanager
@@ -48,76 +53,98 @@ def threads_of_operations(count: int) -> Iterator[None]:
 
 
 class Parts:
-    """Differentiates a loss on parts of a batch at once, by the trained parameters of a part of the model.
+    """Differentiates losses on parts of a batch at once, by the trained parameters of a part of the model.
 
-    There are as many as torch may use threads, and as few as leave each `LEAST_RAYS`; on a GPU there is one,
-    the whole batch. On a processor the operations of a part use one core: they are too small for more.
+    There are as many as processes, and as few as leave each `LEAST_RAYS`; on a GPU there is one, the whole
+    batch. On a processor the operations of a part use one core: they are too small for more.
     """
 
     def __init__(
-        self, model: InverseModel, trained: Callable[[InverseModel], nn.Module], num_rays: int
+        self,
+        model: InverseModel,
+        trained: Callable[[InverseModel], nn.Module],
+        losses: Losses,
+        num_rays: int,
+        processes: Processes | None = None,
     ) -> None:
-        """`trained` picks the module whose parameters get gradients; `num_rays` is the size of a batch."""
-        device = next(model.parameters()).device
-        threads = torch.get_num_threads() if device.type == "cpu" else 1
-        self.count = max(1, min(threads, num_rays // LEAST_RAYS))
-        self._threads = 1 if device.type == "cpu" else torch.get_num_threads()
-        self._models = [model, *(twin_of(model) for _ in range(self.count - 1))]
-        self._pool: ThreadPoolExecutor | None = None
+        """`trained` picks the module whose parameters get gradients; `num_rays` is the size of a batch.
+
+        The model's values move into shared memory where there are several parts.
+        """
+        on_cpu = next(model.parameters()).device.type == "cpu"
+        available = processes.count if processes is not None and on_cpu else 1
+        self.count = num_parts(num_rays, available)
+        self._threads = 1 if on_cpu else torch.get_num_threads()
+        self._processes = processes
+        parameters = [parameter for parameter in trained(model).parameters() if parameter.requires_grad]
+        self._own = _Part(losses, model, parameters, None, 0, self.count)
+        self._gradients: list[list[Tensor]] = []
         if self.count > 1:
-            self._pool = ThreadPoolExecutor(self.count - 1, "part", torch.set_num_threads, (self._threads,))
-        parameters = [[p for p in trained(each).parameters() if p.requires_grad] for each in self._models]
-        self._shared = list(zip(*parameters, strict=True))
-        for _, *others in self._shared:
-            for other in others:
-                other.grad = torch.zeros_like(other)
+            assert processes is not None
+            block = share_values(model, self.count - 1, parameters)
+            self._gradients = [[block.zeros_like(p) for p in parameters] for _ in range(self.count - 1)]
+            parts = [
+                _Part(losses, model, parameters, gradients, number, self.count)
+                for number, gradients in enumerate(self._gradients, start=1)
+            ]
+            processes.give(parts, block)
 
     def of(self, batch: RayBatch, part: int) -> RayBatch:
         """Return the rays of part number `part`; the last one takes what does not divide."""
         share = len(batch) // self.count
         return batch.part(slice(part * share, None if part == self.count - 1 else (part + 1) * share))
 
-    def differentiate(self, loss_of: Callable[[InverseModel, int], tuple[Tensor, T]]) -> list[T]:
-        """Add the gradient of the parts' mean loss to the parameters' gradients; return their results.
-
-        `loss_of` gets a model and the number of a part and returns its loss and a result. It may run on
-        another thread, so it draws its random numbers from a generator of its own.
-        """
-
-        def work(part: int) -> T:
-            loss, result = loss_of(self._models[part], part)
-            (loss / self.count).backward()
-            return result
-
+    def differentiate(self, batch: RayBatch, step: int) -> list[Any]:
+        """Add the gradient of the parts' mean loss to the parameters' gradients; return their results."""
+        questions = [(self.of(batch, part), step) for part in range(self.count)]
         with threads_of_operations(self._threads):
-            if self._pool is None:
-                return [work(0)]
-            jobs = [self._pool.submit(work, part) for part in range(1, self.count)]
-            results = [work(0), *(job.result() for job in jobs)]
-            self._add_up()
+            if self.count == 1:
+                return [self._own(*questions[0])]
+            assert self._processes is not None
+            results = self._processes.ask(questions, self._own)
+        with threads_of_operations(self.count), torch.no_grad():
+            for gradients in self._gradients:
+                torch._foreach_add_([p.grad for p in self._own.parameters], gradients)
         return results
 
-    def _add_up(self) -> None:
-        """Add the gradients of all parts to those of the model, in the order of the parts, and clear them."""
-        tasks = []
-        for own, *others in self._shared:
-            if own.grad is None:
-                own.grad = torch.zeros_like(own)
-            flat = [parameter.grad.view(-1) for parameter in (own, *others)]
-            tasks += [
-                [one[start : start + _CHUNK_VALUES] for one in flat]
-                for start in range(0, len(flat[0]), _CHUNK_VALUES)
-            ]
 
-        def add(number: int) -> None:
-            with torch.no_grad():
-                for total, *rest in tasks[number :: self.count]:
-                    for other in rest:
-                        total += other
-                        other.zero_()
+@dataclass
+class _Part:
+    """One part of every batch: what its process needs to differentiate it."""
 
-        assert self._pool is not None
-        jobs = [self._pool.submit(add, number) for number in range(1, self.count)]
-        add(0)
-        for job in jobs:
-            job.result()
+    losses: Losses
+    model: InverseModel
+    parameters: Sequence[nn.Parameter]
+    gradients: Sequence[Tensor] | None
+    """Where the gradients go, from zero on; None adds to those that the parameters have."""
+    number: int
+    count: int
+
+    def __call__(self, batch: RayBatch, step: int) -> Any:
+        """Differentiate the loss of this part and return the result."""
+        if self.gradients is not None:
+            for parameter, gradient in zip(self.parameters, self.gradients, strict=True):
+                parameter.grad = gradient.zero_()
+        loss, result = self.losses(self.model, batch, step, self.number, self.count)
+        (loss / self.count).backward()
+        return result
+
+
+def share_values(model: nn.Module, num_gradients: int, trained: Sequence[nn.Parameter]) -> SharedMemory:
+    """Move a model's values into shared memory, with room for so many gradients of the trained ones."""
+    values = {id(value): value for value in (*model.parameters(), *model.buffers())}.values()
+    block = SharedMemory(bytes_for(values) + num_gradients * bytes_for(trained))
+    for value in values:
+        value.data = block.copy_of(value)
+    return block
+
+
+def numbers(terms: Mapping[str, Tensor]) -> dict[str, Number]:
+    """Return the values of loss terms; with fixed shapes they stay on the device, for who will wait."""
+    values = {name: value.detach() for name, value in terms.items()}
+    return values if shapes_are_fixed() else {name: float(value) for name, value in values.items()}
+
+
+def mean_terms(parts: Sequence[Mapping[str, Number]]) -> dict[str, Number]:
+    """Return the mean of the parts' loss terms, by name."""
+    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[0]}

@@ -1,4 +1,4 @@
-"""One independent estimate of a batch of pixels from K of their points (paper Eqs. 9 and 11)."""
+"""Independent estimates of a batch of pixels from K of their points each (paper Eqs. 9 and 11)."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,13 @@ from flashcache.volume.quadrature import PointDraw, draw_points, median_point
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
-    """One independent estimate of a batch of pixels: K shaded points per ray."""
+class Shaded:
+    """Independent estimates of a batch of pixels, the passes: K shaded points per ray in each."""
 
-    picture: Float[Tensor, "rays 3"]
+    pictures: Float[Tensor, "passes rays 3"]
     """Premultiplied radiance."""
     estimate: Estimate
+    """Of all points: the first one of every ray, then the second ones; the passes one after the other."""
     points: ShadingPoints
     materials: Materials
     mixture: VmfMixture | None
@@ -38,9 +39,10 @@ def shade(
     geometry: Geometry,
     generator: torch.Generator,
     *,
+    passes: int = 1,
     supervise: bool = True,
-) -> Pass:
-    """Return one estimate of the batch.
+) -> Shaded:
+    """Return estimates of the batch that share nothing but the geometry.
 
     `supervise` traces the exact rays even if the estimate itself omits them, for the losses of the
     fast cache and the light sampler.
@@ -48,18 +50,20 @@ def shade(
     weights = geometry.weights.detach()
     num_rays, num_samples = weights.shape
     if config.points == "depth":
-        draw: PointDraw = median_point(weights)
+        found = median_point(weights)
+        draw = PointDraw(found.index.expand(-1, passes), found.weight.expand(-1, passes))
     else:
-        u = torch.rand(num_rays, config.points_per_ray, generator=generator, device=weights.device)
-        draw = draw_points(weights, u)
-    row = num_samples * torch.arange(num_rays, device=weights.device)[:, None]
-    index = (draw.index + row).reshape(-1)
+        u = torch.rand(num_rays, passes * config.points_per_ray, generator=generator, device=weights.device)
+        found = draw_points(weights, u)
+        draw = PointDraw(found.index, passes * found.weight)
+    row = num_samples * torch.arange(num_rays, device=weights.device)
+    index = (draw.index.T + row).reshape(-1)
     repeats = draw.index.shape[-1]
     points = ShadingPoints(
         positions=geometry.samples.positions.reshape(-1, 3)[index],
         normal=geometry.normal[index],
-        omega_o=-batch.rays.directions.repeat_interleave(repeats, dim=0),
-        light_index=batch.light_index.repeat_interleave(repeats),
+        omega_o=-batch.rays.directions.repeat(repeats, 1),
+        light_index=batch.light_index.repeat(repeats),
     )
     materials = model.materials(points.positions)
     mixture = None
@@ -77,5 +81,6 @@ def shade(
         generator=generator,
         supervise=supervise,
     )
-    picture = (draw.weight[..., None] * estimate.rgb.reshape(num_rays, repeats, 3)).sum(dim=1)
-    return Pass(picture, estimate, points, materials, mixture, index)
+    radiance = draw.weight.T[..., None] * estimate.rgb.reshape(repeats, num_rays, 3)
+    pictures = radiance.reshape(passes, -1, num_rays, 3).sum(dim=1)
+    return Shaded(pictures, estimate, points, materials, mixture, index)

@@ -4,13 +4,19 @@ Names: pass A and pass B are two independent estimates of the same pixels; with 
 the squared error would gain the estimator's variance (supplement Eq. 2).
 """
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
+from flashcache.parallel.processes import Processes
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
+from flashcache.rows import fixed_shapes
+from flashcache.training.cuda_graphs import Capture, Graphs
 from flashcache.training.distil import Distillation
 from flashcache.training.joint_losses import (
     Terms,
@@ -25,28 +31,126 @@ from flashcache.training.joint_losses import (
     secondary_terms,
 )
 from flashcache.training.optimiser import (
+    Number,
     Rates,
     StepRecord,
+    Steps,
     build_optimiser,
     parameter_groups,
     set_rates,
-    take_step,
+    train_only,
 )
-from flashcache.training.parts import Parts
+from flashcache.training.parts import Parts, mean_terms, numbers
 from flashcache.training.passes import shade
 from flashcache.training.schedule import rate_factor
-from flashcache.training.stage_one import masked_psnr, mean_terms, numbers
+from flashcache.training.stage_one import PSNR, masked_psnr
 from flashcache.volume.quadrature import composite
 
 STAGE = "joint"
+
+
+class JointPhase(NamedTuple):
+    """What is computed in a step of stage two."""
+
+    with_normals: bool
+    with_second: bool
+    """Whether the warm-up of the fast cache is over: two passes, and all losses."""
+
+
+@dataclass
+class JointLosses:
+    """The losses of a part of a batch in stage two; `flashcache.training.parts.Losses`."""
+
+    config: StageTwoConfig
+    seed: int
+
+    def __call__(
+        self, model: InverseModel, batch: RayBatch, step: int, part: int, count: int
+    ) -> tuple[Tensor, tuple[dict[str, Number], Tensor]]:
+        """Return the loss of one part of a batch, its terms, and its physical picture over black."""
+        terms, picture = self.terms(model, batch, step, part)
+        return torch.stack(list(terms.values())).sum(), (numbers(terms), picture.detach())
+
+    def phase(self, step: int) -> JointPhase:
+        """Return what is computed in a step."""
+        config = self.config
+        with_normals = config.normal_weight > 0.0 and step % config.normal_every == 0
+        return JointPhase(with_normals, step >= config.warmup_steps)
+
+    def terms(self, model: InverseModel, batch: RayBatch, step: int, part: int = 0) -> tuple[Terms, Tensor]:
+        """Return the weighted losses of part number `part` of a step's batch by name, and its picture.
+
+        `batch` is the part; the picture is the physical one, over black.
+        """
+        config = self.config
+
+        def generator_of(purpose: str) -> torch.Generator:
+            return generator_for(self.seed, STAGE, step, f"{purpose} {part}", batch.colour.device)
+
+        generator = generator_of("part")
+        with_normals, with_second = self.phase(step)
+        geometry = model.nerf.trace(
+            batch.rays,
+            exponent=config.proposal_exponent,
+            generator=generator,
+            num_derived=round(config.normal_rays * len(batch)) if with_normals else 0,
+        )
+        appearance = model.nerf.outgoing(geometry, batch.rays.directions, batch.light_index)
+        cache = composite(geometry.weights, appearance.radiance)
+        terms = cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
+        terms |= decay_terms(model, config)
+        passes = 2 if with_second and config.symmetric else 1
+        shaded = shade(model, config, batch, geometry, generator_of("passes"), passes=passes)
+        picture = shaded.pictures.mean(dim=0)
+        if with_second:
+            if config.symmetric:
+                first, second = shaded.pictures
+                loss = physical_loss(config, batch, cache, first, second)
+                terms["physical"] = loss + physical_loss(config, batch, cache, second, first)
+            else:
+                (first,) = shaded.pictures
+                with torch.no_grad():
+                    own = generator_of("pass B")
+                    (second,) = shade(model, config, batch, geometry, own, supervise=False).pictures
+                picture = 0.5 * (first + second)
+                terms["physical"] = physical_loss(config, batch, cache, first, second)
+            if config.consistency_weight:
+                terms |= consistency_terms(
+                    model,
+                    shaded.points,
+                    geometry.hidden[shaded.index],
+                    shaded.estimate,
+                    covered(batch, shaded.points),
+                    config.consistency_weight,
+                )
+            terms |= material_terms(model, config, batch, appearance, shaded, generator)
+            terms |= environment_terms(model, config, generator)
+        terms |= metalness_terms(
+            model, config, batch, geometry, shaded, generator, warming_up=not with_second
+        )
+        terms |= secondary_terms(model, config, shaded)
+        return terms, picture
 
 
 class StageTwo:
     """The state of stage two; call `step` until `finished`."""
 
     def __init__(
-        self, model: InverseModel, pixels: TrainingPixels, config: StageTwoConfig, *, seed: int
+        self,
+        model: InverseModel,
+        pixels: TrainingPixels,
+        config: StageTwoConfig,
+        *,
+        seed: int,
+        processes: Processes | None = None,
+        fixed: bool | None = None,
+        capture: Capture | None = None,
     ) -> None:
+        """`processes` share the work of a step; without them it is done by this one.
+
+        With `fixed` shapes (`flashcache.rows`), by default on a GPU alone, the host never waits for a step,
+        and `capture` takes steps by CUDA graphs.
+        """
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         light = Rates(grid=config.environment_rate, network=config.environment_rate)
         groups = [
@@ -61,8 +165,13 @@ class StageTwo:
         model.nerf.requires_grad_(True)
         model.nerf.proposals.requires_grad_(False)
         self.optimiser = build_optimiser(parameter_groups(groups))
-        self.parts = Parts(model, lambda whole: whole, config.num_rays)
+        self.processes = processes
+        self.losses = JointLosses(config, seed)
+        self.parts = Parts(model, lambda whole: whole, self.losses, config.num_rays, processes)
         self.distillation: Distillation | None = None
+        self.fixed = pixels.device.type == "cuda" if fixed is None else fixed
+        self.steps = Steps(self.optimiser, masked=self.fixed)
+        self.graphs = Graphs(capture)
         self.steps_done = 0
         self.num_skipped = 0
 
@@ -78,110 +187,58 @@ class StageTwo:
 
     def step(self) -> StepRecord:
         """Take one training step."""
-        config, step = self.config, self.steps_done
-        if step >= config.num_steps:
-            return self._distil(step - config.num_steps)
-        factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
+        joint, step = self.config, self.steps_done
+        late = step - joint.num_steps
+        if late >= 0:
+            self._begin_distillation()
+        config, of_stage = (joint, step) if late < 0 else (joint.distil, late)
+        factor = rate_factor(of_stage, config.num_steps, 0, config.final_rate, config.decay_from)
         set_rates(self.optimiser, factor)
-        self.optimiser.zero_grad(set_to_none=False)
-        batch = self.draw()
-
-        def loss_of(model: InverseModel, part: int) -> tuple[Tensor, tuple[dict[str, float], Tensor]]:
-            terms, picture = self.losses(model, self.parts.of(batch, part), part)
-            return torch.stack(list(terms.values())).sum(), (numbers(terms), picture.detach())
-
-        found = self.parts.differentiate(loss_of)
-        applied = take_step(self.optimiser)
+        differentiate = self._differentiate if late < 0 else self._differentiate_fast
+        phase = self.losses.phase(step) if late < 0 else "distillation"
+        with fixed_shapes(self.fixed):
+            terms = self.graphs.take(phase, of_stage, differentiate, self.steps)
+        psnr = terms.pop(PSNR, 0.0)
         self.steps_done += 1
-        self.num_skipped += not applied
-        terms = mean_terms([of_part for of_part, _ in found])
+        skipped = self.steps.count() + (self.steps.read() if self.finished else 0)
+        self.num_skipped += skipped
         return StepRecord(
             step=self.steps_done,
             num_steps=self.num_steps,
             loss=sum(terms.values()),
-            psnr=masked_psnr(torch.cat([picture for _, picture in found]), batch),
+            psnr=psnr,
             terms=terms,
-            skipped=not applied,
+            skipped=skipped,
         )
 
-    def _distil(self, step: int) -> StepRecord:
-        """Take one of the last steps, in which only the fast cache trains."""
-        config = self.config.distil
-        if self.distillation is None:
-            self.distillation = Distillation(self.model, self.pixels, config, seed=self.seed)
-        factor = rate_factor(step, config.num_steps, 0, config.final_rate, config.decay_from)
-        set_rates(self.optimiser, factor, self.model.fast)
+    def _differentiate(self) -> dict[str, Number]:
+        """Set gradients to those of the next step; return its loss terms and the PSNR of its picture."""
         self.optimiser.zero_grad(set_to_none=False)
-        loss = self.distillation.differentiate(step)
-        applied = take_step(self.optimiser)
-        self.steps_done += 1
-        self.num_skipped += not applied
-        return StepRecord(
-            step=self.steps_done,
-            num_steps=self.num_steps,
-            loss=loss,
-            psnr=0.0,
-            terms={"fast": loss},
-            skipped=not applied,
-        )
+        batch = self.draw()
+        found = self.parts.differentiate(batch, self.steps_done)
+        return mean_terms([of_part for of_part, _ in found]) | {
+            PSNR: masked_psnr(torch.cat([picture for _, picture in found]), batch)
+        }
+
+    def _differentiate_fast(self) -> dict[str, Number]:
+        """Set gradients to those of the next of the last steps, in which only the fast cache trains."""
+        assert self.distillation is not None
+        self.optimiser.zero_grad(set_to_none=False)
+        return {"fast": self.distillation.differentiate(self.steps_done - self.config.num_steps)}
+
+    def _begin_distillation(self) -> None:
+        """Let only the fast cache train from now on."""
+        if self.distillation is None:
+            train_only(self.optimiser, self.model.fast)
+            self.graphs.forget()
+            self.distillation = Distillation(
+                self.model, self.pixels, self.config.distil, seed=self.seed, processes=self.processes
+            )
 
     def draw(self) -> RayBatch:
         """Return the batch of the next step."""
         generator = generator_for(self.seed, STAGE, self.steps_done, "rays", self.pixels.device)
         return self.pixels.draw(self.config.num_rays, generator)
-
-    def losses(self, model: InverseModel, batch: RayBatch, part: int = 0) -> tuple[Terms, Tensor]:
-        """Return the weighted losses of a part of the next step's batch by name, and its physical picture.
-
-        `model` is the stage's own, or a twin of it. The picture is over black.
-        """
-        config, step = self.config, self.steps_done
-
-        def generator_of(purpose: str) -> torch.Generator:
-            name = f"{purpose} {part}"
-            return generator_for(self.seed, STAGE, step, name, self.pixels.device)
-
-        generator = generator_of("part")
-        with_normals = config.normal_weight > 0.0 and step % config.normal_every == 0
-        geometry = model.nerf.trace(
-            batch.rays,
-            exponent=config.proposal_exponent,
-            generator=generator,
-            num_derived=round(config.normal_rays * len(batch)) if with_normals else 0,
-        )
-        appearance = model.nerf.outgoing(geometry, batch.rays.directions, batch.light_index)
-        cache = composite(geometry.weights, appearance.radiance)
-        terms = cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
-        terms |= decay_terms(model, config)
-        first = shade(model, config, batch, geometry, generator_of("pass A"))
-        picture = first.picture
-        with_second = step >= config.warmup_steps
-        if with_second:
-            with torch.set_grad_enabled(config.symmetric):
-                own = generator_of("pass B")
-                second = shade(model, config, batch, geometry, own, supervise=False).picture
-            picture = 0.5 * (first.picture + second)
-            terms["physical"] = physical_loss(config, batch, cache, first.picture, second)
-            if config.symmetric:
-                mirrored = physical_loss(config, batch, cache, second, first.picture)
-                terms["physical"] = terms["physical"] + mirrored
-            if config.consistency_weight:
-                points = first.points
-                terms |= consistency_terms(
-                    model,
-                    points,
-                    geometry.hidden[first.index],
-                    first.estimate,
-                    covered(batch, points),
-                    config.consistency_weight,
-                )
-            terms |= material_terms(model, config, batch, appearance, first, generator)
-            terms |= environment_terms(model, config, generator)
-        terms |= metalness_terms(
-            model, config, batch, geometry, first, generator, warming_up=step < config.warmup_steps
-        )
-        terms |= secondary_terms(model, config, first)
-        return terms, picture
 
     def scale(self) -> dict[str, float]:
         """Return the mean radiance of each light and the mean albedo on the surface.

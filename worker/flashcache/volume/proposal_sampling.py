@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -57,6 +58,12 @@ class DistanceCurve:
         a = abs(self.power - 1.0)
         return (a / self.premultiplier) * ((self.power * y / a + 1.0) ** (1.0 / self.power) - 1.0)
 
+    @property
+    def inverse_constants(self) -> tuple[np.float32, np.float32, np.float32]:
+        """Return c, b and e of `inverse_ladder` = c ((b y + 1)^e - 1), for compiled code; `power` not 1."""
+        a = abs(self.power - 1.0)
+        return np.float32(a / self.premultiplier), np.float32(self.power / a), np.float32(1.0 / self.power)
+
     def distance(self, s: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return distances in scene units for normalised ones; `near`, `far` broadcast against `s`."""
         start, end = self.ladder(near), self.ladder(far)
@@ -102,7 +109,7 @@ def sample_rays(
     counts: SampleCounts,
     curve: DistanceCurve,
     *,
-    exponent: float,
+    exponent: float | Float[Tensor, ""],
     generator: torch.Generator | None,
 ) -> RaySamples:
     """Return the intervals at which the final fields are to be queried.
@@ -113,7 +120,7 @@ def sample_rays(
     """
     num_rays, device, dtype = len(rays), rays.origins.device, rays.origins.dtype
     near, far = rays.near[:, None], rays.far[:, None]
-    edges = torch.tensor([[0.0, 1.0]], device=device, dtype=dtype).expand(num_rays, 2)
+    edges = torch.linspace(0.0, 1.0, 2, device=device, dtype=dtype).expand(num_rays, 2)
     weights = torch.ones(num_rays, 1, device=device, dtype=dtype)
     rounds = []
     for level, num_samples in enumerate((counts.first, counts.second, counts.final)):

@@ -13,7 +13,7 @@ def sample_centres(
     weights: Float[Tensor, "rays samples"],
     num_samples: int,
     jitter: Float[Tensor, "rays 1"] | None,
-    exponent: float = 1.0,
+    exponent: float | Float[Tensor, ""] = 1.0,
 ) -> Float[Tensor, "rays new"]:
     """Return stratified samples of the density that `weights ** exponent` spreads over `edges`.
 

@@ -1,0 +1,74 @@
+"""Rows of a batch that count: picked out, or left in place among rows of weight zero.
+
+Picking saves the work for the others, but the number of rows is only known to the device, and a host that
+asks a GPU waits for it. With fixed shapes all rows stay, others get harmless inputs and no weight, and
+each step has the same shapes.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+_FIXED: ContextVar[bool] = ContextVar("fixed_shapes", default=False)
+
+
+@contextmanager
+def fixed_shapes(choice: bool = True) -> Iterator[None]:
+    """Keep rows that do not count, so that no shape depends on values; False picks rows out, as elsewhere."""
+    before = _FIXED.set(choice)
+    try:
+        yield
+    finally:
+        _FIXED.reset(before)
+
+
+def shapes_are_fixed() -> bool:
+    """Return whether rows that do not count stay in place."""
+    return _FIXED.get()
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Some rows of a batch, or all of them with a mask of those that count."""
+
+    index: Int[Tensor, " some"] | None
+    """Positions of the rows that count; None: all rows stay in place."""
+    counted: Bool[Tensor, " rows"] | None
+    """Which rows count; None: all that are left."""
+
+    @classmethod
+    def where(cls, counted: Bool[Tensor, " rows"]) -> "Rows":
+        """Return the rows in which `counted` is true."""
+        if shapes_are_fixed():
+            return cls(None, counted)
+        return cls(counted.nonzero().squeeze(-1), None)
+
+    @classmethod
+    def all(cls, count: int, device: torch.device) -> "Rows":
+        """Return all of `count` rows."""
+        return cls(None if shapes_are_fixed() else torch.arange(count, device=device), None)
+
+    def of(self, values: Tensor) -> Tensor:
+        """Return the rows of `values`."""
+        return values if self.index is None else values[self.index]
+
+    def into(self, background: Tensor, values: Tensor) -> Tensor:
+        """Return `background` [rows, ...] with `values` in the rows that count."""
+        if self.index is not None:
+            return background.index_copy(0, self.index, values)
+        if self.counted is None:
+            return values
+        return torch.where(self.counted.reshape(-1, *(1,) * (values.dim() - 1)), values, background)
+
+
+def mean_where(values: Float[Tensor, "rows *rest"], counted: Bool[Tensor, " rows"]) -> Float[Tensor, ""]:
+    """Return the mean over the rows that count; without any it is 0 with fixed shapes, else NaN."""
+    if not shapes_are_fixed():
+        return values[counted].mean()
+    of_rows = values.reshape(len(values), -1).mean(dim=-1)
+    return torch.where(counted, of_rows, torch.zeros_like(of_rows)).sum() / counted.sum().clamp_min(1)
