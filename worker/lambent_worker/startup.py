@@ -6,19 +6,46 @@ import importlib
 import os
 import signal
 import sys
+from contextlib import suppress
+from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
+_ALLOCATOR = {
+    "MALLOC_MMAP_MAX_": (-4, 0),
+    "MALLOC_TRIM_THRESHOLD_": (-1, 512 * 1024 * 1024),
+    "MALLOC_TOP_PAD_": (-2, 64 * 1024 * 1024),
+}
+"""Settings of glibc's allocator: variables that a new process reads, the option's number, the value."""
 
 
-def prepare() -> None:
-    """Make waiting OpenMP threads sleep; call before torch is imported.
+def prepare(threads: int = 0) -> None:
+    """Choose the number of cores to use and make waiting OpenMP threads sleep; call before torch is imported.
 
-    Spinning threads make a step up to fifty times slower as soon as another process wants a core.
+    `threads` 0 takes OMP_NUM_THREADS where it is set, else all cores there are, divided by LAMBENT_RUN_SLOTS,
+    the number of runs among which the server divides the machine. Spinning threads make a step up to fifty
+    times slower as soon as another process wants a core.
     """
     if "torch" in sys.modules and os.environ.get("OMP_WAIT_POLICY") != "PASSIVE":
         raise RuntimeError("lambent_worker.startup.prepare must run before torch is imported")
     os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+    os.environ["OMP_NUM_THREADS"] = str(threads or cores_in_use())
     _keep_memory()
+
+
+def cores_in_use() -> int:
+    """Return the number of cores to use: OMP_NUM_THREADS, else this run's share of the machine."""
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    share = max(1, available_cores() // int(os.environ.get("LAMBENT_RUN_SLOTS", "1")))
+    return int(given) if given.isdecimal() and int(given) else share
+
+
+def available_cores(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
+    """Return the number of cores that this process may use: its affinity, or the quota of its container."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with suppress(OSError, ValueError):  # Not there, or "max" without a limit.
+        allowed, period = quota.read_text(encoding="ascii").split()
+        cores = min(cores, max(1, int(allowed) // int(period)))
+    return cores
 
 
 def end_with_parent(number: int) -> None:
@@ -34,14 +61,14 @@ def _keep_memory() -> None:
     """Let glibc keep freed blocks: page faults of large temporaries cost a third of a large batch's time."""
     if not sys.platform.startswith("linux"):
         return
+    for name, (_, value) in _ALLOCATOR.items():
+        os.environ[name] = str(value)  # For processes that this one starts.
     library = ctypes.CDLL(ctypes.util.find_library("c"))
     mallopt = getattr(library, "mallopt", None)
     if mallopt is None:  # Another C library, such as musl.
         return
-    trim_threshold, top_pad, mmap_max = -1, -2, -4
-    mallopt(mmap_max, 0)
-    mallopt(trim_threshold, 512 * 1024 * 1024)
-    mallopt(top_pad, 64 * 1024 * 1024)
+    for option, value in _ALLOCATOR.values():
+        mallopt(option, value)
 
 
 def import_colmap() -> None:

@@ -107,6 +107,7 @@ class LocalExecutor:
                 "give_up_after_s": self._settings.run_give_up_after_s,
             }
         )
+        environment["LAMBENT_RUN_SLOTS"] = str(self._settings.local_slots)
         environment["CUDA_VISIBLE_DEVICES"] = ",".join(map(str, launch.gpus))
         with (launch.work_dir.parent / f"run-{launch.run}.log").open("ab") as log:
             child = subprocess.Popen(

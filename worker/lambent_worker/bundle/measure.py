@@ -4,14 +4,12 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import torch
 from flashcache.data.scene import Camera, View
 from flashcache.evaluation.views import render_gbuffer
-from flashcache.export import reference
-from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
 from lambent_relight import cameras as relight_cameras
+from lambent_relight.bundle.graphs import SurfaceCaches
 from numpy import ndarray
 
 from lambent_worker.bundle.surface import AtlasSurface
@@ -24,7 +22,6 @@ SHOWN_VIEWS = 2
 SHOWN_SIDE = 128
 """Pixels along the longer side."""
 PHOTO_SIDE = 512
-CHUNK_RAYS = 512
 SOLID = 0.9
 """Pixels of at least this opacity take part in the comparison of distances."""
 
@@ -37,7 +34,7 @@ def relight_camera(name: str, camera: Camera) -> relight_cameras.Camera:
 
 def measure(
     model: InverseModel,
-    rule: GbufferRule,
+    caches: SurfaceCaches,
     surface: AtlasSurface,
     views: tuple[View, ...],
     light: str,
@@ -46,16 +43,16 @@ def measure(
     """Return metrics over a few views; write the NeRF cache's pictures of them, and photographs, to `folder`.
 
     `psnr_views` compares the cache's picture with the photograph, sRGB over white. `gbuffer_opacity_error`
-    and `gbuffer_distance_error` (scene units, median) compare the exported surface with the traced
-    one, whose samples are placed by proposal networks.
+    and `gbuffer_distance_error` (scene units, median) compare the exported surface, as `caches` read it,
+    with the traced one, whose samples are placed by proposal networks.
     """
     shown = evenly_spaced(views, SHOWN_VIEWS)
-    found = [_measure_view(model, rule, surface, view, light, folder) for view in shown]
+    found = [_measure_view(model, caches, surface, view, light, folder) for view in shown]
     return {name: float(np.mean([values[name] for values in found])) for name in found[0]}
 
 
 def _measure_view(
-    model: InverseModel, rule: GbufferRule, surface: AtlasSurface, view: View, light: str, folder: Path
+    model: InverseModel, caches: SurfaceCaches, surface: AtlasSurface, view: View, light: str, folder: Path
 ) -> dict[str, float]:
     camera, photograph = _reduced(view.camera, view.images[light])
     traced = render_gbuffer(model, camera, light=model.light_at(0, view.light_turn))
@@ -65,12 +62,14 @@ def _measure_view(
     wanted = figures.picture(encoded(photograph[..., :3], photograph[..., 3:]).astype(np.float64))
     (folder / f"{view.name}.png").write_bytes(figures.png(seen, max_side=SHOWN_SIDE))
     (folder / f"photo_{view.name}.png").write_bytes(_photograph(view.images[light]))
-    exported = _exported(model, rule, relight_camera(view.name, camera))
-    solid = (opacity > SOLID) & (exported["opacity"] > SOLID)
-    apart = np.abs(exported["distance"] - traced.distance)[solid]
+    exported = caches.gbuffer(*relight_camera(view.name, camera).rays())
+    shape = opacity.shape
+    exported_opacity, exported_distance = exported.opacity.reshape(shape), exported.distance.reshape(shape)
+    solid = (opacity > SOLID) & (exported_opacity > SOLID)
+    apart = np.abs(exported_distance - traced.distance)[solid]
     return {
         "psnr_views": float(-10.0 * np.log10(np.mean((seen - wanted) ** 2) + 1e-12)),
-        "gbuffer_opacity_error": float(np.abs(exported["opacity"] - opacity).mean()),
+        "gbuffer_opacity_error": float(np.abs(exported_opacity - opacity).mean()),
         "gbuffer_distance_error": float(np.median(apart)) if apart.size else 0.0,
         "mesh_silhouette_iou": silhouette_iou(surface, relight_camera(view.name, camera), opacity),
     }
@@ -94,20 +93,3 @@ def _reduced(
     means = weighted.reshape(rows, block, columns, block, 4).mean(axis=(1, 3))
     straight = means[..., :3] / np.maximum(means[..., 3:], 1e-6)
     return camera, np.concatenate([straight, means[..., 3:]], axis=-1)
-
-
-@torch.no_grad()
-def _exported(
-    model: InverseModel, rule: GbufferRule, camera: relight_cameras.Camera
-) -> dict[str, Float[ndarray, "height width _"]]:
-    """Return opacity and distance as the gbuffer graph gives them."""
-    device = next(model.parameters()).device
-    origins, directions = (torch.from_numpy(values).to(device) for values in camera.rays())
-    parts = [
-        reference.gbuffer(model, rule, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS])
-        for i in range(0, len(origins), CHUNK_RAYS)
-    ]
-    return {
-        name: torch.cat([part[name] for part in parts]).cpu().numpy().reshape(camera.height, camera.width, 1)
-        for name in ("opacity", "distance")
-    }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import fast_simplification
 import numpy as np
 import torch
+from flashcache.evaluation.threads import on_all_cores
 from flashcache.physical.model import InverseModel
 from lambent_relight.baked.raster import rasterise
 from lambent_relight.cameras import Camera, look_at
@@ -150,10 +151,11 @@ def _depth_grid(
     axes = [low[k] + (np.arange(counts[k]) + 0.5) * cell for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
     device = next(model.parameters()).device
-    parts = [
-        cell * model.nerf.density.density(torch.from_numpy(chunk).to(device)).cpu()
-        for chunk in _chunks(points)
-    ]
+
+    def depth(chunk: NDArray[np.float32]) -> torch.Tensor:
+        return cell * model.nerf.density.density(torch.from_numpy(chunk).to(device)).cpu()
+
+    parts = on_all_cores(depth, _chunks(points), device)
     return torch.cat(parts).numpy().reshape(counts), cell
 
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import onnxruntime
 import torch
+from flashcache.evaluation.threads import on_all_cores
+from flashcache.kernels import dispatch
 from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 from torch import nn
@@ -113,19 +115,22 @@ def _run(graph: Path, inputs: Inputs) -> dict[str, NDArray[np.float32]]:
 
 @torch.no_grad()
 def _twin(twin: Twin, model: nn.Module, inputs: Inputs) -> dict[str, NDArray[np.floating]]:
-    """Return the outputs of the torch function, with full-precision matrix products."""
+    """Return the outputs of the torch function, with full-precision matrix products.
+
+    Torch's own operations, and not the compiled queries: their rounding is not the graph's.
+    """
     precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
     device, dtype = next((p.device, p.dtype) for p in model.parameters())
     rows = len(next(iter(inputs.values())))
+
+    def part(start: int) -> Mapping[str, torch.Tensor]:
+        some = slice(start, start + CHUNK_ROWS)
+        return twin(model, {key: value[some].to(device, dtype) for key, value in inputs.items()})
+
     try:
-        parts = [
-            twin(
-                model,
-                {key: value[i : i + CHUNK_ROWS].to(device, dtype) for key, value in inputs.items()},
-            )
-            for i in range(0, rows, CHUNK_ROWS)
-        ]
+        with dispatch.using("encoder"):
+            parts = on_all_cores(part, range(0, rows, CHUNK_ROWS), device)
     finally:
         torch.set_float32_matmul_precision(precision)
     return {name: torch.cat([part[name] for part in parts]).cpu().numpy() for name in parts[0]}

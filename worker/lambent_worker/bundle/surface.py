@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from flashcache.config import ExportConfig
+from flashcache.evaluation.threads import on_all_cores
 from flashcache.physical.model import InverseModel
 from lambent_relight.baked.raster import interpolate, rasterise_uv
 from numpy.typing import NDArray
@@ -109,27 +110,29 @@ def settled(
     length = (OUTSIDE_CELLS + INSIDE_CELLS) * cell
     inwards = ((torch.arange(NUM_PLACES, device=device) + 0.5) / NUM_PLACES) * length - OUTSIDE_CELLS * cell
     beside_mesh = FAINT * torch.exp(-2.0 * (inwards / cell).square())
-    parts = []
-    for points, direction in _chunks(device, positions, outwards):
+
+    def end(chunk: tuple[torch.Tensor, ...]) -> torch.Tensor:
+        points, direction = chunk
         places = points[:, None] - inwards[:, None] * direction[:, None]
         density = model.nerf.density.density(places.reshape(-1, 3)).reshape(len(points), NUM_PLACES)
         depth = density * (length / NUM_PLACES)
         before = torch.nn.functional.pad(depth[:, :-1].cumsum(dim=-1), (1, 0))
         weights = -torch.expm1(-depth) * torch.exp(-before) + beside_mesh
         shift = (weights * inwards).sum(dim=-1, keepdim=True) / weights.sum(dim=-1, keepdim=True)
-        parts.append(points - shift * direction)
-    return torch.cat(parts).cpu().numpy()
+        return points - shift * direction
+
+    return torch.cat(on_all_cores(end, _chunks(device, positions, outwards), device)).cpu().numpy()
 
 
 @torch.no_grad()
 def learned_normals(model: InverseModel, positions: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return the normals that shade the model at points."""
     device = next(model.parameters()).device
-    parts = [
-        model.nerf.normals(points, model.nerf.density(points).hidden)
-        for (points,) in _chunks(device, positions)
-    ]
-    return torch.cat(parts).cpu().numpy()
+
+    def normals(chunk: tuple[torch.Tensor, ...]) -> torch.Tensor:
+        return model.nerf.normals(chunk[0], model.nerf.density(chunk[0]).hidden)
+
+    return torch.cat(on_all_cores(normals, _chunks(device, positions), device)).cpu().numpy()
 
 
 def upright(learned: NDArray[np.float32], plain: NDArray[np.float32]) -> NDArray[np.float32]:

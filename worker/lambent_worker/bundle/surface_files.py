@@ -32,6 +32,7 @@ SUPERSAMPLING = 4
 
 def write_asset(
     model: InverseModel,
+    caches: SurfaceCaches,
     config: ExportConfig,
     manifest: bundle_pb2.BundleManifest,
     folder: Path,
@@ -39,13 +40,12 @@ def write_asset(
     box: tuple[Corner, Corner],
     views: tuple[View, ...],
 ) -> AtlasSurface:
-    """Write mesh/asset.glb, and .usdz if requested, into `folder` with its graphs, and return the surface.
+    """Write mesh/asset.glb, and .usdz if requested, into `folder`, and return the surface.
 
-    `views` are the photographs, whose pixels say how much detail there can be. Raises WorkerError where there
-    is no surface or the file is not read back as it was meant.
+    `caches` are `written_caches`; `views` are the photographs, whose pixels say how much detail there can be.
+    Raises WorkerError where there is no surface or the file is not read back as it was meant.
     """
     surface = build_surface(model, config, box=box, pixel_size=pixel_size(views, box))
-    caches = written_caches(manifest, folder)
     occlusion = bake_occlusion(
         surface,
         caches.secondary,

@@ -14,7 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from lambent_relight.baked.transport import Transport, coarse_blocks
 from lambent_relight.baked.transport_kernels import basis_rows, mirrored_sums
+from lambent_relight.bundle.graphs import available_threads
 from lambent_relight.environment import harmonics
+from lambent_relight.threads import in_order
 from numpy import ndarray
 
 from lambent_worker.bundle.transport_bounce import Reflectors, indirect_transfer
@@ -74,11 +76,12 @@ def bake_transport(
     config: TransportConfig,
     store: Path,
     advance: Callable[[float], None] = lambda share: None,
+    num_threads: int = 1,
 ) -> tuple[Transport, dict[str, float]]:
     """Return the transport of `surface`, and metrics of the bake.
 
     `reflectors` are the materials of the texels; `store` keeps finished rays, so that an interrupted bake
-    resumes. `advance` is called with the completed share of the rays.
+    resumes. `advance` is called with the completed share of the rays; `num_threads` may call `secondary`.
     """
     bands, visibility_bands, with_bits = TIERS[config.tier]
     coarse, parent = coarse_blocks(surface.size, surface.texel_index)
@@ -92,6 +95,7 @@ def bake_transport(
         config=config.rays,
         store=store,
         advance=advance,
+        num_threads=num_threads,
     )
     directions = direction_sets(config.rays)
     smooth = smoothing(surface.positions, surface.normals)
@@ -156,12 +160,17 @@ def _blocked(
     transfer = np.zeros((len(normals), bands**2), np.float32)
     sky = np.zeros((len(normals), sky_bands**2), np.float32)
     share = np.float32(CELL / 255.0)
-    for index, way in enumerate(directions):
-        texels = seen.in_set(index)
+
+    def fill(index: int) -> None:
+        """Write what is missing at the texels of one set of directions."""
+        way, texels = directions[index], seen.in_set(index)
         opacity, normal = np.ascontiguousarray(seen.opacity[texels]), normals[texels]
         transfer[texels] = (opacity * np.maximum(normal @ way.T, 0.0)) @ (basis_rows(way, bands) * share)
         sky[texels] = (opacity.astype(np.float32) * share) @ basis_rows(way, sky_bands)
         sky[texels] += mirrored_sums(opacity, normal, way, sky_bands, least=LEAST_OPACITY, scale=CELL / 255.0)
+
+    for _ in in_order(fill, range(len(directions)), available_threads()):
+        pass
     return transfer, sky
 
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
-from lambent_relight.baked.split_sum import split_sum
-from lambent_relight.baked.transport_kernels import NearestPoint, basis_rows
-from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
+from lambent_relight.baked.transport_kernels import NearestPoint
 from lambent_relight.brdf import DIELECTRIC_F0
 from numpy import ndarray
 
 from lambent_worker.bundle.transport_rays import CELL, Occlusion
+from lambent_worker.bundle.transport_specular import mirrored_light
 
 _LEAST_BLOCKED = 0.05
 """Share of the hemisphere that is taken to surround a hit point at least."""
@@ -43,15 +42,20 @@ class Reflectors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hits:
-    """Blocked rays that were followed."""
+    """Blocked rays that were followed, by the coarse texel they left from."""
 
-    receiver: Int[ndarray, " hits"]
-    """Coarse texel the ray left from."""
+    first: Int[ndarray, " coarse_and_one"]
+    """The hits of coarse texel r are those from `first[r]` to `first[r + 1]`."""
     texel: Int[ndarray, " hits"]
     """Texel nearest to its end."""
     weight: Float[ndarray, " hits"]
     """Opacity times cosine times solid angle."""
     direction: Float[ndarray, "hits 3"]
+
+    def gathering(self, weight: Float[ndarray, " hits"], num_texels: int) -> scipy.sparse.csr_array:
+        """Return the matrix that sums values of the texels that are hit, by `weight`."""
+        shape = (len(self.first) - 1, num_texels)
+        return scipy.sparse.csr_array((weight.astype(np.float32), self.texel, self.first), shape=shape)
 
 
 def indirect_transfer(
@@ -73,9 +77,22 @@ def indirect_transfer(
     `direct` and `visibility` are per texel, coefficients last.
     """
     hits = _hits(positions, normals, seen, directions, coarse, origin_offset)
-    size = (len(coarse), len(positions))
-    gather = scipy.sparse.csr_array((hits.weight, (hits.receiver, hits.texel)), shape=size)
-    mirrored, surrounded = _specular(hits, normals, reflectors, visibility, direct, len(coarse))
+    gather = hits.gathering(hits.weight, len(positions))
+    mirrored, rest = mirrored_light(
+        hits.first,
+        hits.texel,
+        hits.weight,
+        hits.direction,
+        normals,
+        reflectors.perceptual_roughness[:, 0],
+        reflectors.base_reflectance(),
+        visibility,
+        direct.shape[1],
+    )
+    # The part of a lobe that sees no sky sees the mean of what surrounds the hit point.
+    blocked = 1.0 - direct[hits.texel, 0] / (0.5 * np.sqrt(np.pi))
+    rest /= (np.pi * np.maximum(blocked, _LEAST_BLOCKED))[:, None]
+    surrounded = [hits.gathering(rest[:, channel], len(positions)) for channel in range(3)]
     diffuse = (reflectors.diffuse() / np.pi).astype(np.float32)
     result = np.zeros((direct.shape[1], len(coarse), 3), np.float32)
     for _ in range(num_bounces):
@@ -108,40 +125,5 @@ def _hits(
     ends = origin + seen.distance[receiver, column].astype(np.float32)[:, None] * way
     nearest = NearestPoint(positions)(ends)
     weight = seen.opacity[texel, column] / 255.0 * np.maximum(cosine, 0.0) * width
-    return _Hits(receiver, nearest, weight.astype(np.float32), way)
-
-
-def _specular(
-    hits: _Hits,
-    normals: Float[ndarray, "texels 3"],
-    reflectors: Reflectors,
-    visibility: Float[ndarray, "texels _"],
-    direct: Float[ndarray, "texels coefficients"],
-    num_coarse: int,
-) -> tuple[Float[ndarray, "coarse coefficients 3"], list[scipy.sparse.csr_array]]:
-    """Return the mirrored light of the environment and, per channel, the surroundings' irradiance."""
-    normal, roughness = normals[hits.texel], reflectors.perceptual_roughness[hits.texel]
-    out = -hits.direction
-    cosine = np.einsum("ni,ni->n", out, normal)
-    mirror = 2.0 * cosine[:, None] * normal - out
-    scale, bias = split_sum(np.clip(cosine, 0.0, 1.0), roughness[:, 0])
-    reflectance = reflectors.base_reflectance()[hits.texel] * scale[:, None] + bias[:, None]
-    reflectance *= (cosine > 0.0)[:, None]
-    bands = max(visibility.shape[1], direct.shape[1])
-    bands = round(bands**0.5)
-    lobe = per_coefficient(factors_at(ggx_bands(bands), roughness[:, 0]))
-    basis = basis_rows(mirror, bands) * lobe
-    free = np.einsum("nk,nk->n", basis[:, : visibility.shape[1]], visibility[hits.texel]).clip(0.0, 1.0)
-    count = direct.shape[1]
-    mirrored = np.empty((num_coarse, count, 3), np.float32)
-    surrounded = []
-    blocked = 1.0 - direct[hits.texel, 0] / (0.5 * np.sqrt(np.pi))
-    shape = (num_coarse, len(normals))
-    for channel in range(3):
-        weight = hits.weight * reflectance[:, channel]
-        for k in range(count):
-            mirrored[:, k, channel] = np.bincount(hits.receiver, weight * free * basis[:, k], num_coarse)
-        rest = weight * (1.0 - free) / (np.pi * np.maximum(blocked, _LEAST_BLOCKED))
-        places = (hits.receiver, hits.texel)
-        surrounded.append(scipy.sparse.csr_array((rest.astype(np.float32), places), shape=shape))
-    return mirrored, surrounded
+    first = np.concatenate([[0], np.cumsum(stored)]).astype(np.int32)
+    return _Hits(first, nearest, weight.astype(np.float32), way)

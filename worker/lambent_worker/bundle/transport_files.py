@@ -15,6 +15,7 @@ from jaxtyping import Float
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.baked.transport import transport_files
 from lambent_relight.bundle.graphs import SurfaceCaches
+from lambent_relight.fused.reader import FusedCaches
 from numpy import ndarray
 
 from lambent_worker.bundle.graphs import PARITY_ROWS
@@ -54,6 +55,10 @@ def write_transport(
     for array in (covered.positions, covered.normals):
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update((folder / "models" / "weights.bin").read_bytes())
+    num_threads = 1
+    if isinstance(caches, FusedCaches) and next(model.parameters()).device.type == "cpu":
+        # Compiled code is called by the threads that do everything else of a chunk.
+        caches, num_threads = caches.in_callers_thread(), caches.num_threads
     transport, figures = bake_transport(
         covered,
         reflectors,
@@ -62,6 +67,7 @@ def write_transport(
         config=config,
         store=store / digest.hexdigest()[:16],
         advance=advance,
+        num_threads=num_threads,
     )
     (folder / "transport").mkdir(exist_ok=True)
     for path, data in transport_files(transport, manifest, tier=config.tier).items():

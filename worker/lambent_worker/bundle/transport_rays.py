@@ -8,6 +8,7 @@ Source: supplement 2.1 (the fast cache's opacity).
 """
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -15,6 +16,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from lambent_relight.baked.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
+from lambent_relight.threads import in_order
 from numpy import ndarray
 
 NUM_SETS = 16
@@ -90,18 +92,22 @@ def cast(
     config: RayConfig,
     store: Path,
     advance: Callable[[float], None] = lambda share: None,
+    num_threads: int = 1,
 ) -> Occlusion:
     """Return the hits of all texels' rays; `coarse` are the texels whose distances are kept.
 
     Finished chunks are in `store` and are not traced again; the folder must belong to this surface and
-    model. `advance` is called with the finished share and may raise to stop.
+    model. `advance` is called with the finished share and may raise to stop. Chunks are traced in
+    `num_threads` threads, which call `secondary` at once.
     """
     sets = direction_sets(config)
     keeps_distance = np.zeros(len(positions), bool)
     keeps_distance[coarse] = True
     store.mkdir(parents=True, exist_ok=True)
     opacities, distances, num_rays = [], [], 0
-    for start in range(0, len(positions), config.texels_per_chunk):
+    starts = range(0, len(positions), config.texels_per_chunk)
+
+    def stored(start: int) -> Path:
         part = slice(start, start + config.texels_per_chunk)
         path = store / f"{start:08d}.npz"
         if not path.exists():
@@ -111,11 +117,15 @@ def cast(
             partial = path.with_name(f".partial-{path.name}")
             np.savez(partial, opacity=found[0], distance=found[1][keeps_distance[part]], num_rays=found[2])
             partial.rename(path)
-        with np.load(path) as chunk:
-            opacities.append(chunk["opacity"])
-            distances.append(chunk["distance"])
-            num_rays += int(chunk["num_rays"])
-        advance(min(1.0, (start + config.texels_per_chunk) / len(positions)))
+        return path
+
+    with closing(in_order(stored, starts, num_threads)) as paths:
+        for start, path in zip(starts, paths, strict=True):
+            with np.load(path) as chunk:
+                opacities.append(chunk["opacity"])
+                distances.append(chunk["distance"])
+                num_rays += int(chunk["num_rays"])
+            advance(min(1.0, (start + config.texels_per_chunk) / len(positions)))
     return Occlusion(np.concatenate(opacities), np.concatenate(distances), set_of_texel, num_rays)
 
 

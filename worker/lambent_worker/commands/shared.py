@@ -29,6 +29,7 @@ Antialias = Annotated[
 ]
 MaxSide = Annotated[int, typer.Option(min=0, help="Longer side in pixels; 0 for that of the files.")]
 Shadows = Annotated[str, typer.Option(help="Cache behind shadows in new light: fast, or nerf.")]
+Threads = Annotated[int, typer.Option(min=0, help="Cores to use; 0: OMP_NUM_THREADS, else all there are.")]
 Device = Annotated[str, typer.Option(help="cpu, cuda, or cuda:N; by default what the run has, else cpu.")]
 
 

@@ -44,6 +44,7 @@ def train(
     ] = None,
     seed: shared.Seed = 0,
     device: Device = "",
+    threads: shared.Threads = 0,
     settings: shared.Settings = None,
     resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
     dry_run: Annotated[
@@ -54,7 +55,7 @@ def train(
     """Train on a capture and write a relightable bundle; run again to go on after a stop."""
     from lambent_worker.startup import prepare
 
-    prepare()
+    prepare(threads)
     from lambent_worker.run.spec import RunSpec, config_for, read_run, with_kept_corrections
 
     overrides = {"model.environment.lights": "rotated"} if rotated else {}

@@ -8,7 +8,7 @@ import traceback
 from importlib.metadata import version
 from pathlib import Path
 
-from flashcache.errors import ConfigError, TrainingError
+from flashcache.errors import ConfigError, ProcessEndedError, TrainingError
 from lambent_proto.v1 import worker_pb2
 
 from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
@@ -257,6 +257,8 @@ def describe_failure(error: Exception) -> worker_pb2.FailRequest:
     elif type(error).__name__ == "OutOfMemoryError":
         cause, code = worker_pb2.FAIL_CAUSE_GPU_OUT_OF_MEMORY, "run.gpu_out_of_memory"
         message = "the GPU has too little memory for this preset; it is tried once with half the rays"
+    elif isinstance(error, ProcessEndedError) and error.was_killed:
+        cause, code, message = worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY, "run.out_of_memory", str(error)
     elif isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
         cause, code = worker_pb2.FAIL_CAUSE_OUT_OF_MEMORY, "run.out_of_memory"
         message = (

@@ -19,8 +19,9 @@ from flashcache.training.distillation_rays import SOLID
 from flashcache.training.light_bake import Hits
 from jaxtyping import Float
 from lambent_relight.bundle.bundle import Bundle
+from lambent_relight.fused.grids import Grid
 from lambent_relight.fused.reader import FusedCaches
-from lambent_relight.fused.weights import FeatureGrid, NotFused, Weights, graph_constants
+from lambent_relight.fused.weights import NotFused, Weights, graph_constants
 from torch import Tensor
 
 from lambent_worker.errors import WorkerError
@@ -83,7 +84,7 @@ def _cache_of(bundle: Bundle, light: str) -> FastCache:
     return cache.eval()
 
 
-def _grid_config(grid: FeatureGrid) -> HashGridConfig:
+def _grid_config(grid: Grid) -> HashGridConfig:
     resolution, rows = grid.levels[:, 0], grid.levels[:, 2]
     hashed = rows[rows < resolution**3]
     # Levels that are all dense fit any table that is large enough.

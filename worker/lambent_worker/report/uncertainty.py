@@ -19,6 +19,7 @@ from flashcache.evaluation.surface_points import (
     photographed_points,
     seen_points,
 )
+from flashcache.evaluation.threads import on_all_cores
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from jaxtyping import Float, Float32
@@ -96,10 +97,12 @@ def measure_points(
     generator = generator_for(seed, "uncertainty", 1, "photographs", device)
     source = model.fast_source() if rule.shadow_cache == "fast" else model.nerf_source(None)
     seen, num_views = seen_points(model, points, scene, source, generator)
-    parts = [
-        eliminate(linear_model(model, seen.select(slice(start, start + CHUNK_POINTS)), source, noise), priors)
-        for start in range(0, len(points.positions), CHUNK_POINTS)
-    ]
+
+    def eliminated(start: int) -> Elimination:
+        some = seen.select(slice(start, start + CHUNK_POINTS))
+        return eliminate(linear_model(model, some, source, noise), priors)
+
+    parts = on_all_cores(eliminated, range(0, len(points.positions), CHUNK_POINTS), device)
     found = material_uncertainty(Elimination.join(parts), priors)
     columns = [
         found.albedo.square().mean(dim=1).sqrt(),

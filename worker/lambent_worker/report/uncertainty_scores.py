@@ -7,7 +7,6 @@ from flashcache.data.scene import View
 from jaxtyping import Float
 from lambent_relight.bundle.uncertainty import CHANNELS
 from numpy import ndarray
-from scipy.stats import spearmanr
 
 from lambent_worker.report.maps import load
 from lambent_worker.report.table import Table
@@ -38,7 +37,21 @@ def score_uncertainty(table: Table, out: Path, view: View, ratio: Float[ndarray,
     error = np.abs(np.log(scaled / np.clip(truth[..., :3], DARKEST, 1.0)))[inside]
     width = width[inside]
     if np.ptp(width) > 0.0 and np.ptp(error) > 0.0:
-        correlation = spearmanr(width, error.mean(axis=-1)).statistic
-        table.add("uncertainty/albedo_rank_correlation", float(correlation))
+        correlation = rank_correlation(width, error.mean(axis=-1))
+        table.add("uncertainty/albedo_rank_correlation", correlation)
     scores = error / width[:, None]
     table.add("uncertainty/albedo_calibration", float(np.sqrt(np.square(scores).mean())))
+
+
+def rank_correlation(a: Float[ndarray, " values"], b: Float[ndarray, " values"]) -> float:
+    """Return Spearman's correlation of two arrays, in neither of which all values are equal.
+
+    Here because scipy.stats takes a second to import.
+    """
+    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
+
+
+def _ranks(values: Float[ndarray, " values"]) -> Float[ndarray, " values"]:
+    """Return the rank of each value; equal ones share the mean of theirs."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - 0.5 * (counts - 1))[place]

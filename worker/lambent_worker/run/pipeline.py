@@ -10,6 +10,7 @@ from lambent_worker.capture_qa.check_result import CaptureCheck
 from lambent_worker.errors import UsageError
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import Clock, TaskContext
+from lambent_worker.run.expected import expected_seconds
 from lambent_worker.run.folder import (
     add_task_seconds,
     begin_task,
@@ -17,20 +18,10 @@ from lambent_worker.run.folder import (
     finish_task,
     locked,
 )
-from lambent_worker.run.hashes import TASKS, input_hashes
+from lambent_worker.run.hashes import PREPARATION, TASKS, input_hashes
 from lambent_worker.run.kept import drop_unfitting
 from lambent_worker.run.spec import RunSpec, keep_run
-
-# Shares of a job's time, from the time budget of preset `fast` (docs/decisions/0001-cpu-presets.md).
-SHARES = {
-    "cameras": 90.0,
-    "ingest": 10.0,
-    "masks": 30.0,
-    "cache": 110.0,
-    "joint": 120.0,
-    "evaluate": 30.0,
-    "export": 80.0,
-}
+from lambent_worker.startup import cores_in_use
 
 
 def run_pipeline(
@@ -60,7 +51,8 @@ def run_pipeline(
         hashes = input_hashes(spec)
         drop_unfitting(run_dir, hashes)
         tasks = tuple(name for name in TASKS if name in tasks and name in hashes)
-        total = sum(SHARES[name] for name in tasks)
+        expected = expected_seconds(spec.config, cores_in_use() if device == "cpu" else 1)
+        total = sum(expected[name] for name in tasks)
         done = {name for name in tasks if done_inputs(run_dir, name) == hashes[name]}
         context = TaskContext(
             spec=spec,
@@ -68,11 +60,16 @@ def run_pipeline(
             device=device,
             reporter=reporter,
             checked=checked,
-            clock=Clock(before=0.0, share=0.0, job_started=sum(SHARES[name] for name in done) / total),
+            clock=Clock(before=0.0, share=0.0, job_started=sum(expected[name] for name in done) / total),
         )
-        before = 0.0
+        before, prepares = 0.0, True
         for name in tasks:
-            share = SHARES[name] / total
+            share = expected[name] / total
+            if prepares and name not in PREPARATION and name not in done:
+                # The speed so far is that of training: what comes before depends on the photographs.
+                prepares = False
+                fresh = replace(context.clock, job_started=before, began=context.clock.now())
+                context = replace(context, clock=fresh)
             clock = replace(context.clock, before=before, share=share)
             if name in done:
                 reporter.log("step.reused", stage=name)

@@ -86,12 +86,15 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
 
     trained = model
     model = _write_networks(context, at_reference(model), rule, manifest, folder, compared)
-    surface = write_asset(model, settings, manifest, folder, box=box, views=(*scene.train, *scene.test))
+    caches = written_caches(manifest, folder)
+    surface = write_asset(
+        model, caches, settings, manifest, folder, box=box, views=(*scene.train, *scene.test)
+    )
     _advance(context, 4)
     if settings.transport_tier != "none":
         write_transport(
             model,
-            written_caches(manifest, folder),
+            caches,
             surface,
             manifest,
             folder,
@@ -112,7 +115,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     for light, image in recovered.items():
         write_environment(folder / "env" / f"trained_{light}.exr", image)
     _advance(context, 6)
-    manifest.metrics.update(measure(model, rule, surface, views, scene.lights[0], folder / "preview"))
+    manifest.metrics.update(measure(model, caches, surface, views, scene.lights[0], folder / "preview"))
     if settings.transport_tier != "none" and settings.judge_samples:
         judged = judge_qualities(
             folder,

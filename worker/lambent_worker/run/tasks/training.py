@@ -11,6 +11,7 @@ from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.scene import Scene
 from flashcache.data.space import domain_of, placed
 from flashcache.errors import TrainingError
+from flashcache.parallel.processes import Processes
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.training.checkpoint import (
     CheckpointState,
@@ -20,7 +21,9 @@ from flashcache.training.checkpoint import (
     prune_checkpoints,
     save_checkpoint,
 )
+from flashcache.training.cuda_graphs import CudaCapture
 from flashcache.training.light_bake import LightBake
+from flashcache.training.parts import num_parts
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 
@@ -85,6 +88,21 @@ def training_pixels(context: TaskContext, scene: Scene, model: InverseModel) -> 
     return TrainingPixels(scene, pixels, device, model.nerf.occupancy)
 
 
+def processes_for(context: TaskContext, num_rays: int) -> Processes:
+    """Return the processes among which the steps of a stage with batches of `num_rays` are divided.
+
+    As many as torch may use threads, or fewer for small batches; on a GPU only this one.
+    """
+    on_cpu = torch.device(context.device).type == "cpu"
+    return Processes(num_parts(num_rays, torch.get_num_threads() if on_cpu else 1))
+
+
+def capture_for(context: TaskContext) -> CudaCapture | None:
+    """Return what captures the steps of a stage as CUDA graphs; None on a processor."""
+    device = torch.device(context.device)
+    return CudaCapture(device) if device.type == "cuda" else None
+
+
 def drive(context: TaskContext, stage: Stage) -> None:
     """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
 
@@ -96,12 +114,18 @@ def drive(context: TaskContext, stage: Stage) -> None:
     seconds = _resume(context, stage, fingerprint)
     saved_at = reported_at = time.monotonic()
     reported_step = stage.steps_done
+    problem = None
     while not stage.finished:
         with matrix_precision(torch.device(context.device)):
             record = stage.step()
+        if isinstance(stage, StageOne | StageTwo) and stage.graphs.problem != problem:
+            problem = stage.graphs.problem
+            context.reporter.log("graphs.given_up", step=record.step, reason=problem)
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
             rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
+            # On a GPU, this waits for all steps so far.
+            record = record.read()
             context.progress(
                 record.step, record.num_steps, steps_per_s=rate, loss=record.loss, psnr=record.psnr
             )
@@ -160,6 +184,8 @@ def _resume(context: TaskContext, stage: Stage, fingerprint: str) -> float:
 
 
 def _save(context: TaskContext, stage: Stage, fingerprint: str, seconds: float) -> None:
+    if isinstance(stage, StageOne | StageTwo):
+        stage.num_skipped += stage.steps.read()
     state = CheckpointState(
         stage=context.task,
         step=stage.steps_done,

@@ -1,0 +1,119 @@
+"""Light that blocked rays find mirrored in what they hit, in one compiled pass over the hits.
+
+The same terms as `lambent_relight.baked`: split sum, lobe of the harmonics, sky visible from the hit point.
+Source: docs/method.md (relighting).
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+from lambent_relight.baked.split_sum import TABLE_SIDE, table
+from lambent_relight.baked.transport_kernels import basis_at, recurrence
+from lambent_relight.baked.transport_lobes import ggx_bands
+from lambent_relight.bundle.graphs import available_threads
+from lambent_relight.compiling import COMPILE_OPTIONS
+from lambent_relight.threads import in_order
+from numba import njit
+from numpy import ndarray
+
+_RECEIVERS_AT_ONCE = 512
+
+
+def mirrored_light(
+    first_hit: Int[ndarray, " receivers_and_one"],
+    texel: Int[ndarray, " hits"],
+    weight: Float[ndarray, " hits"],
+    direction: Float[ndarray, "hits 3"],
+    normals: Float[ndarray, "texels 3"],
+    perceptual_roughness: Float[ndarray, " texels"],
+    base_reflectance: Float[ndarray, "texels 3"],
+    visibility: Float[ndarray, "texels coefficients"],
+    num_coefficients: int,
+) -> tuple[Float[ndarray, "receivers kept 3"], Float[ndarray, "hits 3"]]:
+    """Return the environment mirrored towards each receiver, as `num_coefficients` harmonics, and the rest.
+
+    Hits of receiver r are those from `first_hit[r]` to `first_hit[r + 1]`; `direction` is the ray's. The rest
+    is a hit's weight times its reflectance times the share of the lobe that sees no sky.
+    """
+    num_receivers = len(first_hit) - 1
+    bands = round(max(visibility.shape[1], num_coefficients) ** 0.5)
+    mirrored = np.zeros((num_receivers, num_coefficients, 3), np.float32)
+    rest = np.empty((len(texel), 3), np.float32)
+    arrays = [
+        np.ascontiguousarray(array, np.float32)
+        for array in (weight, direction, normals, perceptual_roughness, base_reflectance, visibility)
+    ]
+    tables = (table(), ggx_bands(bands), recurrence(bands))
+
+    def some(start: int) -> None:
+        end = min(start + _RECEIVERS_AT_ONCE, num_receivers)
+        _mirror(start, end, first_hit, texel, *arrays, *tables, mirrored, rest)
+
+    for _ in in_order(some, range(0, num_receivers, _RECEIVERS_AT_ONCE), available_threads()):
+        pass
+    return mirrored, rest
+
+
+@njit(**COMPILE_OPTIONS)
+def _mirror(
+    start,
+    end,
+    first_hit,
+    texel,
+    weight,
+    direction,
+    normals,
+    perceptual_roughness,
+    base_reflectance,
+    visibility,
+    split_sums,
+    lobes,
+    steps,
+    mirrored,
+    rest,
+):
+    one, zero = np.float32(1.0), np.float32(0.0)
+    bands, num_visible, num_kept = lobes.shape[1], visibility.shape[1], mirrored.shape[1]
+    basis = np.empty(bands * bands, np.float32)
+    for receiver in range(start, end):
+        for hit in range(first_hit[receiver], first_hit[receiver + 1]):
+            t = texel[hit]
+            nx, ny, nz = normals[t, 0], normals[t, 1], normals[t, 2]
+            x, y, z = direction[hit, 0], direction[hit, 1], direction[hit, 2]
+            cosine = -(x * nx + y * ny + z * nz)
+            if cosine <= zero:
+                rest[hit, 0] = rest[hit, 1] = rest[hit, 2] = zero
+                continue
+            roughness = min(max(perceptual_roughness[t], zero), one)
+            scale, bias = _split_sum(split_sums, cosine, roughness)
+            twice = np.float32(2.0) * cosine
+            basis_at(x + twice * nx, y + twice * ny, z + twice * nz, steps, basis)
+            place = roughness * np.float32(len(lobes) - 1)
+            step = min(int(place), len(lobes) - 2)
+            share, free = place - np.float32(step), zero
+            for band in range(bands):
+                lobe = lobes[step, band] * (one - share) + lobes[step + 1, band] * share
+                for k in range(band * band, (band + 1) * (band + 1)):
+                    basis[k] *= lobe
+                    if k < num_visible:
+                        free += basis[k] * visibility[t, k]
+            free = min(max(free, zero), one)
+            for channel in range(3):
+                part = weight[hit] * (base_reflectance[t, channel] * scale + bias)
+                rest[hit, channel] = part * (one - free)
+                for k in range(num_kept):
+                    mirrored[receiver, k, channel] += part * free * basis[k]
+
+
+@njit(**COMPILE_OPTIONS)
+def _split_sum(values, cosine, roughness):
+    """Return `lambent_relight.baked.split_sum.split_sum` of one cosine and roughness in [0, 1]."""
+    one, last = np.float32(1.0), np.float32(TABLE_SIDE - 1)
+    row, column = np.sqrt(min(cosine, one)) * last, roughness * last
+    top, left = min(int(row), TABLE_SIDE - 2), min(int(column), TABLE_SIDE - 2)
+    down, across = row - np.float32(top), column - np.float32(left)
+    a, b = (one - down) * (one - across), (one - down) * across
+    c, d = down * (one - across), down * across
+    corners = values[top : top + 2, left : left + 2]
+    scale = a * corners[0, 0, 0] + b * corners[0, 1, 0] + c * corners[1, 0, 0] + d * corners[1, 1, 0]
+    bias = a * corners[0, 0, 1] + b * corners[0, 1, 1] + c * corners[1, 0, 1] + d * corners[1, 1, 1]
+    return scale, bias

@@ -1,0 +1,63 @@
+"""How long the tasks of a run take compared with one another, from the sizes in their settings.
+
+Seconds are those of an AMD EPYC (Zen 4) of 2026; only their ratios count, because the time to go is scaled by
+the speed that a run has shown so far. The cost of a training step is that of decision 0022: a fixed part, and
+work on rays that processes divide.
+"""
+
+from flashcache.config import Config
+from flashcache.training.parts import num_parts
+
+PREPARATION = {"cameras": 90.0, "ingest": 2.0, "masks": 30.0}
+"""Seconds of the tasks that depend on the photographs, which are not known yet."""
+BEGINNING_S = 3.0
+"""Of a training task: reading pictures, starting processes."""
+_MS = 1e-3
+
+
+def expected_seconds(config: Config, cores: int) -> dict[str, float]:
+    """Return the seconds of every task on `cores` cores, by name."""
+    return PREPARATION | {
+        "cache": BEGINNING_S + _stage_one(config, cores),
+        "joint": BEGINNING_S + _stage_two(config, cores),
+        "evaluate": _evaluation(config, cores),
+        "export": _export(config, cores),
+    }
+
+
+def step_seconds(fixed_ms: float, ray_ms: float, num_rays: int, cores: int) -> float:
+    """Return the seconds of a training step with `num_rays` rays of `ray_ms` each."""
+    parts = num_parts(num_rays, cores)
+    # Every further process adds its gradients.
+    return _MS * (fixed_ms + 1.5 * (parts - 1) + ray_ms * num_rays / parts)
+
+
+def _stage_one(config: Config, cores: int) -> float:
+    one, counts = config.stage_one, config.model.nerf.primary_counts
+    # The last samples also have normals and radiance.
+    samples = counts.first + counts.second + 3 * counts.final
+    return one.num_steps * step_seconds(20.0, 1.17 * _MS * samples, one.num_rays, cores)
+
+
+def _stage_two(config: Config, cores: int) -> float:
+    two = config.stage_two
+    exact, fast = two.estimator.exact.total, two.estimator.fast.total
+    points = two.points_per_ray * (2 if two.num_steps > two.warmup_steps else 1)
+    ray_ms = 0.07 + points * (0.014 * exact + 0.0023 * fast)
+    joint = two.num_steps * step_seconds(30.0, ray_ms, two.num_rays, cores)
+    point_ms = 0.02 + 0.0065 * two.distil.taught.total
+    return joint + two.distil.num_steps * step_seconds(9.0, point_ms, two.distil.num_points, cores)
+
+
+def _evaluation(config: Config, cores: int) -> float:
+    settings = config.evaluation
+    pixels = settings.num_views * config.max_side**2
+    per_pixel = 8e-6 * settings.antialias**2 + 1e-6 * settings.num_directions * settings.num_repeats
+    return 2.0 + (per_pixel * pixels + 5e-3 * settings.uncertainty_points) / min(cores, 4)
+
+
+def _export(config: Config, cores: int) -> float:
+    settings = config.export
+    surface = 2e-6 * settings.mesh_resolution**3 + 2.5e-5 * settings.atlas_size**2
+    judged = 1e-6 * settings.judge_samples * config.max_side**2 * 4
+    return 6.0 + (surface + judged) / min(cores, 4)
