@@ -13,11 +13,11 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 
-.PHONY: help setup pages wheel demo test mutants check fix bench schema clean
+.PHONY: help setup pages wheel demo test mutants check fix bench bench-compare bench-quick schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 # With `gpu` the tests of the GPU's kernels run too, in an interpreter where there is no GPU (0.7 GB more).
 EXTRAS ?= dev
@@ -49,7 +49,12 @@ wheel: $(VENV)/.installed pages ## Build the wheel, web pages included, into bui
 # Without Node there are no web pages: the demo's link says so, and browser tests are skipped.
 BUILT := $(if $(shell command -v npm),$(PAGES)/.built)
 
-demo: $(VENV)/.installed $(BUILT) ## Train the sample scene on this machine and relight it (5 to 11 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
+# What numba compiles is kept beside its source, and compiled again where that has changed.
+$(VENV)/.compiled: $(VENV)/.installed scripts/compile_kernels.py
+	$(BIN)/python scripts/compile_kernels.py
+	touch $@
+
+demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and relight it (3 to 6 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
 	$(BIN)/lambent demo $(DEMO_ARGS)
 
 # Two workers on two cores: one thread each.
@@ -89,7 +94,13 @@ fix: $(VENV)/.installed ## Format, and fix what can be fixed automatically
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.installed ## Run the quick variant of every benchmark
+bench: $(VENV)/.installed ## Measure what is said to be faster, with ratios (10 minutes; build/benchmarks/claims.json)
+	$(BIN)/python -m benchmarks --claims $(OUT)
+
+bench-compare: $(VENV)/.installed ## Compare two results of bench; fails where a ratio fell by 15 % (OLD=FILE NEW=FILE)
+	$(BIN)/python -m benchmarks --compare $(OLD) $(NEW)
+
+bench-quick: $(VENV)/.installed ## Run the quick variant of every benchmark, to test them
 	$(BIN)/python -m benchmarks --quick-all
 
 schema: setup ## Regenerate the code from proto/

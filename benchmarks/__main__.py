@@ -5,6 +5,8 @@
     python -m benchmarks NAME [options]        runs a benchmark
     python -m benchmarks NAME --quick          runs it on a small scale: to test it, not for its figures
     python -m benchmarks --quick-all           runs all quick variants, each in its own process
+    python -m benchmarks --claims [FILE]       measures what is said to be faster (ten minutes)
+    python -m benchmarks --compare OLD NEW     compares two such files; fails where a ratio fell by 15 %
 
 The output, and a description of the machine, are stored in OUT/result.json.
 """
@@ -16,6 +18,7 @@ import io
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
@@ -23,6 +26,8 @@ from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from benchmarks import claims
 
 ROOT = Path(__file__).parent.parent
 BUILD = ROOT / "build" / "benchmarks"
@@ -87,9 +92,13 @@ def run(name: str, words: list[str]) -> None:
     )
     module.add_options(parser)
     parser.add_argument("--quick", action="store_true", help=f"as with: {module.QUICK}")
+    if hasattr(module, "CLAIMS"):
+        parser.add_argument("--claims", action="store_true", help=f"as with: {module.CLAIMS}")
     parser.add_argument("-o", "--out", type=Path, default=BUILD / name, help="folder (default: %(default)s)")
     if "--quick" in words:
         words = quick_options(module.QUICK) + words
+    if "--claims" in words:
+        words = quick_options(module.CLAIMS) + words
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)
     about = machine()
@@ -122,6 +131,55 @@ def run_all_quick() -> int:
     return int(any(code for _, code in rows.values()))
 
 
+def run_claims(out: Path) -> int:
+    """Run all benchmarks with `CLAIMS`, each in its own process, and write what they return to `out`.
+
+    Returns 1 if one fails.
+    """
+    record: dict[str, Any] = {"machine": machine(), "revision": revision(), "claims": [], "ceilings": {}}
+    failed = 0
+    for name in benchmarks():
+        module_text = (Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+        if "\nCLAIMS = " not in module_text:
+            continue
+        print(f"\n# {name}\n", flush=True)
+        folder = BUILD / "claims" / name
+        command = [sys.executable, "-m", "benchmarks", name, "--claims", "-o", str(folder)]
+        shutil.rmtree(folder, ignore_errors=True)
+        if subprocess.run(command, cwd=ROOT).returncode:
+            print(f"{name} failed", file=sys.stderr)
+            failed = 1
+            continue
+        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))["result"]
+        if isinstance(result, dict):
+            record["ceilings"] = result
+        else:
+            record["claims"] += result
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    print("\n" + claims.table(record["claims"]) + f"\n\n{out}")
+    return failed
+
+
+def compare(old: Path, new: Path) -> int:
+    """Print what became worse between two files of claims; return 1 if anything did."""
+    before, now = (json.loads(path.read_text(encoding="utf-8")) for path in (old, new))
+    print(claims.table(now["claims"]) + "\n")
+    found = claims.worse(before["claims"], now["claims"])
+    for sentence in found:
+        print(f"worse: {sentence}")
+    if not found:
+        print(f"no ratio fell by more than {100 * (claims.WORST - 1):.0f} %")
+    return int(bool(found))
+
+
+def revision() -> str:
+    """Return the revision of the working tree, empty outside of one."""
+    command = ["git", "describe", "--always", "--dirty"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
 def main() -> int:
     """Return the exit status."""
     # A waiting thread sleeps: spinning ones would slow whatever is measured beside them.
@@ -131,6 +189,10 @@ def main() -> int:
     known, words = benchmarks(), sys.argv[1:]
     if words == ["--quick-all"]:
         return run_all_quick()
+    if words[:1] == ["--claims"] and len(words) <= 2:
+        return run_claims(Path(words[1]) if words[1:] else BUILD / "claims.json")
+    if words[:1] == ["--compare"] and len(words) == 3:
+        return compare(Path(words[1]), Path(words[2]))
     if words and words[0] in known:
         run(words[0], words[1:])
         return 0

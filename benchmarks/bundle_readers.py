@@ -20,7 +20,10 @@ from lambent_relight import Bundle, load_bundle
 from lambent_relight.bundle.graphs import OnnxGraph, Rows
 from lambent_relight.fused.reader import FusedCaches
 
+from benchmarks.claims import Claim, claim, in_turns
+
 QUICK = "{bundle} --rays 2048 --turns 1"
+CLAIMS = "{bundle} --rays 8192 --turns 5"
 
 ALL = {"radiance": 3, "opacity": 1, "distance": 1}
 OCCLUSION = {"opacity": 1, "distance": 1}
@@ -64,19 +67,6 @@ def random_rays(bundle: Bundle, count: int) -> tuple[Rows, Rows]:
     return rng.uniform(low, high, (count, 3)).astype(np.float32), direction.astype(np.float32)
 
 
-def in_turns(tasks: dict[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
-    """Return processor seconds of every task in every turn; each runs once before."""
-    for task in tasks.values():
-        task()
-    seconds: dict[str, list[float]] = {name: [] for name in tasks}
-    for _ in range(turns):
-        for name, task in tasks.items():
-            started = time.process_time()
-            task()
-            seconds[name].append(time.process_time() - started)
-    return seconds
-
-
 def graph_of(bundle: Bundle, outputs: dict[str, int]) -> OnnxGraph:
     """Return the fast cache's graph for some outputs, on one thread."""
     return OnnxGraph(
@@ -89,8 +79,8 @@ def graph_of(bundle: Bundle, outputs: dict[str, int]) -> OnnxGraph:
     )
 
 
-def print_processor_times(bundle: Bundle, count: int, turns: int) -> None:
-    """Print microseconds per ray on one thread."""
+def processor_times(bundle: Bundle, count: int, turns: int) -> Claim:
+    """Print microseconds per ray on one thread, and return our reader's against onnxruntime's."""
     rays = random_rays(bundle, count)
     whole, trimmed = graph_of(bundle, ALL), graph_of(bundle, OCCLUSION)
     fused = FusedCaches(bundle, num_threads=1)
@@ -101,6 +91,7 @@ def print_processor_times(bundle: Bundle, count: int, turns: int) -> None:
             "fused (numba), opacity and distance": lambda: fused.secondary(*rays),
         },
         turns,
+        time.process_time,
     )
     print(
         "\n| on a processor, one thread | us per ray | middle of turns | fused is faster by |\n"
@@ -111,6 +102,13 @@ def print_processor_times(bundle: Bundle, count: int, turns: int) -> None:
     for name, values in seconds.items():
         each, middle = min(values) / count * 1e6, float(np.median(values)) / count * 1e6
         print(f"| {name} | {each:.2f} | {middle:.2f} | {min(values) / best:.1f} |")
+    per_ray = {name: [1e6 * value / count for value in values] for name, values in seconds.items()}
+    return claim(
+        "fast cache of a bundle, opacity and distance",
+        "us per ray",
+        per_ray["fused (numba), opacity and distance"],
+        per_ray["onnxruntime, opacity and distance"],
+    )
 
 
 def print_browser_times(bundle: Bundle, count: int, turns: int) -> None:
@@ -165,11 +163,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--browser-rays", type=int, default=4096)
 
 
-def main(arguments: argparse.Namespace) -> None:
-    """Measure and print the tables of docs/benchmarks/bundle.md."""
+def main(arguments: argparse.Namespace) -> list[Claim]:
+    """Measure and print the tables of docs/benchmarks/bundle.md; return what they claim."""
     bundles = [load_bundle(path) for path in arguments.bundles]
     print_sizes(bundles)
     print_rounding(bundles[0])
-    print_processor_times(bundles[0], arguments.rays, arguments.turns)
+    claims = [processor_times(bundles[0], arguments.rays, arguments.turns)]
     if arguments.browser:
         print_browser_times(bundles[0], arguments.browser_rays, min(arguments.turns, 3))
+    return claims

@@ -1,14 +1,14 @@
-"""Time steps of both stages and of the distillation on one core and on several.
+"""Time steps of both stages and of the distillation in one process and in several.
 
     python -m benchmarks cores SUITE/cowcrate --threads 1 2 -o OUT [--set KEY=VALUE ...]
 
 Stage one is trained for `--warm` steps first, so that rays meet something. Then each phase takes `--steps`
-steps with each number of threads, all in turn in one process, `--rounds` times. Prints median and range of
-the wall clock of a step, and the processor time of all threads.
+steps in each number of processes, all in turn, `--rounds` times. Prints median and range of the wall clock
+of a step.
 """
 
 import argparse
-import statistics
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import torch
 from flashcache.data.hull import fit_occupancy
+from flashcache.parallel.processes import Processes
 from flashcache.training.optimiser import StepRecord
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
@@ -27,7 +28,10 @@ from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks.training import new_model, read_scene, training_pixels
 from lambent_worker.startup import prepare
 
+from benchmarks.claims import Claim, claim, table
+
 QUICK = "{sample} --preset tiny --warm 2 --steps 1 --rounds 1"
+CLAIMS = "{sample} --warm 100 --steps 8 --rounds 2"
 PHASES = ("stage one", "stage two", "distillation")
 LATE = 0.7
 """Share of stage one after which all of its losses are on."""
@@ -44,16 +48,22 @@ def phases(run: Path, spec: RunSpec, warm: int, counts: list[int]) -> dict[tuple
         scene = read_scene(context)
         config = spec.config
         for count in counts:
-            torch.set_num_threads(count)
             model = new_model(context, scene)
             fit_occupancy(model, scene)
             pixels = training_pixels(context, scene, model)
             begin = StageOne(model, pixels, replace(config.stage_one, num_steps=warm), seed=0)
             while not begin.finished:
                 begin.step()
-            one = StageOne(model, pixels, config.stage_one, seed=0)
+            # Each stage needs processes of its own, since they hold one stage at a time.
+            one, two, last = (
+                kind(copy.deepcopy(model), pixels, settings, seed=0, processes=Processes(count))
+                for kind, settings in (
+                    (StageOne, config.stage_one),
+                    (StageTwo, config.stage_two),
+                    (StageTwo, config.stage_two),
+                )
+            )
             one.steps_done = round(LATE * config.stage_one.num_steps)
-            two, last = (StageTwo(model, pixels, config.stage_two, seed=0) for _ in range(2))
             two.steps_done = config.stage_two.warmup_steps
             last.steps_done = config.stage_two.num_steps
             found |= {(name, count): stage.step for name, stage in zip(PHASES, (one, two, last), strict=True)}
@@ -71,29 +81,26 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=4)
 
 
-def main(arguments: argparse.Namespace) -> None:
-    """Print the table."""
+def main(arguments: argparse.Namespace) -> list[Claim]:
+    """Print the table and return its rows."""
     prepare()
     overrides = dict(setting.split("=", 1) for setting in arguments.set)
     spec = RunSpec.from_options(arguments.scene, preset=arguments.preset, overrides=overrides, seed=0)
     steps = phases(arguments.out / "run", spec, arguments.warm, arguments.threads)
     wall: dict[tuple[str, int], list[float]] = {key: [] for key in steps}
-    processor: dict[tuple[str, int], list[float]] = {key: [] for key in steps}
     for number in range(arguments.rounds + 1):
         for (phase, count), step in steps.items():
             torch.set_num_threads(count)
             for _ in range(arguments.steps):
-                began = time.perf_counter(), time.process_time()
+                began = time.perf_counter()
                 step()
                 if number:  # The first round warms up.
-                    wall[phase, count].append(1e3 * (time.perf_counter() - began[0]))
-                    processor[phase, count].append(1e3 * (time.process_time() - began[1]))
-    print("| phase | threads | wall clock [ms] | range | processor [ms] | as fast as one thread |")
-    print("| --- " * 6 + "|")
-    for phase, count in steps:
-        times = wall[phase, count]
-        ratio = statistics.median(wall[phase, arguments.threads[0]]) / statistics.median(times)
-        print(
-            f"| {phase} | {count} | {statistics.median(times):.0f} | {min(times):.0f} to {max(times):.0f} "
-            f"| {statistics.median(processor[phase, count]):.0f} | {ratio:.2f} |"
-        )
+                    wall[phase, count].append(1e3 * (time.perf_counter() - began))
+    first = arguments.threads[0]
+    claims = [
+        claim(f"{phase}, {count} processes for {first}", "ms", wall[phase, count], wall[phase, first])
+        for phase, count in steps
+        if count != first
+    ]
+    print(table(claims))
+    return claims

@@ -6,21 +6,27 @@
 Each row is one step on points along rays. `features` is forward and backward; `normals` is a density with its
 gradient by position and a loss on both: from features and Jacobian on the compiled side, by eager double
 backward on the other. Figures are milliseconds of processor time in this thread, or of time until a GPU has
-finished; the smaller half of the repeats is averaged, so that a busy neighbour matters little. The ratio is
-reference / compiled.
+finished, medians of the repeats, which alternate. The ratio is reference / compiled. `gathers` is the time of
+the same number of row reads alone, from random places of the same table: what no forward pass is faster than.
 """
 
 import argparse
+import math
 import statistics
 import time
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.kernels import reference
 from torch import Tensor
 
+from benchmarks.ceilings import gather
+from benchmarks.claims import Claim, claim, in_turns
+
 QUICK = "--rays 256 --repeats 4"
+CLAIMS = "--repeats 7"
 
 GRIDS = {
     "6 levels x 1, 2^15": (
@@ -74,15 +80,12 @@ def seconds(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def milliseconds(step: Callable[[], None], repeats: int, device: torch.device) -> float:
-    """Return the typical time of one call."""
-    step()
-    times = []
-    for _ in range(repeats):
-        start = seconds(device)
-        step()
-        times.append(1e3 * (seconds(device) - start))
-    return statistics.mean(sorted(times)[: (repeats + 1) // 2])
+def gathers_in(z: Tensor, grid: HashGrid, repeats: int) -> float:
+    """Return the milliseconds of the row reads of one interpolation alone, at random: a lower limit."""
+    rows = np.random.default_rng(0).integers(0, len(grid.table), 8 * len(grid.layout.levels) * len(z))
+    table = np.ascontiguousarray(grid.table.detach().numpy()[:, :1].repeat(2, axis=1))
+    values = in_turns({"gathers": lambda: gather(table, rows)}, repeats, time.thread_time)["gathers"]
+    return 1e3 * statistics.median(values)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -92,17 +95,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", type=torch.device, default=torch.device("cpu"))
 
 
-def main(arguments: argparse.Namespace) -> None:
-    """Print the table."""
+def main(arguments: argparse.Namespace) -> list[Claim]:
+    """Print the table and return its rows."""
     torch.set_num_threads(1)
-    print(f"{'grid':22}{'points':>8}{'step':>10}{'compiled':>10}{'reference':>11}{'ratio':>7}")
+    device, claims = arguments.device, []
+    print(f"{'grid':22}{'points':>8}{'step':>10}{'compiled':>10}{'reference':>11}{'ratio':>7}{'gathers':>9}")
     for name, (config, num_samples) in GRIDS.items():
-        z = points_on_rays(arguments.rays, num_samples).to(arguments.device)
-        grid = HashGrid(config).to(arguments.device)
+        z = points_on_rays(arguments.rays, num_samples).to(device)
+        grid = HashGrid(config).to(device)
         torch.nn.init.normal_(grid.table)
         network = torch.nn.Sequential(
             torch.nn.Linear(grid.out_features, 64), torch.nn.Softplus(beta=10.0), torch.nn.Linear(64, 1)
-        ).to(arguments.device)
+        ).to(device)
         steps = {
             "features": (
                 lambda grid=grid, z=z: features_step(grid, z, grid.table),
@@ -115,7 +119,16 @@ def main(arguments: argparse.Namespace) -> None:
                 lambda grid=grid, network=network, z=z: double_backward_step(grid, network, z),
             ),
         }
+        limit = gathers_in(z, grid, arguments.repeats) if device.type == "cpu" else math.nan
         for kind, (compiled, eager) in steps.items():
-            fast = milliseconds(compiled, arguments.repeats, arguments.device)
-            slow = milliseconds(eager, max(2, arguments.repeats // 3), arguments.device)
-            print(f"{name:22}{len(z):8}{kind:>10}{fast:10.2f}{slow:11.2f}{slow / fast:7.1f}", flush=True)
+            ways = {"ours": compiled, "reference": eager}
+            found = in_turns(ways, arguments.repeats, lambda: seconds(device))
+            ours, other = ([1e3 * value for value in found[way]] for way in ways)
+            one = claim(f"grid {name}, {kind}", "ms", ours, other)
+            claims.append(one)
+            fast, slow = one["ours"]["median"], one["reference"]["median"]
+            print(
+                f"{name:22}{len(z):8}{kind:>10}{fast:10.2f}{slow:11.2f}{one['ratio']:7.1f}{limit:9.2f}",
+                flush=True,
+            )
+    return claims

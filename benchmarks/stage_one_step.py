@@ -10,7 +10,6 @@ seconds, median and range over the steps; the ratio is of the medians.
 
 import argparse
 import os
-import statistics
 import time
 from dataclasses import replace
 from unittest.mock import patch
@@ -26,7 +25,10 @@ from flashcache.training.stage_one import StageOne
 from support.lit_sphere import lit_sphere
 from torch import Tensor
 
+from benchmarks.claims import Claim, claim, table
+
 QUICK = "--preset tiny --steps 3"
+CLAIMS = "--steps 9 --threads 1"
 
 
 def double_backward(self: DensityField, positions: Tensor) -> tuple[DensitySample, Tensor]:
@@ -71,8 +73,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
 
 
-def main(arguments: argparse.Namespace) -> None:
-    """Print the two times and their ratio."""
+def main(arguments: argparse.Namespace) -> list[Claim]:
+    """Print the two times and their ratio, and return them."""
     name, steps = arguments.preset, arguments.steps
     torch.set_num_threads(arguments.threads)
     compiled, eager = new_stage(name), new_stage(name)
@@ -87,8 +89,7 @@ def main(arguments: argparse.Namespace) -> None:
         if number >= 2:  # The first steps compile and warm up.
             seconds["compiled"].append(one)
             seconds["eager"].append(other)
-    medians = {side: statistics.median(values) for side, values in seconds.items()}
     print(f"preset {name}, {steps} steps each, {arguments.threads} threads, torch {torch.__version__}")
-    for side, values in seconds.items():
-        print(f"{side:9s} {medians[side]:.3f} s per step (from {min(values):.3f} to {max(values):.3f})")
-    print(f"ratio     {medians['eager'] / medians['compiled']:.2f}")
+    found = claim(f"stage one step, {name}", "s", seconds["compiled"], seconds["eager"])
+    print(table([found]))
+    return [found]

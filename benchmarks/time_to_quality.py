@@ -7,7 +7,8 @@ A variant is a name and the settings by which it differs from `--preset`. Each i
 each scene; about `--marks` times on the way, evenly spaced in steps, the cache's picture and normals of
 `--views` test views are compared with the truth, over white on the whole frame, in encoded values. Time is
 that of the steps and of what they need before (visual hull, pixels), without reading the capture: `--clock`
-says whether the wall's, or the processor's over all threads, which tells little of a busy neighbour.
+says whether the wall's, on all cores, or that of one process on the processor, which tells little of a busy
+neighbour.
 Curves are kept in OUT/<scene>_<variant>_<seed>.json, and one that is there is not repeated. Prints the mean
 seconds to each of `--levels` [dB] and the last figures.
 """
@@ -36,7 +37,12 @@ from lambent_worker.run.hashes import PREPARATION
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import device_for, open_task
 from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import new_model, read_scene, training_pixels
+from lambent_worker.run.tasks.training import (
+    new_model,
+    processes_for,
+    read_scene,
+    training_pixels,
+)
 from lambent_worker.startup import prepare
 
 from benchmarks.variants import add_variants
@@ -100,17 +106,21 @@ def curve(run: Path, seed: int, settings: dict[str, str], arguments: argparse.Na
         context = open_task(run, "cache", reporter)
         scene = read_scene(context)
         model = new_model(context, scene)
-        used = [0.0, 0.0]
-        with counted(used):
-            fit_occupancy(model, scene)
-            pixels = training_pixels(context, scene, model)
-            stage = StageOne(model, pixels, spec.config.stage_one, seed=seed)
+        config, used = spec.config.stage_one, [0.0, 0.0]
         marks: list[Mark] = []
-        every = math.ceil(spec.config.stage_one.num_steps / arguments.marks)
-        while not stage.finished:
+        every = math.ceil(config.num_steps / arguments.marks)
+        # The processor's clock is that of this process.
+        rays = config.num_rays if arguments.clock == "wall" else 1
+        with processes_for(context, rays) as processes:
             with counted(used):
-                stage.step()
-            if stage.steps_done % every == 0 or stage.finished:
+                fit_occupancy(model, scene)
+                pixels = training_pixels(context, scene, model)
+                stage = StageOne(model, pixels, config, seed=seed, processes=processes)
+            while not stage.finished:
+                with counted(used):
+                    stage.step()
+                if stage.steps_done % every and not stage.finished:
+                    continue
                 psnr, normals = quality(model, scene, arguments.views)
                 wall, processor = used
                 mark = Mark(step=stage.steps_done, wall=wall, processor=processor, psnr=psnr, normals=normals)

@@ -77,7 +77,7 @@ def means(
     began = time.process_time()
     for call in range(calls):
         generator = generator_for(0, "benchmark", call, purpose, batch.rays.origins.device)
-        found = shade(model, config, batch, geometry, generator, supervise=False).picture
+        (found,) = shade(model, config, batch, geometry, generator, supervise=False).pictures
         value = found.mean(dim=-1).double().cpu().numpy()
         total += value
         squares += value**2
