@@ -11,6 +11,7 @@ import torch
 from flashcache.export import graphs, reference
 from flashcache.export.onnx import WeightFile
 from flashcache.export.reference import GbufferRule
+from flashcache.kernels import dispatch
 from lambent_worker.bundle.half_tables import with_half_tables
 from onnx import TensorProto
 from support.sphere_model import sphere_model
@@ -86,7 +87,7 @@ def inputs_of(name: str) -> dict[str, torch.Tensor]:
 
 
 def expected(model, name: str, inputs: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    with torch.no_grad():
+    with torch.no_grad(), dispatch.using("encoder"):
         if name == "gbuffer":
             return reference.gbuffer(model, RULE, **inputs)
         if name == "material":

@@ -310,3 +310,26 @@ def test_equal_seeds_give_equal_pictures_and_other_seeds_do_not(cube):
     first, again, other = (cube.render(camera, sky(), spp=8, seed=seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.rgb, again.rgb)
     assert np.abs(first.rgb - other.rgb).max() > 0.0
+
+
+def test_pictures_are_the_same_for_any_number_of_threads(caches, monkeypatch):
+    monkeypatch.setattr("lambent_relight.refined.shading.RAYS_PER_CHUNK", 1 << 8)
+    environment, finished = sky(), []
+    points = surface_points(SHADED, (0.7, 0.2, 0.0), (1.0, -2.0, 2.0), 400)
+    results = [
+        outgoing_radiance(
+            points,
+            Scene(caches(SHADED), SHADED.origin_offset, MaterialEdit(), num_threads=num_threads),
+            Light(environment, LightSampler(environment)),
+            num_samples=16,
+            seed=3,
+            indirect=True,
+            progress=finished.append,
+        )
+        for num_threads in (1, 3)
+    ]
+    for name in ("direct", "indirect", "specular", "visibility", "standard_error"):
+        np.testing.assert_array_equal(*(getattr(result, name) for result in results))
+    half = len(finished) // 2
+    assert finished[:half] == finished[half:] == sorted(finished[:half])
+    assert finished[-1] == 1.0

@@ -49,11 +49,11 @@ def answers(layout: GridLayout, points: int) -> dict[str, torch.Tensor]:
 def with_64_bits(layout: GridLayout, points: int) -> dict[str, torch.Tensor]:
     """Return what the kernels answer if offsets into the table are 64-bit numbers."""
     largest, gpu.LARGEST_INT32 = gpu.LARGEST_INT32, 0
-    gpu._levels.cache_clear()
+    gpu.levels.cache_clear()
     found = answers(layout, points)
-    assert gpu._levels(layout, torch.device("cpu"))[0].dtype == torch.int64
+    assert gpu.levels(layout, torch.device("cpu"))[0].dtype == torch.int64
     gpu.LARGEST_INT32 = largest
-    gpu._levels.cache_clear()
+    gpu.levels.cache_clear()
     return found
 
 

@@ -7,6 +7,7 @@ from flashcache.config import Config, StageTwoConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
+from flashcache.parallel.processes import Processes
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
@@ -31,7 +32,7 @@ EVERYTHING = {
 }
 
 
-def stage(config: Config | None = None, **settings) -> StageTwo:
+def stage(config: Config | None = None, processes: Processes | None = None, **settings) -> StageTwo:
     """Return stage two with every loss switched on, past an initial state in which heads give zero."""
     config = config or tiny()
     two: StageTwoConfig = replace(config.stage_two, **(EVERYTHING | settings))
@@ -41,9 +42,9 @@ def stage(config: Config | None = None, **settings) -> StageTwo:
         for parameter in model.parameters():
             parameter.add_(0.02 * torch.randn(parameter.shape))
     pixels = TrainingPixels(SCENE, config.pixels, torch.device("cpu"))
-    return StageTwo(model, pixels, two, seed=0)
+    return StageTwo(model, pixels, two, seed=0, processes=processes)
 
 
 def terms_of_step(made: StageTwo) -> dict[str, torch.Tensor]:
     """Return the weighted losses of the next step, by name, on the whole batch."""
-    return made.losses(made.model, made.draw())[0]
+    return made.losses.terms(made.model, made.draw(), made.steps_done)[0]

@@ -10,6 +10,7 @@ from flashcache import memory
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.space import domain_of
 from flashcache.kernels import cpu, dispatch
+from flashcache.losses.clusters import ClusterConfig
 from flashcache.memory import AllocationMeter, MemoryEstimate, estimate
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -89,7 +90,10 @@ def test_estimating_leaves_random_numbers_and_threads_as_they_were():
 
 
 def test_a_gpu_without_kernels_of_its_own_needs_the_memory_of_the_reference(monkeypatch):
-    def stage_estimate(_config, _num_lights, stage):
+    fixed_on = set()
+
+    def stage_estimate(_config, _num_lights, stage, fixed):
+        fixed_on.add((stage, fixed))
         reference = dispatch._backend(torch.device("cpu"), torch.float32) is None
         counts = {"num_parameters": 0, "parameters": 0, "gradients": 0, "moments": 0}
         return MemoryEstimate(stage=stage, activations=2 if reference else 1, **counts)
@@ -99,6 +103,14 @@ def test_a_gpu_without_kernels_of_its_own_needs_the_memory_of_the_reference(monk
         monkeypatch.setattr(dispatch, "_has_triton", lambda installed=installed: installed)
         assert estimate(tiny(), device="cuda")[0].activations == (1 if installed else 2)
         assert estimate(tiny(), device="cpu")[0].activations == 1
+    # Steps have fixed shapes on a GPU alone.
+    assert fixed_on == {(stage, fixed) for stage in ("cache", "joint") for fixed in (True, False)}
+
+
+def test_on_a_gpu_all_directions_are_traced():
+    config = tiny()
+    (_, here), (_, there) = (estimate(config, device=device) for device in ("cpu", "cuda"))
+    assert there.activations > 0.95 * here.activations
 
 
 @pytest.mark.slow
@@ -131,8 +143,15 @@ def test_directions_that_were_not_traced_are_added_at_their_own_price(monkeypatc
 
     monkeypatch.setattr(memory._Probe, "peak", peak)
     one, two = estimate(config)
-    assert one.activations == constant + per_ray * config.stage_one.num_rays
+    share = memory.ALLOCATED_SHARE
+    assert one.activations == round(share * (constant + per_ray * config.stage_one.num_rays))
     estimator = config.stage_two.estimator
-    directions = memory.TRACED_SHARE * (estimator.fast.total + estimator.exact.total)
+    # Two passes at once.
+    directions = 2 * memory.TRACED_SHARE * (estimator.fast.total + estimator.exact.total)
     rays = config.stage_two.num_rays
-    assert two.activations == round(constant + rays * (per_ray + per_direction * directions))
+    assert two.activations == round(share * (constant + rays * (per_ray + per_direction * directions)))
+    two = replace(config.stage_two, num_rays=1024, clusters=ClusterConfig(weight=1.0))
+    double = replace(config, stage_two=two)
+    pairs = memory.PAIR_BYTES * (1024**2 - memory.PROBE_RAYS["joint"][1] ** 2)
+    expected = constant + 1024 * (per_ray + per_direction * directions) + pairs
+    assert estimate(double)[1].activations == round(share * expected)

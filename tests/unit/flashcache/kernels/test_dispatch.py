@@ -117,8 +117,12 @@ def test_single_precision_on_a_gpu_has_kernels_where_triton_is_installed(monkeyp
     assert dispatch._backend(cuda, single) is importlib.import_module("flashcache.kernels.gpu")
     assert dispatch._backend(cuda, torch.float64) is None
     assert dispatch._backend(torch.device("mps"), single) is None
+    assert dispatch.is_fused(cuda, single)
+    assert not dispatch.is_fused(cuda, torch.float64)
+    assert not dispatch.is_fused(torch.device("cpu"), single)
     with dispatch.using("reference"):
         assert dispatch._backend(cuda, single) is None
+        assert not dispatch.is_fused(cuda, single)
     monkeypatch.setattr(dispatch, "_has_triton", lambda: False)
     assert dispatch._backend(cuda, single) is None
     assert not dispatch.has_gpu_kernels()

@@ -1,31 +1,22 @@
 """The GPU's encoder against the reference: in Triton's interpreter, and on a GPU where there is one."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 import torch
 from flashcache.errors import ConfigError
 from flashcache.kernels import dispatch, reference
 from flashcache.kernels.layout import GridLayout, build_layout, dense_layout, level_resolutions
-from support import grid_cases
 from support.grid_cases import INTERPRETED, case, close
 
 pytest.importorskip("triton", reason="needs Triton, which there is for Linux only")
 gpu = pytest.importorskip("flashcache.kernels.gpu")
-SCRIPT = Path(grid_cases.__file__).with_name("interpreted_grid.py")
+compiled_kernels = pytest.importorskip("support.compiled_kernels")
 Answers = dict[str, torch.Tensor]
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory) -> dict[str, Answers]:
     """Return what the kernels answer in the interpreter, case by case; ten seconds."""
-    path = tmp_path_factory.mktemp("interpreted") / "answers.pt"
-    command = [sys.executable, str(SCRIPT), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return torch.load(path)
+    return compiled_kernels.interpreted(tmp_path_factory.mktemp("grid"), "interpreted_grid.py")
 
 
 def expected(layout: GridLayout, points: int) -> Answers:

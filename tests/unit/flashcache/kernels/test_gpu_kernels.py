@@ -2,20 +2,18 @@
 
 import itertools
 import re
-import subprocess
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-triton = pytest.importorskip("triton", reason="needs Triton, which there is for Linux only")
+pytest.importorskip("triton", reason="needs Triton, which there is for Linux only")
 gpu = pytest.importorskip("flashcache.kernels.gpu")
 gpu_kernels = gpu.gpu_kernels
+compiled_kernels = pytest.importorskip("support.compiled_kernels")
+TARGETS = compiled_kernels.TARGETS
 
 pytestmark = pytest.mark.slow
 
-TARGETS = (80, 90, 120)
-"""Compute capabilities times ten: A100, H100 and H200, RTX 50."""
 MAX_REGISTERS = {1: 64, 2: 64, 3: 80, 4: 64, 5: 96, 8: 64}
 """Per thread, by the number of features. 64 allow eight programs of 128 threads at once, 96 five."""
 KERNELS = {
@@ -25,7 +23,6 @@ KERNELS = {
     "table gradient": (gpu_kernels.table_gradient, {"JACOBIAN": False}),
     "table gradient with Jacobian": (gpu_kernels.table_gradient, {"JACOBIAN": True}),
 }
-RESOURCES = re.compile(r"REG:(\d+) STACK:(\d+) SHARED:\d+ LOCAL:(\d+)")
 
 
 @pytest.fixture(autouse=True)
@@ -34,54 +31,28 @@ def nothing_is_compiled_before(monkeypatch, tmp_path):
 
 
 def compiled(name: str, num_features: int, target: int, counts: str = "*i32") -> Any:
-    """Return a kernel as Triton compiles it for tensors of torch's, whose addresses are multiples of 16."""
+    """Return a kernel for grids with this number of features."""
     kernel, constants = KERNELS[name]
     constants = constants | gpu.block_sizes(num_features)
-    types = {"counts": counts, "num_points": "i32", "num_levels": "i32"} | dict.fromkeys(
-        constants, "constexpr"
+    return compiled_kernels.compiled(
+        kernel, constants, target, counts=counts, num_points="i32", num_levels="i32"
     )
-    signature = {argument: types.get(argument, "*fp32") for argument in kernel.arg_names}
-    aligned = {
-        (place,): [["tt.divisibility", 16]]
-        for place, kind in enumerate(signature.values())
-        if kind.startswith("*")
-    }
-    source = triton.compiler.ASTSource(fn=kernel, signature=signature, constexprs=constants, attrs=aligned)
-    return triton.compile(source, target=gpu_target(target), options=gpu.OPTIONS)
-
-
-def gpu_target(capability: int) -> Any:
-    return triton.backends.compiler.GPUTarget("cuda", capability, 32)
-
-
-def resources(kernel: Any, folder: Path) -> tuple[int, int, int]:
-    """Return registers, bytes of stack and bytes of local memory per thread."""
-    tool = Path(triton.__file__).parent / "backends/nvidia/bin/cuobjdump"
-    path = folder / "kernel.cubin"
-    path.write_bytes(kernel.asm["cubin"])
-    listing = subprocess.run(
-        [tool, "--dump-resource-usage", path], capture_output=True, text=True, check=True
-    ).stdout
-    [found] = RESOURCES.findall(listing)
-    registers, stack, local = map(int, found)
-    return registers, stack, local
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_kernels_fit_into_registers(name, tmp_path):
+def test_kernels_fit_into_registers(name):
     for target, num_features in itertools.product(TARGETS, MAX_REGISTERS):
-        kernel = compiled(name, num_features, target)
-        registers, stack, local = resources(kernel, tmp_path)
+        registers, memory = compiled_kernels.resources(compiled(name, num_features, target))
         assert registers <= MAX_REGISTERS[num_features], (target, num_features)
-        assert stack == local == 0, (target, num_features)
+        assert memory == 0, (target, num_features)
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_kernels_with_64_bit_offsets_fit_into_registers(name, tmp_path):
+def test_kernels_with_64_bit_offsets_fit_into_registers(name):
     for target, num_features in itertools.product(TARGETS, (2, 8)):
-        registers, stack, local = resources(compiled(name, num_features, target, "*i64"), tmp_path)
+        registers, memory = compiled_kernels.resources(compiled(name, num_features, target, "*i64"))
         assert registers <= MAX_REGISTERS[num_features], (target, num_features)
-        assert stack == local == 0, (target, num_features)
+        assert memory == 0, (target, num_features)
 
 
 @pytest.mark.parametrize(("num_features", "vector"), [(2, "v2"), (4, "v4"), (8, "v4")])

@@ -238,7 +238,7 @@ def albedo_error(told: bool) -> float:
         model.fast.distance_head.bias[-1] = -50.0  # Nothing hides the sky from a ball.
     config = StageTwoConfig(
         num_steps=60,
-        num_rays=96,
+        num_rays=256,
         estimator=EstimatorConfig(
             fast=DirectionCounts(cosine=6, sampler=0, specular=2),
             exact=DirectionCounts(cosine=0, sampler=0, specular=0),

@@ -8,6 +8,7 @@ from flashcache.config import Config, DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.errors import ConfigError
 from flashcache.geometry.directions import dot
+from flashcache.parallel.processes import Processes
 from flashcache.physical.estimator import DirectionCounts
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -111,24 +112,21 @@ def test_taught_rays_leave_the_surface_outwards(solid):
     assert float((rays.directions.norm(dim=-1) - 1.0).abs().max()) < 1e-5
 
 
-def test_two_threads_teach_what_one_does(solid):
+def test_two_processes_teach_what_one_does(solid):
     """Their rays are drawn apart, so that the gradients agree in the mean only."""
-    before, found = torch.get_num_threads(), {}
-    try:
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
+    found = {}
+    for count in (1, 2):
+        with Processes(count) as processes:
             stage = stage_of(solid, 1)
             stage.optimiser.zero_grad(set_to_none=False)
             config = DistilConfig(num_points=4096)
-            distillation = Distillation(stage.model, stage.pixels, config, seed=0)
-            assert distillation.parts.count == threads
+            distillation = Distillation(stage.model, stage.pixels, config, seed=0, processes=processes)
+            assert distillation.parts.count == count
             distillation.differentiate(0)
-            head = stage.model.fast.distance_head.parameters()
-            found[threads] = torch.cat([one.grad.flatten() for one in head])
-            others = [*stage.model.nerf.parameters(), *stage.model.materials.parameters()]
-            assert not any(one.grad.any() for one in others if one.grad is not None)
-    finally:
-        torch.set_num_threads(before)
+        head = stage.model.fast.distance_head.parameters()
+        found[count] = torch.cat([one.grad.flatten() for one in head])
+        others = [*stage.model.nerf.parameters(), *stage.model.materials.parameters()]
+        assert not any(one.grad.any() for one in others if one.grad is not None)
     one, two = found[1], found[2]
     assert float(torch.nn.functional.cosine_similarity(one, two, dim=0)) > 0.98
     assert 0.9 < float(two.norm() / one.norm()) < 1.1

@@ -145,7 +145,7 @@ def test_the_radius_of_the_fast_caches_loss_is_the_domains():
     assert float(terms_of_step(near)["fast"].detach()) == 0.0
 
 
-def test_the_fast_cache_alone_is_taught_by_the_first_pass_only(monkeypatch):
+def test_the_fast_cache_alone_is_taught_once_a_step(monkeypatch):
     asked = []
     made = stage(estimator=replace(tiny().stage_two.estimator, control_variate="fast_only"))
     right = InverseModel.ask_nerf

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from flashcache.caches.nerf_cache import Geometry
+from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch
 from flashcache.geometry.rays import Rays
 from flashcache.physical.brdf import Materials
@@ -64,13 +65,19 @@ def seen(rows: int) -> tuple[RayBatch, Geometry]:
     return batch, Geometry(samples, weights, torch.zeros(3 * rows, 1), normal, None)
 
 
-@pytest.mark.parametrize("points_per_ray", [1, 2])
-def test_a_pass_over_few_points_has_the_mean_of_the_half_transparent_volume(points_per_ray):
-    batch, geometry = seen(8000)
+def config_without_sampler() -> StageTwoConfig:
     config = tiny().stage_two
     estimator = replace(config.estimator, fast=COUNTS, exact=COUNTS, sampler="none")
-    config = replace(config, estimator=estimator, points_per_ray=points_per_ray)
-    picture = shade(Toy(), config, batch, geometry, torch.Generator().manual_seed(0)).picture
+    return replace(config, estimator=estimator, points_per_ray=1)
+
+
+@pytest.mark.parametrize(("passes", "points_per_ray"), [(1, 1), (1, 2), (2, 1), (2, 2)])
+def test_every_pass_over_few_points_has_the_mean_of_the_half_transparent_volume(passes, points_per_ray):
+    batch, geometry = seen(8000)
+    config = replace(config_without_sampler(), points_per_ray=points_per_ray)
+    generator = torch.Generator().manual_seed(0)
+    pictures = shade(Toy(), config, batch, geometry, generator, passes=passes).pictures
+    assert len(pictures) == passes
     for kind, viewer in enumerate(VIEWERS):
         expected = torch.zeros(3, dtype=torch.float64)
         for weight, position, normal in zip(WEIGHTS, POSITIONS, NORMALS, strict=True):
@@ -78,4 +85,22 @@ def test_a_pass_over_few_points_has_the_mean_of_the_half_transparent_volume(poin
             given = replace(given, points=given.points._replace(positions=position[None]))
             light = lambda directions, index, kind=kind: lights(directions, index + kind)  # noqa: E731
             expected += weight * reflected(given, light=light)["rgb"]
-        assert_mean(picture[kind::2], expected, expected_error=QUADRATURE)
+        for picture in pictures:
+            assert_mean(picture[kind::2], expected, expected_error=QUADRATURE)
+
+
+def test_the_points_of_a_pass_say_nothing_about_those_of_the_other():
+    batch, geometry = seen(8000)
+    generator = torch.Generator().manual_seed(0)
+    index = shade(Toy(), config_without_sampler(), batch, geometry, generator, passes=2).index
+    of_ray = (index.reshape(2, -1) - 3 * torch.arange(8000)).double()
+    one, other = of_ray - of_ray.mean(dim=1, keepdim=True)
+    assert_mean(one * other, 0.0)
+
+
+def test_the_depth_estimator_shades_the_same_point_in_both_passes():
+    batch, geometry = seen(16)
+    config = replace(config_without_sampler(), points="depth")
+    found = shade(Toy(), config, batch, geometry, torch.Generator().manual_seed(0), passes=2)
+    assert torch.equal(found.index[:16], found.index[16:])
+    assert not torch.equal(*found.pictures)

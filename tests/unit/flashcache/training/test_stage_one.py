@@ -49,7 +49,7 @@ def test_nothing_is_too_bright_for_a_photograph_that_is_clipped_everywhere(carvi
     black = replace(batch, colour=0.0 * batch.colour, coverage=torch.ones(16))
     losses = []
     for clipped in (torch.ones(16, 3, dtype=torch.bool), None):
-        _, (terms, _) = made._losses(made.model, replace(black, clipped=clipped), 0)
+        _, (terms, _) = made.losses(made.model, replace(black, clipped=clipped), made.steps_done, 0, 1)
         losses.append(terms["carving" if carving_share else "colour"])
     assert losses[1] > losses[0] + 0.05
 
@@ -60,8 +60,7 @@ def test_emptiness_is_looked_for_in_all_cells_that_may_hold_something_and_in_no_
     assert occupancy is not None
     occupancy.set(occupancy.low.new_zeros(16, 16, 16) > 0.0)
     occupancy.cells[3:9, 5:7, 2:14] = 1
-    made.cells = occupancy.cells.nonzero()
-    points = made._anywhere(made.model, 20_000, torch.Generator().manual_seed(0))
+    points = made.losses.anywhere(made.model, 20_000, torch.Generator().manual_seed(0))
     index = ((points - occupancy.low) / occupancy.size).long()
     counts = torch.zeros(16, 16, 16)
     counts.index_put_(tuple(index.unbind(dim=-1)), torch.ones(len(index)), accumulate=True)
@@ -70,7 +69,7 @@ def test_emptiness_is_looked_for_in_all_cells_that_may_hold_something_and_in_no_
 
 def test_without_cells_emptiness_is_looked_for_in_the_whole_box():
     made = stage_one()
-    points = made._anywhere(made.model, 20_000, torch.Generator().manual_seed(0))
+    points = made.losses.anywhere(made.model, 20_000, torch.Generator().manual_seed(0))
     torch.testing.assert_close(points.amin(dim=0), torch.tensor(DOMAIN.bounds_min), atol=2e-3, rtol=0.0)
     torch.testing.assert_close(points.amax(dim=0), torch.tensor(DOMAIN.bounds_max), atol=2e-3, rtol=0.0)
 

@@ -17,7 +17,8 @@ from support.sphere_model import make_ball, small_config
 from support.statistics import assert_mean
 
 
-def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeypatch):
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeypatch, symmetric):
     def of_two_steps(seed, stage, step, stream, device):
         # The same rays in every step: what differs is the noise of the passes.
         return generator_for(seed, stage, 0 if stream == "rays" else step, stream, device)
@@ -28,18 +29,35 @@ def test_the_noise_of_one_pass_says_nothing_about_the_noise_of_the_other(monkeyp
     monkeypatch.setattr(
         stage_two, "shade", lambda *given, **options: passes.append(right(*given, **options)) or passes[-1]
     )
-    made = stage(num_rays=256, symmetric=False, normal_weight=0.0)
+    made = stage(num_rays=256, symmetric=symmetric, normal_weight=0.0)
     pictures = []
     for step in range(2):
         made.steps_done = step
-        made.losses(made.model, made.draw())
-        pictures.append([made_pass.picture.detach() for made_pass in passes[-2:]])
+        passes.clear()
+        made.losses.terms(made.model, made.draw(), made.steps_done)
+        pictures.append([picture.detach() for found in passes for picture in found.pictures])
     noise_a, noise_b = (one - other for one, other in zip(*pictures, strict=True))
     rough = (noise_a.abs().sum(dim=-1) > 0.0) & (noise_b.abs().sum(dim=-1) > 0.0)
     assert int(rough.sum()) > 100
     # On the scale of the noise itself, so that a few bright rays do not decide.
     scale = (noise_a.square() + noise_b.square()).sum(dim=-1)[rough]
     assert_mean((noise_a * noise_b).sum(dim=-1)[rough] / scale, 0.0)
+
+
+@pytest.mark.parametrize(("symmetric", "calls"), [(True, 1), (False, 2)])
+def test_passes_draw_new_numbers_in_every_step(monkeypatch, symmetric, calls):
+    seeds = []
+    right = stage_two.shade
+
+    def shade(model, config, batch, geometry, generator, **options):
+        seeds.append(generator.initial_seed())
+        return right(model, config, batch, geometry, generator, **options)
+
+    monkeypatch.setattr(stage_two, "shade", shade)
+    made = stage(symmetric=symmetric)
+    for step in range(3):
+        made.losses.terms(made.model, made.draw(), step)
+    assert len(set(seeds)) == len(seeds) == 3 * calls
 
 
 def test_the_physical_loss_compares_each_pass_with_the_other(monkeypatch):
@@ -56,11 +74,12 @@ def test_the_physical_loss_compares_each_pass_with_the_other(monkeypatch):
 
 
 def test_gradients_reach_the_materials_through_both_passes_alike(monkeypatch):
-    """With the noise of the passes exchanged, a symmetric loss and its gradient stay what they are."""
+    """With the passes exchanged, a symmetric loss and its gradient stay what they are."""
+    right = stage_two.shade
 
-    def exchanged(seed, stage, step, stream, device):
-        other = {"pass A 0": "pass B 0", "pass B 0": "pass A 0"}
-        return generator_for(seed, stage, step, other.get(stream, stream), device)
+    def exchanged(*given, **options):
+        found = right(*given, **options)
+        return replace(found, pictures=found.pictures.flip(0))
 
     def gradient() -> torch.Tensor:
         made = stage(symmetric=True)
@@ -69,7 +88,7 @@ def test_gradients_reach_the_materials_through_both_passes_alike(monkeypatch):
         return made.model.materials.head.weight.grad.clone()
 
     usual = gradient()
-    monkeypatch.setattr(stage_two, "generator_for", exchanged)
+    monkeypatch.setattr(stage_two, "shade", exchanged)
     assert usual.any()
     torch.testing.assert_close(gradient(), usual, rtol=1e-4, atol=1e-7)
 
@@ -81,7 +100,7 @@ def test_without_symmetry_the_second_pass_is_a_constant(monkeypatch):
         stage_two, "shade", lambda *given, **options: passes.append(right(*given, **options)) or passes[-1]
     )
     terms_of_step(stage(symmetric=False))
-    assert [made.picture.requires_grad for made in passes] == [True, False]
+    assert [made.pictures.requires_grad for made in passes] == [True, False]
 
 
 class Radial(torch.nn.Module):

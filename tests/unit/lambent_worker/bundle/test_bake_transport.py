@@ -150,8 +150,11 @@ def test_an_interrupted_bake_goes_on_where_it_was(tmp_path):
     assert 0 < sum(asked) < 0.7 * needed
     resumed = cast(*arguments, **settings, store=tmp_path / "parts")
     assert sum(asked) == needed == resumed.num_rays
-    np.testing.assert_array_equal(resumed.opacity, whole.opacity)
-    np.testing.assert_array_equal(resumed.distance, whole.distance)
+    shared = cast(*arguments, **settings, store=tmp_path / "threads", num_threads=3)
+    assert shared.num_rays == needed
+    for found in (resumed, shared):
+        np.testing.assert_array_equal(found.opacity, whole.opacity)
+        np.testing.assert_array_equal(found.distance, whole.distance)
 
 
 def test_direction_sets_fill_the_sphere_evenly_and_differ():

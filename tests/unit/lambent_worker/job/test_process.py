@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from flashcache.errors import ConfigError, TrainingError
+from flashcache.errors import ConfigError, ProcessEndedError, TrainingError
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
 from lambent_worker.capture_qa import check
@@ -205,6 +205,8 @@ def test_a_file_is_sent_whole_and_once(stage: Stage, connection: Connection, tmp
         (MemoryError(), "OUT_OF_MEMORY", "run.out_of_memory"),
         (RuntimeError("Error code 12 (Cannot allocate memory)"), "OUT_OF_MEMORY", "run.out_of_memory"),
         (type("OutOfMemoryError", (RuntimeError,), {})(), "GPU_OUT_OF_MEMORY", "run.gpu_out_of_memory"),
+        (ProcessEndedError(-9), "OUT_OF_MEMORY", "run.out_of_memory"),
+        (ProcessEndedError(1), "INTERNAL", "run.crashed"),
         (KeyError("x"), "INTERNAL", "run.crashed"),
     ],
 )

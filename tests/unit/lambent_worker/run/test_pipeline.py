@@ -31,11 +31,13 @@ class Tasks:
 
     def __init__(self):
         self.ran = []
+        self.clocks = {}
         self.fails = None
 
     def function(self, name):
         def run(context):
             assert context.folder.is_dir()
+            self.clocks[name] = context.clock
             self.ran.append((name, sorted(path.name for path in context.folder.iterdir())))
             context.progress(1, 2)
             (context.folder / "result").write_text(name)
@@ -193,6 +195,21 @@ def test_time_to_go_counts_only_what_this_process_did():
     assert clock.job_fraction(0.5) == 0.75
     assert clock.eta_s(0.5) == pytest.approx(10.0)
     assert clock.eta_s(0.0) == 0.0
+
+
+def test_the_speed_so_far_is_that_of_training(tmp_path, scene, tasks):
+    """What comes before takes as long as the photographs want, and says nothing about the rest."""
+    run(tmp_path, scene)
+    clocks = tasks.clocks
+    assert clocks["cache"].job_started == pytest.approx(clocks["cache"].before)
+    assert clocks["cache"].began > clocks["ingest"].began
+    for name in ("joint", "evaluate", "export"):
+        assert (clocks[name].began, clocks[name].job_started) == (
+            clocks["cache"].began,
+            clocks["cache"].job_started,
+        )
+    shares = [clocks[name].share for name in POSED]
+    assert sum(shares) == pytest.approx(1.0)
 
 
 def test_each_tasks_hash_contains_the_one_before(scene):

@@ -1,5 +1,6 @@
 """What the two training tasks of a run keep and find again."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -34,9 +35,9 @@ def context_of(tmp_path, config: Config, stop_after: int | None = None) -> TaskC
     return made
 
 
-def joint(context: TaskContext) -> StageTwo:
+def joint(context: TaskContext, fixed: bool | None = None) -> StageTwo:
     pixels = TrainingPixels(SCENE, context.spec.config.pixels, torch.device("cpu"))
-    return StageTwo(new_model(context, SCENE), pixels, context.spec.config.stage_two, seed=0)
+    return StageTwo(new_model(context, SCENE), pixels, context.spec.config.stage_two, seed=0, fixed=fixed)
 
 
 def short(**changes) -> Config:
@@ -59,6 +60,27 @@ def test_a_checkpoint_counts_if_it_was_made_with_the_settings_of_now_and_others_
     again = context_of(tmp_path, second)
     drive(again, joint(again))
     assert [fields["step"] for fields in again.reporter.named("checkpoint.resumed")] == [1]
+
+
+def test_a_checkpoint_counts_the_skipped_steps_that_a_gpu_has_not_told_yet(tmp_path):
+    context = context_of(tmp_path, short(), stop_after=0)
+    stage = joint(context, fixed=True)
+    with torch.no_grad():
+        stage.model.environment.head.bias[0] = torch.nan
+    with pytest.raises(Stopped):
+        drive(context, stage)
+    (folder,) = context.folder.glob("step_*")
+    assert json.loads((folder / "state.json").read_text())["num_skipped"] == 1
+    assert stage.num_skipped == 1
+
+
+def test_the_log_says_when_graphs_are_given_up(tmp_path):
+    context = context_of(tmp_path, short())
+    stage = joint(context, fixed=True)
+    stage.graphs.problem = "no capture"
+    drive(context, stage)
+    (fields,) = context.reporter.named("graphs.given_up")
+    assert fields == {"step": 1, "reason": "no capture"}
 
 
 def test_the_space_of_a_preset_is_that_of_its_models(tmp_path):

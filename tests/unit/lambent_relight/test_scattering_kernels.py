@@ -1,0 +1,84 @@
+"""The compiled loop over directions follows the formulas of the reflection model and of the light sampler."""
+
+import numpy as np
+import pytest
+from lambent_relight.brdf import (
+    brdf_cos,
+    cosine_pdf,
+    cosine_sample,
+    ggx_pdf,
+    ggx_sample,
+    half_vector,
+    materials_from_roughness,
+)
+from lambent_relight.directions import dot, normalise
+from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
+from lambent_relight.environment.maps import environment_from_array
+from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares
+
+PER_POINT = 64
+
+
+@pytest.fixture(scope="module")
+def sampler():
+    image = np.random.default_rng(1).random((32, 64, 3)) ** 8
+    return LightSampler(environment_from_array(image).rotated(50.0))
+
+
+@pytest.fixture(scope="module")
+def points():
+    rng = np.random.default_rng(2)
+    normal, omega_o = (normalise(rng.normal(size=(200, 3))) for _ in range(2))
+    normal[:4] = [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0]]
+    materials = materials_from_roughness(*(rng.random((200, width)) for width in (3, 1, 1)))
+    return SurfacePoints(rng.normal(size=(200, 3)), normal, omega_o, materials)
+
+
+def mirror(points):
+    return 2.0 * dot(points.normal, points.omega_o) * points.normal - points.omega_o
+
+
+def test_every_strategy_draws_as_its_own_function(sampler, points):
+    u = np.random.default_rng(3).random((200, 3))
+    alpha = points.materials.alpha
+    expected = (
+        sampler.sample(u[:, 1], u[:, 2], points.normal, COSINE_LOBE),
+        cosine_sample(u[:, 1], u[:, 2], points.normal),
+        ggx_sample(u[:, 1], u[:, 2], points.omega_o, points.normal, alpha),
+        sampler.sample(u[:, 1], u[:, 2], mirror(points), lobe_of_alpha(alpha)),
+    )
+    for strategy, wanted in enumerate(expected):
+        shares = np.tile(np.eye(4)[strategy], (200, 1))
+        found = draw_directions(points, sampler, u, shares)
+        np.testing.assert_allclose(found.omega_i, wanted, atol=2e-6)
+
+
+def test_weights_and_densities_are_those_of_the_formulas(sampler, points):
+    u = np.random.default_rng(4).random((200 * PER_POINT, 3))
+    shares = strategy_shares(points.materials)
+    found = draw_directions(points, sampler, u, shares)
+    rays = points[np.repeat(np.arange(200), PER_POINT)]
+    omega_i, alpha = found.omega_i.astype(np.float64), rays.materials.alpha
+    terms = (
+        sampler.pdf(omega_i, rays.normal, COSINE_LOBE),
+        cosine_pdf(omega_i, rays.normal),
+        ggx_pdf(half_vector(rays.omega_o, omega_i, rays.normal), alpha),
+        sampler.pdf(omega_i, mirror(rays), lobe_of_alpha(alpha)),
+    )
+    pdf = sum(np.repeat(shares[:, [k]], PER_POINT, axis=0) * term for k, term in enumerate(terms))
+    above = np.einsum("ni,ni->n", rays.normal, omega_i) > 1e-3
+    assert 0.5 < above.mean() < 0.95
+    assert set(np.flatnonzero(above)) <= set(found.active)
+    # Directions are rounded to single precision: one may fall into the next pixel, and narrow lobes feel it.
+    close = np.isclose(found.pdf_solid_angle, pdf, rtol=1e-3)[:, 0]
+    assert close[above].mean() > 0.999
+    for lobe, wanted in zip(
+        (found.diffuse, found.specular),
+        brdf_cos(rays.omega_o, omega_i, rays.normal, rays.materials),
+        strict=True,
+    ):
+        chosen = above & close
+        np.testing.assert_allclose(lobe[chosen], (wanted / pdf)[chosen], rtol=5e-3, atol=1e-6)
+    below = np.setdiff1d(np.arange(len(u)), found.active)
+    assert not found.weight[below].any()
+    assert not found.pdf_solid_angle[below].any()
