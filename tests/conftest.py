@@ -31,7 +31,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 MUST_RUN_IN_CI = ("browser", "services")
-_COMPILED = re.compile(r"^\s*(import|from) (numba|triton|flashcache\.kernels\.compiled)\b", re.MULTILINE)
+_COMPILED = re.compile(r"^\s*(import|from) (numba|triton|lambent_compute\.compiling)\b", re.MULTILINE)
 
 
 def annotated_modules(package: str) -> list[str]:

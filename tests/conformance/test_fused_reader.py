@@ -93,15 +93,6 @@ def test_any_number_of_rows_is_answered_alike(readers):
         np.testing.assert_array_equal(fused.material(rays[0][:count]).albedo, surfaces.albedo[:count])
 
 
-def test_softplus_by_polynomials_is_softplus():
-    values = np.linspace(-30, 30, 64 * kernels.BLOCK).astype(np.float32).reshape(64, kernels.BLOCK)
-    for sharpness in (0.5, 1.0, 10.0):
-        expected = np.logaddexp(0.0, sharpness * values.astype(np.float64)) / sharpness
-        ours = values.copy()
-        kernels.softplus(ours, np.float32(sharpness))
-        np.testing.assert_allclose(ours, expected, rtol=3e-7, atol=1e-7)
-
-
 @pytest.fixture(scope="module")
 def tiny():
     return preset_model("tiny")
@@ -184,21 +175,6 @@ def test_the_renderer_uses_compiled_code_where_it_can_and_says_where_not(tiny, f
     assert "material.v7" in caplog.text
     with pytest.raises(SettingError, match=r"relight\.reader"):
         Renderer(load_bundle(folder), reader="fused")
-
-
-def test_sines_cosines_and_exponentials_are_exact_to_float32():
-    rng = np.random.default_rng(4)
-    angles = rng.uniform(-2.0, 2.0, (3, kernels.BLOCK)).astype(np.float32)
-    out = np.zeros((3 + 6 * 5, kernels.BLOCK), np.float32)
-    kernels.encode_frequencies(angles, kernels.BLOCK, 5, out, 0)
-    scaled = np.concatenate([2.0**octave * angles.astype(np.float64) for octave in range(5)])
-    assert np.abs(out[3:] - np.concatenate([np.sin(scaled), np.cos(scaled)])).max() < 2e-7
-    values = np.linspace(-80.0, 80.0, kernels.BLOCK, dtype=np.float32)
-    found = np.empty_like(values)
-    kernels.exponentials(values, found, np.empty(kernels.BLOCK, np.int32))
-    exact = np.exp(values.astype(np.float64))
-    # The product with log2 e is rounded: an error of half a unit in the last place of the exponent.
-    assert (np.abs(found / exact - 1.0) < 4e-7 + 1e-7 * np.abs(values)).all()
 
 
 @pytest.mark.parametrize("far", [0.5, 2.0, 8.0])

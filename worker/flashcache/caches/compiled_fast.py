@@ -3,11 +3,12 @@
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from lambent_compute import blocks
 from torch import Tensor
 
 from flashcache.caches.fast_cache import LEAST_OPACITY, FastCache, FastCacheAnswer
 from flashcache.fields.packing import Layers, packed_grid, packed_lights
-from flashcache.kernels import blocks, fast_query
+from flashcache.kernels import fast_query
 from flashcache.kernels.ranges import over_rows
 from flashcache.volume.proposal_sampling import SECONDARY_CURVE
 

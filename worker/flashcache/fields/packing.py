@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from lambent_compute import blocks
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.fields.mlp import Hidden
-from flashcache.kernels import blocks, cpu, lookup
+from flashcache.kernels import cpu, lookup
 
 
 def packed_grid(grid: HashGrid | Occupancy) -> lookup.Grid:

@@ -1,11 +1,10 @@
 """Compiled loops over lattices of cells and rays through them."""
 
 import numpy as np
+from lambent_compute.compiling import compiled
 
-from flashcache.kernels.compiled import compiled
 
-
-@compiled
+@compiled(fastmath=False)
 def write_stretches(origins, directions, near, far, cells, low, high, step, first, last):
     """Write the stretches of rays into `first` and `last` [rays]; arguments and rule as in `march`."""
     step = np.float32(step)
@@ -41,7 +40,7 @@ def write_stretches(origins, directions, near, far, cells, low, high, step, firs
             last[ray] = min(far[ray], end + step)
 
 
-@compiled
+@compiled(fastmath=False)
 def count_cells(world_to_camera, lens, frame, away, low, size, radius, margin_px, seen, denied):
     """Add to `seen` and `denied` [x, y, z] what a view shows of each cell; see `flashcache.data.hull`.
 

@@ -12,11 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
+from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
 
-from flashcache.kernels.compiled import compiled
 from flashcache.kernels.layout import GridLayout, level_constants
 
 Array = NDArray[np.float32]
@@ -31,9 +30,6 @@ access, if enough points follow: memory is several times faster in order."""
 
 PARALLEL_POINTS = 4096
 """Below this many point-levels per thread a pool costs more than it saves."""
-
-# Without "nnan" and "ninf": clamping must catch a NaN before it becomes an address.
-FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 class Levels(NamedTuple):
@@ -151,10 +147,10 @@ def levels_of(layout: GridLayout) -> Levels:
     return Levels(np.array(counts).astype(np.uint64), np.array(scales, np.float32))
 
 
-_inlined = numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy")
+_inlined = inlined()
 # Without fused multiply-add, so that positions between voxels are the reference's, bit for bit. The option
 # must be given: a function without it inherits its caller's.
-_inlined_exact = numba.njit(nogil=True, fastmath=False, error_model="numpy")
+_inlined_exact = inlined(fastmath=False)
 
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
@@ -355,9 +351,9 @@ def _kernels(num_features: int) -> Kernels:
         return touched
 
     return Kernels(
-        forward=compiled(forward, fastmath=FASTMATH),
-        forward_jacobian=compiled(forward_jacobian, fastmath=FASTMATH),
-        table_gradient=compiled(table_gradient, fastmath=FASTMATH),
-        table_gradient_jacobian=compiled(table_gradient_jacobian, fastmath=FASTMATH),
-        position_gradient=compiled(position_gradient, fastmath=FASTMATH),
+        forward=compiled()(forward),
+        forward_jacobian=compiled()(forward_jacobian),
+        table_gradient=compiled()(table_gradient),
+        table_gradient_jacobian=compiled()(table_gradient_jacobian),
+        position_gradient=compiled()(position_gradient),
     )

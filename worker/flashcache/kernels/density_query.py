@@ -1,16 +1,16 @@
 """Density networks for blocks of points; no gradients. Source: `flashcache.fields.density.DensityField`."""
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from lambent_compute import blocks, functions, tiles
+from lambent_compute.blocks import Networks
+from lambent_compute.compiling import compiled, inlined
+from lambent_compute.tiles import COLUMNS
 from numpy.typing import NDArray
 
-from flashcache.kernels import blocks, functions, lookup, tiles
-from flashcache.kernels.blocks import Networks
-from flashcache.kernels.compiled import compiled, digest_of, inlined
+from flashcache.kernels import lookup
 from flashcache.kernels.lookup import Grid, Voxels
-from flashcache.kernels.tiles import COLUMNS, FASTMATH
 
 POINTS = 1024
 """Points of a block: their features stay in the core's own cache while the levels of a grid pass by."""
@@ -54,10 +54,7 @@ class Scratch(NamedTuple):
     second: NDArray[np.float32]
 
 
-_inlined = partial(inlined, fastmath=FASTMATH)
-
-
-@_inlined
+@inlined()
 def scratch_of(num_points, num_features, widest):
     """Return memory for blocks of `num_points`, a multiple of the columns of a tile."""
     return Scratch(
@@ -71,13 +68,13 @@ def scratch_of(num_points, num_features, widest):
     )
 
 
-@_inlined
+@inlined()
 def num_features_of(grid):
     """Return the number of features of a point."""
     return grid.counts.shape[0] * grid.table.shape[1]
 
 
-@_inlined
+@inlined()
 def _occupied(points, count, occupancy, box, scratch):
     """Return how many of the first `count` of `points` [3, any] may hold something, and list them."""
     index, shares, contracted = scratch.index, scratch.shares, scratch.contracted
@@ -100,7 +97,7 @@ def _occupied(points, count, occupancy, box, scratch):
     return found
 
 
-@_inlined
+@inlined()
 def _contract(points, count, inverse_radius):
     """Replace the first `count` of `points` [3, any] by contracted coordinates."""
     for i in range(count):
@@ -109,7 +106,7 @@ def _contract(points, count, inverse_radius):
         )
 
 
-@_inlined
+@inlined()
 def densities(points, count, grid, networks, density, occupancy, box, scratch, result):
     """Write the density [1/scene unit] at the first `count` of `points` [3, any] to `result` [any]."""
     index, contracted, shares = scratch.index, scratch.contracted, scratch.shares
@@ -133,70 +130,64 @@ def densities(points, count, grid, networks, density, occupancy, box, scratch, r
             result[index[c + r]] = shares[0, c + r] * raw[0, r]
 
 
-@_inlined
+@inlined()
 def of_raw(raw, bias):
     """Return the density that the network's output stands for."""
     logarithm = raw + bias
     return functions.exponential(LARGEST_LOGARITHM if logarithm > LARGEST_LOGARITHM else logarithm)
 
 
-def _function(sources: int):
-    def samples(
-        begin,
-        end,
-        positions,
-        table,
-        parameters,
-        settings,
-        occupancy_table,
-        box_arrays,
-        widest,
-        density,
-        hidden,
-    ):
-        """Write density [point] and hidden feature [point, width] at `positions` [point, 3].
+@compiled()
+def samples(
+    begin,
+    end,
+    positions,
+    table,
+    parameters,
+    settings,
+    occupancy_table,
+    box_arrays,
+    widest,
+    density,
+    hidden,
+):
+    """Write density [point] and hidden feature [point, width] at `positions` [point, 3].
 
-        The arguments from `table` to `box_arrays` are `Grid`, `Networks`, `Density`, `Grid` and `Box` as
-        plain tuples: numba's cache would not survive a change of the classes.
-        """
-        assert sources
-        grid, networks, query = Grid(*table), Networks(*parameters), Density(*settings)
-        occupancy, box = Grid(*occupancy_table), Box(*box_arrays)
-        num_features, width = num_features_of(grid), hidden.shape[1]
-        scratch = scratch_of(POINTS, num_features, widest)
-        points, shares = np.zeros((3, POINTS), np.float32), np.zeros((1, POINTS), np.float32)
-        contracted = scratch.contracted
-        for start in range(begin, end, POINTS):
-            size = min(POINTS, end - start)
-            for i in range(size):
-                for axis in range(3):
-                    points[axis, i] = positions[start + i, axis]
-                shares[0, i] = np.float32(1.0)
-            if box.exists:
-                for axis in range(3):
-                    for i in range(size):
-                        contracted[axis, i] = (points[axis, i] - box.middle[axis]) * box.inverse_half[axis]
-                lookup.encode(contracted, size, occupancy, scratch.voxels, shares, 0)
+    The arguments from `table` to `box_arrays` are `Grid`, `Networks`, `Density`, `Grid` and `Box` as
+    plain tuples: numba's cache would not survive a change of the classes.
+    """
+    grid, networks, query = Grid(*table), Networks(*parameters), Density(*settings)
+    occupancy, box = Grid(*occupancy_table), Box(*box_arrays)
+    num_features, width = num_features_of(grid), hidden.shape[1]
+    scratch = scratch_of(POINTS, num_features, widest)
+    points, shares = np.zeros((3, POINTS), np.float32), np.zeros((1, POINTS), np.float32)
+    contracted = scratch.contracted
+    for start in range(begin, end, POINTS):
+        size = min(POINTS, end - start)
+        for i in range(size):
+            for axis in range(3):
+                points[axis, i] = positions[start + i, axis]
+            shares[0, i] = np.float32(1.0)
+        if box.exists:
             for axis in range(3):
                 for i in range(size):
-                    contracted[axis, i] = points[axis, i]
-            _contract(contracted, size, query.inverse_radius)
-            lookup.encode(contracted, size, grid, scratch.voxels, scratch.features, 0)
-            for c in range(0, size, COLUMNS):
-                rows = min(COLUMNS, size - c)
-                last = blocks.run(
-                    networks, query.begin, query.end - 1, query.sharpness,
-                    scratch.features, num_features, c, scratch.first, scratch.second,
-                )  # fmt: skip
-                for r in range(rows):
-                    for f in range(width):
-                        hidden[start + c + r, f] = last[f, r]
-                head = networks.layers[query.end - 1]
-                tiles.affine(networks.parameters, head, last, 0, points, 0, False)
-                for r in range(rows):
-                    density[start + c + r] = shares[0, c + r] * of_raw(points[0, r], query.bias)
-
-    return compiled(samples, fastmath=FASTMATH)
-
-
-samples = _function(digest_of(tiles, functions, blocks, lookup))
+                    contracted[axis, i] = (points[axis, i] - box.middle[axis]) * box.inverse_half[axis]
+            lookup.encode(contracted, size, occupancy, scratch.voxels, shares, 0)
+        for axis in range(3):
+            for i in range(size):
+                contracted[axis, i] = points[axis, i]
+        _contract(contracted, size, query.inverse_radius)
+        lookup.encode(contracted, size, grid, scratch.voxels, scratch.features, 0)
+        for c in range(0, size, COLUMNS):
+            rows = min(COLUMNS, size - c)
+            last = blocks.run(
+                networks, query.begin, query.end - 1, query.sharpness,
+                scratch.features, num_features, c, scratch.first, scratch.second,
+            )  # fmt: skip
+            for r in range(rows):
+                for f in range(width):
+                    hidden[start + c + r, f] = last[f, r]
+            head = networks.layers[query.end - 1]
+            tiles.affine(networks.parameters, head, last, 0, points, 0, False)
+            for r in range(rows):
+                density[start + c + r] = shares[0, c + r] * of_raw(points[0, r], query.bias)

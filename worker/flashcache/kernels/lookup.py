@@ -5,17 +5,14 @@ mixed, in vector code over the features of a row. Row numbers are 32 bits wide: 
 the same as with 64 bits.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from lambent_compute.compiling import inlined
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
-
-from flashcache.kernels.compiled import inlined
-from flashcache.kernels.tiles import FASTMATH
 
 ZERO = np.float32(0.0)
 STEP = np.uint32(1)
@@ -45,16 +42,13 @@ class Voxels(NamedTuple):
     """[3, points]"""
 
 
-_inlined = partial(inlined, fastmath=FASTMATH)
-
-
-@_inlined
+@inlined()
 def voxels_of(num_points):
     """Return scratch memory for blocks of at most `num_points` points."""
     return Voxels(np.zeros((8, num_points + 64), np.uint32), np.empty((3, num_points), np.float32))
 
 
-@_inlined
+@inlined()
 def _axis(coordinate, scale, centre, largest):
     """Return the place along an axis, clamped to the grid; a NaN fails the comparison and becomes 0."""
     u = coordinate * scale + centre
@@ -62,7 +56,7 @@ def _axis(coordinate, scale, centre, largest):
     return u if u < largest else largest
 
 
-@_inlined
+@inlined()
 def _locate(points, count, grid, level, voxels):
     """Write the rows around the first `count` of `points` [3, any] and the positions between them."""
     scale, centre, largest = grid.scales[level, 0], grid.scales[level, 1], grid.scales[level, 2]
@@ -175,19 +169,19 @@ def _request(typing_context, table, row):
     return types.void(table, types.uint32), code
 
 
-@_inlined
+@inlined()
 def _request_rows(table, rows, i):
     """Ask for the rows around point `i`; the neighbour along x mostly lies in the same piece of memory."""
     for corner in range(0, 8, 2):
         _request(table, rows[corner, i])
 
 
-@_inlined
+@inlined()
 def _lerp(a, b, t):
     return a + t * (b - a)
 
 
-@_inlined
+@inlined()
 def encode(points, count, grid, voxels, features, first):
     """Write the features of the first `count` of `points` [3, any] to `features`, from row `first` on."""
     table, scale, num_features = grid.table, grid.output_scale, grid.table.shape[1]

@@ -45,7 +45,7 @@ class Processes:
 
         Tensors in `block` stay where they are, for all processes; its file is closed.
         """
-        for other, answerer in zip(self._others, answerers, strict=False):
+        for other, answerer in zip(self._others[: len(answerers)], answerers, strict=True):
             other.give(answerer, block)
         block.close_file()
 
@@ -55,11 +55,12 @@ class Processes:
         Raises what the first failing answerer raised, once all have ended, and `ProcessEndedError` for a
         process that is gone.
         """
-        asked = self._others[: len(questions) - 1]
-        for other, question in zip(asked, questions[1:], strict=True):
-            other.ask(question)
+        asked: list[_Other] = []
         answers: list[tuple[bool, Any]] = []
         try:
+            for other, question in zip(self._others[: len(questions) - 1], questions[1:], strict=True):
+                other.ask(question)
+                asked.append(other)
             answers.append((True, own(*questions[0])))
         finally:
             # Whatever happened here, nobody may be left with an answer that the next question would get.

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from lambent_compute.threads import available_threads, for_each
 from lambent_relight.baked.transport import Transport, coarse_blocks
 from lambent_relight.baked.transport_kernels import basis_rows, mirrored_sums
-from lambent_relight.bundle.graphs import available_threads
 from lambent_relight.environment import harmonics
-from lambent_relight.threads import in_order
 from numpy import ndarray
 
 from lambent_worker.bundle.transport_bounce import Reflectors, indirect_transfer
@@ -169,8 +168,7 @@ def _blocked(
         sky[texels] = (opacity.astype(np.float32) * share) @ basis_rows(way, sky_bands)
         sky[texels] += mirrored_sums(opacity, normal, way, sky_bands, least=LEAST_OPACITY, scale=CELL / 255.0)
 
-    for _ in in_order(fill, range(len(directions)), available_threads()):
-        pass
+    for_each(fill, range(len(directions)), available_threads())
     return transfer, sky
 
 

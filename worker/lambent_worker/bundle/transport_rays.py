@@ -15,8 +15,8 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from lambent_compute.threads import in_order
 from lambent_relight.baked.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
-from lambent_relight.threads import in_order
 from numpy import ndarray
 
 NUM_SETS = 16

@@ -6,13 +6,11 @@ Source: docs/method.md (relighting).
 
 import numpy as np
 from jaxtyping import Float, Int
+from lambent_compute.compiling import compiled, inlined
+from lambent_compute.threads import available_threads, for_each
 from lambent_relight.baked.split_sum import TABLE_SIDE, table
 from lambent_relight.baked.transport_kernels import basis_at, recurrence
 from lambent_relight.baked.transport_lobes import ggx_bands
-from lambent_relight.bundle.graphs import available_threads
-from lambent_relight.compiling import COMPILE_OPTIONS
-from lambent_relight.threads import in_order
-from numba import njit
 from numpy import ndarray
 
 _RECEIVERS_AT_ONCE = 512
@@ -48,12 +46,11 @@ def mirrored_light(
         end = min(start + _RECEIVERS_AT_ONCE, num_receivers)
         _mirror(start, end, first_hit, texel, *arrays, *tables, mirrored, rest)
 
-    for _ in in_order(some, range(0, num_receivers, _RECEIVERS_AT_ONCE), available_threads()):
-        pass
+    for_each(some, range(0, num_receivers, _RECEIVERS_AT_ONCE), available_threads())
     return mirrored, rest
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _mirror(
     start,
     end,
@@ -104,7 +101,7 @@ def _mirror(
                     mirrored[receiver, k, channel] += part * free * basis[k]
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _split_sum(values, cosine, roughness):
     """Return `lambent_relight.baked.split_sum.split_sum` of one cosine and roughness in [0, 1]."""
     one, last = np.float32(1.0), np.float32(TABLE_SIDE - 1)

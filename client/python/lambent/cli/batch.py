@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from lambent_compute.threads import available_threads
 from lambent_relight.batch.manifest import Manifest
 from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
-from lambent_relight.bundle.graphs import available_threads
 
 from lambent.cli.batch_report import list_failures, report
 from lambent.cli.output import JsonOption, Output, UrlOption, format_duration

@@ -11,10 +11,8 @@ bits. A lobe much narrower than a light resolves its extent: there the map is no
 """
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled
 from numpy.typing import NDArray
-
-from lambent_relight.compiling import COMPILE_OPTIONS
 
 Rows = NDArray[np.float32]
 
@@ -51,7 +49,7 @@ def glints(
     return rest, added
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _glints(normal, omega_o, mirror, alpha, scale, f0, direction, radiance, share, prefiltered, rest, added):
     one, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
     for p in range(len(normal)):

@@ -1,10 +1,8 @@
 """Compiled loops of baked relighting. They release the interpreter lock and write only their outputs."""
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled
 from numpy.typing import NDArray
-
-from lambent_relight.compiling import COMPILE_OPTIONS
 
 Rows = NDArray[np.float32]
 
@@ -27,7 +25,7 @@ def shade_pixels(
     return tuple(out)
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _shade_pixels(
     pixel, texel, share, first, coarse, straight, bounced, prefiltered, glint, diffuse, free, around, out
 ):

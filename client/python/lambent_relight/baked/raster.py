@@ -8,10 +8,10 @@ Pixels are sampled at their centres; for smoother edges draw a camera `resized` 
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_compute.threads import available_threads, for_each
 from numpy.typing import NDArray
 
 from lambent_relight.baked import raster_kernels as kernels
-from lambent_relight.bundle.graphs import available_threads, in_threads
 from lambent_relight.cameras import Camera
 
 _ROWS_PER_TASK = 64
@@ -58,7 +58,7 @@ def rasterise(
         rows = np.array([first, min(first + _ROWS_PER_TASK, camera.height)])
         kernels.draw_faces(points, faces, lens, rows, face_of, weights, depth)
 
-    in_threads(draw, range(0, camera.height, _ROWS_PER_TASK), num_threads or available_threads())
+    for_each(draw, range(0, camera.height, _ROWS_PER_TASK), num_threads or available_threads())
     return Fragments(face_of, weights, depth)
 
 

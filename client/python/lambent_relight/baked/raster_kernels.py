@@ -5,16 +5,13 @@ values in them and no pixel falls between. No `fastmath`: contraction would brea
 """
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled
 
-from lambent_relight.compiling import can_keep_compiled_code
-
-_OPTIONS = {"nogil": True, "cache": can_keep_compiled_code(), "boundscheck": False}
 _BEHIND = -1e-6
 """Corners nearer than this to the camera's plane, or behind it, have no place in the picture."""
 
 
-@njit(**_OPTIONS)
+@compiled(fastmath=False)
 def draw_faces(points, faces, lens, rows, face_of, weights, depth):
     """Draw triangles into the rows `rows` = (first, end) of a picture; the nearest surface stays.
 
@@ -69,7 +66,7 @@ def draw_faces(points, faces, lens, rows, face_of, weights, depth):
                     weights[r, column, 1] = ec / total
 
 
-@njit(**_OPTIONS)
+@compiled(fastmath=False)
 def draw_charts(uv, faces, size, face_of, weights):
     """Draw the triangles of an atlas; where charts overlap the first stays. `uv` [vertex, 2] in texels."""
     for f in range(faces.shape[0]):
@@ -95,7 +92,7 @@ def draw_charts(uv, faces, size, face_of, weights):
                     weights[row, column, 1] = ec / total
 
 
-@njit(**_OPTIONS)
+@compiled(fastmath=False)
 def spread(owner, queue, count):
     """Give every empty (-1) cell of `owner` [height, width] the value of a covered cell near it.
 

@@ -8,10 +8,8 @@ import math
 from functools import cache
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
-
-from lambent_relight.compiling import COMPILE_OPTIONS
 
 
 @cache
@@ -31,7 +29,7 @@ def recurrence(bands: int) -> NDArray[np.float32]:
     return table
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def basis_at(x, y, z, table, out):
     """Write the basis at one unit direction to `out` [bands^2]."""
     bands = table.shape[1]
@@ -48,7 +46,7 @@ def basis_at(x, y, z, table, out):
         cosine, sine = cosine * x - sine * y, cosine * y + sine * x
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _basis_rows(directions, table, out):
     for row in range(directions.shape[0]):
         basis_at(directions[row, 0], directions[row, 1], directions[row, 2], table, out[row])
@@ -61,7 +59,7 @@ def basis_rows(directions: NDArray[np.floating], bands: int) -> NDArray[np.float
     return out
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _mirrored_sums(opacity, normals, directions, least, scale, table, out):
     values = np.empty(out.shape[1], np.float32)
     for t in range(opacity.shape[0]):
@@ -132,7 +130,7 @@ class NearestPoint:
         return self._order[out]
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _spread_cells(home, shape, occupied):
     """Give every cell the nearest occupied one, by flooding outwards from those."""
     size_y, size_z = shape[1], shape[2]
@@ -157,7 +155,7 @@ def _spread_cells(home, shape, occupied):
                         end += 1
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _nearest(queries, points, first, home, shape, low, cell, out):
     size_y, size_z = shape[1], shape[2]
     for q in range(queries.shape[0]):

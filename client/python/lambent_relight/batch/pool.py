@@ -12,11 +12,12 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+from lambent_compute.threads import available_threads
+
 from lambent_relight.batch.journal import Record
 from lambent_relight.batch.manifest import Files
 from lambent_relight.batch.plan import Failure, Row
 from lambent_relight.batch.studio import KEPT_RAYS, Studio
-from lambent_relight.bundle.graphs import available_threads
 from lambent_relight.errors import RelightError
 
 Task = tuple[Row, tuple[str, ...]]

@@ -5,14 +5,12 @@ surface properties. All arrays are float32; rows are independent, so long batche
 Source: docs/reference/bundle-format.md.
 """
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
 import onnxruntime
+from lambent_compute.threads import available_threads
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
@@ -95,21 +93,6 @@ class NoCaches:
         )
 
     secondary = material = adapted = gbuffer
-
-
-def available_threads() -> int:
-    """Return the number of CPU threads this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def in_threads(task: Callable[[int], None], starts: range, num_threads: int) -> None:
-    """Call `task` (it should release the interpreter lock) with each of `starts` in `num_threads` threads."""
-    if num_threads == 1 or len(starts) < 2:
-        for start in starts:
-            task(start)
-    else:
-        with ThreadPoolExecutor(num_threads) as pool:
-            list(pool.map(task, starts))
 
 
 class OnnxGraph:

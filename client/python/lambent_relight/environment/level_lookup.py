@@ -8,10 +8,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
-
-from lambent_relight.compiling import COMPILE_OPTIONS
 
 _TAU = 2.0 * math.pi
 
@@ -36,7 +34,7 @@ def interpolate_levels(
     return result
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _interpolate(sharp, rough, directions, chosen, fraction, turn, result):
     for position in range(chosen.shape[0]):
         point = chosen[position]
@@ -51,7 +49,7 @@ def _interpolate(sharp, rough, directions, chosen, fraction, turn, result):
         _add_bilinear(rough, u, v, blend, result, point)
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _add_bilinear(image, u, v, scale, result, point):
     height, width = image.shape[0], image.shape[1]
     column = u * np.float32(width) - np.float32(0.5)

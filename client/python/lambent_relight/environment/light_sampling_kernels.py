@@ -7,14 +7,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
 
-from lambent_relight.compiling import COMPILE_OPTIONS
 from lambent_relight.environment.light_sampling import AXES_SIDE
-
-IN_ORDER = {**COMPILE_OPTIONS, "fastmath": False}
-"""Options of code whose sums may not be reordered."""
 
 
 class Table(NamedTuple):
@@ -39,7 +35,7 @@ class Table(NamedTuple):
     """By which the map is turned about +z, radians."""
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def row_of(table, lobe, x, y, z):
     """Return the row for a lobe about the unit axis (x, y, z): bins of an octahedral map of 16 x 16."""
     cosine, sine = math.cos(table.angle), math.sin(table.angle)
@@ -55,7 +51,7 @@ def row_of(table, lobe, x, y, z):
     return (lobe * AXES_SIDE + row) * AXES_SIDE + column
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def _first_above(values, start, end, wanted):
     """Return the first place from `start` to `end` whose value is above `wanted`, or `end`."""
     while start < end:
@@ -67,7 +63,7 @@ def _first_above(values, start, end, wanted):
     return start
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def direction_in(table, row, u1, u2):
     """Return a direction (x, y, z) of a row, from uniforms in [0, 1)."""
     num_cells = table.pmf.shape[1]
@@ -93,7 +89,7 @@ def direction_in(table, row, u1, u2):
     return radius * math.cos(azimuth), radius * math.sin(azimuth), z
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def pixel_at(table, x, y, z):
     """Return the number of the pixel that the unit direction (x, y, z) points at."""
     u = 0.5 - (math.atan2(y, x) - table.angle) / (2.0 * math.pi)
@@ -103,13 +99,13 @@ def pixel_at(table, x, y, z):
     return row * table.width + int(u * table.width) % table.width
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def density_in(table, row, pixel):
     """Return the density of `direction_in` at the directions of a pixel, 1/sr."""
     return table.pmf[row, table.cell_of_pixel[pixel]] * table.inside[pixel]
 
 
-@njit(**IN_ORDER)
+@compiled(fastmath=False)
 def sample(table, u1, u2, axes, lobes, out):
     """Write directions for lobes [n] about `axes` [n, 3] to `out` [n, 3], from uniforms [n]."""
     for n in range(len(axes)):
@@ -117,7 +113,7 @@ def sample(table, u1, u2, axes, lobes, out):
         out[n, 0], out[n, 1], out[n, 2] = direction_in(table, row, u1[n], u2[n])
 
 
-@njit(**IN_ORDER)
+@compiled(fastmath=False)
 def densities(table, directions, axes, lobes, out):
     """Write the densities of `directions` [n, 3] for lobes [n] about `axes` [n, 3] to `out` [n, 1]."""
     for n in range(len(directions)):

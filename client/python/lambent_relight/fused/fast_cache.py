@@ -6,14 +6,15 @@ Source: supplement 2.1; docs/reference/bundle-format.md (fast cache).
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from lambent_compute import blocks
+from lambent_compute.compiling import compiled, inlined
+from lambent_compute.functions import softplus
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import AdaptedHits, Rows, SecondaryHits
-from lambent_relight.compiling import COMPILE_OPTIONS
 from lambent_relight.fused import grids, kernels
-from lambent_relight.fused.networks import Layer, Network, run_network, work_space
-from lambent_relight.fused.tiles import BLOCK, STRIDE, affine
+from lambent_relight.fused.kernels import BLOCK, STRIDE
+from lambent_relight.fused.networks import Network, run_head, run_network, work_space
 from lambent_relight.fused.weights import NotFused, Weights, chained, graph_constants
 
 
@@ -29,7 +30,7 @@ class _Distances(NamedTuple):
     grid: grids.Grid
     code: Network
     network: Network
-    head: Layer
+    head: Network
 
 
 class _Colours(NamedTuple):
@@ -39,26 +40,28 @@ class _Colours(NamedTuple):
     bias: np.float32
     grid: grids.Grid
     decoder: Network
-    head: Layer
+    head: Network
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _place(cache, origins, directions, first, count, space, opacity, distance, places, weights):
     """Write the hits of a block of rays, and the distances and weights of its samples [sample, STRIDE]."""
     points, vectors, features, inputs, raw, work = space
     kernels.load_rows(origins, first, count, points)
     kernels.load_rows(directions, first, count, vectors)
-    kernels.contract_block(points, count, cache.radius)
+    kernels.contract_block(points, cache.radius)
     grids.encode(cache.grid, points, count, features)
-    kernels.copy_rows(run_network(cache.code, features, work), cache.num_code, inputs, 0)
+    blocks.copy_rows(run_network(cache.code, features, work), 0, 0, cache.num_code, inputs, 0)
     middle = cache.num_code + 3 + 6 * cache.num_frequencies
-    kernels.encode_frequencies(points, count, cache.num_frequencies, inputs, cache.num_code)
-    kernels.encode_frequencies(vectors, count, cache.num_frequencies, inputs, middle)
-    affine(cache.head.weight, cache.head.bias, run_network(cache.network, inputs, work), raw)
+    blocks.copy_rows(points, 0, 0, 3, inputs, cache.num_code)
+    blocks.copy_rows(vectors, 0, 0, 3, inputs, middle)
+    blocks.encode_frequencies(inputs, cache.num_code, 3, cache.num_frequencies)
+    blocks.encode_frequencies(inputs, middle, 3, cache.num_frequencies)
+    run_head(cache.head, run_network(cache.network, inputs, work), raw)
     kernels.place_samples(raw, count, cache.ladder, cache.far, opacity, distance, first, places, weights)
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _space(cache, work):
     """Return room for the values of a block of rays."""
     num_inputs = cache.num_code + 2 * (3 + 6 * cache.num_frequencies)
@@ -72,7 +75,7 @@ def _space(cache, work):
     )
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _secondary_rays(cache, origins, directions, work, opacity, distance):
     """Write the hits of rays [row, 3] to `opacity` and `distance` [row, 1]."""
     space = _space(cache, work)
@@ -83,7 +86,7 @@ def _secondary_rays(cache, origins, directions, work, opacity, distance):
         _place(cache, origins, directions, first, count, space, opacity, distance, places, weights)
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _adapted_rays(cache, colours, origins, directions, work, opacity, distance, radiance):
     """Write the hits and the radiance [row, 3] of rays [row, 3]."""
     space = _space(cache, work)
@@ -103,14 +106,13 @@ def _adapted_rays(cache, colours, origins, directions, work, opacity, distance, 
         mixed.fill(np.float32(0.0))
         for k in range(cache.num_samples):
             kernels.points_along(starts, vectors, places[k], count, points)
-            kernels.contract_block(points, count, colours.radius)
+            kernels.contract_block(points, colours.radius)
             grids.encode(colours.grid, points, count, features)
             kernels.add_weighted(features, weights[k], mixed)
-        affine(colours.head.weight, colours.head.bias, run_network(colours.decoder, mixed, work), raw)
+        run_head(colours.head, run_network(colours.decoder, mixed, work), raw)
         for axis in range(3):
             for r in range(BLOCK):
-                raw[axis, r] += colours.bias
-        kernels.softplus(raw, np.float32(1.0))
+                raw[axis, r] = softplus(raw[axis, r] + colours.bias)
         for r in range(count):
             for axis in range(3):
                 radiance[first + r, axis] = opacity[first + r, 0] * raw[axis, r]
@@ -151,7 +153,7 @@ class FusedFastCache:
             grid=grid,
             code=Network.of(code),
             network=Network.of(network, skip=skip),
-            head=head,
+            head=Network.head(head),
         )
         self._work = work_space(self.distances.code, self.distances.network).shape
 
@@ -180,7 +182,7 @@ class FusedAdaptedCache:
             bias=np.float32(constants["colour_bias"]),
             grid=grid,
             decoder=Network.of(decoder),
-            head=head,
+            head=Network.head(head),
         )
         networks = (self._distances.code, self._distances.network, self._colours.decoder)
         self._work = work_space(*networks).shape

@@ -6,14 +6,15 @@ Source: supplement 2.2 (density, predicted normals) and 2.6 (materials); docs/re
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from lambent_compute import blocks
+from lambent_compute.compiling import compiled, inlined
+from lambent_compute.functions import exponential, sigmoid
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import Rows
-from lambent_relight.compiling import COMPILE_OPTIONS
 from lambent_relight.fused import grids, kernels
-from lambent_relight.fused.networks import Layer, Network, run_network, work_space
-from lambent_relight.fused.tiles import BLOCK, STRIDE, affine
+from lambent_relight.fused.kernels import BLOCK, STRIDE
+from lambent_relight.fused.networks import Network, run_head, run_network, work_space
 from lambent_relight.fused.weights import NotFused, Weights, chained, graph_constants
 
 CONSTANTS = ("contraction_radius", "density_bias", "albedo_bias", "alpha_bias", "metalness_bias")
@@ -41,13 +42,13 @@ class Fields(NamedTuple):
     occupancy: Occupancy
     density_grid: grids.Grid
     density: Network
-    density_head: Layer
+    density_head: Network
     density_bias: np.float32
     normal_grid: grids.Grid
     normals: Network
-    normal_head: Layer
+    normal_head: Network
     material_grid: grids.Grid
-    materials: Layer
+    materials: Network
     material_bias: Rows
     alpha_minimum: np.float32
 
@@ -88,13 +89,13 @@ class Fields(NamedTuple):
             occupancy=_occupancy(weights, constants) if occupied else _everywhere(),
             density_grid=density_grid,
             density=Network.of(density, sharpness=sharpness or 0.0),
-            density_head=density_head,
+            density_head=Network.head(density_head),
             density_bias=np.float32(constants["density_bias"]),
             normal_grid=normal_grid,
             normals=Network.of(normals),
-            normal_head=normal_head,
+            normal_head=Network.head(normal_head),
             material_grid=material_grid,
-            materials=materials,
+            materials=Network.head(materials),
             material_bias=np.array([constants[name] for name in bias_names], np.float32),
             alpha_minimum=np.float32(constants["alpha_minimum"]),
         )
@@ -118,7 +119,7 @@ def _occupancy(weights: Weights, constants: dict) -> Occupancy:
     return Occupancy(grid, low + half, half)
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _shares(occupancy, points, count, places, out):
     """Write the factors on the density at world `points` [3, STRIDE] to `out` [1, STRIDE]."""
     for axis in range(3):
@@ -128,15 +129,15 @@ def _shares(occupancy, points, count, places, out):
     grids.encode(occupancy.grid, places, count, out)
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _hidden(fields, points, count, features, work):
     """Return the hidden feature [width, STRIDE] of the density at world points, which are contracted."""
-    kernels.contract_block(points, count, fields.radius)
+    kernels.contract_block(points, fields.radius)
     grids.encode(fields.density_grid, points, count, features)
     return run_network(fields.density, features, work)
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def densities(fields, positions, work, out):
     """Write densities [point], 1/scene unit, at world positions [point, 3]; `work` is that of `Fields.work`.
 
@@ -147,7 +148,7 @@ def densities(fields, positions, work, out):
     num_features = len(fields.density_grid.levels) * fields.density_grid.table.shape[1]
     features = np.zeros((num_features, STRIDE), np.float32)
     kept, factors = np.empty(2 * BLOCK, np.int64), np.empty(2 * BLOCK, np.float32)
-    bits, num_kept = np.empty(BLOCK, np.int32), np.int64(0)
+    num_kept = np.int64(0)
     for first in range(0, len(positions), BLOCK):
         count = min(BLOCK, len(positions) - first)
         kernels.load_rows(positions, first, count, points)
@@ -164,10 +165,9 @@ def densities(fields, positions, work, out):
                 for axis in range(3):
                     points[axis, r] = positions[kept[r], axis]
             hidden = _hidden(fields, points, some, features, work)
-            affine(fields.density_head.weight, fields.density_head.bias, hidden, raw)
+            run_head(fields.density_head, hidden, raw)
             for r in range(BLOCK):
-                raw[0, r] = min(raw[0, r] + fields.density_bias, _LARGEST_LOG)
-            kernels.exponentials(raw[0], raw[0], bits)
+                raw[0, r] = exponential(min(raw[0, r] + fields.density_bias, _LARGEST_LOG))
             for r in range(some):
                 out[kept[r]] = raw[0, r] * factors[r]
             num_kept -= some
@@ -175,36 +175,33 @@ def densities(fields, positions, work, out):
                 kept[r], factors[r] = kept[some + r], factors[some + r]
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def surfaces(fields, positions, work, out):
     """Write normals and materials at world positions [point, 3] to `out` [point, NUM_PROPERTIES]."""
     points, values = np.zeros((3, STRIDE), np.float32), np.zeros((NUM_PROPERTIES, STRIDE), np.float32)
     num_features = len(fields.density_grid.levels) * fields.density_grid.table.shape[1]
     features = np.zeros((num_features, STRIDE), np.float32)
-    width = fields.density_head.weight.shape[1]
+    width = fields.density_head.layers[0, 2]
     num_own = len(fields.normal_grid.levels) * fields.normal_grid.table.shape[1]
     inputs = np.zeros((num_own + width, STRIDE), np.float32)
-    found = np.zeros((fields.materials.weight.shape[1], STRIDE), np.float32)
-    bits, one = np.empty(BLOCK, np.int32), np.float32(1.0)
+    found = np.zeros((fields.materials.layers[0, 2], STRIDE), np.float32)
+    one = np.float32(1.0)
     for first in range(0, len(positions), BLOCK):
         count = min(BLOCK, len(positions) - first)
         kernels.load_rows(positions, first, count, points)
-        kernels.copy_rows(_hidden(fields, points, count, features, work), width, inputs, num_own)
+        blocks.copy_rows(_hidden(fields, points, count, features, work), 0, 0, width, inputs, num_own)
         grids.encode(fields.normal_grid, points, count, inputs)
         last = run_network(fields.normals, inputs, work)
-        affine(fields.normal_head.weight, fields.normal_head.bias, last, values)
-        for r in range(count):
+        run_head(fields.normal_head, last, values)
+        for r in range(BLOCK):
             x, y, z = values[0, r], values[1, r], values[2, r]
             share = -one / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-8))
             values[0, r], values[1, r], values[2, r] = share * x, share * y, share * z
         grids.encode(fields.material_grid, points, count, found)
-        affine(fields.materials.weight, fields.materials.bias, found, values[3:])
+        run_head(fields.materials, found, values[3:])
         for k in range(3, NUM_PROPERTIES):
             for r in range(BLOCK):
-                values[k, r] = -(values[k, r] + fields.material_bias[k - 3])
-            kernels.exponentials(values[k], values[k], bits)
-            for r in range(BLOCK):
-                values[k, r] = one / (one + values[k, r])
+                values[k, r] = sigmoid(values[k, r] + fields.material_bias[k - 3])
         for r in range(BLOCK):
             values[6, r] = np.sqrt(values[6, r] * (one - fields.alpha_minimum) + fields.alpha_minimum)
         for r in range(count):

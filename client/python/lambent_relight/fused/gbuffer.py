@@ -10,11 +10,10 @@ Source: paper Eq. 3; docs/reference/bundle-format.md.
 import math
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled, inlined
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import PrimaryHits, Rows
-from lambent_relight.compiling import COMPILE_OPTIONS
 from lambent_relight.fused import fields
 from lambent_relight.fused.weights import NotFused, Weights
 
@@ -82,13 +81,13 @@ class FusedGbuffer:
         return weight
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _inside(length, k, count):
     """Return the distance of sample `k` of `count` from the box."""
     return length * np.float32((k + 0.5) / count)
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _positions(entry, direction, length, active, first, last, count):
     """Return the places of samples `first` to `last` of the rays `active`, [ray * sample, 3]."""
     positions = np.empty((len(active) * (last - first), 3), np.float32)
@@ -102,7 +101,7 @@ def _positions(entry, direction, length, active, first, last, count):
     return positions
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _march(density, length, active, first, last, depth_before, weight):
     """Write the weights of samples `first` to `last`; return the rays through which light still gets."""
     count, num_left, row = weight.shape[1], np.int64(0), np.int64(0)
@@ -122,7 +121,7 @@ def _march(density, length, active, first, last, depth_before, weight):
     return left[:num_left]
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _groups(entry, direction, length, weight, group):
     """Return the groups of samples that count, and per ray the opacity and the mean distance from the box.
 
@@ -155,7 +154,7 @@ def _groups(entry, direction, length, weight, group):
     return rays[:found], positions[:found], masses[:found], opacity, distance
 
 
-@njit(**COMPILE_OPTIONS)
+@compiled()
 def _sums(rays, masses, found, num_rays):
     """Return the sums of `found` [group, n] times `masses` over the groups of each ray, [ray, n]."""
     total = np.zeros((num_rays, found.shape[1]))

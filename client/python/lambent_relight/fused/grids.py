@@ -10,12 +10,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import inlined
+from lambent_compute.tiles import COLUMNS as BLOCK
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.graphs import Rows
-from lambent_relight.compiling import COMPILE_OPTIONS
-from lambent_relight.fused.tiles import BLOCK
 
 
 class Grid(NamedTuple):
@@ -41,13 +40,25 @@ class Grid(NamedTuple):
         return len(self.levels) * self.table.shape[1]
 
 
+@inlined()
+def _mix(table, f, rows, fu, fv, fw):
+    """Return feature `f` between eight rows of `table`, z slowest, at the place (fu, fv, fw) in the voxel."""
+    a0, a1, a2, a3, b0, b1, b2, b3 = rows
+    x00 = table[a0, f] + fu * (table[a1, f] - table[a0, f])
+    x10 = table[a2, f] + fu * (table[a3, f] - table[a2, f])
+    x01 = table[b0, f] + fu * (table[b1, f] - table[b0, f])
+    x11 = table[b2, f] + fu * (table[b3, f] - table[b2, f])
+    y0, y1 = x00 + fv * (x10 - x00), x01 + fv * (x11 - x01)
+    return y0 + fw * (y1 - y0)
+
+
 def _interpolation(num_features: int) -> Callable[..., None]:
     """Return the compiled interpolation of so many features, a constant of the code.
 
     It reads rows of `table` [row, features] at an index modulo 2^32, of which `mask` leaves the lower bits.
     """
 
-    @njit(**COMPILE_OPTIONS)
+    @inlined()
     def interpolate(table, mask, multiplier_y, multiplier_z, corner, inside, count, out):
         one, by, bz = np.uint32(1), np.uint32(multiplier_y), np.uint32(multiplier_z)
         for r in range(count):
@@ -58,12 +69,7 @@ def _interpolation(num_features: int) -> Callable[..., None]:
             b0, b1 = b & mask, np.uint32(b + one) & mask
             b2, b3 = np.uint32(b + by) & mask, np.uint32(b + by + one) & mask
             for f in range(num_features):
-                x00 = table[a0, f] + fu * (table[a1, f] - table[a0, f])
-                x10 = table[a2, f] + fu * (table[a3, f] - table[a2, f])
-                x01 = table[b0, f] + fu * (table[b1, f] - table[b0, f])
-                x11 = table[b2, f] + fu * (table[b3, f] - table[b2, f])
-                y0, y1 = x00 + fv * (x10 - x00), x01 + fv * (x11 - x01)
-                out[f, r] = y0 + fw * (y1 - y0)
+                out[f, r] = _mix(table, f, (a0, a1, a2, a3, b0, b1, b2, b3), fu, fv, fw)
 
     return interpolate
 
@@ -71,7 +77,7 @@ def _interpolation(num_features: int) -> Callable[..., None]:
 _interpolate_one, _interpolate_two, _interpolate_four = (_interpolation(count) for count in (1, 2, 4))
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _voxels(points, n, scale, multiplier_y, multiplier_z, corner, inside):
     """Write each point's voxel corner, its index modulo 2^32, and the place in the voxel [3, BLOCK]."""
     zero, last = np.float32(0.0), np.float32(n - 1)
@@ -91,7 +97,7 @@ def _voxels(points, n, scale, multiplier_y, multiplier_z, corner, inside):
         corner[r] = np.uint32(np.uint32(i) + by * np.uint32(j) + bz * np.uint32(k))
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def _row_of(index, num_rows):
     """Return `index` mod `num_rows`; a division is avoided where it can be, which is nearly everywhere."""
     if index < num_rows:
@@ -101,7 +107,7 @@ def _row_of(index, num_rows):
     return index % num_rows
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def any_level(points, count, table, n, scale, multiplier_y, multiplier_z, out):
     """Write the features of any level, whose rows are `table`, to `out` [features, STRIDE]."""
     num_rows, num_features = table.shape
@@ -123,15 +129,10 @@ def any_level(points, count, table, n, scale, multiplier_y, multiplier_z, out):
         b0, b1 = _row_of(b, num_rows), _row_of(b + 1, num_rows)
         b2, b3 = _row_of(b + by, num_rows), _row_of(b + by + 1, num_rows)
         for f in range(num_features):
-            x00 = table[a0, f] + fu * (table[a1, f] - table[a0, f])
-            x10 = table[a2, f] + fu * (table[a3, f] - table[a2, f])
-            x01 = table[b0, f] + fu * (table[b1, f] - table[b0, f])
-            x11 = table[b2, f] + fu * (table[b3, f] - table[b2, f])
-            y0, y1 = x00 + fv * (x10 - x00), x01 + fv * (x11 - x01)
-            out[f, r] = y0 + fw * (y1 - y0)
+            out[f, r] = _mix(table, f, (a0, a1, a2, a3, b0, b1, b2, b3), fu, fv, fw)
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def encode(grid, points, count, out):
     """Write trilinear features of `points` [3, STRIDE] to `out` [levels * features, STRIDE].
 

@@ -1,4 +1,4 @@
-"""Small networks as compiled code reads them, a block of rows at a time.
+"""Small networks of a bundle as compiled code reads them, a block of rows at a time.
 
 Activations lie as [feature, STRIDE]; the first BLOCK columns are rows. See `kernels`.
 """
@@ -6,13 +6,13 @@ Activations lie as [feature, STRIDE]; the first BLOCK columns are rows. See `ker
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from lambent_compute import blocks
+from lambent_compute.compiling import inlined
+from lambent_compute.tiles import affine
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.graphs import Rows
-from lambent_relight.compiling import COMPILE_OPTIONS
-from lambent_relight.fused import kernels
-from lambent_relight.fused.tiles import BLOCK, STRIDE, affine
+from lambent_relight.fused.kernels import STRIDE
 
 
 class Layer(NamedTuple):
@@ -23,29 +23,40 @@ class Layer(NamedTuple):
 
 
 class Network(NamedTuple):
-    """Hidden layers, one after another."""
+    """Layers, one after another; the first two members are those of `blocks.Networks`."""
 
-    values: Rows
+    parameters: Rows
     """Weight [out, in] and bias [out] of every layer, flat."""
-    sizes: NDArray[np.int64]
-    """Outputs and inputs per layer, [layer, 2]."""
-    skip: int
-    """The layer before which the network's inputs join again; -1: none."""
+    layers: NDArray[np.int64]
+    """[layer, 6]"""
     sharpness: np.float32
-    """Of the softplus behind every layer; 0 for ReLU."""
+    """Of the softplus behind every layer; 1 where there is none."""
 
     @classmethod
     def of(cls, layers: list[Layer], *, skip: int | None = None, sharpness: float = 0.0) -> "Network":
-        """Return `layers` as a network."""
-        flat = [array.reshape(-1) for layer in layers for array in layer]
-        values = np.concatenate(flat) if flat else np.zeros(0, np.float32)
-        sizes = np.array([layer.weight.shape for layer in layers], np.int64).reshape(-1, 2)
-        return cls(values, sizes, -1 if skip is None else skip, np.float32(sharpness))
+        """Return hidden layers with ReLU or softplus; the inputs join again before layer `skip`."""
+        activation = blocks.SOFTPLUS if sharpness else blocks.RELU
+        return cls._of(layers, activation, skip, sharpness or 1.0)
+
+    @classmethod
+    def head(cls, layer: Layer) -> "Network":
+        """Return a single layer without an activation."""
+        return cls._of([layer], blocks.LINEAR, None, 1.0)
+
+    @classmethod
+    def _of(cls, layers: list[Layer], activation: int, skip: int | None, sharpness: float) -> "Network":
+        flat, rows, offset = [np.zeros(0, np.float32)], [], 0
+        for index, (weight, bias) in enumerate(layers):
+            outputs, inputs = weight.shape
+            rows.append((offset, offset + weight.size, inputs, outputs, activation, index == skip))
+            flat += [weight.reshape(-1), bias]
+            offset += weight.size + bias.size
+        return cls(np.concatenate(flat), np.array(rows, np.int64).reshape(-1, 6), np.float32(sharpness))
 
     @property
     def widest(self) -> int:
         """The most rows that one of its activations takes."""
-        return int(self.sizes.max()) if len(self.sizes) else 1
+        return int(self.layers[:, 2:4].max()) if len(self.layers) else 1
 
 
 def work_space(*networks: Network) -> Rows:
@@ -53,34 +64,18 @@ def work_space(*networks: Network) -> Rows:
     return np.zeros((2, max(network.widest for network in networks), STRIDE), np.float32)
 
 
-@njit(**COMPILE_OPTIONS)
+@inlined()
 def run_network(network, inputs, work):
     """Return the activations [width, STRIDE] behind the last layer, a part of `work`.
 
     Without layers they are `inputs` [width, STRIDE], no part of `work`, which comes from `work_space`.
     """
-    offset, source = 0, inputs
-    for index in range(len(network.sizes)):
-        num_out, num_in = network.sizes[index]
-        weight = network.values[offset : offset + num_out * num_in].reshape((num_out, num_in))
-        offset += num_out * num_in
-        bias = network.values[offset : offset + num_out]
-        offset += num_out
-        if index == network.skip:
-            kernels.copy_rows(inputs, len(inputs), source, num_in - len(inputs))
-        target = work[index % 2]
-        affine(weight, bias, source, target)
-        if network.sharpness > np.float32(0.0):
-            kernels.softplus(target[:num_out], network.sharpness)
-        else:
-            _rectify(target, num_out)
-        source = target
-    return source
+    return blocks.run(
+        network, 0, len(network.layers), network.sharpness, inputs, len(inputs), 0, work[0], work[1]
+    )
 
 
-@njit(**COMPILE_OPTIONS)
-def _rectify(values, count):
-    """Apply ReLU to the first `count` rows of `values`."""
-    for i in range(count):
-        for r in range(BLOCK):
-            values[i, r] = max(values[i, r], np.float32(0.0))
+@inlined()
+def run_head(head, inputs, result):
+    """Write the outputs of a single layer to the first rows of `result` [any, STRIDE]."""
+    affine(head.parameters, head.layers[0], inputs, 0, result, 0, False)

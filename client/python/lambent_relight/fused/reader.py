@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
+from lambent_compute.threads import available_threads, for_each
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import (
@@ -19,8 +20,6 @@ from lambent_relight.bundle.graphs import (
     PrimaryHits,
     Rows,
     SecondaryHits,
-    available_threads,
-    in_threads,
     output_widths,
 )
 from lambent_relight.fused import fields
@@ -104,5 +103,5 @@ class FusedCaches:
             rows = slice(start, start + rows_per_task)
             function(*(array[rows] for array in arrays), kind(**{k: v[rows] for k, v in found.items()}))
 
-        in_threads(task, range(0, count, rows_per_task), self._threads)
+        for_each(task, range(0, count, rows_per_task), self._threads)
         return kind(**found)

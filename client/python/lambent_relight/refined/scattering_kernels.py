@@ -7,13 +7,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.environment.light_sampling import COSINE_LOBE
 from lambent_relight.environment.light_sampling_kernels import (
-    IN_ORDER,
     density_in,
     direction_in,
     pixel_at,
@@ -36,20 +35,20 @@ class Points(NamedTuple):
     """Number of the light sampler's lobe that fits `alpha`, [point]."""
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def _ggx_density(cosine, sine_squared, alpha):
     """Return D(h), 1/sr."""
     width = alpha * alpha
     return width / (math.pi * max(cosine * cosine * width + sine_squared, _FLOOR * width) ** 2)
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def _shadowing(cosine, alpha):
     k = 0.5 * alpha
     return cosine / max(cosine * (1.0 - k) + k, _FLOOR)
 
 
-@njit(**IN_ORDER)
+@inlined(fastmath=False)
 def _frame(nx, ny, nz):
     """Return the tangent and the bitangent of `lambent_relight.directions.frame_axes`."""
     if abs(nz) >= 0.9:
@@ -61,7 +60,7 @@ def _frame(nx, ny, nz):
     return tx, ty, tz, ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
 
 
-@njit(**IN_ORDER)
+@compiled(fastmath=False)
 def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
     """Write directions [ray, 3], both lobes' weights [ray, 3], and the mixture's densities [ray].
 
@@ -132,7 +131,7 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
                 specular[r, k] = (f0 + (1.0 - f0) * grazing) * lobe * scale
 
 
-@njit(**IN_ORDER)
+@compiled(fastmath=False)
 def add_up(active, per_point, diffuse, specular, arriving, bouncing, cosine, free, out):
     """Write means over the `per_point` rays of each point to `out` [4, point, 3].
 

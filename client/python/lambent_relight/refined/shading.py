@@ -16,6 +16,7 @@ from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_compute.threads import in_order
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import cosine_pdf, materials_from_roughness
@@ -25,7 +26,6 @@ from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
 from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares, whole_shares
-from lambent_relight.threads import in_order
 
 RAYS_PER_CHUNK = 1 << 16
 """Maximum number of secondary rays in memory."""

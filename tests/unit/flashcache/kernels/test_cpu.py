@@ -1,11 +1,9 @@
 """The compiled encoder against the reference."""
 
-import numba
 import numpy as np
 import pytest
 import torch
 from flashcache.kernels import cpu, reference
-from flashcache.kernels.compiled import compiled
 from support.grid_cases import LAYOUTS, case, close
 
 
@@ -83,12 +81,3 @@ def test_no_points_give_no_features_and_no_gradient():
     cpu.add_table_gradient(nothing, layout, np.empty((0, layout.num_outputs), np.float32), None, gradient, 2)
     assert cpu.encode(nothing, table, layout, 2).shape == (0, layout.num_outputs)
     assert not gradient.any()
-
-
-def test_code_compiles_where_no_cache_can_be_written():
-    """A function without a file has no place for a cache, as in a read-only installation."""
-    names: dict = {}
-    exec(compile("def add(a, b):\n    return a + b\n", "/nowhere/kernel.py", "exec"), names)
-    with pytest.raises(RuntimeError, match="no locator"):
-        numba.njit(cache=True)(names["add"])
-    assert compiled(names["add"])(1, 2) == 3

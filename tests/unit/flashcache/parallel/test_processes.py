@@ -83,6 +83,22 @@ def test_a_failure_here_leaves_no_answer_behind(three):
     assert three.ask([(4.0,), (25.0,), (36.0,)], math.sqrt) == [2.0, 5.0, 6.0]
 
 
+def test_a_process_that_cannot_be_asked_leaves_no_answer_of_another_behind(three):
+    numbers = asked(three, os.getpid, [(), (), ()])
+    three.give([operator.neg] * 2, SharedMemory(1))
+    os.kill(numbers[2], signal.SIGKILL)
+    for _ in range(2):
+        # The first time nothing may be known of its end yet.
+        with pytest.raises(ProcessEndedError):
+            three.ask([(1,), (2,), (3,)], operator.neg)
+    assert three.ask([(4,), (5,)], operator.neg) == [-4, -5]
+
+
+def test_more_questions_than_processes_are_refused(three):
+    with pytest.raises(ValueError, match="longer"):
+        asked(three, operator.neg, [(1,), (2,), (3,), (4,)])
+
+
 def test_an_exception_that_cannot_be_sent_is_told_in_words(three):
     class UnsendableError(Exception):
         pass

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_relight.fused import grids
-from lambent_relight.fused.tiles import BLOCK, STRIDE
+from lambent_relight.fused.kernels import BLOCK, STRIDE
 
 DENSE, HASHED = (5, 0, 125, 5, 25), (40, 125, 256, 2_654_435_761, 805_459_861)
 ODD = (40, 381, 300, 2_654_435_761, 805_459_861)

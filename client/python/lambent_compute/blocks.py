@@ -1,18 +1,17 @@
-"""Parts of the caches for a block of points or rays: contraction and networks.
+"""Small networks and what surrounds them, for a block of points or rays.
 
-Points are [3, point] and activations [feature, point]. A tile has `tiles.COLUMNS` columns.
+Activations are [feature, point]. Of a tile's columns the first `tiles.COLUMNS` count.
 """
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flashcache.kernels import functions
-from flashcache.kernels.compiled import inlined
-from flashcache.kernels.tiles import COLUMNS, FASTMATH, affine
+from lambent_compute import functions
+from lambent_compute.compiling import inlined
+from lambent_compute.tiles import COLUMNS, affine
 
 ONE, TWO = np.float32(1.0), np.float32(2.0)
 
@@ -31,20 +30,17 @@ class Networks(NamedTuple):
     layers: NDArray[np.int64]
 
 
-_inlined = partial(inlined, fastmath=FASTMATH)
-
-
 def padded(count: int) -> int:
     """Return `count` rounded up to whole tiles."""
     return (count + COLUMNS - 1) // COLUMNS * COLUMNS
 
 
-whole_tiles = _inlined(padded)
+whole_tiles = inlined()(padded)
 
 
-@_inlined
+@inlined()
 def contract(x, y, z, inverse_radius):
-    """Return a point in contracted coordinates; see `flashcache.geometry.contraction`."""
+    """Return a point in contracted coordinates (Mip-NeRF 360 Eq. 10), in units of the radius."""
     x, y, z = x * inverse_radius, y * inverse_radius, z * inverse_radius
     norm = math.sqrt(x * x + y * y + z * z)
     # A NaN fails the comparison and stays in the product.
@@ -53,7 +49,7 @@ def contract(x, y, z, inverse_radius):
     return x * scale, y * scale, z * scale
 
 
-@_inlined
+@inlined()
 def run(networks, begin, end, sharpness, inputs, num_inputs, column, first, second):
     """Return the tile that holds the outputs of the layers `begin` to `end`, which is `first` or `second`.
 
@@ -77,9 +73,9 @@ def run(networks, begin, end, sharpness, inputs, num_inputs, column, first, seco
     return source
 
 
-@_inlined
+@inlined()
 def encode_frequencies(tile, row, num_channels, num_frequencies):
-    """Write sines and cosines of the channels in `tile` at `row` behind them; see `positional_encoding`."""
+    """Write sines and cosines of the channels in `tile` at `row` behind them (supplement 2.1)."""
     for octave in range(num_frequencies):
         factor = np.float32(1 << octave)
         for c in range(num_channels):
@@ -89,7 +85,7 @@ def encode_frequencies(tile, row, num_channels, num_frequencies):
                 tile[sines, r], tile[cosines, r] = functions.sine_and_cosine(factor * tile[row + c, r])
 
 
-@_inlined
+@inlined()
 def copy_rows(source, column, first, count, tile, row):
     """Copy `count` rows of `source` from `first` on, one tile from `column` on, to `tile` at `row`."""
     for i in range(count):

@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from flashcache.kernels import functions
+from lambent_compute import functions
 
 
 @numba.njit

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flashcache.kernels import tiles
+from lambent_compute import tiles
 
 
 @pytest.mark.parametrize("relu", [False, True])

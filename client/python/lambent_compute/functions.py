@@ -3,14 +3,14 @@
 LLVM turns these into vector code, but not calls of the mathematical library.
 """
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-# Steps that undo each other's rounding may not change places; a product and a sum may become one operation.
-_in_order = numba.njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+from lambent_compute.compiling import CONTRACTED, inlined
+
+_in_order = inlined(CONTRACTED)
 
 HALF, ONE, TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
 ZERO = np.float32(0.0)

@@ -6,16 +6,15 @@ of the product stays in registers while the inputs pass by; LLVM alone would sto
 
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import binding, ir
 from numba.core import types
 from numba.extending import intrinsic
 
+from lambent_compute.compiling import inlined
+
 COLUMNS = 64
 """Rows of a batch that a tile holds: the columns of its arrays."""
-
-FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 def _register_tile() -> tuple[int, int, int]:
@@ -136,55 +135,26 @@ NO_FLOOR = np.float32(-np.inf)
 ZERO = np.float32(0.0)
 
 
-@numba.njit(nogil=True, error_model="numpy")
+@inlined()
 def affine(parameters, layer, source, column, result, row, relu):
-    """Write weights times source plus bias to `result` [any, COLUMNS], from row `row` on.
+    """Write weights times source plus bias to `result` [any, COLUMNS or more], from row `row` on.
 
     `layer` holds the offset of the weights [outputs, inputs] in `parameters`, that of the bias, and the
-    numbers of inputs and outputs. `source` is [inputs or more, any]; its columns from `column` on are taken.
+    numbers of inputs (one or more) and outputs. `source` is [inputs or more, any]; COLUMNS of its columns
+    from `column` on are taken.
     """
     weight, bias, inputs, outputs = layer[0], layer[1], layer[2], layer[3]
     least = ZERO if relu else NO_FLOOR
     for c in range(0, COLUMNS, CHUNK):
-        o = 0
-        while o + OUTPUTS <= outputs:
-            _many(
-                parameters,
-                weight + o * inputs,
-                bias + o,
-                inputs,
-                source,
-                column + c,
-                result,
-                row + o,
-                c,
-                least,
-            )
-            o += OUTPUTS
-        while o + 2 <= outputs:
-            _two(
-                parameters,
-                weight + o * inputs,
-                bias + o,
-                inputs,
-                source,
-                column + c,
-                result,
-                row + o,
-                c,
-                least,
-            )
-            o += 2
-        if o < outputs:
-            _one(
-                parameters,
-                weight + o * inputs,
-                bias + o,
-                inputs,
-                source,
-                column + c,
-                result,
-                row + o,
-                c,
-                least,
-            )
+        first, o = column + c, 0
+        while o < outputs:
+            w, b, to = weight + o * inputs, bias + o, row + o
+            if outputs - o >= OUTPUTS:
+                _many(parameters, w, b, inputs, source, first, result, to, c, least)
+                o += OUTPUTS
+            elif outputs - o >= 2:
+                _two(parameters, w, b, inputs, source, first, result, to, c, least)
+                o += 2
+            else:
+                _one(parameters, w, b, inputs, source, first, result, to, c, least)
+                o += 1

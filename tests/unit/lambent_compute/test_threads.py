@@ -4,7 +4,7 @@ import time
 from contextlib import closing
 
 import pytest
-from lambent_relight.threads import in_order
+from lambent_compute.threads import in_order
 
 
 @pytest.mark.parametrize("num_threads", [1, 3])

@@ -1,5 +1,6 @@
-"""Work in threads whose results are wanted in order."""
+"""Work in threads, for code that releases the interpreter lock."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -8,8 +9,13 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+def available_threads() -> int:
+    """Return the number of CPU threads this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def in_order(work: Callable[[Item], Result], items: Sequence[Item], num_threads: int) -> Iterator[Result]:
-    """Yield `work` of all items in their order, from `num_threads` threads; it should release the lock.
+    """Yield `work` of all items in their order, from `num_threads` threads.
 
     A caller that stops early, or fails, waits only for what was begun.
     """
@@ -22,3 +28,9 @@ def in_order(work: Callable[[Item], Result], items: Sequence[Item], num_threads:
             yield future.result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def for_each(work: Callable[[Item], None], items: Sequence[Item], num_threads: int) -> None:
+    """Call `work` with all items, in `num_threads` threads; raise what the first failing one raised."""
+    for _ in in_order(work, items, num_threads):
+        pass
