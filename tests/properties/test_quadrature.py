@@ -50,6 +50,27 @@ def test_the_gradient_by_density_has_the_mean_of_the_full_gradient():
     assert_mean(density.grad, single.grad[0])
 
 
+@pytest.mark.parametrize("num_points", [1, 4])
+def test_rays_with_little_on_them_are_asked_seldom_and_count_for_the_others(num_points: int):
+    weights = (0.01 * render_weights(DENSITY, EDGES)).expand(DRAWS, -1).clone().requires_grad_()
+    opacity = float(weights[0].detach().sum())
+    draw = draw_points(weights, uniforms(num_points), sure_from=4.0 * opacity)
+    estimates = (draw.weight * RADIANCE[draw.index]).sum(dim=-1)
+    assert_mean(estimates.detach(), (weights[0] * RADIANCE).sum().detach())
+    asked = (draw.weight > 0.0).double().mean()
+    assert float(asked) == pytest.approx(0.25, abs=0.01)
+    estimates.sum().backward()
+    assert_mean(weights.grad, RADIANCE)
+
+
+def test_rays_with_enough_on_them_are_always_asked():
+    weights, u = render_weights(DENSITY, EDGES).expand(DRAWS, -1), uniforms(2)
+    some, all_of_them = draw_points(weights, u, sure_from=0.1), draw_points(weights, u)
+    assert float(weights[0].sum()) > 0.1
+    torch.testing.assert_close(some.index, all_of_them.index)
+    torch.testing.assert_close(some.weight, all_of_them.weight)
+
+
 def test_a_point_without_weight_is_never_drawn():
     density = DENSITY.clone()
     density[0, 2] = 0.0

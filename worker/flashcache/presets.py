@@ -105,6 +105,7 @@ def fast() -> Config:
         primary_counts=SampleCounts(first=16, second=16, final=12),
         secondary_counts=SampleCounts(first=12, second=12, final=8),
         secondary_colours=1,
+        secondary_sure_opacity=0.02,
         least_weight=1e-3,
     )
     model = ModelConfig(

@@ -29,6 +29,7 @@ def model_of(config: Config, cells: int = 16, colours: int | None = None) -> Inv
     torch.manual_seed(0)
     nerf = config.model.nerf
     nerf = replace(nerf, secondary_colours=nerf.secondary_colours if colours is None else colours)
+    nerf = replace(nerf, secondary_sure_opacity=0.5)
     settings = replace(config.model, nerf=nerf, occupancy=OccupancyConfig(cells=cells))
     model = InverseModel(settings, DOMAIN)
     fit_occupancy(model, SCENE)

@@ -41,7 +41,7 @@ def incident(
     """Return the cache's answers to `rays`, which are narrowed already; see `NerfCache.incident`."""
     samples = sample(cache, rays)
     opacity, distance = _extent(samples, rays)
-    middles, factors = _drawn(samples, num_colours, generator)
+    middles, factors = _drawn(samples, num_colours, generator, sure_from=cache.config.secondary_sure_opacity)
     index = (factors.reshape(-1) > NEGLIGIBLE).nonzero()[:, 0]
     ray = index.div(factors.shape[1], rounding_mode="floor")
     directions = rays.directions[ray]
@@ -92,10 +92,12 @@ def _extent(samples: Samples, rays: Rays) -> tuple[Tensor, Tensor]:
     return opacity, torch.where(opacity < 1e-3, rays.far, distance)
 
 
-def _drawn(samples: Samples, num_points: int, generator: torch.Generator | None) -> tuple[Tensor, Tensor]:
+def _drawn(
+    samples: Samples, num_points: int, generator: torch.Generator | None, *, sure_from: float = 0.0
+) -> tuple[Tensor, Tensor]:
     """Return the distances of all points with their weights, or of `num_points` per ray that are drawn."""
     if not num_points:
         return samples.middles, samples.weights
     u = torch.rand(len(samples.weights), num_points, generator=generator)
-    draw = draw_points(samples.weights, u)
+    draw = draw_points(samples.weights, u, sure_from=sure_from)
     return samples.middles.gather(-1, draw.index), draw.weight

@@ -54,6 +54,9 @@ class NerfCacheConfig:
     secondary_counts: SampleCounts = field(default_factory=SampleCounts)
     secondary_colours: int = 0
     """Points at which a secondary ray's radiance is evaluated, drawn by weight; 0 evaluates all."""
+    secondary_sure_opacity: float = 0.0
+    """Opacity from which the drawn points of a secondary ray are all asked for radiance; of less opaque rays a
+    share is, the quotient of the opacities, which counts for the others. 0 asks all."""
     least_weight: float = 0.0
     """Render weight up to which a point on a camera ray is not asked for its radiance and sends none."""
     normal_floor: float = 4.0
@@ -64,8 +67,9 @@ class NerfCacheConfig:
     def __post_init__(self) -> None:
         if self.secondary_colours < 0:
             raise ConfigError(f"secondary_colours must not be negative, got {self.secondary_colours}")
-        if not 0.0 <= self.least_weight < 1.0:
-            raise ConfigError(f"least_weight must lie in 0..1, got {self.least_weight}")
+        for name in ("least_weight", "secondary_sure_opacity"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise ConfigError(f"{name} must lie in 0..1, got {getattr(self, name)}")
 
 
 class Geometry(NamedTuple):
@@ -261,17 +265,20 @@ class NerfCache(nn.Module):
             from flashcache.caches import compiled_nerf
 
             return compiled_nerf.incident(self, rays, light_index, num_colours, generator)
-        met = self._meet(rays, num_colours, generator, jitter=jitter)
-        repeats = met.factors.shape[-1]
-        normal = self.normals(met.positions, met.hidden)
-        radiance = self.appearance(
-            met.positions,
-            met.hidden,
-            normal,
-            -rays.directions.repeat_interleave(repeats, dim=0),
-            light_index.repeat_interleave(repeats),
+        sure_from = self.config.secondary_sure_opacity if num_colours else 0.0
+        met = self._meet(rays, num_colours, generator, jitter=jitter, sure_from=sure_from)
+        repeats, num_points = met.factors.shape[-1], len(met.positions)
+        rows = Rows.all(num_points, met.positions.device)
+        if sure_from:
+            rows = Rows.where(met.factors.detach().reshape(-1) > 0.0)
+        point = rows.of(torch.arange(num_points, device=met.positions.device))
+        ray = point.div(repeats, rounding_mode="floor")
+        positions, hidden = rows.of(met.positions), rows.of(met.hidden)
+        found = self.appearance(
+            positions, hidden, self.normals(positions, hidden), -rays.directions[ray], light_index[ray]
         ).radiance
-        near = (met.factors[..., None] * radiance.reshape(len(rays), repeats, 3)).sum(dim=1)
+        radiance = rows.into(torch.zeros_like(met.positions), found).reshape(len(rays), repeats, 3)
+        near = (met.factors[..., None] * radiance).sum(dim=1)
         return CacheAnswer(near, met.opacity, met.distance)
 
     def _samples_compiled(self, rays: Rays, *, jitter: bool) -> bool:
@@ -291,7 +298,13 @@ class NerfCache(nn.Module):
         return met._replace(distance=torch.where(met.opacity < 1e-3, rays.far, met.distance))
 
     def _meet(
-        self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool
+        self,
+        rays: Rays,
+        num_points: int,
+        generator: torch.Generator | None,
+        *,
+        jitter: bool,
+        sure_from: float = 0.0,
     ) -> Meeting:
         if self._samples_compiled(rays, jitter=jitter):
             from flashcache.caches import compiled_nerf
@@ -315,6 +328,6 @@ class NerfCache(nn.Module):
         if not num_points:
             return Meeting(opacity, distance, points, found.hidden, weights)
         u = torch.rand(len(rays), num_points, generator=generator, device=weights.device)
-        draw = draw_points(weights, u)
+        draw = draw_points(weights, u, sure_from=sure_from)
         flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
         return Meeting(opacity, distance, points[flat], found.hidden[flat], draw.weight)

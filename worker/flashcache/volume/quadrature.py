@@ -38,11 +38,14 @@ class PointDraw(NamedTuple):
     """Factor of the point's radiance: value acc/K, gradient unbiased for the full sum."""
 
 
-def draw_points(weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays points"]) -> PointDraw:
+def draw_points(
+    weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays points"], *, sure_from: float = 0.0
+) -> PointDraw:
     """Return K points per ray such that `sum_k weight_k L(x_k)` is unbiased for the full quadrature.
 
     `u` holds uniform variates in [0, 1), K per ray. A ray with an opacity below 1e-8 gets
-    its first point with weight zero. The weight `w_j / sg(K pi_j)` has the value acc/K, and its
+    its first point with weight zero. So does one less opaque than `sure_from`, but for a share of its draws,
+    its opacity over `sure_from`, which count for the others (Russian roulette). The weight `w_j / sg(K pi_j)` has the value acc/K, and its
     gradient with respect to the render weights is the full sum's, in the mean.
     Source: paper Eq. 11.
     """
@@ -50,9 +53,14 @@ def draw_points(weights: Float[Tensor, "rays samples"], u: Float[Tensor, "rays p
     cdf = frozen.cumsum(dim=-1)
     acc = cdf[:, -1:]
     empty = acc < 1e-8
+    if sure_from > 0.0:
+        kept = (acc / sure_from).clamp(1e-12, 1.0)
+        empty, u = empty | (u >= kept), (u / kept).clamp_max(1.0)
     index = torch.searchsorted(cdf, u * acc, right=True).clamp_max(weights.shape[-1] - 1)
     index = torch.where(empty, torch.zeros_like(index), index)
     probability = frozen.gather(-1, index) / acc.clamp_min(1e-8)
+    if sure_from > 0.0:
+        probability = probability * kept
     drawn = weights.gather(-1, index) / (u.shape[-1] * probability.clamp_min(1e-12))
     return PointDraw(index, torch.where(empty, torch.zeros_like(drawn), drawn))
 

@@ -57,9 +57,10 @@ def test_any_number_of_rays_is_answered(count):
         assert_same(found, wanted)
 
 
-@pytest.mark.parametrize("colours", [0, 1, 3])
-def test_all_colours_and_drawn_ones_are_those_of_torch(colours):
-    made = trained_like(replace(CONFIG, secondary_colours=colours), num_lights=3)
+@pytest.mark.parametrize(("colours", "sure"), [(0, 0.0), (1, 0.0), (3, 0.0), (1, 0.3), (2, 0.9)])
+def test_all_colours_and_drawn_ones_are_those_of_torch(colours, sure):
+    config = replace(CONFIG, secondary_colours=colours, secondary_sure_opacity=sure)
+    made = trained_like(config, num_lights=3)
     for drawn in (False, True):
         for found, wanted in zip(*answers(made, 200, 3, drawn=drawn), strict=True):
             assert_same(found, wanted)
