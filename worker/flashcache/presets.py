@@ -133,7 +133,7 @@ def fast() -> Config:
             _stage_one(),
             num_steps=1800,
             num_rays=512,
-            rates=Rates(grid=1.5e-2, network=4e-3),
+            rates=Rates(grid=1.2e-2, network=3e-3),
             warmup_steps=120,
             normal_rays=1.0,
             shape_prior=_shape_prior(emptiness_weight=0.01),
