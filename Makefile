@@ -54,7 +54,7 @@ $(VENV)/.compiled: $(VENV)/.installed scripts/compile_kernels.py
 	$(BIN)/python scripts/compile_kernels.py
 	touch $@
 
-demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and relight it (3 to 6 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
+demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and relight it (2 to 5 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
 	$(BIN)/lambent demo $(DEMO_ARGS)
 
 # Two workers on two cores: one thread each.
@@ -94,7 +94,7 @@ fix: $(VENV)/.installed ## Format, and fix what can be fixed automatically
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.installed ## Measure what is said to be faster, with ratios (10 minutes; build/benchmarks/claims.json)
+bench: $(VENV)/.installed ## Measure what is said to be faster, with ratios (some minutes; build/benchmarks/claims.json)
 	$(BIN)/python -m benchmarks --claims $(OUT)
 
 bench-compare: $(VENV)/.installed ## Compare two results of bench; fails where a ratio fell by 15 % (OLD=FILE NEW=FILE)

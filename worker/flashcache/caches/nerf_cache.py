@@ -55,8 +55,8 @@ class NerfCacheConfig:
     secondary_colours: int = 0
     """Points at which a secondary ray's radiance is evaluated, drawn by weight; 0 evaluates all."""
     secondary_sure_opacity: float = 0.0
-    """Opacity from which the drawn points of a secondary ray are all asked for radiance; of less opaque rays a
-    share is, the quotient of the opacities, which counts for the others. 0 asks all."""
+    """Opacity from which the drawn points of a secondary ray are all asked for radiance; of less opaque rays
+    a share is, the quotient of the opacities, which counts for the others. 0 asks all."""
     least_weight: float = 0.0
     """Render weight up to which a point on a camera ray is not asked for its radiance and sends none."""
     normal_floor: float = 4.0

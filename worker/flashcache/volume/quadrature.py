@@ -44,9 +44,10 @@ def draw_points(
     """Return K points per ray such that `sum_k weight_k L(x_k)` is unbiased for the full quadrature.
 
     `u` holds uniform variates in [0, 1), K per ray. A ray with an opacity below 1e-8 gets
-    its first point with weight zero. So does one less opaque than `sure_from`, but for a share of its draws,
-    its opacity over `sure_from`, which count for the others (Russian roulette). The weight `w_j / sg(K pi_j)` has the value acc/K, and its
-    gradient with respect to the render weights is the full sum's, in the mean.
+    its first point with weight zero. So does one less opaque than `sure_from`, but for a share of its
+    draws, its opacity over `sure_from`, which count for the others (Russian roulette). The weight
+    `w_j / sg(K pi_j)` has the value acc/K, and its gradient with respect to the render weights is the
+    full sum's, in the mean.
     Source: paper Eq. 11.
     """
     frozen = weights.detach()
