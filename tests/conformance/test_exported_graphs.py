@@ -27,6 +27,7 @@ FORMS = {
         "output_scale": 10.0,
     },
     "occupancy": {"cells": 12},
+    "gloss grid, scaled tables": {"gloss_grid": True, "output_scale": 10.0},
 }
 # What onnxruntime's browser interface to graphics hardware runs without going back to the processor.
 OPERATORS = {

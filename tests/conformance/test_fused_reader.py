@@ -18,7 +18,9 @@ from support.network_bundle import network_constants, set_network_metadata, writ
 from support.preset_models import RULE, preset_model
 
 
-@pytest.fixture(scope="module", params=["tiny", "fast", "other shapes", "occupancy", "fast, float16 tables"])
+@pytest.fixture(
+    scope="module", params=["tiny", "fast", "other shapes", "occupancy", "fast, float16 tables", "gloss grid"]
+)
 def readers(request, tmp_path_factory):
     """Return the two readers of one bundle."""
     folder = tmp_path_factory.mktemp("bundle") / "a.relight"

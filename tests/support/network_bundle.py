@@ -9,6 +9,7 @@ import onnx
 from flashcache.export import constants, graphs
 from flashcache.export.onnx import WeightFile
 from flashcache.export.reference import GbufferRule
+from flashcache.export.stored_grids import exported_grids
 from flashcache.physical.model import InverseModel
 from lambent_relight.cameras import cameras_json, turntable
 from support.analytic_bundle import manifest_of, write_manifest
@@ -52,7 +53,7 @@ def write_network_bundle(
             offset_bytes=tensor.offset_bytes,
             size_bytes=tensor.values.nbytes,
         )
-    for name, grid in graphs.exported_grids(model).items():
+    for name, grid in exported_grids(model).items():
         entry = manifest.grids.add(
             name=name,
             tensor=f"{name}.table",

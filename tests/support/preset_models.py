@@ -24,7 +24,7 @@ RULE = GbufferRule(box_min=(-1.0, -1.1, -1.0), box_max=(1.0, 1.0, 1.2), num_samp
 def preset_model(variant: str) -> InverseModel:
     """Return a model whose weights are of the size of trained ones, in every layer."""
     torch.manual_seed(0)
-    config = presets.fast().model if variant == "fast" else presets.tiny().model
+    config = presets.fast().model if variant in ("fast", "gloss grid") else presets.tiny().model
     if variant == "other shapes":
         # What the small presets do not have: a skip connection, ReLU, normals straight from the density.
         density = replace(config.nerf.density, softplus_beta=None)
@@ -33,6 +33,9 @@ def preset_model(variant: str) -> InverseModel:
             nerf=replace(config.nerf, density=density, normals=NormalConfig(own_grid=None)),
             fast=replace(config.fast, distance_layers=4, code_layers=2),
         )
+    if variant == "gloss grid":
+        own = replace(config.materials.grid, finest_resolution=24, num_levels=2)
+        config = replace(config, materials=replace(config.materials, gloss_grid=own))
     if variant == "occupancy":
         config = replace(config, occupancy=OccupancyConfig(cells=20))
     model = InverseModel(config, DOMAIN)

@@ -78,17 +78,22 @@ def sphere_model(
     output_scale: float = 1.0,
     turns: tuple[tuple[float, ...], ...] = (),
     cells: int = 0,
+    gloss_grid: bool = False,
 ) -> InverseModel:
     """Return a model of a ball of radius 0.5 at the origin; all other parameters are random, none is tiny.
 
     With an `output_scale` the same features lie in tables as many times smaller. With `cells` along a side of
-    its box, it knows that the upper quarter of the ball and all outside of it is empty.
+    its box, it knows that the upper quarter of the ball and all outside of it is empty. With `gloss_grid`,
+    GGX width and metalness have a grid of their own.
     """
     torch.manual_seed(7)
     config = small_config(
         own_normal_grid=own_normal_grid, softplus_beta=softplus_beta, distance_layers=distance_layers
     )
     config = replace(config, occupancy=OccupancyConfig(cells=cells))
+    if gloss_grid:
+        own = replace(small_grid(), finest_resolution=20)
+        config = replace(config, materials=replace(config.materials, gloss_grid=own))
     domain = Domain(
         bounds_min=(-BOUND,) * 3,
         bounds_max=(BOUND,) * 3,

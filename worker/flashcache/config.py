@@ -132,6 +132,8 @@ class StageTwoConfig:
     symmetric: bool = False
     """Let gradients flow into both passes instead of only the first; their mean is the same."""
     material_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
+    gloss_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
+    """Of GGX width and metalness, where they have a grid of their own (`model.materials.gloss_grid`)."""
     cache_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
     fast_rates: Rates = field(default_factory=lambda: Rates(grid=1.5625e-4, network=1.5625e-4))
     environment_rate: float = 3.125e-5

@@ -149,6 +149,7 @@ def fast() -> Config:
             ),
             symmetric=True,
             material_rates=Rates(grid=5e-3, network=1.5e-3),
+            gloss_rates=Rates(grid=5e-3, network=1.5e-3),
             cache_rates=Rates(grid=5e-4, network=1e-4),
             fast_rates=Rates(grid=1e-2, network=2e-3),
             environment_rate=3e-3,

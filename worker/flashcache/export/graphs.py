@@ -13,32 +13,15 @@ import torch
 
 from flashcache.caches.fast_cache import LEAST_OPACITY, FastCache
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
-from flashcache.encoding.hash_grid import HashGrid
-from flashcache.encoding.occupancy import Occupancy
 from flashcache.export import layers
 from flashcache.export.constants import fast_cache_constants, gbuffer_constants, material_constants
 from flashcache.export.onnx import GraphBuilder, Value, WeightFile
 from flashcache.export.reference import OPACITY_FLOOR, SURFACE_THICKNESS, UPRIGHT_OPACITY, GbufferRule
+from flashcache.export.stored_grids import OCCUPANCY, exported_grids
 from flashcache.fields.materials import ALPHA_MINIMUM
 from flashcache.physical.model import InverseModel
 
 Metadata = Mapping[str, str]
-OCCUPANCY = "nerf.occupancy"
-
-
-def exported_grids(model: InverseModel) -> dict[str, HashGrid | Occupancy]:
-    """Return the grids that the graphs read, by the name of their table without ".table"."""
-    grids: dict[str, HashGrid | Occupancy] = {
-        "nerf.density.grid": model.nerf.density.grid,
-        "materials.grid": model.materials.grid,
-        "fast.distance_grid": model.fast.distance_grid,
-        "fast.feature_grid": model.fast.feature_grid,
-    }
-    if model.nerf.normals.grid is not None:
-        grids["nerf.normals.grid"] = model.nerf.normals.grid
-    if model.nerf.occupancy is not None:
-        grids[OCCUPANCY] = model.nerf.occupancy
-    return grids
 
 
 def grid_metadata(model: InverseModel) -> str:
@@ -270,12 +253,21 @@ def _materials(graph: GraphBuilder, model: InverseModel, positions: Value) -> di
     """Return albedo, perceptual roughness and metalness (`MaterialField.forward`).
 
     The field's two layers have nothing between them: they are multiplied here, and only the used rows kept.
+    Where GGX width and metalness have a grid of their own, its levels follow those of albedo, which the heads
+    of either leave out by weights of zero.
     """
     field = model.materials
     z = layers.contract(graph, positions, field.contraction_radius)
-    features = layers.hash_grid(graph, "materials.grid", field.grid, z)
+    features = layers.hash_grid(graph, "materials.grid", exported_grids(model)["materials.grid"], z)
     weight = field.head.weight.double() @ field.bottleneck.weight.double()
     bias = field.head.weight.double() @ field.bottleneck.bias.double() + field.head.bias.double()
+    if field.gloss is not None:
+        own = field.gloss.head
+        weight = torch.nn.functional.pad(weight, (0, own.in_features))
+        for row, gloss in zip((6, 8), range(2), strict=True):
+            weight[row] = 0.0
+            weight[row, -own.in_features :] = own.weight[gloss].double()
+            bias[row] = own.bias[gloss].double()
 
     def head(name: str, rows: slice, start: float) -> Value:
         part = layers.affine(graph, f"materials.{name}", weight[rows], bias[rows], features)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.export.onnx import GraphBuilder, Value
+from flashcache.export.stored_grids import StoredGrid
 from flashcache.fields.mlp import Hidden
 
 # A quarter turn in three parts, of which the products with small whole numbers are exact.
@@ -118,7 +119,7 @@ def _signed(graph: GraphBuilder, halves: Value, values: Value) -> Value:
     return values * (1.0 - (halves - graph.node("Floor", halves * 0.5) * 2.0) * 2.0)
 
 
-def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid | Occupancy, z: Value) -> Value:
+def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid | Occupancy | StoredGrid, z: Value) -> Value:
     """Return the features [row, levels * features] of [row, 3] (`kernels.layout` has the formula).
 
     Works on all levels at once and on the 8 corners one by one. Each corner is one "Gather" of

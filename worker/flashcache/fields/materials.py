@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
+from flashcache.errors import ConfigError
 from flashcache.fields.mlp import linear
 from flashcache.geometry.contraction import contract
 from flashcache.gradients import scale_gradient
@@ -32,6 +33,9 @@ class MaterialConfig:
     """Sizes and starting values of the material network (supplement 2.6)."""
 
     grid: HashGridConfig = field(default_factory=HashGridConfig)
+    gloss_grid: HashGridConfig | None = None
+    """A grid of their own for GGX width and metalness, beyond the paper; None: they share that of albedo.
+    It has the features, extent and scale of `grid`, so that a bundle stores both as levels of one."""
     width: int = 128
     num_raw: int = 10
     """Raw outputs; albedo, GGX width and metalness use five of them."""
@@ -40,6 +44,28 @@ class MaterialConfig:
     metalness_bias: float = 0.0
     alpha_gradient: float = 0.25
     """Factor on the gradient that reaches the GGX width."""
+
+    def __post_init__(self) -> None:
+        own = self.gloss_grid
+        alike = ("num_features", "half_extent", "output_scale")
+        if own is not None and any(getattr(own, name) != getattr(self.grid, name) for name in alike):
+            raise ConfigError(f"materials.gloss_grid must have the {', '.join(alike)} of materials.grid")
+
+
+class GlossField(nn.Module):
+    """Raw GGX width and metalness, from a grid that albedo has no part in.
+
+    Where both share features, steps go where the gradient of albedo points, which is many times larger.
+    """
+
+    def __init__(self, config: HashGridConfig) -> None:
+        super().__init__()
+        self.grid = HashGrid(config)
+        self.head = linear(self.grid.out_features, 2)
+
+    def forward(self, contracted: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
+        """Return both numbers before their sigmoids, at contracted positions."""
+        return self.head(self.grid(contracted))
 
 
 class MaterialField(nn.Module):
@@ -52,15 +78,23 @@ class MaterialField(nn.Module):
         self.grid = HashGrid(config.grid)
         self.bottleneck = linear(self.grid.out_features, config.width)
         self.head = linear(config.width, config.num_raw)
+        self.gloss = None if config.gloss_grid is None else GlossField(config.gloss_grid)
+
+    @property
+    def shared(self) -> nn.ModuleList:
+        """Return all parts but `gloss`."""
+        return nn.ModuleList([self.grid, self.bottleneck, self.head])
 
     def forward(self, positions: Float[Tensor, "*batch 3"]) -> Materials:
         """Return albedo (linear Rec. 709), GGX width alpha and metalness, each in [0, 1]."""
         contracted = contract(positions, self.contraction_radius)
         raw = self.head(self.bottleneck(self.grid(contracted)))
-        config = self.config
-        alpha = torch.sigmoid(raw[..., 6:7] + config.alpha_bias) * (1.0 - ALPHA_MINIMUM) + ALPHA_MINIMUM
+        config, raw_alpha, raw_metalness = self.config, raw[..., 6:7], raw[..., 8:9]
+        if self.gloss is not None:
+            raw_alpha, raw_metalness = self.gloss(contracted).split(1, dim=-1)
+        alpha = torch.sigmoid(raw_alpha + config.alpha_bias) * (1.0 - ALPHA_MINIMUM) + ALPHA_MINIMUM
         return Materials(
             albedo=torch.sigmoid(raw[..., 0:3] + config.albedo_bias),
             alpha=scale_gradient(alpha, config.alpha_gradient),
-            metalness=torch.sigmoid(raw[..., 8:9] + config.metalness_bias),
+            metalness=torch.sigmoid(raw_metalness + config.metalness_bias),
         )

@@ -72,6 +72,8 @@ def decay_terms(model: InverseModel, config: StageTwoConfig) -> Terms:
     if not config.grid_decay:
         return {}
     grids = [model.materials.grid, model.light_sampler.grid, model.nerf.density.grid]
+    if model.materials.gloss is not None:
+        grids.append(model.materials.gloss.grid)
     return {"grid_decay": config.grid_decay * grid_decay(grids)}
 
 
@@ -146,7 +148,9 @@ def material_terms(
         found, first = shaded.materials, slice(len(batch))
         materials = Materials(found.albedo[first], found.alpha[first], found.metalness[first])
         seen = (batch.coverage > 0.0).to(points.positions.dtype)
-        terms["clusters"] = config.clusters.weight * material_entropy(materials, seen, config.clusters.width)
+        terms["clusters"] = config.clusters.weight * material_entropy(
+            materials, seen, config.clusters.width, config.clusters.gloss
+        )
     return terms
 
 

@@ -154,7 +154,8 @@ class StageTwo:
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         light = Rates(grid=config.environment_rate, network=config.environment_rate)
         groups = [
-            (model.materials, config.material_rates),
+            (model.materials.shared, config.material_rates),
+            *([(model.materials.gloss, config.gloss_rates)] if model.materials.gloss is not None else []),
             (model.environment, light),
             (model.fast, config.fast_rates),
             (model.light_sampler, config.fast_rates),

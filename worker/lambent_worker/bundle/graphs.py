@@ -9,6 +9,7 @@ from flashcache.caches.fast_cache import LEAST_OPACITY
 from flashcache.export import graphs, reference
 from flashcache.export.onnx import WEIGHTS_NAME, WeightFile
 from flashcache.export.reference import GbufferRule
+from flashcache.export.stored_grids import exported_grids
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.bundle.bundle import NETWORKS
@@ -78,7 +79,7 @@ def write_graphs(
         result = compare(path, folder / path, twin, model, inputs, trained=trained, edge=edge)
         manifests.add_graph(manifest, name, path, light, result)
         advance(path, result)
-    manifests.add_weights(manifest, weights, graphs.exported_grids(model))
+    manifests.add_weights(manifest, weights, exported_grids(model))
 
 
 def remove_networks(manifest: bundle_pb2.BundleManifest, folder: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 from flashcache.encoding.hash_grid import HashGrid
-from flashcache.export.graphs import exported_grids
+from flashcache.export.stored_grids import trained_grids
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ def with_half_tables(model: InverseModel) -> InverseModel:
     """Return a copy of `model` whose exported feature tables hold float16 numbers, as float32."""
     rounded = copy.deepcopy(model)
     with torch.no_grad():
-        for grid in exported_grids(rounded).values():
+        for grid in trained_grids(rounded):
             if isinstance(grid, HashGrid):
                 grid.fold_scale()
             grid.table.copy_(grid.table.half().float())
@@ -31,7 +31,7 @@ def with_half_tables(model: InverseModel) -> InverseModel:
 def fits_half(model: InverseModel) -> bool:
     """Return whether every feature of the exported tables is inside float16's range."""
     limit = torch.finfo(torch.float16).max
-    grids = exported_grids(model).values()
+    grids = trained_grids(model)
     return all(bool((grid.output_scale * grid.table.abs() <= limit).all()) for grid in grids)
 
 

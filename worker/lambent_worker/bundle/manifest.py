@@ -9,9 +9,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from flashcache.encoding.hash_grid import HashGrid
-from flashcache.encoding.occupancy import Occupancy
 from flashcache.export.onnx import WeightFile
+from flashcache.export.stored_grids import StoredGrid
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 
@@ -76,7 +75,7 @@ def add_graph(
 
 
 def add_weights(
-    manifest: bundle_pb2.BundleManifest, weights: WeightFile, grids: Mapping[str, HashGrid | Occupancy]
+    manifest: bundle_pb2.BundleManifest, weights: WeightFile, grids: Mapping[str, StoredGrid]
 ) -> None:
     """Add the tensors of the weight file and the feature grids among them."""
     for tensor in weights.tensors.values():

@@ -178,6 +178,7 @@ def adjust(config: Config, adjustments: worker_pb2.Adjustments) -> Config:
                 two,
                 num_rays=max(int(two.num_rays * rays), 1),
                 material_rates=_slower(two.material_rates, rate),
+                gloss_rates=_slower(two.gloss_rates, rate),
                 cache_rates=_slower(two.cache_rates, rate),
                 fast_rates=_slower(two.fast_rates, rate),
                 environment_rate=two.environment_rate * rate,

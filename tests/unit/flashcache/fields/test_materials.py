@@ -1,5 +1,9 @@
+from dataclasses import replace
+
+import pytest
 import torch
 from flashcache.encoding.hash_grid import HashGridConfig
+from flashcache.errors import ConfigError
 from flashcache.fields.materials import MaterialConfig, MaterialField
 
 GRID = HashGridConfig(finest_resolution=32, log2_table_size=12)
@@ -38,3 +42,23 @@ def test_the_width_gets_a_share_of_its_gradient_and_its_whole_value():
         made(positions()).alpha.sum().backward()
     torch.testing.assert_close(full(positions()).alpha, quarter(positions()).alpha)
     torch.testing.assert_close(0.25 * full.head.bias.grad, quarter.head.bias.grad)
+
+
+def test_a_grid_of_their_own_keeps_width_and_metalness_apart_from_albedo():
+    made = field(gloss_grid=replace(GRID, finest_resolution=16), metalness_bias=-2.0)
+    names = {id(parameter) for parameter in made.gloss.parameters()}
+    found = made(positions())
+    torch.testing.assert_close(found.metalness.mean(), torch.sigmoid(torch.tensor(-2.0)), atol=2e-3, rtol=0.0)
+    found.albedo.square().sum().backward(retain_graph=True)
+    assert {id(p) for p in made.parameters() if p.grad is not None and p.grad.any()}.isdisjoint(names)
+    made.zero_grad()
+    (found.alpha.square() + found.metalness.square()).sum().backward()
+    moved = {id(p) for p in made.parameters() if p.grad is not None and p.grad.any()}
+    assert moved <= names
+    assert id(made.gloss.grid.table) in moved
+
+
+def test_a_grid_of_their_own_must_be_one_that_a_bundle_can_join_to_the_other():
+    for settings in ({"num_features": 4}, {"half_extent": 2.0}, {"output_scale": 10.0}):
+        with pytest.raises(ConfigError, match="gloss_grid"):
+            MaterialConfig(grid=GRID, gloss_grid=replace(GRID, **settings))

@@ -40,6 +40,20 @@ def test_a_stray_point_is_drawn_to_the_near_cluster_and_not_to_the_far_one():
     assert (rows.grad[8] > 0.0).all()
 
 
+def test_without_gloss_albedo_alone_is_compared_and_drawn_together():
+    rows = torch.full((8, 5), 0.3)
+    rows[4:, 3:] = 0.9
+    rows[0, :3] += 0.05
+    rows.requires_grad_()
+    weight = torch.ones(8)
+    assert float(material_entropy(materials(rows.detach()), weight, 0.1)) > 0.3
+    entropy = material_entropy(materials(rows), weight, 0.1, gloss=0.0)
+    entropy.backward()
+    assert float(entropy.detach()) < 0.1
+    assert (rows.grad[:, 3:] == 0.0).all()
+    assert (rows.grad[0, :3] > 0.0).all()
+
+
 def test_nothing_is_gained_by_making_all_albedo_darker():
     rows = torch.rand(9, 5, generator=torch.Generator().manual_seed(2))
     dark = rows * torch.tensor([0.3, 0.3, 0.3, 1.0, 1.0])

@@ -3,17 +3,20 @@
 import numpy as np
 import pytest
 import torch
-from flashcache.export.graphs import exported_grids
+from flashcache.export.stored_grids import exported_grids
 from lambent_worker.bundle.half_tables import fits_half, rounding_of, with_half_tables
 from support.sphere_model import sphere_model
 
 
+@pytest.mark.parametrize("gloss_grid", [False, True])
 @pytest.mark.parametrize("scale", [1.0, 10.0])
-def test_only_exported_tables_are_rounded_as_readers_see_them_and_the_model_itself_is_not(scale):
-    model = sphere_model(output_scale=scale)
+def test_only_exported_tables_are_rounded_as_readers_see_them_and_the_model_itself_is_not(scale, gloss_grid):
+    model = sphere_model(output_scale=scale, gloss_grid=gloss_grid)
     before = {name: value.clone() for name, value in model.named_parameters()}
     rounded = dict(with_half_tables(model).named_parameters())
     tables = {f"{name}.table" for name in exported_grids(model)}
+    # It is stored as further levels of the other.
+    tables |= {"materials.gloss.grid.table"} if gloss_grid else set()
     for name, value in model.named_parameters():
         assert torch.equal(value, before[name])
         changed = not torch.equal(value, rounded[name])
