@@ -27,6 +27,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lambent_compute.threads import available_threads
+
 from benchmarks import claims
 
 ROOT = Path(__file__).parent.parent
@@ -51,7 +53,7 @@ def machine() -> dict[str, Any]:
     packages = ("torch", "numpy", "numba", "onnxruntime")
     return {
         "processor": model or platform.processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": available_threads(),
         "threads": os.environ.get("OMP_NUM_THREADS", "as many as cores"),
         "system": platform.platform(),
         "python": platform.python_version(),

@@ -6,8 +6,8 @@ import importlib
 import os
 import signal
 import sys
-from contextlib import suppress
-from pathlib import Path
+
+from lambent_compute.threads import available_threads
 
 _PR_SET_PDEATHSIG = 1
 _ALLOCATOR = {
@@ -35,17 +35,8 @@ def prepare(threads: int = 0) -> None:
 def cores_in_use() -> int:
     """Return the number of cores to use: OMP_NUM_THREADS, else this run's share of the machine."""
     given = os.environ.get("OMP_NUM_THREADS", "")
-    share = max(1, available_cores() // int(os.environ.get("LAMBENT_RUN_SLOTS", "1")))
+    share = max(1, available_threads() // int(os.environ.get("LAMBENT_RUN_SLOTS", "1")))
     return int(given) if given.isdecimal() and int(given) else share
-
-
-def available_cores(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
-    """Return the number of cores that this process may use: its affinity, or the quota of its container."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with suppress(OSError, ValueError):  # Not there, or "max" without a limit.
-        allowed, period = quota.read_text(encoding="ascii").split()
-        cores = min(cores, max(1, int(allowed) // int(period)))
-    return cores
 
 
 def end_with_parent(number: int) -> None:

@@ -79,10 +79,10 @@ def digest_of(dispatcher: Any) -> str:
 
 def _reached(value: Any, seen: set[int]) -> Iterator[str]:
     """Yield what tells apart the different meanings of a global of a compiled function."""
-    if id(value) in seen:
-        return
-    seen.add(id(value))
     if isinstance(value, Dispatcher):
+        if id(value) in seen:
+            return
+        seen.add(id(value))
         function = value.py_func
         yield function.__qualname__
         yield from (f"{name} {_text(option)}" for name, option in sorted(value.targetoptions.items()))

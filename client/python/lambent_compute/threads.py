@@ -3,15 +3,21 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
 from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def available_threads() -> int:
-    """Return the number of CPU threads this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def available_threads(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
+    """Return the number of CPU threads this process may use: its affinity, or its container's quota."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with suppress(OSError, ValueError):  # Not there, or "max" without a limit.
+        allowed, period = quota.read_text(encoding="ascii").split()
+        cores = min(cores, max(1, int(allowed) // int(period)))
+    return cores
 
 
 def in_order(work: Callable[[Item], Result], items: Sequence[Item], num_threads: int) -> Iterator[Result]:

@@ -28,11 +28,14 @@ import numpy as np
 from lambent_compute.compiling import inlined
 
 EXTRA = 100.0
+FACTOR = 1
+OTHER = 2
+SHIFT = 1
 TABLE = np.array([10.0])
 
 @inlined()
 def shifted(x):
-    return x + 1.0 + TABLE[0]
+    return FACTOR * (x + 1.0 + TABLE[0]) + OTHER * SHIFT - 2
 """
 
 
@@ -54,6 +57,8 @@ def test_a_change_of_another_file_is_not_overlooked(tmp_path: Path):
         ("x + 1.0", "x + 2.0", 126.0),
         ("EXTRA = 100.0", "EXTRA = 200.0", 226.0),
         ("[10.0]", "[20.0]", 246.0),
+        # A number that another one, which is used before it, has already.
+        ("SHIFT = 1", "SHIFT = 2", 250.0),
     ):
         text = (tmp_path / "helpers.py").read_text()
         assert old in text

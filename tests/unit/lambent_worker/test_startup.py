@@ -3,10 +3,8 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from lambent_worker.startup import available_cores
 
 CORES = len(os.sched_getaffinity(0))
 
@@ -34,25 +32,6 @@ def threads(call: str, **changes: str) -> int:
 )
 def test_a_run_uses_its_share_of_the_cores_unless_told_otherwise(call, changes, expected):
     assert threads(call, **changes) == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("100000 100000", 1),
-        ("50000 100000", 1),
-        ("900000000 100000", CORES),
-        ("max 100000", CORES),
-        ("", CORES),
-    ],
-)
-def test_the_quota_of_a_container_counts(tmp_path: Path, text, expected):
-    (tmp_path / "cpu.max").write_text(text)
-    assert available_cores(tmp_path / "cpu.max") == expected
-
-
-def test_without_a_quota_all_cores_of_the_affinity_count(tmp_path: Path):
-    assert available_cores(tmp_path / "missing") == CORES
 
 
 def test_processes_that_are_started_keep_freed_memory_too():

@@ -23,47 +23,37 @@ class StoredGrid:
     output_scale: float
 
 
-def trained_grids(model: InverseModel) -> list[HashGrid | Occupancy]:
-    """Return the modules whose tables a bundle stores."""
-    found = [
-        model.nerf.density.grid,
-        model.materials.grid,
-        model.fast.distance_grid,
-        model.fast.feature_grid,
-    ]
-    extra = [model.nerf.normals.grid, model.nerf.occupancy]
-    if model.materials.gloss is not None:
-        extra.append(model.materials.gloss.grid)
-    return found + [grid for grid in extra if grid is not None]
-
-
 def exported_grids(model: InverseModel) -> dict[str, StoredGrid]:
     """Return the grids that the graphs read, by the name of their table without ".table"."""
-    materials = [model.materials.grid]
-    if model.materials.gloss is not None:
-        materials.append(model.materials.gloss.grid)
-    grids = {
-        "nerf.density.grid": _stored(model.nerf.density.grid),
-        "materials.grid": _joined(materials),
-        "fast.distance_grid": _stored(model.fast.distance_grid),
-        "fast.feature_grid": _stored(model.fast.feature_grid),
+    return {name: _joined(parts) for name, parts in _parts(model).items()}
+
+
+def trained_grids(model: InverseModel) -> list[HashGrid | Occupancy]:
+    """Return the modules whose tables a bundle stores."""
+    return [grid for parts in _parts(model).values() for grid in parts]
+
+
+def _parts(model: InverseModel) -> dict[str, list[HashGrid | Occupancy]]:
+    """Return the modules of each stored grid; what a model does not have is left out."""
+    gloss = None if model.materials.gloss is None else model.materials.gloss.grid
+    parts = {
+        "nerf.density.grid": [model.nerf.density.grid],
+        "materials.grid": [model.materials.grid, gloss],
+        "fast.distance_grid": [model.fast.distance_grid],
+        "fast.feature_grid": [model.fast.feature_grid],
+        "nerf.normals.grid": [model.nerf.normals.grid],
+        OCCUPANCY: [model.nerf.occupancy],
     }
-    if model.nerf.normals.grid is not None:
-        grids["nerf.normals.grid"] = _stored(model.nerf.normals.grid)
-    if model.nerf.occupancy is not None:
-        grids[OCCUPANCY] = _stored(model.nerf.occupancy)
-    return grids
+    there = {name: [grid for grid in grids if grid is not None] for name, grids in parts.items()}
+    return {name: grids for name, grids in there.items() if grids}
 
 
-def _stored(grid: HashGrid | Occupancy) -> StoredGrid:
-    return StoredGrid(grid.layout, grid.table, grid.output_scale)
-
-
-def _joined(grids: list[HashGrid]) -> StoredGrid:
+def _joined(grids: list[HashGrid | Occupancy]) -> StoredGrid:
     """Return the levels of all grids, which are alike but for their resolutions, as those of one grid."""
     first, levels, offset = grids[0], [], 0
     for grid in grids:
         levels += [replace(level, first_row=level.first_row + offset) for level in grid.layout.levels]
         offset += grid.layout.num_rows
     layout = replace(first.layout, levels=tuple(levels))
-    return StoredGrid(layout, torch.cat([grid.table for grid in grids]), first.output_scale)
+    table = first.table if len(grids) == 1 else torch.cat([grid.table for grid in grids])
+    return StoredGrid(layout, table, first.output_scale)

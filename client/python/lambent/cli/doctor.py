@@ -1,6 +1,5 @@
 """doctor: what this machine has, and what to do about what it lacks."""
 
-import os
 import platform
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from lambent_compute.threads import available_threads
 
 from lambent import film
 from lambent.cli.output import JsonOption, Output, UrlOption, format_size
@@ -54,9 +54,7 @@ def examine(url: str, data: Path) -> Iterator[Check]:
     yield check_python(sys.version_info[:3])
     for extra in EXTRAS:
         yield check_packages(extra)
-    yield check_cores(
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    yield check_cores(available_threads())
     yield check_memory(_available_memory())
     yield check_disk(data)
     yield check_gpu()
