@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.config import DistilConfig
+from flashcache.config import DistilConfig, Rates
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.losses.metalness import MetalnessPriorConfig
 from flashcache.physical.model import InverseModel
@@ -91,6 +91,20 @@ def test_gradients_reach_the_materials_through_both_passes_alike(monkeypatch):
     monkeypatch.setattr(stage_two, "shade", exchanged)
     assert usual.any()
     torch.testing.assert_close(gradient(), usual, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-2])
+def test_width_and_metalness_with_a_grid_of_their_own_move_at_rates_of_their_own(rate):
+    config = tiny()
+    materials = replace(config.model.materials, gloss_grid=config.model.materials.grid)
+    config = replace(config, model=replace(config.model, materials=materials))
+    made = stage(config, gloss_rates=Rates(grid=rate, network=rate))
+    own, other = made.model.materials.gloss, made.model.materials.grid
+    before = own.grid.table.clone(), own.head.weight.clone(), other.table.clone()
+    made.step()
+    for parameter, old in zip((own.grid.table, own.head.weight), before, strict=False):
+        assert torch.equal(parameter, old) == (rate == 0.0)
+    assert not torch.equal(other.table, before[2])
 
 
 def test_without_symmetry_the_second_pass_is_a_constant(monkeypatch):

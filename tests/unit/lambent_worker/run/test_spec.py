@@ -251,6 +251,7 @@ def test_an_adjustment_changes_its_own_stage_and_those_of_both_hold_together():
     assert slower.stage_one == config.stage_one
     assert slower.stage_two.num_rays == config.stage_two.num_rays // 2
     assert slower.stage_two.material_rates.grid == config.stage_two.material_rates.grid / 2
+    assert slower.stage_two.gloss_rates.network == config.stage_two.gloss_rates.network / 2
     assert slower.stage_two.environment_rate == config.stage_two.environment_rate / 2
     both = adjusted(cache={"ray_chunk": 0.5}, joint={"learning_rate": 0.5})
     assert both.stage_one.num_rays == config.stage_one.num_rays // 2
