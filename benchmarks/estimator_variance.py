@@ -22,7 +22,7 @@ from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.run.prepare import open_task
-from lambent_worker.run.tasks.training import load_trained, read_scene
+from lambent_worker.run.tasks.training import load_final, read_scene
 from torch import Tensor
 
 QUICK = "{run} --points 64 --repeats 8"
@@ -124,7 +124,7 @@ def trained(run_dir: Path, num_points: int) -> tuple[InverseModel, ShadingPoints
     """Return a run's model, points on its surface, and its estimator settings."""
     context = open_task(run_dir, "joint", ConsoleReporter(), "cpu")
     scene = read_scene(context)
-    model = load_trained(context, scene, "joint")
+    model = load_final(context, scene)
     cameras = [view.camera for view in (scene.test or scene.train)[:4]]
     points = surface_points(model, cameras, num_points)
     if len(points.positions) == 0:

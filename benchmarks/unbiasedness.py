@@ -28,7 +28,7 @@ from flashcache.training.passes import shade
 from jaxtyping import Float
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.run.prepare import open_task
-from lambent_worker.run.tasks.training import load_trained, read_scene
+from lambent_worker.run.tasks.training import load_final, read_scene
 from numpy import ndarray
 from scipy import stats
 
@@ -108,7 +108,7 @@ def trained(run_dir: Path) -> tuple[InverseModel, Scene, StageTwoConfig]:
     """Return a run's model, its scene, and the settings it was trained with."""
     context = open_task(run_dir, "joint", ConsoleReporter(), "cpu")
     scene = read_scene(context)
-    return load_trained(context, scene, "joint"), scene, context.spec.config.stage_two
+    return load_final(context, scene), scene, context.spec.config.stage_two
 
 
 @torch.no_grad()

@@ -121,11 +121,11 @@ def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
     from lambent_worker.report.request import rule_of
     from lambent_worker.report.uncertainty import PRIORS, measure_uncertainty, uncertainty_map
     from lambent_worker.run.prepare import open_task
-    from lambent_worker.run.tasks.training import load_trained, read_scene
+    from lambent_worker.run.tasks.training import load_final, read_scene
 
     context = open_task(run_dir, "evaluate", None)
     scene = read_scene(context)
-    model = load_trained(context, scene, "joint").eval().requires_grad_(False)
+    model = load_final(context, scene).eval().requires_grad_(False)
     rule = rule_of(context.spec.config.stage_two)
     ratio = json.loads((report / "report.json").read_text())["albedo_ratio_rgb"]
     first = None

@@ -75,7 +75,7 @@ def scene() -> Scene:
 def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.MonkeyPatch) -> TaskContext:
     """Return a context whose run has `model` as its trained model, and whose bundle takes seconds."""
     monkeypatch.setattr(export, "read_scene", lambda context: scene())
-    monkeypatch.setattr(export, "load_trained", lambda context, scene, stage: model)
+    monkeypatch.setattr(export, "load_final", lambda context, scene: model)
     monkeypatch.setattr(bundle_graphs, "PARITY_ROWS", 256)
     # A commit between two exports of a test would change the producer in every graph.
     monkeypatch.setattr(bundle_manifest, "git_revision", lambda: "0" * 40)

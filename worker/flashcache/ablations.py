@@ -24,7 +24,7 @@ class Ablation:
 def ablation_settings(config: Config, name: str) -> dict[str, str]:
     """Return the settings in which the ablation `name` of `config` differs from it, for `with_overrides`.
 
-    All of them belong to stage two. Raises `ConfigError` for an unknown name.
+    All of them belong to stage two or to what comes after it. Raises `ConfigError` for an unknown name.
     """
     if name not in ABLATIONS:
         raise ConfigError(f"unknown ablation {name!r}; choose from {', '.join(ABLATIONS)}")
@@ -68,6 +68,8 @@ ABLATIONS: dict[str, Ablation] = {
     "fast_only": Ablation(
         label="fast cache only (biased)", settings=_fixed({f"{_ESTIMATOR}.control_variate": "fast_only"})
     ),
+    "no_polish": Ablation(label="no polish of the materials", settings=_fixed({"polish": "off"})),
+    "polish": Ablation(label="materials polished after stage two", settings=_fixed({"polish": "on"})),
     "no_cache_gradient": Ablation(
         label="no gradient through the caches", settings=_fixed({f"{_ESTIMATOR}.through_cache": "0.0"})
     ),

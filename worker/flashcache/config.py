@@ -260,6 +260,9 @@ class Config:
     pixels: PixelChoice = field(default_factory=PixelChoice)
     stage_one: StageOneConfig = field(default_factory=StageOneConfig)
     stage_two: StageTwoConfig = field(default_factory=StageTwoConfig)
+    polish: typing.Literal["on", "off"] = "off"
+    """Fit materials and light to all photographs once more after stage two, without networks: beyond the
+    paper (decision 0024)."""
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     export: ExportConfig = field(default_factory=ExportConfig)
     checkpoint_steps: int = 1000

@@ -17,6 +17,7 @@ TASK_TITLES = {
     "masks": "cutting the object out",
     "cache": "training the radiance cache",
     "joint": "training materials and light",
+    "polish": "fitting materials and light once more",
     "evaluate": "evaluating",
     "export": "writing the bundle",
     "bake": "adapting to the light",

@@ -161,6 +161,7 @@ describe("stages", () => {
       "now",
       "waiting",
       "waiting",
+      "waiting",
     ]);
     expect(stageStates(job({ state: "succeeded" })).every(([, state]) => state === "done")).toBe(true);
     expect(stageStates(job()).every(([, state]) => state === "waiting")).toBe(true);

@@ -87,7 +87,7 @@ def compute(cell: "Cell", folder: Path, device: str, stage_one: Path, reporter: 
     check_device(device)
     adopt(stage_one, run_dir)
     spec = spec_of(cell, cell.overrides)
-    run_pipeline(spec, run_dir, device, reporter, (*SHARED_TASKS, "joint"))
+    run_pipeline(spec, run_dir, device, reporter, (*SHARED_TASKS, "joint", "polish"))
     out = folder / REPORT
     report = evaluate_run(run_dir, scene_dir, out, cell.evaluation, device=device, reporter=reporter)
     result = {

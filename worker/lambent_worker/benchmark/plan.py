@@ -17,7 +17,7 @@ from lambent_worker.files import digest, file_sha256
 from lambent_worker.report import protocol
 from lambent_worker.report.published import published_rows, published_scene
 from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.run.hashes import input_hashes, task_inputs
+from lambent_worker.run.hashes import input_hashes, last_training_task, task_inputs
 from lambent_worker.run.spec import RunSpec, config_for
 
 FULL = "full"
@@ -156,6 +156,8 @@ def plan(
                 for seed in seeds:
                     stage_one = task_inputs("cache", ingest, ablated, seed)
                     trained = task_inputs("joint", stage_one, ablated, seed)
+                    if last_training_task(ablated) == "polish":
+                        trained = task_inputs("polish", trained, ablated, seed)
                     # Stage one of an ablation is the full method's unless it changes that, too.
                     shared = task_inputs("cache", ingest, config, seed) == stage_one
                     cells.append(

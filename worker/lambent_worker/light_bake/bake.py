@@ -32,7 +32,7 @@ from lambent_worker.run.evaluation import trained_scene
 from lambent_worker.run.folder import begin_task, locked, require_done, task_folder
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import drive, load_trained
+from lambent_worker.run.tasks.training import drive, load_final
 from lambent_worker.scenes.resample import averaged
 
 MAP_ROWS = 256
@@ -180,7 +180,7 @@ def _scene(run: TaskContext | None, bundle: Bundle, light: AdaptedLight) -> Bake
     frozen = bundle_scene(bundle, ratio, num_threads=torch.get_num_threads())
     if run is None:
         return frozen
-    model = load_trained(run, trained_scene(run), "joint").eval().requires_grad_(False)
+    model = load_final(run, trained_scene(run)).eval().requires_grad_(False)
     device = torch.device(run.device)
     low, high = frozen.box
     return ModelScene(

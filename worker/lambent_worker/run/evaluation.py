@@ -24,10 +24,10 @@ from lambent_worker.reporter import Reporter
 from lambent_worker.run.capture import found_cameras, left_out_of, read_manifest, use_own_masks
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import done_inputs, require_done
-from lambent_worker.run.hashes import cameras_inputs, scene_hash
+from lambent_worker.run.hashes import cameras_inputs, last_training_task, scene_hash
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.tasks.evaluate import evaluated, subject_of
-from lambent_worker.run.tasks.training import load_trained, read_scene
+from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import describe_scene, detect_layout
@@ -50,7 +50,7 @@ def evaluate_run(
     `SceneRefusedError` for a scene that cannot be read.
     """
     context = open_task(run_dir, "evaluate", reporter, device)
-    trained = require_done(run_dir, "joint")
+    trained = require_done(run_dir, last_training_task(context.spec.config))
     scene, manifest = _scene_to_compare(context, scene_dir, request)
     maps = read_maps(request.environments, tuple(manifest.relight_lights))
     # What is computed from pictures, or written beside them, does not make them others.
@@ -60,7 +60,7 @@ def evaluate_run(
     settings |= {"environments": sorted(maps), "scene": scene_hash(scene_dir), "protocol": protocol.VERSION}
     lpips = load_lpips(request.lpips_weights) if request.lpips_weights else None
     _prepare_out(out, digest(trained, settings, [float(image.sum()) for _, image in sorted(maps.items())]))
-    model = load_trained(context, trained_scene(context), "joint")
+    model = load_final(context, trained_scene(context))
     subject = subject_of(
         context,
         request,

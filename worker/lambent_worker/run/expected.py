@@ -20,6 +20,7 @@ def expected_seconds(config: Config, cores: int) -> dict[str, float]:
     return PREPARATION | {
         "cache": BEGINNING_S + _stage_one(config, cores),
         "joint": BEGINNING_S + _stage_two(config, cores),
+        "polish": _polish(cores),
         "evaluate": _evaluation(config, cores),
         "export": _export(config, cores),
     }
@@ -47,6 +48,11 @@ def _stage_two(config: Config, cores: int) -> float:
     joint = two.num_steps * step_seconds(30.0, ray_ms, two.num_rays, cores)
     point_ms = 0.02 + 0.0065 * two.distil.taught.total
     return joint + two.distil.num_steps * step_seconds(9.0, point_ms, two.distil.num_points, cores)
+
+
+def _polish(cores: int) -> float:
+    """Return the seconds of a polish; the number of surface elements is bounded."""
+    return BEGINNING_S + 12.0 + 60.0 / min(cores, 8)
 
 
 def _evaluation(config: Config, cores: int) -> float:

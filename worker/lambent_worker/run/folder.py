@@ -3,7 +3,8 @@
 run.json                        the specification of the run; see `spec`
 log.jsonl previews/             log and previews of the command line; a server keeps its own
 known_lights/ masks/            copies of the user's files
-cameras/ scene/ estimated_masks/ cache/ joint/ evaluation/ bundle/
+cameras/ scene/ estimated_masks/ cache/ joint/ polish/ evaluation/
+bundle/
                                 results of the tasks, a folder each
 steps/<task>.inputs.json        hash of everything the task's files are made from, written before the first,
                                 and the seconds it has taken
@@ -25,6 +26,7 @@ TASK_FOLDERS = {
     "masks": "estimated_masks",
     "cache": "cache",
     "joint": "joint",
+    "polish": "polish",
     "evaluate": "evaluation",
     "export": "bundle",
     "bake": "bake",

@@ -8,17 +8,19 @@ from lambent_worker.files import digest, file_sha256
 from lambent_worker.run.preparation import cameras_hash, files_hash, ingest_hash
 from lambent_worker.run.spec import RunSpec, corrections_hash
 
-TASKS = ("cameras", "ingest", "masks", "cache", "joint", "evaluate", "export")
-"""In order. Only photographs without cameras have `cameras`."""
+TASKS = ("cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export")
+"""In order. Only photographs without cameras have `cameras`, and `polish` is left out where it is off."""
 PREPARATION = ("cameras", "ingest", "masks")
 """What comes before the training."""
 
 # What a training task's files depend on: the task before it, and the parts of the configuration it reads.
 # Masks that are estimated depend on nothing but what `ingest` depends on, and on a person's corrections.
-PREVIOUS = {"cache": "ingest", "joint": "cache", "evaluate": "joint", "export": "joint"}
+# `evaluate` and `export` depend on the last task that changes the model: `last_training_task`.
+PREVIOUS = {"cache": "ingest", "joint": "cache", "polish": "joint"}
 CONFIG_PARTS = {
     "cache": ("max_side", "crop", "space", "model", "pixels", "stage_one"),
     "joint": ("stage_two",),
+    "polish": ("polish",),
     "evaluate": ("evaluation",),
     "export": ("export",),
 }
@@ -41,10 +43,18 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
     )
     corrected = corrections_hash(spec)
     hashes["masks"] = digest("masks", hashes["ingest"], *([corrected] if corrected else []))
+    trained = last_training_task(spec.config)
     for name in CONFIG_PARTS:
-        previous = "masks" if corrected and name == "cache" else PREVIOUS[name]
+        if name == "polish" and name != trained:
+            continue
+        previous = "masks" if corrected and name == "cache" else PREVIOUS.get(name, trained)
         hashes[name] = task_inputs(name, hashes[previous], spec.config, spec.seed)
     return hashes
+
+
+def last_training_task(config: Config) -> str:
+    """Return the last task of a run that changes the model."""
+    return "polish" if config.polish == "on" else "joint"
 
 
 def cameras_inputs(scene_dir: Path, spec: RunSpec) -> str:

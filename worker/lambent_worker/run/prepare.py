@@ -14,7 +14,7 @@ from lambent_worker.reporter import Reporter
 from lambent_worker.run.capture import needs_masks
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import done_inputs, locked, require_done, task_folder
-from lambent_worker.run.hashes import task_inputs
+from lambent_worker.run.hashes import last_training_task, task_inputs
 from lambent_worker.run.masks import AUTOMATIC
 from lambent_worker.run.pipeline import run_task
 from lambent_worker.run.spec import RunSpec, read_run, run_record, training_has_begun, unused_corrections
@@ -113,7 +113,9 @@ def export_run(run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", 
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
-    inputs = task_inputs("export", require_done(run_dir, "joint"), spec.config, spec.seed)
+    inputs = task_inputs(
+        "export", require_done(run_dir, last_training_task(spec.config)), spec.config, spec.seed
+    )
     with locked(run_dir):
         if done_inputs(run_dir, "export") != inputs:
             run_task(replace(context, spec=spec), inputs)

@@ -21,7 +21,7 @@ def kept_uncertainty(run_dir: Path) -> UncertaintyGrid | None:
     if not path.is_file():
         return None
     with np.load(path, allow_pickle=False) as found:
-        if str(found["trained"]) != (done_inputs(run_dir, "joint") or ""):
+        if str(found["trained"]) != _trained(run_dir):
             return None
         return UncertaintyGrid(found["low"], found["high"], found["values"], CHANNELS)
 
@@ -30,7 +30,7 @@ def keep_uncertainty(run_dir: Path, grid: UncertaintyGrid) -> None:
     """Write the grid beside the evaluation, with the hash of what it was measured on."""
     path = task_folder(run_dir, "evaluate") / FILE
     partial = path.with_suffix(".tmp")
-    trained = done_inputs(run_dir, "joint") or ""
+    trained = _trained(run_dir)
     with partial.open("wb") as file:
         np.savez(file, values=grid.values, low=grid.low, high=grid.high, trained=np.array(trained))
     partial.replace(path)
@@ -52,3 +52,8 @@ def uncertainty_of_run(context: TaskContext, model: InverseModel, scene: Scene) 
         rule=rule_of(context.spec.config.stage_two),
         num_points=num_points,
     )
+
+
+def _trained(run_dir: Path) -> str:
+    """Return the hash of the inputs of the task that changed the model last."""
+    return done_inputs(run_dir, "polish") or done_inputs(run_dir, "joint") or ""

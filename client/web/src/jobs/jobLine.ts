@@ -13,6 +13,7 @@ export const stageNames: ReadonlyMap<string, string> = new Map([
   ["masks", "cutting the object out"],
   ["cache", "training the radiance cache"],
   ["joint", "training materials and light"],
+  ["polish", "fitting materials and light once more"],
   ["evaluate", "evaluating"],
   ["export", "writing the bundle"],
 ]);

@@ -16,7 +16,7 @@ from lambent_worker.run.spec import RunSpec
 from support.captures import save, write_blender
 from support.recording_reporter import RecordingReporter
 
-CONFIG = PRESETS["fast"]()
+CONFIG = dataclasses.replace(PRESETS["fast"](), polish="on")
 POSED = TASKS[1:]
 """The tasks of a capture that has cameras."""
 
@@ -86,7 +86,7 @@ def test_cameras_are_found_first_where_there_are_none(tmp_path, tasks):
     assert tasks.names() == list(TASKS)
     save(scene / "3.jpg", np.full((8, 8, 3), 250, dtype=np.uint8))
     run(tmp_path, scene)
-    assert tasks.names()[7:] == list(TASKS)
+    assert tasks.names()[len(TASKS) :] == list(TASKS)
 
 
 def test_a_failed_task_is_repeated_with_its_files_and_the_ones_before_are_kept(tmp_path, scene, tasks):
@@ -95,7 +95,7 @@ def test_a_failed_task_is_repeated_with_its_files_and_the_ones_before_are_kept(t
         run(tmp_path, scene)
     tasks.fails = None
     run(tmp_path, scene)
-    assert tasks.names() == ["ingest", "masks", "cache", "joint", "joint", "evaluate", "export"]
+    assert tasks.names() == ["ingest", "masks", "cache", "joint", "joint", "polish", "evaluate", "export"]
     assert tasks.ran[4] == ("joint", ["result"])
 
 
@@ -107,20 +107,20 @@ def test_a_changed_setting_repeats_the_tasks_that_read_it_and_those_after_from_s
         CONFIG, stage_two=dataclasses.replace(CONFIG.stage_two, smoothness_weight=0.5)
     )
     run(tmp_path, scene, config=changed)
-    assert tasks.ran[6:] == [("joint", []), ("evaluate", []), ("export", [])]
+    assert tasks.ran[len(POSED) :] == [("joint", []), ("polish", []), ("evaluate", []), ("export", [])]
 
 
 def test_an_evaluation_setting_does_not_repeat_the_export(tmp_path, scene, tasks):
     run(tmp_path, scene)
     changed = dataclasses.replace(CONFIG, evaluation=dataclasses.replace(CONFIG.evaluation, num_views=1))
     run(tmp_path, scene, config=changed)
-    assert tasks.names()[6:] == ["evaluate"]
+    assert tasks.names()[len(POSED) :] == ["evaluate"]
 
 
 def test_another_seed_reads_the_same_scene_but_trains_anew(tmp_path, scene, tasks):
     run(tmp_path, scene)
     run(tmp_path, scene, seed=1)
-    assert tasks.names()[6:] == ["cache", "joint", "evaluate", "export"]
+    assert tasks.names()[len(POSED) :] == ["cache", "joint", "polish", "evaluate", "export"]
 
 
 def test_a_changed_photograph_repeats_everything(tmp_path, scene, tasks):
@@ -128,7 +128,7 @@ def test_a_changed_photograph_repeats_everything(tmp_path, scene, tasks):
     with (scene / "train" / "r_0.png").open("ab") as file:
         file.write(b"\0")
     run(tmp_path, scene)
-    assert tasks.names()[6:] == list(POSED)
+    assert tasks.names()[len(POSED) :] == list(POSED)
 
 
 def test_a_copy_of_the_scene_elsewhere_is_the_same_scene(tmp_path, scene):
@@ -152,8 +152,8 @@ def test_some_tasks_can_be_run_alone(tmp_path, scene, tasks):
 
 
 def test_an_unknown_task_is_a_usage_error(tmp_path, scene):
-    with pytest.raises(UsageError, match="polish"):
-        run(tmp_path, scene, tasks=("polish",))
+    with pytest.raises(UsageError, match="dusting"):
+        run(tmp_path, scene, tasks=("dusting",))
 
 
 def test_progress_of_the_job_only_grows_and_ends_at_one(tmp_path, scene, tasks):
@@ -203,7 +203,7 @@ def test_the_speed_so_far_is_that_of_training(tmp_path, scene, tasks):
     clocks = tasks.clocks
     assert clocks["cache"].job_started == pytest.approx(clocks["cache"].before)
     assert clocks["cache"].began > clocks["ingest"].began
-    for name in ("joint", "evaluate", "export"):
+    for name in ("joint", "polish", "evaluate", "export"):
         assert (clocks[name].began, clocks[name].job_started) == (
             clocks["cache"].began,
             clocks["cache"].job_started,
@@ -250,8 +250,8 @@ def test_what_was_found_outlives_other_corrections_and_the_masks_do_not(tmp_path
     workspace.mkdir()
     (workspace / "estimate.json").write_text("found")
     run(tmp_path, scene, corrections=(STROKE,))
-    assert tasks.ran[6:] == [
+    assert tasks.ran[len(POSED) :] == [
         ("masks", ["workspace"]),
-        *((name, []) for name in ("cache", "joint", "evaluate", "export")),
+        *((name, []) for name in ("cache", "joint", "polish", "evaluate", "export")),
     ]
     assert (workspace / "estimate.json").read_text() == "found"

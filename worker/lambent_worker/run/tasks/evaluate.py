@@ -11,7 +11,7 @@ from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spa
 from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_seconds
-from lambent_worker.run.tasks.training import load_trained, read_scene
+from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.uncertainty import keep_uncertainty, uncertainty_of_run
 
 
@@ -26,7 +26,7 @@ def run(context: TaskContext) -> None:
         antialias=settings.antialias,
         max_side=context.spec.config.max_side,
     )
-    model = load_trained(context, scene, "joint")
+    model = load_final(context, scene)
     uncertainty = uncertainty_of_run(context, model, scene)
     if uncertainty is not None:
         keep_uncertainty(context.run_dir, uncertainty)

@@ -30,7 +30,7 @@ from lambent_worker.files import read_record
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import scene_hash
-from lambent_worker.run.tasks.training import load_trained, read_scene
+from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.uncertainty import uncertainty_of_run
 
 NUM_PARTS = 8
@@ -43,7 +43,7 @@ def run(context: TaskContext) -> None:
     Raises WorkerError with an `export.*` code when a graph differs from the model, or there is no surface.
     """
     scene = read_scene(context)
-    model = load_trained(context, scene, "joint").eval()
+    model = load_final(context, scene).eval()
     partial = context.folder.with_name(context.folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     for name in FOLDERS:

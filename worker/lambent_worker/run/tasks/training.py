@@ -32,6 +32,7 @@ from lambent_worker.files import digest, read_record
 from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
+from lambent_worker.run.hashes import last_training_task
 from lambent_worker.run.known_lights import give_known_lights, known_names
 from lambent_worker.scenes.load import load_scene
 
@@ -73,13 +74,18 @@ def new_model(context: TaskContext, scene: Scene) -> InverseModel:
 
 
 def load_trained(context: TaskContext, scene: Scene, stage: str) -> InverseModel:
-    """Return the model at the end of `stage` ("cache" or "joint")."""
+    """Return the model at the end of `stage` ("cache", "joint" or "polish")."""
     model = new_model(context, scene)
     folder = latest_checkpoint(task_folder(context.run_dir, stage))
     if folder is None:
         raise TrainingError(f"the run has no checkpoint of stage {stage!r}; train it first")
     load_checkpoint(folder, model)
     return model
+
+
+def load_final(context: TaskContext, scene: Scene) -> InverseModel:
+    """Return the model at the end of the training: polished, where the run's settings say so."""
+    return load_trained(context, scene, last_training_task(context.spec.config))
 
 
 def training_pixels(context: TaskContext, scene: Scene, model: InverseModel) -> TrainingPixels:

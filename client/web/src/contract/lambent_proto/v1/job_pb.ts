@@ -80,7 +80,7 @@ export const JobSpecSchema: GenMessage<JobSpec> = /*@__PURE__*/
  */
 export type Progress = Message<"lambent_proto.v1.Progress"> & {
   /**
-   * The task: "cameras", "ingest", "masks", "cache", "joint", "evaluate", "export"; "bake"; "render" for pictures.
+   * The task: "cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export"; "bake"; "render" for pictures.
    *
    * @generated from field: string stage = 1;
    */

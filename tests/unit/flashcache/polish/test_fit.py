@@ -1,0 +1,165 @@
+"""The fit of materials to surface elements, against sums over all directions."""
+
+import math
+
+import pytest
+import torch
+from flashcache.fields.materials import Materials
+from flashcache.geometry.directions import normalize
+from flashcache.polish import light
+from flashcache.polish.fit import ALPHAS, NO_TILT, Tilts, costs
+from flashcache.polish.incoming import SIDE
+from flashcache.polish.light import Prediction, Reflectance, fit_light
+from flashcache.polish.materials import choose
+from flashcache.polish.neighbours import Neighbours
+from flashcache.polish.normals import tilted
+from flashcache.polish.octahedron import octahedral_directions, octahedral_solid_angles
+from flashcache.polish.polish import FINER
+from support.polish_sphere import open_tables, sky_picture, sphere_elements
+
+FINE = SIDE * FINER
+BLUE, GOLD = (0.1, 0.25, 0.6), (0.9, 0.6, 0.3)
+
+
+def alone(elements, albedo, alpha, metalness):
+    count = len(elements)
+    return Reflectance(
+        torch.tensor(albedo).expand(count, 3).clone(),
+        torch.full((count,), alpha),
+        torch.full((count,), metalness),
+        elements.normal,
+    )
+
+
+@pytest.mark.parametrize("side", [4, 20])
+def test_cells_of_the_square_cover_the_sphere(side):
+    directions, angles = octahedral_directions(side), octahedral_solid_angles(side)
+    assert float(angles.sum()) == pytest.approx(4.0 * math.pi, rel=1e-2 / side)
+    assert torch.allclose(directions.norm(dim=-1), torch.ones(side * side), atol=1e-6)
+    assert (angles[:, None] * directions).sum(dim=0).abs().max() < 1e-4
+    # The second moment of a sphere is the same along all axes.
+    moments = torch.einsum("n,ni,nj->ij", angles, directions, directions)
+    assert torch.allclose(moments, 4.0 * math.pi / 3.0 * torch.eye(3), atol=12.0 / side**2)
+
+
+@pytest.mark.parametrize(
+    ("albedo", "alpha", "metalness"),
+    [(BLUE, 0.5, 0.0), (BLUE, 0.16, 0.0), (GOLD, 0.28, 1.0), (GOLD, 0.5, 0.5)],
+)
+def test_a_prediction_is_the_sum_over_all_directions(albedo, alpha, metalness, monkeypatch):
+    monkeypatch.setattr(light, "DIRECTIONS", 64)
+    elements = sphere_elements(albedo, alpha, metalness, count=120)
+    found = Prediction(elements, open_tables(len(elements)), alone(elements, albedo, alpha, metalness), FINE)(
+        sky_picture().numpy()
+    )
+    error = torch.from_numpy(found) - elements.colour
+    assert float(error.mean().abs() / elements.colour.mean()) < 0.02
+    assert float(error.square().mean().sqrt() / elements.colour.mean()) < 0.1
+
+
+def test_the_gradient_by_the_sky_is_that_of_the_predictions():
+    elements = sphere_elements(GOLD, 0.28, 0.5, count=40)
+    prediction = Prediction(elements, open_tables(len(elements)), alone(elements, GOLD, 0.28, 0.5), FINE)
+    sky, generator = sky_picture().double().numpy(), torch.Generator().manual_seed(0)
+    residual = torch.randn(elements.colour.shape, generator=generator, dtype=torch.float64).numpy()
+    change = torch.randn(sky.shape, generator=generator, dtype=torch.float64).numpy()
+    by_sum = ((prediction(sky + change) - prediction(sky)) * residual).sum()
+    assert (prediction.gradient(residual) * change).sum() == pytest.approx(by_sum, rel=1e-4)
+
+
+@pytest.mark.parametrize(("alpha", "metalness"), [(0.09, 0.0), (0.28, 0.0), (0.09, 1.0), (0.28, 1.0)])
+def test_the_least_cost_is_at_the_material_that_was_photographed(alpha, metalness):
+    albedo = GOLD if metalness else BLUE
+    elements = sphere_elements(albedo, alpha, metalness)
+    found = costs(elements, open_tables(len(elements)), sky_picture())
+    mean = found.cost.mean(dim=0)
+    level, hypothesis = divmod(int(mean.argmin()), 2)
+    assert (level, hypothesis) == (ALPHAS.index(alpha), int(metalness))
+    assert torch.allclose(
+        found.albedo[:, level, hypothesis].median(dim=0).values, torch.tensor(albedo), atol=0.03
+    )
+
+
+def test_a_tilt_undoes_the_error_of_a_normal_and_costs_what_it_should():
+    elements = sphere_elements(GOLD, 0.16, 1.0)
+    tilts = Tilts.grid((-0.2, 0.0, 0.2), 0.005)
+    moved = tilted(elements.normal, torch.tensor([[0.2, 0.0]]).expand(len(elements), 2))
+    tables, sky, level = open_tables(len(elements)), sky_picture(), ALPHAS.index(0.16)
+    wrong = costs(elements, tables, sky, normal=moved, tilts=NO_TILT)
+    free = costs(elements, tables, sky, normal=moved, tilts=tilts)
+    assert free.cost[:, level, 1].mean() < 0.3 * wrong.cost[:, level, 1].mean()
+    chosen = tilted(moved, tilts.moves[free.tilt[:, level, 1]])
+    before = (moved * elements.normal).sum(dim=-1).arccos()
+    after = (chosen * elements.normal).sum(dim=-1).clamp(-1.0, 1.0).arccos()
+    assert float(after.median()) < 0.3 * float(before.median())
+    centre = int((tilts.moves.abs().sum(dim=1) == 0).nonzero()[0, 0])
+    assert float(tilts.cost[centre]) == 0.0
+
+
+def test_clipped_channels_are_only_known_to_be_at_least_so_bright():
+    elements = sphere_elements(BLUE, 0.16, 0.0)
+    limit = elements.colour.quantile(0.9)
+    clipped = elements.colour > limit
+    # dataclasses.replace, written out: colours are cut at the limit.
+    known = type(elements)(
+        *(
+            {"colour": elements.colour.clamp_max(limit), "clipped": clipped}.get(
+                name, getattr(elements, name)
+            )
+            for name in type(elements).__slots__
+        )
+    )
+    ignored = type(elements)(
+        *(
+            {"clipped": torch.zeros_like(clipped)}.get(name, getattr(known, name))
+            for name in type(known).__slots__
+        )
+    )
+    tables, sky, level = open_tables(len(elements)), sky_picture(), ALPHAS.index(0.16)
+    touched = torch.zeros(len(elements), dtype=torch.bool)
+    touched[elements.element[clipped.any(dim=1)]] = True
+    told, untold = (costs(each, tables, sky).cost[touched, level, 0].mean() for each in (known, ignored))
+    assert told < 0.5 * untold
+
+
+@pytest.mark.parametrize(("albedo", "alpha", "metalness"), [(BLUE, 0.09, 0.0), (GOLD, 0.16, 1.0)])
+def test_gloss_and_metal_are_found_from_what_a_training_leaves(albedo, alpha, metalness):
+    elements = sphere_elements(albedo, alpha, metalness, count=300)
+    count = len(elements)
+    trained = Materials(
+        torch.tensor(albedo).expand(count, 3) * 0.8, torch.full((count, 1), 0.28), torch.full((count, 1), 0.1)
+    )
+    found = choose(
+        elements, open_tables(count), sky_picture(), elements.normal, trained, Neighbours.of(elements)
+    ).reflectance
+    assert float((found.metalness - metalness).abs().mean()) < 0.1
+    assert float(found.alpha.log().mean().exp()) == pytest.approx(alpha, rel=0.25)
+    assert torch.isfinite(found.albedo).all()
+    assert (found.normal * elements.normal).sum(dim=-1).mean() > 0.99
+
+
+def test_the_light_is_found_from_a_dim_and_even_one():
+    elements = sphere_elements(GOLD, 0.09, 1.0, count=600, views=12)
+    prediction = Prediction(elements, open_tables(len(elements)), alone(elements, GOLD, 0.09, 1.0), FINE)
+    true = sky_picture()
+    begun = true.mean(dim=1, keepdim=True).expand_as(true).contiguous()
+    found, before, after = fit_light(prediction, begun, steps=80, rate=0.15, outlier=0.05, tether=1e-4)
+    assert after < 0.4 * before
+
+    def error(sky):
+        weight = octahedral_solid_angles(FINE)[:, None]
+        return float((((sky[0] + 0.05).log() - (true[0] + 0.05).log()).square() * weight).sum())
+
+    assert error(found) < 0.5 * error(begun)
+    assert found.max() > 3.0 * begun.max()
+
+
+def test_pooling_keeps_a_constant_and_the_two_sides_of_a_sheet_apart():
+    elements = sphere_elements(BLUE, 0.28, 0.0, count=300)
+    graph, amount = Neighbours.of(elements), elements.counts.float()
+    constant = torch.full((len(elements), 2), 3.0)
+    assert torch.allclose(graph.pooled(constant, amount, 5), constant, atol=1e-4)
+    side = (elements.normal[:, 0] > 0.0).float()[:, None]
+    apart = graph.among_alike(side, 1e-3).pooled(side, amount, 10)
+    assert torch.allclose(apart, side, atol=1e-4)
+    assert torch.allclose(normalize(elements.normal), elements.normal, atol=1e-5)

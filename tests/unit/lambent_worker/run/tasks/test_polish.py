@@ -1,0 +1,80 @@
+"""The task that polishes a trained model, and its place among the others."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from flashcache.polish.polish import PolishReport
+from flashcache.presets import tiny
+from flashcache.training.checkpoint import CheckpointState, checkpoint_folder, save_checkpoint
+from lambent_worker.errors import Stopped
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import task_folder
+from lambent_worker.run.hashes import input_hashes, last_training_task
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.tasks import polish
+from lambent_worker.run.tasks.training import load_final, load_trained, new_model
+from support.lit_sphere import lit_sphere
+from support.recording_reporter import RecordingReporter
+
+SCENE = lit_sphere(num_views=3)
+ON = replace(tiny(), polish="on")
+
+
+def trained(tmp_path, monkeypatch, stop_after: int | None = None) -> TaskContext:
+    """Return the context of the task in a run whose stage two is done."""
+    monkeypatch.setattr(polish, "read_scene", lambda context: SCENE)
+    made = TaskContext(
+        spec=RunSpec(scene=tmp_path / "scene", config=ON),
+        run_dir=tmp_path / "run",
+        device="cpu",
+        reporter=RecordingReporter(stop_after),
+        task="polish",
+    )
+    made.folder.mkdir(parents=True)
+    model = new_model(made, SCENE)
+    state = CheckpointState(stage="joint", step=7, seed=0, config_sha256="")
+    save_checkpoint(checkpoint_folder(task_folder(made.run_dir, "joint"), 7), model, None, state)
+    return made
+
+
+def test_what_the_polish_makes_is_what_later_tasks_read(tmp_path, monkeypatch):
+    context = trained(tmp_path, monkeypatch)
+
+    def brighter(model, pixels, *, seed, advance):
+        model.environment.head.bias.add_(1.0)
+        advance(1)
+        return PolishReport("", {"elements": 12.0})
+
+    monkeypatch.setattr(polish, "polish", brighter)
+    polish.run(context)
+    before, after = load_trained(context, SCENE, "joint"), load_final(context, SCENE)
+    assert torch.allclose(after.environment.head.bias, before.environment.head.bias + 1.0)
+    assert context.reporter.named("polish.done") == [{"elements": 12.0}]
+
+
+def test_a_model_without_a_surface_is_kept_and_the_log_says_why(tmp_path, monkeypatch):
+    context = trained(tmp_path, monkeypatch)
+    polish.run(context)
+    (told,) = context.reporter.named("polish.kept")
+    assert "seen by two photographs" in told["reason"]
+    before, after = load_trained(context, SCENE, "joint"), load_final(context, SCENE)
+    for one, other in zip(before.state_dict().values(), after.state_dict().values(), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_stopped_polish_leaves_nothing_and_begins_again(tmp_path, monkeypatch):
+    context = trained(tmp_path, monkeypatch, stop_after=0)
+    monkeypatch.setattr(polish, "polish", lambda model, pixels, *, seed, advance: advance(1))
+    with pytest.raises(Stopped):
+        polish.run(context)
+    assert not list(context.folder.glob("step_*"))
+
+
+def test_evaluation_and_export_depend_on_the_polish_where_it_is_on(tmp_path):
+    (tmp_path / "scene").mkdir()
+    off, on = (input_hashes(RunSpec(scene=tmp_path / "scene", config=each)) for each in (tiny(), ON))
+    assert "polish" not in off
+    assert "polish" in on
+    assert {name for name in off if off[name] == on[name]} == {"ingest", "masks", "cache", "joint"}
+    assert (last_training_task(tiny()), last_training_task(ON)) == ("joint", "polish")

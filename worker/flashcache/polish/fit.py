@@ -1,0 +1,116 @@
+"""Costs of reflectances at surface elements: every GGX width, dielectric or metal, with its best albedo.
+
+An observation is (1 - m) rho E + F0 A + B: irradiance over pi E, and the specular integral split by Schlick's
+formula into A, which F0 = 0.04 (1 - m) + m rho multiplies, and B. Source: supplement Eqs. 3-5.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from flashcache.kernels.ranges import over_rows
+from flashcache.physical.brdf import DIELECTRIC_F0
+from flashcache.polish import compiled_fit
+from flashcache.polish.elements import Elements
+from flashcache.polish.incoming import IncomingTables
+from flashcache.polish.octahedron import octahedral_directions, octahedral_solid_angles
+
+ALPHAS = (0.02, 0.045, 0.09, 0.16, 0.28, 0.5, 0.85)
+DIRECTIONS = (6, 8, 12, 16, 20, 24, 24)
+"""Half vectors per observation and width."""
+NOISE_FLOOR = 0.03
+OUTLIER = 0.15
+LEAST_ALBEDO = 0.01
+BLOCK = 32
+INVERSE_GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Costs:
+    """What each width and hypothesis (0 dielectric, 1 metal) costs each element, with what is best then."""
+
+    cost: Float[Tensor, "elements widths 2"]
+    """Mean squared error over the observed radiance, robust."""
+    tilt: Int[Tensor, "elements widths 2"]
+    albedo: Float[Tensor, "elements widths 2 3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tilts:
+    """Moves of the normal in its tangent plane, and what each costs."""
+
+    moves: Float[Tensor, "tilts 2"]
+    cost: Float[Tensor, " tilts"]
+
+    @classmethod
+    def grid(cls, steps: tuple[float, ...], weight: float) -> "Tilts":
+        """Return all pairs of `steps`, with the cost `weight` times the squared length."""
+        at = torch.tensor(steps)
+        moves = torch.cartesian_prod(at, at)
+        return cls(moves, weight * moves.square().sum(dim=-1))
+
+
+NO_TILT = Tilts(torch.zeros(1, 2), torch.zeros(1))
+
+
+def half_vectors(count: int) -> Float[Tensor, "count 3"]:
+    """Return variates of half vectors: tangent over alpha, and cosine and sine of the azimuth.
+
+    Stratified in the first: D (n.h) puts its squared tangent at alpha^2 u / (1 - u) for uniform u.
+    """
+    number = torch.arange(count, dtype=torch.float64)
+    u = (number + 0.5) / count
+    azimuth = 2.0 * math.pi * (number * INVERSE_GOLDEN_RATIO % 1.0)
+    return torch.stack([(u / (1.0 - u)).sqrt(), azimuth.cos(), azimuth.sin()], dim=-1).float()
+
+
+def costs(
+    elements: Elements,
+    tables: IncomingTables,
+    sky: Float[Tensor, "lights cells 3"],
+    *,
+    normal: Float[Tensor, "elements 3"] | None = None,
+    tilts: Tilts = NO_TILT,
+) -> Costs:
+    """Return the costs of `ALPHAS` under the environments `sky`, with the best tilt of `normal` for each."""
+    count, widths = len(elements), len(ALPHAS)
+    found = Costs(
+        torch.empty(count, widths, 2),
+        torch.zeros(count, widths, 2, dtype=torch.int64),
+        torch.empty(count, widths, 2, 3),
+    )
+    cells = octahedral_directions(math.isqrt(tables.clear.shape[1]))
+    halves = torch.zeros(widths, max(DIRECTIONS), 3)
+    for row, number in enumerate(DIRECTIONS):
+        halves[row, :number] = half_vectors(number)
+    arguments = (
+        elements.first,
+        elements.omega_o,
+        elements.detail,
+        elements.colour,
+        elements.clipped,
+        elements.light,
+        elements.normal if normal is None else normal,
+        tilts.moves,
+        tilts.cost,
+        tables.clear,
+        tables.near,
+        sky,
+        cells,
+        octahedral_solid_angles(math.isqrt(tables.clear.shape[1])),
+        torch.tensor(ALPHAS),
+        halves,
+        torch.tensor(DIRECTIONS),
+        torch.tensor([NOISE_FLOOR, OUTLIER, DIELECTRIC_F0, LEAST_ALBEDO]),
+        found.cost,
+        found.tilt,
+        found.albedo,
+    )
+    arrays = tuple(np.ascontiguousarray(part.numpy()) for part in arguments[:-3])
+    arrays += tuple(part.numpy() for part in arguments[-3:])
+    over_rows(lambda begin, end: compiled_fit.sweep(begin, end, *arrays), count, BLOCK)
+    return found

@@ -1,0 +1,145 @@
+"""The environments, fitted to all observations while reflectance stands still."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from flashcache.kernels.ranges import over_rows
+from flashcache.physical.brdf import DIELECTRIC_F0
+from flashcache.polish import compiled_fit
+from flashcache.polish.elements import Elements
+from flashcache.polish.fit import BLOCK, NOISE_FLOOR, half_vectors
+from flashcache.polish.incoming import IncomingTables
+from flashcache.polish.octahedron import octahedral_directions, octahedral_solid_angles
+
+DIRECTIONS = 16
+"""Half vectors per observation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflectance:
+    """One material and normal for each element."""
+
+    albedo: Float[Tensor, "elements 3"]
+    alpha: Float[Tensor, " elements"]
+    metalness: Float[Tensor, " elements"]
+    normal: Float[Tensor, "elements 3"]
+
+
+class Prediction:
+    """What elements send to their cameras, as a linear function of the environments' cells."""
+
+    def __init__(
+        self, elements: Elements, tables: IncomingTables, reflectance: Reflectance, fine: int
+    ) -> None:
+        """`fine` is the number of cells along each side of an environment's square."""
+        observations = len(elements.colour)
+        cells = np.zeros((observations, 4 * DIRECTIONS), np.int32)
+        weights = np.zeros((observations, 4 * DIRECTIONS, 2), np.float32)
+        constant = np.zeros((observations, 2, 3), np.float32)
+        self.element, self.light, self.elements = elements.element, elements.light, elements
+        arrays = tuple(
+            np.ascontiguousarray(part.numpy())
+            for part in (
+                self.element, elements.first, elements.omega_o, elements.light, reflectance.normal,
+                reflectance.alpha, half_vectors(DIRECTIONS),
+            )
+        )  # fmt: skip
+        rest = (DIRECTIONS, tables.clear.numpy(), tables.near.numpy(), fine, cells, weights, constant)
+        over_rows(
+            lambda begin, end: compiled_fit.reflections(begin, end, *arrays, *rest), observations, BLOCK
+        )
+        starts = np.arange(0, cells.size + 1, 4 * DIRECTIONS)
+        shape = (observations, fine * fine)
+        self.parts = [
+            csr_matrix((weights[..., part].reshape(-1), cells.reshape(-1), starts), shape=shape)
+            for part in range(2)
+        ]
+        self.back = [part.T.tocsr() for part in self.parts]
+        metal = reflectance.metalness[:, None]
+        albedo = reflectance.albedo[self.element] * elements.detail
+        metal = metal[self.element]
+        self.diffuse = ((1.0 - metal) * albedo).numpy()
+        self.f0 = (DIELECTRIC_F0 * (1.0 - metal) + metal * albedo).numpy()
+        side = math.isqrt(tables.clear.shape[1])
+        cosine = (reflectance.normal @ octahedral_directions(side).T).clamp_min(0.0)
+        cosine = cosine * (octahedral_solid_angles(side) / math.pi)
+        self.received = (cosine * tables.clear).numpy()
+        self.side, self.scale, self.fine = side, fine // side, fine
+        self.near = np.stack([torch.einsum("nd,ndc->nc", cosine, near).numpy() for near in tables.near])
+        self.constant = self.f0 * constant[:, 0] + constant[:, 1]
+        self.lights = tables.near.shape[0]
+
+    def __call__(self, sky: np.ndarray) -> np.ndarray:
+        """Return the radiance [observations, 3] of every observation under `sky` [lights, cells, 3]."""
+        found = self.constant.copy()
+        for light in range(self.lights):
+            rows = slice(None) if self.lights == 1 else (self.light == light).numpy()
+            element = self.element.numpy()[rows]
+            irradiance = self.received @ self._coarse(sky[light]) + self.near[light]
+            found[rows] += self.diffuse[rows] * irradiance[element]
+            found[rows] += (
+                self.f0[rows] * (self.parts[0] @ sky[light])[rows] + (self.parts[1] @ sky[light])[rows]
+            )
+        return found
+
+    def gradient(self, residual: np.ndarray) -> np.ndarray:
+        """Return the gradient [lights, cells, 3] of the sum of predictions times `residual`."""
+        found = []
+        for light in range(self.lights):
+            of_light = residual if self.lights == 1 else residual * (self.light == light).numpy()[:, None]
+            per_element = np.add.reduceat(self.diffuse * of_light, self.elements.first[:-1].numpy(), axis=0)
+            coarse = self.received.T @ per_element
+            fine = self.back[0] @ (self.f0 * of_light) + self.back[1] @ of_light
+            found.append(fine + self._spread(coarse))
+        return np.stack(found)
+
+    def _coarse(self, sky: np.ndarray) -> np.ndarray:
+        shape = (self.side, self.scale, self.side, self.scale, 3)
+        return sky.reshape(shape).mean(axis=(1, 3)).reshape(-1, 3)
+
+    def _spread(self, coarse: np.ndarray) -> np.ndarray:
+        square = coarse.reshape(self.side, 1, self.side, 1, 3) / self.scale**2
+        shape = (self.side, self.scale, self.side, self.scale, 3)
+        return np.broadcast_to(square, shape).reshape(-1, 3)
+
+
+def fit_light(
+    prediction: Prediction,
+    sky: Float[Tensor, "lights cells 3"],
+    *,
+    steps: int,
+    rate: float,
+    outlier: float,
+    tether: float,
+) -> tuple[Float[Tensor, "lights cells 3"], float, float]:
+    """Return the environments after Adam's steps in log radiance, and the loss before and after."""
+    elements = prediction.elements
+    wanted, clipped = elements.colour.numpy(), elements.clipped.numpy()
+    weight = 1.0 / (wanted + NOISE_FLOOR)
+    begun = np.log(sky.numpy().clip(1e-3))
+    value = begun.copy()
+    first, second = np.zeros_like(value), np.zeros_like(value)
+    losses = []
+    for step in range(steps + 1):
+        now = np.exp(value)
+        error = prediction(now) - wanted
+        error[clipped & (error > 0.0)] = 0.0
+        squared = (error * error * weight).sum(axis=1)
+        root = np.sqrt(squared + outlier**2)
+        losses.append(float(root.mean()))
+        if step == steps:
+            break
+        residual = error * weight / root[:, None] / len(error)
+        gradient = prediction.gradient(residual.astype(np.float32)) * now
+        gradient = gradient + tether * (value - begun) / value[..., 0].size
+        first = 0.9 * first + 0.1 * gradient
+        second = 0.98 * second + 0.02 * gradient**2
+        moved = (first / (1 - 0.9 ** (step + 1))) / (np.sqrt(second / (1 - 0.98 ** (step + 1))) + 1e-12)
+        value = value - rate * (1.0 - step / steps) ** 0.5 * moved
+    return torch.from_numpy(np.exp(value).astype(np.float32)), losses[0], losses[-1]

@@ -1,0 +1,43 @@
+"""Directions as places in a square, by way of the octahedron: nearly even, and without trigonometry.
+
+Row and column run along y and x; +z is the middle of the square, -z its corners. Source: Cigolle et al.,
+"A Survey of Efficient Representations for Independent Unit Vectors" (2014).
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.geometry.directions import normalize
+
+SUBDIVISIONS = 8
+"""Parts of a cell's side from which its solid angle is found."""
+
+
+def octahedral_directions(side: int) -> Float[Tensor, "cells 3"]:
+    """Return the unit direction of the centre of each cell of a square with `side` cells per side."""
+    at = (2.0 * (torch.arange(side, dtype=torch.float64) + 0.5) / side) - 1.0
+    y, x = torch.meshgrid(at, at, indexing="ij")
+    return _direction(x, y).reshape(-1, 3).float()
+
+
+def octahedral_solid_angles(side: int) -> Float[Tensor, " cells"]:
+    """Return the solid angle of each cell, in sr; the whole square has 4 pi up to rounding."""
+    fine = side * SUBDIVISIONS
+    at = 2.0 * (torch.arange(fine, dtype=torch.float64) + 0.5) / fine - 1.0
+    y, x = torch.meshgrid(at, at, indexing="ij")
+    z = 1.0 - x.abs() - y.abs()
+    folded_x = torch.where(z < 0.0, (1.0 - y.abs()) * x.sign(), x)
+    folded_y = torch.where(z < 0.0, (1.0 - x.abs()) * y.sign(), y)
+    # A face's solid angle over its area in the square: 1 / |p|^3 for the point p of the octahedron.
+    length = (folded_x.square() + folded_y.square() + z.square()).sqrt()
+    parts = length.pow(-3) * (2.0 / fine) ** 2
+    cells = parts.reshape(side, SUBDIVISIONS, side, SUBDIVISIONS).sum(dim=(1, 3))
+    return cells.reshape(-1).float()
+
+
+def _direction(x: Tensor, y: Tensor) -> Tensor:
+    z = 1.0 - x.abs() - y.abs()
+    folded_x = torch.where(z < 0.0, (1.0 - y.abs()) * x.sign(), x)
+    folded_y = torch.where(z < 0.0, (1.0 - x.abs()) * y.sign(), y)
+    return normalize(torch.stack([folded_x, folded_y, z], dim=-1))

@@ -1,0 +1,43 @@
+"""Fourth task, where it is on: materials and light are fitted to all photographs once more."""
+
+from dataclasses import replace
+
+from flashcache.polish.polish import NUM_PARTS, polish
+from flashcache.training.checkpoint import CheckpointState, checkpoint_folder, save_checkpoint
+
+from lambent_worker.files import digest
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.tasks.training import load_trained, read_scene, training_pixels
+
+STEP = 1
+"""Number of the only checkpoint: the polish begins again after a stop, for it takes less than a minute."""
+
+
+def run(context: TaskContext) -> None:
+    """Write the polished model to `polish/step_*`; that of stage two, with the reason, where it is kept.
+
+    On the processor whatever the run's device is: the compiled fit is there, and a GPU would wait for it.
+    """
+    on_cpu = replace(context, device="cpu")
+    scene = read_scene(on_cpu)
+    model = load_trained(on_cpu, scene, "joint").eval().requires_grad_(False)
+    pixels = training_pixels(on_cpu, scene, model)
+
+    def advance(done: int) -> None:
+        context.progress(done, NUM_PARTS)
+        context.stop_if_asked()
+
+    report = polish(model, pixels, seed=context.spec.seed, advance=advance)
+    if report.kept:
+        context.reporter.log("polish.kept", reason=report.kept, **report.values)
+    else:
+        context.reporter.log(
+            "polish.done", **{name: round(value, 5) for name, value in report.values.items()}
+        )
+    state = CheckpointState(
+        stage=context.task,
+        step=STEP,
+        seed=context.spec.seed,
+        config_sha256=digest(repr(context.spec.config.model)),
+    )
+    save_checkpoint(checkpoint_folder(context.folder, STEP), model, None, state)
