@@ -8,7 +8,7 @@ from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import normalize
 from flashcache.polish import light
 from flashcache.polish.fit import ALPHAS, NO_TILT, Tilts, costs
-from flashcache.polish.incoming import SIDE
+from flashcache.polish.incoming import SIDE, IncomingTables
 from flashcache.polish.light import Prediction, Reflectance, fit_light
 from flashcache.polish.materials import choose
 from flashcache.polish.neighbours import Neighbours
@@ -163,3 +163,30 @@ def test_pooling_keeps_a_constant_and_the_two_sides_of_a_sheet_apart():
     apart = graph.among_alike(side, 1e-3).pooled(side, amount, 10)
     assert torch.allclose(apart, side, atol=1e-4)
     assert torch.allclose(normalize(elements.normal), elements.normal, atol=1e-5)
+
+
+def test_what_is_hidden_sends_nothing_and_what_hides_it_does():
+    elements = sphere_elements(GOLD, 0.28, 0.5, count=60)
+    count, cells = len(elements), SIDE * SIDE
+    material = alone(elements, GOLD, 0.28, 0.5)
+    # Half of the sky is hidden by something that sends a third of what the sky does.
+    hidden = octahedral_directions(SIDE)[:, 0] > 0.0
+    clear = torch.ones(count, cells)
+    clear[:, hidden] = 0.0
+    near = torch.zeros(1, count, cells, 3)
+    near[:, :, hidden] = 0.2
+    even = torch.full((1, FINE * FINE, 3), 0.6).numpy()
+    whole = Prediction(elements, open_tables(count), material, FINE)(even)
+    part = Prediction(elements, IncomingTables(clear, near), material, FINE)(even)
+    away = elements.normal[elements.element][:, 0] < -0.9
+    towards = elements.normal[elements.element][:, 0] > 0.9
+    assert part[towards].sum() == pytest.approx(whole[towards].sum() / 3.0, rel=0.1)
+    assert part[away].sum() == pytest.approx(whole[away].sum(), rel=0.1)
+    found = costs(elements, IncomingTables(clear, near), torch.from_numpy(even))
+    seen = costs(elements, open_tables(count), torch.from_numpy(even))
+    facing = elements.normal[:, 0] > 0.9
+    level = ALPHAS.index(0.5)
+    # The same photographs under a third of the light: three times the albedo, as far as it can be.
+    ratio = found.albedo[facing, level, 0] / seen.albedo[facing, level, 0]
+    free = found.albedo[facing, level, 0] < 0.99
+    assert float(ratio[free].median()) == pytest.approx(3.0, rel=0.2)
