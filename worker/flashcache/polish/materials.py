@@ -27,6 +27,9 @@ WIDE_METAL_PRIOR = 0.2
 METAL_TOLERANCE, METAL_SOFTNESS = 0.08, 0.03
 """How much worse metals may fit, and over how much they become dielectrics: a metal's picture suffers more
 from wrong normals."""
+NORMAL_MARGIN, NORMAL_POOL = 0.03, 5
+"""How much better another normal than the predicted one must fit, in the logarithm of cost, and over how many
+steps along the graph costs are pooled for that."""
 SHARE = 0.5
 """Part of the fit in a dielectric's albedo; the rest is stage two's. Errors of both are independent."""
 GAMMA = 1.0 / 2.2
@@ -93,7 +96,15 @@ def choose(
     moved = tilted(normal, TILTS.moves[turned.tilt[row, level, 1]])
     sure = amount / (turned.cost[row, level, 1] + 0.002)
     smooth = normalize(neighbours.pooled(moved, sure, 2))
-    found = torch.where(is_metal[:, None], smooth, normal)
+    # A smoothed tilt may fit worse than what it began with: of three normals the best one stays.
+    best = torch.where(is_metal, level, (pooled_still + prior).argmin(dim=1))
+    candidates = [elements.normal, normal, torch.where(is_metal[:, None], smooth, normal)]
+    fits = []
+    for candidate, price in zip(candidates, (0.0, NORMAL_MARGIN, NORMAL_MARGIN), strict=True):
+        of_it = costs(elements, tables, sky, normal=candidate).cost[row, best, is_metal.long()]
+        fits.append(neighbours.pooled((of_it + COST_FLOOR).log()[:, None], amount, NORMAL_POOL)[:, 0] + price)
+    which = torch.stack(fits).argmin(dim=0)
+    found = torch.stack(candidates)[which, row]
     return Choice(Reflectance(albedo, alpha, metal, found), gain)
 
 

@@ -28,6 +28,8 @@ ROUNDS = 2
 FINER = 2
 """Cells of an environment along a side, per cell of the tables."""
 LIGHT_STEPS, LIGHT_RATE, LIGHT_OUTLIER, LIGHT_TETHER = 40, 0.15, 0.05, 1e-2
+SAME_NORMAL = 0.9999
+"""Cosine from which a normal is the predicted one."""
 NUM_PARTS = 5 + ROUNDS
 
 
@@ -48,7 +50,7 @@ def polish(
     seed: int,
     advance: Callable[[int], None] = lambda part: None,
 ) -> PolishReport:
-    """Fit materials, light and the normals of metals to the photographs, and write them into `model`.
+    """Fit materials, light and normals to the photographs, and write them into `model`.
 
     `advance` is called with the number of parts that are done, of `NUM_PARTS`; it may raise to end the
     polish, which leaves the model as it was until the last part. Beyond the paper.
@@ -90,12 +92,14 @@ def polish(
     reflectance = found.reflectance
     metal = reflectance.metalness > 0.5
     values["metal_share"] = float(metal.float().mean())
+    changed = (reflectance.normal * elements.normal).sum(dim=-1) < SAME_NORMAL
+    values["turned_share"] = float(changed.float().mean())
     values["width_gain"] = float(found.gain.mean())
     if not all(bool(torch.isfinite(part).all()) for part in (*_parts(reflectance), sky)):
         return PolishReport("a fitted value is not finite", values)
     write_materials(model, elements, reflectance, generator)
     advance(NUM_PARTS - 1)
-    write_normals(model, elements, reflectance.normal, metal, generator)
+    write_normals(model, elements, reflectance.normal, changed, generator)
     if learned:
         write_environments(model, sky)
     advance(NUM_PARTS)
