@@ -77,7 +77,7 @@ def run_one(name: str, seed: int, shared: Path, arguments: argparse.Namespace) -
     do_tasks(spec, folder / "run", *PREPARATION)
     with ConsoleReporter(folder / "run") as reporter:
         adopt_nerf_cache(folder / "run", shared, reporter)
-    do_tasks(spec, folder / "run", *PREPARATION, "cache", "joint")
+    do_tasks(spec, folder / "run", *PREPARATION, "cache", "joint", "polish")
     scene = arguments.scene
     evaluate = [*(sys.executable, "-m", "lambent", "evaluate", str(folder / "run"), str(scene))]
     evaluate += ["--repeats", "1", "--views", str(arguments.views), "-o", str(folder / "report")]

@@ -10,7 +10,7 @@ from lambent_worker.run.context import TaskContext
 from lambent_worker.run.tasks.training import load_trained, read_scene, training_pixels
 
 STEP = 1
-"""Number of the only checkpoint: the polish begins again after a stop, for it takes less than a minute."""
+"""Number of the only checkpoint: the polish begins again after a stop, for it takes about a minute."""
 
 
 def run(context: TaskContext) -> None:
