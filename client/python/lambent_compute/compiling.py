@@ -13,6 +13,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 REORDERED = frozenset({"contract", "reassoc", "nsz"})
@@ -56,14 +57,34 @@ def _liberties(fastmath: frozenset[str] | bool) -> set[str] | bool:
     return fastmath if isinstance(fastmath, bool) else set(fastmath)
 
 
+class _KeptFiles(IndexDataCacheFile):
+    """Files that no other code is ever written to.
+
+    numba names them by function and number. Two variants of a closure, or two signatures that two processes
+    compile at once, then write to the same name, and what one index promises is the other's code.
+    """
+
+    def __init__(self, plain: IndexDataCacheFile, digest: str) -> None:
+        """`plain` is numba's own choice of folder and name, `digest` that of the code."""
+        name = f"{plain._index_name.removesuffix('.nbi')}-{digest[:16]}"
+        super().__init__(plain._cache_path, name, (*plain._source_stamp, digest))
+        self._name = name
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep the code of a signature; the index names it only when it is there."""
+        file = f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+        self._save_data(file, data)
+        self._save_index({**self._load_index(), key: file})
+
+
 def _stamped(dispatcher: Any) -> bool:
     """Let what is kept of a function count only while all that it reaches is the same; False if it cannot be.
 
     numba offers no way to say so, and this reaches into it: a version without these names keeps nothing.
     """
     try:
-        file = dispatcher._cache._cache_file
-        file._source_stamp = (*file._source_stamp, digest_of(dispatcher))
+        cache = dispatcher._cache
+        cache._cache_file = _KeptFiles(cache._cache_file, digest_of(dispatcher))
     except (AttributeError, TypeError):
         return False
     return True

@@ -39,9 +39,9 @@ def shifted(x):
 """
 
 
-def run(folder: Path) -> tuple[float, int]:
+def run(folder: Path, *arguments: str) -> tuple[float, int]:
     """Return the answer of a process of its own, and how many compiled functions it found on disk."""
-    command = [sys.executable, "caller.py"]
+    command = [sys.executable, "caller.py", *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     value, hits = done.stdout.split()
     return float(value), int(hits)
@@ -65,6 +65,43 @@ def test_a_change_of_another_file_is_not_overlooked(tmp_path: Path):
         (tmp_path / "helpers.py").write_text(text.replace(old, new))
         assert run(tmp_path) == (wanted, 0)
         assert run(tmp_path) == (wanted, 1)
+
+
+VARIANTS = """
+import sys
+import numpy as np
+from lambent_compute.compiling import compiled
+
+def variant(count):
+    def total(values):
+        found = 0.0
+        for i in range(count):
+            found += values[i]
+        return found
+    return compiled()(total)
+
+if __name__ == "__main__":
+    total = variant(int(sys.argv[1]))
+    print(total(np.ones(4, sys.argv[2])), sum(total.stats.cache_hits.values()))
+"""
+
+
+def test_variants_of_a_closure_and_signatures_never_share_a_file(tmp_path: Path):
+    """Each is written as if no index were there yet, which is what two processes at once find."""
+    (tmp_path / "caller.py").write_text(VARIANTS)
+    wanted = [(count, kind) for count in (1, 2) for kind in ("float32", "float64")]
+    for count, kind in wanted:
+        assert run(tmp_path, str(count), kind) == (float(count), 0)
+    folder = tmp_path / "__pycache__"
+    assert len(list(folder.glob("*.nbi"))) == 2
+    assert len(list(folder.glob("*.nbc"))) == 4
+    for count, kind in wanted:
+        assert run(tmp_path, str(count), kind) == (float(count), 1)
+    for index in folder.glob("*.nbi"):
+        index.unlink()
+    for count, kind in reversed(wanted):
+        assert run(tmp_path, str(count), kind) == (float(count), 0)
+    assert len(list(folder.glob("*.nbc"))) == 4
 
 
 def test_code_compiles_where_nothing_can_be_kept():
