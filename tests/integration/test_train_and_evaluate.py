@@ -46,6 +46,7 @@ def maps(tmp_path):
     folder = tmp_path / "maps"
     folder.mkdir()
     write_environment(folder / "studio_small_05.exr", np.full((8, 16, 3), 0.5, dtype=np.float32))
+    write_environment(folder / "venice_sunset.exr", np.full((32, 64, 3), 0.5, dtype=np.float32))
     return folder
 
 
@@ -78,6 +79,8 @@ def test_the_full_evaluation_relights_and_is_scored_the_same_by_the_reference(ru
             expected = other[f"{group.split('_')[0]}/{figure}"]
             assert ours[f"{group}/{figure}"] == pytest.approx(expected, abs=tolerance), group
     assert {"relight_direct/psnr", "relight_unscaled/psnr"} <= set(ours)
+    assert {"environment/log_rmse", "environment/peak_ratio"} <= set(ours)
+    assert "true light, venice_sunset_000" in (tmp_path / "out" / "report.html").read_text()
     fractions = [fields["fraction"] for fields in reporter.named("progress")]
     assert fractions[-1] == 1.0
     assert list(report.albedo_ratio_rgb) == pytest.approx(reference["albedo_ratio"], rel=1e-3)

@@ -104,7 +104,7 @@ def evaluate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for predictions and reports.")],
     environments: Annotated[
         Path | None,
-        typer.Option(help="Folder of .hdr or .exr maps named like the scene's test lights, to relight with."),
+        typer.Option(help="Folder of .hdr or .exr maps named like the scene's lights, to relight with."),
     ] = None,
     views: shared.Views = 0,
     repeats: shared.Repeats = 4,
@@ -143,7 +143,8 @@ def evaluate(
         report = evaluate_run(run_dir, scene_dir, out, request, device=device, reporter=reporter)
     if not as_json:
         for metric in report.metrics:
-            if metric.name.count("/") == 1:  # figures of single lights are in the report
+            # Figures of pictures in single lights are in the report.
+            if metric.name.count("/") == 1 or metric.name.startswith("environment/"):
                 unit = "" if metric.unit == "1" else f" {metric.unit}"
                 typer.echo(f"{metric.name:32s} {metric.value:9.3f} +- {metric.standard_error:.3f}{unit}")
         for row in report.absent:

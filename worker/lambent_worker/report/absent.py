@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 from lambent_proto.v1 import evaluation_pb2
 
+from lambent_worker.report.environment_scores import scored_lights
 from lambent_worker.report.published import dataset_of
 from lambent_worker.report.request import Subject
 
@@ -22,6 +23,7 @@ def absent_metrics(subject: Subject, found: Iterable[str]) -> list[evaluation_pb
     if not subject.held_out:
         reasons["nvs/psnr"] = "the capture has no test views"
     reasons |= _relighting(subject)
+    reasons |= _environments(subject)
     if dataset_of(subject.dataset) == "openillumination" and len(subject.scene.lights) > 1:
         reasons["nvs/psnr"] = "on OpenIllumination novel views count from a run in one light"
     if subject.uncertainty is None:
@@ -37,6 +39,22 @@ def absent_metrics(subject: Subject, found: Iterable[str]) -> list[evaluation_pb
         for name, reason in reasons.items()
         if name not in names
     ]
+
+
+def _environments(subject: Subject) -> dict[str, str]:
+    lights, given = subject.scene.lights, subject.known_lights
+    was_given = "the light was given (--known-light), not learned"
+    found = {f"environment/{light}/log_rmse": was_given for light in given if len(lights) > 1}
+    if subject.scene.turned:
+        found["environment/log_rmse"] = "the light turned from photograph to photograph"
+    elif set(given) == set(lights):
+        found["environment/log_rmse"] = was_given
+    elif not scored_lights(subject):
+        found["environment/log_rmse"] = (
+            f"the true environment is not known: envmaps/{lights[0]}.hdr in the capture, or a map of this "
+            "name in --environments"
+        )
+    return found
 
 
 def _relighting(subject: Subject) -> dict[str, str]:

@@ -12,6 +12,7 @@ from lambent_worker.files import write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.report import figures, protocol
 from lambent_worker.report.absent import absent_metrics
+from lambent_worker.report.environment_scores import score_environments
 from lambent_worker.report.maps import load
 from lambent_worker.report.page import write_page
 from lambent_worker.report.predictions import encoded, predict_relit, predict_surfaces, predict_uncertainty
@@ -36,7 +37,9 @@ def evaluate(
     median = np.ones(3) if ratios is None else ratios[0]
     predict_relit(subject, (float(median[0]), float(median[1]), float(median[2])))
     ruling = Ruling.of(subject.scene, held_out=subject.held_out, dataset=subject.dataset, lpips=subject.lpips)
-    rows = score(subject.out, subject.scene, subject.views, ruling).as_metrics()
+    table = score(subject.out, subject.scene, subject.views, ruling)
+    score_environments(table, subject)
+    rows = table.as_metrics()
     report = evaluation_pb2.EvaluationReport(
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.VERSION,

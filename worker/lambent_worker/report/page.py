@@ -14,6 +14,7 @@ from lambent_relight.bundle.uncertainty import CHANNELS
 from numpy import ndarray
 
 from lambent_worker.report import figures
+from lambent_worker.report.environment_scores import FOLDER, LUMINANCE, compare_environments
 from lambent_worker.report.maps import load
 from lambent_worker.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded
 from lambent_worker.report.published import METRICS
@@ -30,6 +31,7 @@ GROUPS = (
     ("Albedo", ("albedo",)),
     ("Shape", ("normal", "distance")),
     ("Materials", ("roughness", "metallic")),
+    ("Recovered light", ("environment",)),
     ("Uncertainty of materials", ("uncertainty",)),
     (SINGLE_LIGHTS, ("rgb",)),
 )
@@ -57,6 +59,7 @@ def write_page(
         single_lights=SINGLE_LIGHTS,
         comparison=comparison(report),
         rows=rows,
+        environments=environment_figures(out, scene.lights),
         error_scale=figures.ERROR_SCALE,
         noise_scale=figures.NOISE_SCALE,
         relative_scale=figures.RELATIVE_SCALE,
@@ -109,6 +112,25 @@ def view_figures(
     lines.append(_uncertainty_line(out, view))
     lines += [_relit_line(out, view, light) for light in scene.relight_lights]
     return [[(title, figures.data_uri(values)) for title, values in line] for line in lines if line]
+
+
+def environment_figures(out: Path, lights: Sequence[str]) -> list[tuple[str, str]]:
+    """Return title and data URI of the environments that were compared, each beside the true one.
+
+    Twice the true map's mean is white.
+    """
+    shown = []
+    for light in lights:
+        paths = [out / FOLDER / f"{name}.npy" for name in (light, f"{light}_true")]
+        if not all(path.is_file() for path in paths):
+            continue
+        recovered, truth = (np.load(path, allow_pickle=False).astype(np.float64) for path in paths)
+        white = max(2.0 * float((truth @ LUMINANCE).mean()), 1e-8)
+        scaled = recovered * compare_environments(recovered, truth).factor
+        for title, image in ((f"true light, {light}", truth), (f"recovered, {light}", scaled)):
+            opaque = encoded(image / white, np.ones_like(image[..., :1]))
+            shown.append((title, figures.data_uri(figures.picture(opaque.astype(np.float64)))))
+    return shown
 
 
 def _photograph(view: View, light: str) -> Picture | None:

@@ -1,6 +1,6 @@
 """The evaluation protocol in short; docs/reference/protocol.md says the same with reasons."""
 
-VERSION = "1.3"
+VERSION = "1.4"
 """Version of docs/reference/protocol.md."""
 
 SUMMARY = (
@@ -21,6 +21,10 @@ SUMMARY = (
     "on whole frames; views of other captures on the part around the object that the run's setting crop "
     "leaves.",
     "LPIPS (version 0.1, VGG or AlexNet) is computed from weights given by path, and is absent without them.",
+    "Recovered environments: root mean square difference of log radiance over directions and channels, at "
+    "32 x 64 pixels, with radiance below 1 % of a channel's mean raised to that, after one factor per "
+    "channel (log_rmse) and as they are (log_rmse_unscaled); luminance of the brightest pixel over the true "
+    "one's, and the angle between the two; only for lights that were learned and whose true map is known.",
     "OpenIllumination: pictures are multiplied by the object's mask; novel views count from a run in one "
     "light, relit pictures from a run in several; diffuse and specular objects are averaged apart.",
     "The number after plus-minus is the standard error of the mean over views, or over seeds where a table "

@@ -69,6 +69,19 @@ class Subject:
     lpips: Lpips | None = None
     uncertainty: UncertaintyGrid | None = None
     """Uncertainty of the materials, if it was measured."""
+    true_lights: Mapping[str, Float32[ndarray, "rows columns 3"]] = field(default_factory=dict)
+    """True environments of training lights, where they are known: linear radiance."""
+
+    @property
+    def known_lights(self) -> tuple[str, ...]:
+        """Return the training lights whose environment was given and not learned."""
+        known = self.model.domain.known_lights
+        return self.scene.lights if known and self.shared_light else known
+
+    @property
+    def shared_light(self) -> bool:
+        """Return whether the training lights are one environment, turned about the vertical."""
+        return bool(self.model.domain.rotations_deg)
 
 
 def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:

@@ -13,6 +13,7 @@ UNITS = {
     "noise_ceiling": "dB",
     "mae_all": "deg",
     "mae_mask": "deg",
+    "peak_angle": "deg",
 }
 
 

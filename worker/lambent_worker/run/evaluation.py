@@ -28,6 +28,7 @@ from lambent_worker.run.hashes import cameras_inputs, last_training_task, scene_
 from lambent_worker.run.prepare import open_task
 from lambent_worker.run.tasks.evaluate import evaluated, subject_of
 from lambent_worker.run.tasks.training import load_final, read_scene
+from lambent_worker.run.true_lights import FOLDER, maps_in, read_true_lights
 from lambent_worker.run.uncertainty import kept_uncertainty, uncertainty_of_run
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import describe_scene, detect_layout
@@ -36,7 +37,6 @@ from lambent_worker.scenes.lights import select_lights
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.world import in_world, world_matrix
 
-MAP_SUFFIXES = (".hdr", ".exr")
 ANY_SIZE = 1 << 30
 
 
@@ -52,7 +52,10 @@ def evaluate_run(
     context = open_task(run_dir, "evaluate", reporter, device)
     trained = require_done(run_dir, last_training_task(context.spec.config))
     scene, manifest = _scene_to_compare(context, scene_dir, request)
-    maps = read_maps(request.environments, tuple(manifest.relight_lights))
+    given = [] if request.environments is None else [request.environments]
+    named = read_true_lights(scene.lights, given)
+    maps = read_maps(request.environments, tuple(manifest.relight_lights), needed=not named)
+    true_lights = read_true_lights(scene.lights, [scene_dir / FOLDER]) | named
     # What is computed from pictures, or written beside them, does not make them others.
     settings = {
         name: value for name, value in asdict(request).items() if name not in ("lpips_weights", "exr")
@@ -71,20 +74,24 @@ def evaluate_run(
         dataset=manifest.layout,
         lpips=lpips,
         uncertainty=_uncertainty(context, model),
+        true_lights=true_lights,
     )
     return evaluated(context, subject)
 
 
-def read_maps(folder: Path | None, lights: tuple[str, ...]) -> dict[str, Float32[ndarray, "rows columns 3"]]:
+def read_maps(
+    folder: Path | None, lights: tuple[str, ...], *, needed: bool = True
+) -> dict[str, Float32[ndarray, "rows columns 3"]]:
     """Return the environment maps in `folder` that are named like one of `lights`, linear radiance.
 
-    Raises `UsageError` where the folder is not there, names none of the lights, or a map cannot be read.
+    Raises `UsageError` where the folder is not there, a map cannot be read, or, if one is `needed`, none is
+    named like a light.
     """
     if folder is None:
         return {}
     if not folder.is_dir():
         raise UsageError("evaluate.environments_missing", f'--environments "{folder}" is not a folder')
-    found = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in MAP_SUFFIXES}
+    found = maps_in(folder)
     maps = {}
     for light in lights:
         if light not in found:
@@ -93,11 +100,11 @@ def read_maps(folder: Path | None, lights: tuple[str, ...]) -> dict[str, Float32
             maps[light] = np.ascontiguousarray(load_environment(found[light]).radiance, dtype=np.float32)
         except RelightError as error:
             raise UsageError("evaluate.environment_unreadable", str(error)) from error
-    if not maps:
+    if not maps and needed:
         raise UsageError(
             "evaluate.environments_unmatched",
-            f'"{folder}" has no .hdr or .exr map named like a test light of the scene '
-            f"({', '.join(lights) or 'it has none'}); rename the maps or leave --environments out",
+            f'"{folder}" has no .hdr or .exr map named like a light of the scene '
+            f"(to relight in: {', '.join(lights) or 'none'}); rename the maps or leave --environments out",
         )
     return maps
 

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 from lambent_worker.report.absent import absent_metrics
 from lambent_worker.report.request import EvaluationRequest, Subject
-from support.lit_sphere import lit_sphere
+from support.lit_sphere import lit_domain, lit_sphere
 
 SCENE = replace(lit_sphere(2, side=4), relight_lights=("city", "night"))
 TRUTH = {"albedo": np.zeros((4, 4, 4), np.float32), "normal": np.zeros((4, 4, 4), np.float32)}
@@ -18,7 +19,7 @@ MAP = np.ones((2, 4, 3), np.float32)
 
 def subject(**changes: Any) -> Subject:
     given = {
-        "model": None,
+        "model": SimpleNamespace(domain=lit_domain(SCENE)),
         "scene": SCENE,
         "views": VIEWS,
         "held_out": True,
@@ -29,6 +30,7 @@ def subject(**changes: Any) -> Subject:
         "advance": lambda: None,
         "lpips": cast(Any, object()),
         "uncertainty": cast(Any, object()),
+        "true_lights": {"sky": MAP},
     }
     return Subject(**{**given, **changes})
 
@@ -56,6 +58,7 @@ def test_without_weights_every_group_says_how_to_get_lpips():
         ({"uncertainty": None}, "uncertainty/albedo_rank_correlation", "surface"),
         ({"maps": {}}, "relight/psnr", "--environments"),
         ({"maps": {"city": MAP}}, "rgb/night/psnr", "--environments"),
+        ({"true_lights": {}}, "environment/log_rmse", "envmaps/sky.hdr"),
         ({"scene": lit_sphere(2, side=4)}, "relight/psnr", "other light"),
         ({"dataset": "openillumination"}, "relight/psnr", "several lights"),
         (
@@ -67,6 +70,21 @@ def test_without_weights_every_group_says_how_to_get_lpips():
 )
 def test_what_is_missing_is_named_with_its_reason(changes, name, word):
     assert word in reasons(subject(**changes))[name]
+
+
+def lit(**domain: Any) -> SimpleNamespace:
+    return SimpleNamespace(domain=replace(lit_domain(SCENE), **domain))
+
+
+def test_a_light_that_was_given_or_turned_is_said_to_be():
+    given = reasons(subject(model=lit(known_lights=("sky",))))
+    assert "--known-light" in given["environment/log_rmse"]
+    two = {"scene": replace(SCENE, lights=("sky", "lamp")), "model": lit(known_lights=("lamp",))}
+    found = reasons(subject(**two), "environment/log_rmse")
+    assert "--known-light" in found["environment/lamp/log_rmse"]
+    turning = tuple(replace(view, light_turn=np.eye(3)) for view in SCENE.train)
+    turned = reasons(subject(scene=replace(SCENE, train=turning)))
+    assert "turned" in turned["environment/log_rmse"]
 
 
 def test_a_figure_that_is_there_is_not_called_absent():

@@ -3,8 +3,11 @@
 from typing import Any
 
 from flashcache.data.scene import Scene
+from jaxtyping import Float32
 from lambent_proto.v1 import evaluation_pb2
+from numpy import ndarray
 
+from lambent_worker.errors import UsageError
 from lambent_worker.report.evaluate import evaluate, preview_sheet
 from lambent_worker.report.predictions import num_pictures
 from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced, rule_of
@@ -12,6 +15,7 @@ from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_seconds
 from lambent_worker.run.tasks.training import load_final, read_scene
+from lambent_worker.run.true_lights import FOLDER, read_true_lights
 from lambent_worker.run.uncertainty import keep_uncertainty, uncertainty_of_run
 
 
@@ -39,11 +43,21 @@ def run(context: TaskContext) -> None:
         out=context.folder,
         dataset=read_manifest(context).layout,
         uncertainty=uncertainty,
+        true_lights=_true_lights(context, scene),
     )
     evaluated(context, subject)
     context.reporter.preview("evaluation", preview_sheet(subject))
     for name in ("report.json", "report.html"):
         context.reporter.artifact(name, context.folder / name)
+
+
+def _true_lights(context: TaskContext, scene: Scene) -> dict[str, Float32[ndarray, "rows columns 3"]]:
+    """Return the true environments beside the capture; one that cannot be read is told, and ends nothing."""
+    try:
+        return read_true_lights(scene.lights, [context.spec.scene / FOLDER])
+    except UsageError as error:
+        context.reporter.finding(error.code, error.message)
+        return {}
 
 
 def subject_of(context: TaskContext, request: EvaluationRequest, *, scene: Scene, **given: Any) -> Subject:
