@@ -176,6 +176,32 @@ def test_stratified_variates_of_a_point_are_spread_and_each_is_uniform():
     assert float(cells.double().mean()) > 12.0
 
 
+def test_one_lattice_goes_on_from_point_to_point_and_each_variate_is_uniform():
+    def drawn(seed: int) -> torch.Tensor:
+        generator = torch.Generator().manual_seed(seed)
+        like = torch.zeros(64, 3, dtype=torch.float64)
+        return draw_uniforms((64, 4, 2), generator, like, stratified=True, continued=True)
+
+    several = torch.stack([drawn(seed) for seed in range(400)])
+    assert_mean((several[:, 5, 2] < 0.3).double(), torch.tensor(0.3))
+    # Four neighbours with four variates each fill a square of 16 cells nearly as one point with 16 would.
+    occupied = (several.reshape(400, 16, 16, 2) * 4.0).long()
+    cells = torch.nn.functional.one_hot(occupied[..., 0] * 4 + occupied[..., 1], 16).amax(dim=2).sum(dim=2)
+    assert float(cells.double().mean()) > 12.0
+
+
+def test_even_variates_give_even_directions_under_a_map():
+    like = torch.zeros(1, 3, dtype=torch.float64)
+    sampler = EnvironmentMapSampler(torch.ones(64, 128, 3, dtype=torch.float64))
+    worst = 0
+    for seed in range(20):
+        u = draw_uniforms((1, 64, 2), torch.Generator().manual_seed(seed), like, stratified=True)
+        octant = ((sampler.sample(u)[0] > 0.0).long() * torch.tensor([4, 2, 1])).sum(dim=-1)
+        worst = max(worst, int((torch.bincount(octant, minlength=8) - 8).abs().max()))
+    # 64 independent directions are five off in the worst octant of most draws.
+    assert worst <= 3
+
+
 def test_a_density_below_the_floor_is_raised():
     mixture = VmfMixture(
         NORMAL.expand(1, 1, 3), torch.full((1, 1), 50.0).double(), torch.zeros(1, 1).double()

@@ -105,8 +105,12 @@ def monte_carlo(
     seed: int,
     purpose: str,
     points: Literal["categorical", "depth"] = "categorical",
+    block: int = 1,
 ) -> Picture:
-    """Return the mean of `shade` over points drawn along every ray, with its standard error."""
+    """Return the mean of `shade` over points drawn along every ray, with its standard error.
+
+    Rays are shaded in blocks of `block` x `block`, so that those of one pixel are neighbours in a batch.
+    """
     if num_repeats < 1 or points_per_ray < 1:
         raise ConfigError(
             f"a picture needs at least one repeat and one point per ray, "
@@ -117,7 +121,8 @@ def monte_carlo(
     colour = torch.zeros(len(rays), 3, device=device)
     error = torch.zeros(len(rays), 3, device=device)
     opacity = torch.zeros(len(rays), 1, device=device)
-    hits = (rays.far > rays.near).nonzero()[:, 0]
+    order = _by_blocks(camera, block, device)
+    hits = order[(rays.far > rays.near)[order]]
 
     def fill(part: tuple[int, Tensor]) -> None:
         """Write the pictures' values for some rays, which are in no other part."""
@@ -148,6 +153,13 @@ def monte_carlo(
     shape = (camera.height, camera.width, -1)
     to_numpy = [values.reshape(shape).cpu().numpy() for values in (colour, error, opacity)]
     return Picture(*to_numpy)
+
+
+def _by_blocks(camera: Camera, block: int, device: torch.device) -> Tensor:
+    """Return the numbers of all rays, those of a block of `block` x `block` one after another."""
+    number = torch.arange(camera.height * camera.width, device=device)
+    blocks = number.reshape(camera.height // block, block, camera.width // block, block)
+    return blocks.transpose(1, 2).reshape(-1)
 
 
 def _drawn(weights: Tensor, count: int, points: str, generator: torch.Generator) -> Tensor:

@@ -15,7 +15,7 @@ from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
 
-BOUNCE_COUNTS = DirectionCounts(cosine=1, sampler=1, specular=2)
+BOUNCE_COUNTS = DirectionCounts(cosine=1, sampler=2, specular=1)
 """Directions that shade what a secondary ray hits."""
 
 
@@ -42,6 +42,15 @@ class MapLight:
 def scaled(materials: Materials, ratio: Float[Tensor, "3"]) -> Materials:
     """Return the materials with their albedo multiplied by `ratio` per channel and kept in [0, 1]."""
     return Materials((materials.albedo * ratio).clamp(0.0, 1.0), materials.alpha, materials.metalness)
+
+
+def relighting_counts(total: int) -> DirectionCounts:
+    """Return a point's directions: a quarter cosine, a quarter GGX, the rest in proportion to the map.
+
+    Three at least.
+    """
+    cosine, specular = max(1, total // 4), max(1, total // 4)
+    return DirectionCounts(cosine=cosine, sampler=max(1, total - cosine - specular), specular=specular)
 
 
 def relit_radiance(
@@ -92,16 +101,15 @@ def relit_radiance(
 
     if materials is None:
         materials = model.materials(points.positions)
-    quarter = max(1, num_directions // 4)
-    counts = DirectionCounts(cosine=quarter, sampler=quarter, specular=num_directions - 2 * quarter)
     return relight(
         points,
         scaled(materials, ratio),
         source=near_field if indirect else visibility_only(cache),
         environment=light,
         light=light.sampler,
-        counts=counts,
+        counts=relighting_counts(num_directions),
         limits=model.limits,
         config=config,
         generator=generator,
+        continued=True,
     ).rgb

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from flashcache.data.scene import Camera
 from flashcache.evaluation.gbuffer import GBuffer, camera_rays, render_gbuffer
+from flashcache.evaluation.lighting import lit_radiance
 from flashcache.evaluation.monte_carlo import Picture, RenderRule, monte_carlo
 from flashcache.evaluation.relighting import MapLight, relit_radiance
 from flashcache.evaluation.supersampling import finer, mean_gbuffer, mean_picture
 from flashcache.evaluation.supersampling import points_per_ray as default_points
-from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
 
@@ -54,33 +54,14 @@ def render_physical(
     A pixel has `antialias` x `antialias` rays. Every repeat shades `points_per_ray` points of each, drawn
     anew (0: four per pixel, but two per ray at least), and spreads `num_directions` secondary rays per pixel
     of the fast estimate over them, four per point at least, with four more per point for the correction
-    (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone.
+    (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone. Both lobes
+    share all directions (`relight`), unlike in training.
     """
     points_per_ray = points_per_ray or default_points(antialias)
-    per_point = max(4, 4 * (num_directions // (4 * points_per_ray * antialias**2)))
-    estimator = EstimatorConfig(
-        fast=DirectionCounts.split(per_point),
-        exact=DirectionCounts(cosine=1, sampler=1, specular=2),
-        control_variate=rule.control_variate,
-        sampler=rule.sampler,
-        stratified=True,
-    )
+    per_point = max(4, num_directions // (points_per_ray * antialias**2))
 
     def shade(points: ShadingPoints, generator: torch.Generator) -> Tensor:
-        mixture = None
-        if rule.sampler == "vmf":
-            mixture = model.light_sampler(points.positions, points.light_index)
-        return control_variate(
-            points,
-            model.materials(points.positions),
-            nerf=model.nerf_source(generator),
-            fast=model.fast_source(),
-            environment=model.environment,
-            mixture=mixture,
-            limits=model.limits,
-            config=estimator,
-            generator=generator,
-        ).rgb
+        return lit_radiance(model, points, num_directions=per_point, rule=rule, generator=generator)
 
     picture = monte_carlo(
         model,
@@ -92,6 +73,7 @@ def render_physical(
         seed=seed,
         purpose="physical",
         points=rule.points,
+        block=antialias,
     )
     return mean_picture(picture, antialias)
 
@@ -146,5 +128,6 @@ def render_relit(
         seed=seed,
         purpose="relit",
         points=rule.points,
+        block=antialias,
     )
     return mean_picture(picture, antialias)

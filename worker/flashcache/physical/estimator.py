@@ -193,35 +193,30 @@ def relight(
     limits: RayLimits,
     config: EstimatorConfig,
     generator: torch.Generator,
+    continued: bool = False,
 ) -> Estimate:
     """Return radiance under a known environment with its variance; no gradients.
 
-    `light` draws from the environment (`EnvironmentMapSampler`). It gets `counts.sampler` directions of the
-    diffuse half and half of `counts.specular`; without it these go to cosine and GGX. Beyond the paper, which
-    samples only the map: the GGX share is what keeps shiny surfaces free of noise.
+    `light` draws from the environment: an `EnvironmentMapSampler`, or the learned sampler's mixture. It gets
+    `counts.sampler` directions, which go to the cosine without it. Every direction counts for both lobes,
+    weighted by the power heuristic. Beyond the paper, which samples only the map: the GGX share is what keeps
+    shiny surfaces free of noise. With `continued` the directions of neighbouring points avoid each other
+    (`draw_uniforms`): for pictures.
     """
     cosine = CosineLobe(points.normal)
     lobe = GgxLobe(points.omega_o, points.normal, materials.alpha)
     if light is None:
-        diffuse = [(cosine, counts.cosine + counts.sampler)]
-        specular = [(lobe, counts.specular)]
+        strategies = [(cosine, [counts.cosine + counts.sampler]), (lobe, [counts.specular])]
     else:
-        shared = counts.specular // 2
-        diffuse = [(cosine, counts.cosine), (light, counts.sampler)]
-        specular = [(lobe, counts.specular - shared), (light, shared)]
+        strategies = [(cosine, [counts.cosine]), (light, [counts.sampler]), (lobe, [counts.specular])]
     with torch.no_grad():
-        return estimate(
-            points,
-            materials,
-            source=source,
-            environment=environment,
-            diffuse=diffuse,
-            specular=specular,
-            limits=limits,
-            config=config,
-            generator=generator,
-            with_variance=True,
+        directions = DrawnDirections.draw(
+            points, strategies, [], config.stratified, limits, generator, continued=continued
         )
+        rays = directions.rays
+        near, clear = _signed(source(rays), None, None, config)
+        sky = environment(rays.directions, rays.light_index)
+        return directions.integrate_together(directions.scatter(near + clear.unsqueeze(-1) * sky), materials)
 
 
 def _ask(

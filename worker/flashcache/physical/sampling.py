@@ -115,22 +115,27 @@ class EnvironmentMapSampler:
             brightness = torch.ones_like(brightness)
         power = (brightness * solid_angle[:, None]).reshape(-1)
         self._shape = (height, width)
-        self._cdf = power.cumsum(0) / power.sum()
         self._pdf = (brightness / power.sum()).to(image.dtype)
+        of_rows = power.reshape(height, width).sum(dim=1)
+        self._rows = of_rows.cumsum(0) / of_rows.sum()
+        # A black row is never drawn; its columns are even, so that nothing is divided by zero.
+        columns = torch.where(of_rows[:, None] > 0.0, brightness, torch.ones_like(brightness)).cumsum(dim=1)
+        self._columns = columns / columns[:, -1:]
 
     def sample(self, u: Float[Tensor, "points lights 2"]) -> Float[Tensor, "points lights 3"]:
-        """Return directions; the first variate picks the pixel and is used again inside it."""
+        """Return directions: the first variate picks a row, the second a column in it, and both go on inside.
+
+        So variates that are spread evenly give directions that are.
+        """
         height, width = self._shape
-        first = u[..., 0].double().contiguous()
-        flat = torch.searchsorted(self._cdf, first, right=True).clamp_max(len(self._cdf) - 1)
-        upper = self._cdf[flat]
-        lower = torch.where(flat > 0, self._cdf[(flat - 1).clamp_min(0)], torch.zeros_like(upper))
-        inside = ((first - lower) / (upper - lower).clamp_min(1e-300)).clamp(0.0, 1.0)
-        row, column = flat // width, flat % width
+        row, down = _inverse(self._rows, u[..., 0].double())
+        # All rows one after another: that of row r lies between r and r + 1.
+        ends = (self._columns + torch.arange(height, device=u.device)[:, None]).reshape(-1)
+        place, across = _inverse(ends, row + u[..., 1].double(), starts=row.double())
+        column = (place - row * width).clamp(0, width - 1)
         top, bottom = (torch.cos((row + offset) * (math.pi / height)) for offset in (0, 1))
-        cosine = top + (bottom - top) * u[..., 1].double()
-        v = torch.acos(cosine.clamp(-1.0, 1.0)) / math.pi
-        uv = torch.stack([(column + inside) / width, v], dim=-1)
+        v = torch.acos((top + (bottom - top) * down).clamp(-1.0, 1.0)) / math.pi
+        uv = torch.stack([(column + across) / width, v], dim=-1)
         return direction_from_uv(uv).to(u.dtype)
 
     def pdf(self, omega_i: Float[Tensor, "points lights 3"]) -> Float[Tensor, "points lights"]:
@@ -140,6 +145,18 @@ class EnvironmentMapSampler:
         column = (uv[..., 0] * width).long().clamp(0, width - 1)
         row = (uv[..., 1] * height).long().clamp(0, height - 1)
         return self._pdf[row, column]
+
+
+def _inverse(ends: Tensor, at: Tensor, starts: Tensor | float = 0.0) -> tuple[Tensor, Tensor]:
+    """Return the interval of rising `ends` in which each of `at` lies, and how far along it, 0..1.
+
+    The first interval begins at `starts`, as does any that would begin before.
+    """
+    place = torch.searchsorted(ends, at.contiguous(), right=True).clamp_max(len(ends) - 1)
+    upper = ends[place]
+    lower = torch.where(place > 0, ends[(place - 1).clamp_min(0)], torch.zeros_like(upper))
+    lower = torch.maximum(lower, torch.as_tensor(starts, dtype=lower.dtype, device=lower.device))
+    return place, ((at - lower) / (upper - lower).clamp_min(1e-300)).clamp(0.0, 1.0)
 
 
 class DirectionSamples(NamedTuple):
@@ -162,22 +179,30 @@ def draw_uniforms(
     like: Tensor,
     *,
     stratified: bool = False,
+    continued: bool = False,
 ) -> Float[Tensor, "points lights k"]:
     """Return uniform variates in [0, 1): independent ones, or a lattice shifted at random at each point.
 
     Every variate of the lattice is uniform, so that estimates stay unbiased; those of one point avoid each
-    other. The lattice is the additive recurrence of the generalised golden ratio (Roberts' sequence).
+    other. The lattice is the additive recurrence of the generalised golden ratio (Roberts' sequence). With
+    `continued` one lattice, shifted once, goes on from each point to the next, so that the variates of
+    neighbours avoid each other too: the mean of a pixel's points has less noise, and the points' errors
+    depend on each other.
     """
     points, count, dimensions = shape
     if not stratified:
         return torch.rand(shape, generator=generator, dtype=like.dtype, device=like.device)
-    shift = torch.rand((points, 1, dimensions), generator=generator, dtype=like.dtype, device=like.device)
+    shifts = 1 if continued else points
+    shift = torch.rand((shifts, 1, dimensions), generator=generator, dtype=like.dtype, device=like.device)
     ratio = 2.0
     for _ in range(40):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
     # From numbers alone: a tensor that is made from a list is copied to a GPU, which waits for the copy.
-    number = torch.arange(count, dtype=torch.float64, device=like.device)
+    numbers = points * count if continued else count
+    number = torch.arange(numbers, dtype=torch.float64, device=like.device)
     lattice = torch.stack([number * ratio ** -(k + 1) for k in range(dimensions)], dim=-1) % 1.0
+    if continued:
+        lattice = lattice.reshape(points, count, dimensions)
     # The remainder of a float32 sum can round up to 1.
     return ((shift + lattice.to(like)) % 1.0).clamp_max(1.0 - torch.finfo(like.dtype).eps / 2)
 
@@ -188,6 +213,7 @@ def draw_directions(
     like: Float[Tensor, "points 3"],
     *,
     stratified: bool = False,
+    continued: bool = False,
 ) -> DirectionSamples:
     """Return directions for one or several independent estimates of the same integral.
 
@@ -205,7 +231,10 @@ def draw_directions(
         drawn = []
         for strategy, counts in strategies:
             shapes = [(num_points, count, strategy.num_uniforms) for count in counts]
-            u = [draw_uniforms(shape, generator, like, stratified=stratified) for shape in shapes]
+            u = [
+                draw_uniforms(shape, generator, like, stratified=stratified, continued=continued)
+                for shape in shapes
+            ]
             drawn.append(strategy.sample(torch.cat(u, dim=1)).split(counts, dim=1))
         # (estimate, strategy, directions) of the blocks in the order of the result.
         blocks = [

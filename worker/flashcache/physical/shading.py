@@ -107,16 +107,19 @@ class DrawnDirections:
         limits: RayLimits,
         generator: torch.Generator,
         which: Bool[Tensor, " points"] | None = None,
+        *,
+        continued: bool = False,
     ) -> "DrawnDirections":
         """Return fresh directions; each strategy comes with its numbers of exact and fast directions.
 
         A single number per strategy makes all directions exact. Rays of points outside of `which` are not
-        counted, or not traced.
+        counted, or not traced. `continued`: see `draw_uniforms`.
         """
         with torch.no_grad():
             like = points.positions
             halves = tuple(
-                draw_directions(half, generator, like, stratified=stratified) for half in (diffuse, specular)
+                draw_directions(half, generator, like, stratified=stratified, continued=continued)
+                for half in (diffuse, specular)
             )
             omega_i = torch.cat([half.omega_i for half in halves], dim=1)
             above = dot(points.normal.unsqueeze(1), omega_i).squeeze(-1) > 0.0
@@ -174,6 +177,28 @@ class DrawnDirections:
                 variance = white.square() * _variance(weighted[:, :num_diffuse], self.halves[0].groups)
                 variance = variance + _variance(weighted[:, num_diffuse:], self.halves[1].groups)
         return Estimate(diffuse + specular, diffuse, specular, irradiance, variance, None)
+
+    def integrate_together(self, radiance: Tensor, materials: Materials) -> Estimate:
+        """Return the estimate in which every direction counts for both lobes; no gradients.
+
+        All directions are in the diffuse half, and their densities are those of one integral over both lobes:
+        where lobes share directions, half as many rays carry the same.
+        """
+        normal, (drawn, _) = self.points.normal.unsqueeze(1), self.halves
+        cosine = lambert_cos(self.omega_i, normal)
+        lobe = specular_brdf_cos(
+            self.points.omega_o.unsqueeze(1), self.omega_i, normal, materials.per_direction()
+        )
+
+        def weighted(reflected: Tensor) -> Tensor:
+            terms = torch.nan_to_num(radiance * reflected, nan=0.0)
+            return terms.clamp(-CONTRIBUTION_MAXIMUM, CONTRIBUTION_MAXIMUM) * drawn.weight.unsqueeze(-1)
+
+        white = diffuse_albedo(materials)
+        irradiance, specular = weighted(cosine), weighted(lobe)
+        variance = _variance(white.unsqueeze(1) * irradiance + specular, drawn.groups)
+        total, sent = irradiance.sum(dim=1), specular.sum(dim=1)
+        return Estimate(white * total + sent, white * total, sent, total, variance, None)
 
     def exact(self, nerf: NearField, fast: NearField | None, environment: Tensor) -> "ExactDirections":
         """Return what the losses of the fast cache and the light sampler need, given the answers."""

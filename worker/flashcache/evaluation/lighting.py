@@ -1,0 +1,68 @@
+"""Radiance of surface points under the lights of the photographs."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from flashcache.evaluation.monte_carlo import RenderRule
+from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
+from flashcache.physical.incident import EnvironmentSource, Incident, RadianceSource, SecondaryRays
+from flashcache.physical.model import InverseModel
+from flashcache.physical.shading import ShadingPoints
+
+_ESTIMATOR = EstimatorConfig(stratified=True)
+CORRECTION_COUNTS = DirectionCounts(cosine=1, sampler=2, specular=1)
+"""Directions of a point that both caches answer."""
+
+
+def lighting_counts(total: int) -> DirectionCounts:
+    """Return the directions of a point: a quarter cosine, a quarter GGX, the rest the light sampler's."""
+    quarter = max(1, total // 4)
+    return DirectionCounts(cosine=quarter, sampler=max(1, total - 2 * quarter), specular=quarter)
+
+
+def lit_radiance(
+    model: InverseModel,
+    points: ShadingPoints,
+    *,
+    num_directions: int,
+    rule: RenderRule,
+    generator: torch.Generator,
+) -> Float[Tensor, "points 3"]:
+    """Return the radiance that `points` send to their viewers under their own lights; no gradients.
+
+    The fast estimate with `num_directions` per point plus the correction, as in training, or what `rule`
+    leaves of them. Source: paper Eq. 9.
+    """
+    materials = model.materials(points.positions)
+    mixture = None
+    if rule.sampler == "vmf":
+        mixture = model.light_sampler(points.positions, points.light_index)
+    nerf, fast = model.nerf_source(generator), model.fast_source()
+
+    def shaded(source: RadianceSource, environment: EnvironmentSource, counts: DirectionCounts) -> Tensor:
+        return relight(
+            points,
+            materials,
+            source=source,
+            environment=environment,
+            light=mixture,
+            counts=counts,
+            limits=model.limits,
+            config=_ESTIMATOR,
+            generator=generator,
+            continued=True,
+        ).rgb
+
+    def difference(rays: SecondaryRays) -> Incident:
+        # The estimator adds (1 - opacity) times the environment: an opacity of 1 + A - a makes that a - A.
+        exact, known = nerf(rays), fast(rays)
+        near = exact.near_radiance - known.near_radiance
+        return Incident(near, 1.0 + exact.opacity - known.opacity, exact.distance)
+
+    if rule.control_variate == "off":
+        return shaded(nerf, model.environment, CORRECTION_COUNTS)
+    found = shaded(fast, model.environment, lighting_counts(num_directions))
+    if rule.control_variate == "on":
+        found = found + shaded(difference, model.environment, CORRECTION_COUNTS)
+    return found
