@@ -168,3 +168,50 @@ def test_a_light_fixed_to_the_camera_has_a_turn_for_every_photograph(tmp_path):
 def test_several_lights_cannot_be_fixed_to_the_camera(tmp_path):
     with pytest.raises(UsageError, match=r"light\.fixed_to_several"):
         trained(tmp_path / "run", LIGHTS, light_fixed_to="camera", tasks=TASKS[:1])
+
+
+CARD = f"train_000/rgba_{LIGHTS[0]}.png"
+
+
+def test_a_grey_card_reaches_the_polish_and_what_became_of_it_the_user(tmp_path):
+    """A model of three steps has no surface, and the user hears that the card was not used."""
+    spec = RunSpec.from_options(
+        SCENE,
+        preset="tiny",
+        lights=LIGHTS[:1],
+        overrides=SMALL | {"polish": "on", "max_side": "64"},
+        grey_card=f"{CARD}:52,62,24,20",
+    )
+    reporter = RecordingReporter()
+    run_pipeline(spec, tmp_path / "run", "cpu", reporter, (*TASKS, "polish"))
+    told = [finding for finding in reporter.named("finding") if finding["code"].startswith("grey_card.")]
+    assert [finding["code"] for finding in told] == ["grey_card.not_used"]
+    assert len(reporter.named("polish.kept")) == 1
+
+
+@pytest.mark.parametrize(
+    ("box", "code"), [("0,0,8,8", "grey_card.outside_mask"), ("60,64,4,4", "grey_card.box_small")]
+)
+def test_a_grey_card_in_the_wrong_place_is_refused_before_the_training(tmp_path, box, code):
+    spec = RunSpec.from_options(
+        SCENE,
+        preset="tiny",
+        lights=LIGHTS[:1],
+        overrides=SMALL | {"polish": "on", "max_side": "32"},
+        grey_card=f"{CARD}:{box}",
+    )
+    with pytest.raises(UsageError, match=code):
+        run_pipeline(spec, tmp_path / "run", "cpu", RecordingReporter(), TASKS)
+    assert not list((tmp_path / "run" / "cache").glob("step_*"))
+
+
+def test_a_grey_card_under_another_light_is_refused_when_the_capture_is_read(tmp_path):
+    spec = RunSpec.from_options(
+        SCENE,
+        preset="tiny",
+        lights=LIGHTS[1:],
+        overrides=SMALL | {"polish": "on"},
+        grey_card=f"{CARD}:52,62,24,20",
+    )
+    with pytest.raises(UsageError, match=rf"grey_card\.photograph_unused.*{LIGHTS[1]}"):
+        run_pipeline(spec, tmp_path / "run", "cpu", RecordingReporter(), TASKS[:1])

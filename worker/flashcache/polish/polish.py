@@ -1,7 +1,7 @@
 """The polish of a trained model: elements, tables, materials and light in turns, then the networks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -11,6 +11,7 @@ from flashcache.data.ray_batches import TrainingPixels
 from flashcache.fields.materials import Materials
 from flashcache.physical.model import InverseModel
 from flashcache.polish.elements import Elements, find_elements
+from flashcache.polish.grey_card import Card, settle_by_card
 from flashcache.polish.incoming import SIDE, incoming_tables
 from flashcache.polish.light import Prediction, fit_light
 from flashcache.polish.materials import choose
@@ -41,6 +42,8 @@ class PolishReport:
     """Why stage two's result was kept; empty where it was changed."""
     values: dict[str, float] = field(default_factory=dict)
     """Sizes and errors, for the log."""
+    findings: tuple[tuple[str, str], ...] = ()
+    """Code and message of what the user should know."""
 
 
 def polish(
@@ -48,12 +51,14 @@ def polish(
     pixels: TrainingPixels,
     *,
     seed: int,
+    card: Card | None = None,
     advance: Callable[[int], None] = lambda part: None,
 ) -> PolishReport:
     """Fit materials, light and normals to the photographs, and write them into `model`.
 
     `advance` is called with the number of parts that are done, of `NUM_PARTS`; it may raise to end the
-    polish, which leaves the model as it was until the last part. Beyond the paper.
+    polish, which leaves the model as it was until the last part. With a `card`, albedo and light are brought
+    to what it reflects. Beyond the paper.
     """
     if model.environment.turns is not None:
         return PolishReport("the light turns from photograph to photograph")
@@ -90,6 +95,12 @@ def polish(
             )
             values |= {f"light_before_{number}": before, f"light_after_{number}": after}
     reflectance = found.reflectance
+    findings: tuple[tuple[str, str], ...] = ()
+    if card is not None:
+        # Last, so that it holds whatever the fit has done; what photographs show hardly changes.
+        settled = settle_by_card(model, card, elements.positions, elements.size, reflectance.albedo, sky)
+        reflectance, sky = replace(reflectance, albedo=settled.albedo), settled.sky
+        values, findings = values | settled.values, settled.findings
     metal = reflectance.metalness > 0.5
     values["metal_share"] = float(metal.float().mean())
     changed = (reflectance.normal * elements.normal).sum(dim=-1) < SAME_NORMAL
@@ -100,10 +111,10 @@ def polish(
     write_materials(model, elements, reflectance, generator)
     advance(NUM_PARTS - 1)
     write_normals(model, elements, reflectance.normal, changed, generator)
-    if learned:
+    if learned or card is not None:
         write_environments(model, sky)
     advance(NUM_PARTS)
-    return PolishReport("", values)
+    return PolishReport("", values, findings)
 
 
 def environments(model: InverseModel, num_lights: int) -> Float[Tensor, "lights cells 3"]:

@@ -31,6 +31,13 @@ def train(
         str,
         typer.Option(help="What the light stood still with: auto, scene, camera or room (a turntable)."),
     ] = "auto",
+    grey_card: Annotated[
+        str,
+        typer.Option(
+            metavar="PHOTOGRAPH:X,Y,W,H[:R]",
+            help="Where a photograph shows a grey card, pixels, and its reflectance (0.18).",
+        ),
+    ] = "",
     layout: Layout = "",
     masks: shared.Masks = None,
     no_masks: Annotated[
@@ -81,6 +88,7 @@ def train(
             whole_view=no_masks,
             light_fixed_to=light_fixed_to,
             corrections=corrections,
+            grey_card=grey_card,
             seed=seed,
         )
         if corrections is None:

@@ -6,7 +6,7 @@ from flashcache.config import Config, to_dict
 
 from lambent_worker.files import digest, file_sha256
 from lambent_worker.run.preparation import cameras_hash, files_hash, ingest_hash
-from lambent_worker.run.spec import RunSpec, corrections_hash
+from lambent_worker.run.spec import RunSpec, card_text, corrections_hash
 
 TASKS = ("cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export")
 """In order. Only photographs without cameras have `cameras`, and `polish` is left out where it is off."""
@@ -49,6 +49,8 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
             continue
         previous = "masks" if corrected and name == "cache" else PREVIOUS.get(name, trained)
         hashes[name] = task_inputs(name, hashes[previous], spec.config, spec.seed)
+        if name == "polish" and spec.grey_card is not None:
+            hashes[name] = digest(hashes[name], card_text(spec))
     return hashes
 
 

@@ -23,6 +23,7 @@ from lambent_worker.masks.corrections import (
     read_corrections,
     record_of,
 )
+from lambent_worker.run.card_option import GreyCard, look_for_photograph, parse_grey_card, refused
 from lambent_worker.run.folder import begun_inputs, done_inputs
 from lambent_worker.run.known_lights import kept_lights, parse_known_lights
 from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
@@ -33,12 +34,15 @@ from lambent_worker.scenes.light_turns import LightFixedTo, as_light_fixed_to
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
 _MAY_CHANGE = frozenset({"device", "scene"})
+# And what may at any time, for a later task does its work again then.
+_MAY_ALWAYS_CHANGE = frozenset({"grey_card"})
 # And what may until the training begins: nothing before it reads the settings of the method.
 _MAY_CHANGE_BEFORE_TRAINING = frozenset({"preset", "config", "corrections"})
 # Parameters of an order that are no settings of the method.
 LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS = "lights", "layout", "known_lights", "masks"
 LIGHT_FIXED_TO = "light_fixed_to"
 CORRECTIONS = "corrections"
+GREY_CARD = "grey_card"
 MOST_BYTES = 64 * 1024
 """Of the corrections in an order."""
 
@@ -65,12 +69,26 @@ class RunSpec:
     """What the light stands still with."""
     corrections: tuple[Correction, ...] = ()
     """What a person says about the masks that are estimated, the latest last."""
+    grey_card: GreyCard | None = None
+    """Where a photograph shows a grey card, which tells albedo and light apart."""
     given: Mapping[str, Path] = field(default_factory=dict, compare=False)
     """Files that the run keeps a copy of, by their path in the run folder."""
 
     def __post_init__(self) -> None:
         if self.corrections and self.masks != AUTOMATIC:
             raise unused_corrections("masks were given, or none are wanted")
+        if self.grey_card is not None and self.config.polish == "off":
+            raise refused(
+                "polish_off",
+                "albedo and light are brought to the card when materials are fitted once more after stage "
+                "two; add --set polish=on",
+            )
+        if self.grey_card is not None and self.known_lights:
+            raise refused(
+                "known_light",
+                "under a known light albedo is absolute already, and the card could only contradict it; "
+                "leave out the card or --known-light",
+            )
 
     @property
     def lacks_cameras(self) -> bool:
@@ -91,14 +109,16 @@ class RunSpec:
         whole_view: bool = False,
         light_fixed_to: str = "auto",
         corrections: Path | None = None,
+        grey_card: str = "",
         seed: int = 0,
     ) -> "RunSpec":
         """Return the specification for options of the command line.
 
         `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
         for the object where there are none, `light_fixed_to` is one of `LightFixedTo`, `corrections` is a
-        file of what a person says about estimated masks. Raises `UsageError` for an unknown preset and files
-        that cannot be used, `ConfigError` for a wrong setting.
+        file of what a person says about estimated masks, `grey_card` is as `parse_grey_card` reads it.
+        Raises `UsageError` for an unknown preset and files that cannot be used, `ConfigError` for a wrong
+        setting.
         """
         return cls(
             scene=scene,
@@ -109,6 +129,7 @@ class RunSpec:
             layout=layout,
             light_fixed_to=as_light_fixed_to(light_fixed_to),
             corrections=() if corrections is None else tuple(read_corrections(corrections)),
+            grey_card=_card_in(scene, grey_card),
             **_given(known_lights, masks, whole_view=whole_view),
         )
 
@@ -118,14 +139,14 @@ class RunSpec:
 
         `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
         `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". `corrections` is the JSON document itself, at most
-        `MOST_BYTES` of it. Raises `ConfigError` for an unknown preset or setting and for files outside the
-        capture, `UsageError` for files and corrections that cannot be used.
+        `MOST_BYTES` of it, `grey_card` is as on the command line. Raises `ConfigError` for an unknown preset
+        or setting and for files outside the capture, `UsageError` for what cannot be used.
         """
         settings = dict(job.params)
         lights, layout, known_lights, masks, corrections = (
             settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
         )
-        fixed_to = settings.pop(LIGHT_FIXED_TO, "auto")
+        fixed_to, grey_card = settings.pop(LIGHT_FIXED_TO, "auto"), settings.pop(GREY_CARD, "")
         config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
         items = []
         for item in _listed(known_lights):
@@ -143,6 +164,7 @@ class RunSpec:
             layout=layout,
             light_fixed_to=as_light_fixed_to(fixed_to),
             corrections=_ordered_corrections(corrections),
+            grey_card=_card_in(scene, grey_card),
             **_given(items, folder, whole_view=masks == WHOLE_VIEW),
         )
 
@@ -191,7 +213,8 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """Make `run_dir` the folder of this run: `run.json` and the given files; one that it is already stays.
 
     Raises `UsageError` where it is the folder of a run with other settings. Masks may be others as long as
-    the ones before were refused; preset, settings and corrections until the training begins.
+    the ones before were refused; preset, settings and corrections until the training begins; the grey card at
+    any time.
     """
     wanted = {
         "preset": spec.preset,
@@ -204,6 +227,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "masks": spec.masks,
         "light_fixed_to": spec.light_fixed_to,
         "corrections": corrections_hash(spec),
+        "grey_card": card_text(spec),
         "scene": str(spec.scene.resolve()),
     }
     if (run_dir / "run.json").exists():
@@ -259,6 +283,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
         masks=record["masks"],
         light_fixed_to=as_light_fixed_to(record["light_fixed_to"]),
         corrections=tuple(read_corrections(run_dir / NAME)) if record["corrections"] else (),
+        grey_card=parse_grey_card(record["grey_card"]) if record["grey_card"] else None,
     )
     return spec, record["device"]
 
@@ -274,7 +299,7 @@ def run_record(run_dir: Path) -> dict[str, Any]:
     """Return the contents of `run.json`; raises `UsageError` where there is no run of this version."""
     try:
         record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC, "light_fixed_to": "auto"}
-        record["corrections"] = ""
+        record["corrections"] = record["grey_card"] = ""
         record |= json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
         major = record["schema_version"].split(".")[0]
         missing = {"preset", "config", "seed", "device", "lights", "layout", "scene"} - record.keys()
@@ -296,6 +321,11 @@ def corrections_hash(spec: RunSpec) -> str:
     return digest(record_of(spec.corrections)) if spec.corrections else ""
 
 
+def card_text(spec: RunSpec) -> str:
+    """Return the grey card of a run as it is written down; empty where it has none."""
+    return "" if spec.grey_card is None else str(spec.grey_card)
+
+
 def unused_corrections(why: str) -> UsageError:
     """Return the error for corrections in a run that estimates no masks."""
     return UsageError(
@@ -312,7 +342,8 @@ def training_has_begun(run_dir: Path) -> bool:
 def _changeable(run_dir: Path) -> frozenset[str]:
     """Return what another start of the run may change besides device and place."""
     masks = frozenset() if done_inputs(run_dir, "masks") is not None else frozenset({"masks"})
-    return masks if training_has_begun(run_dir) else masks | _MAY_CHANGE_BEFORE_TRAINING
+    always = masks | _MAY_ALWAYS_CHANGE
+    return always if training_has_begun(run_dir) else always | _MAY_CHANGE_BEFORE_TRAINING
 
 
 def _ordered_corrections(text: str) -> tuple[Correction, ...]:
@@ -322,6 +353,14 @@ def _ordered_corrections(text: str) -> tuple[Correction, ...]:
             f"the corrections of masks are longer than {MOST_BYTES // 1024} KiB; leave some out",
         )
     return tuple(parse_corrections(text, f'"{CORRECTIONS}"')) if text else ()
+
+
+def _card_in(scene: Path, text: str) -> GreyCard | None:
+    if not text:
+        return None
+    card = parse_grey_card(text)
+    look_for_photograph(scene, card)
+    return card
 
 
 def _given(known_lights: Sequence[str], masks: Path | None, *, whole_view: bool) -> dict[str, Any]:

@@ -38,6 +38,13 @@ def submit(
         Path | None,
         typer.Option(metavar="FILE", help="Corrections of masks, as `lambent masks --edit` saves them."),
     ] = None,
+    grey_card: Annotated[
+        str,
+        typer.Option(
+            metavar="PHOTOGRAPH:X,Y,W,H[:R]",
+            help="Where a photograph shows a grey card, pixels, and its reflectance (0.18).",
+        ),
+    ] = "",
     follow: Annotated[bool, typer.Option("--watch", help="Follow the job until it ends.")] = False,
     url: UrlOption = "",
     as_json: JsonOption = False,
@@ -47,6 +54,8 @@ def submit(
     params = parse_pairs(settings, "--set")
     if corrections is not None:
         params["corrections"] = read_corrections(corrections)
+    if grey_card:
+        params["grey_card"] = grey_card
     with Client(url) as client:
         job = client.submit(
             scene,

@@ -302,6 +302,18 @@ def test_corrections_of_masks_are_sent_with_the_order_in_one_line(server, tmp_pa
     assert "\n" not in order["params"]["corrections"]
 
 
+def test_a_grey_card_is_sent_as_a_setting_of_the_order(server):
+    sent, card = [], "IMG_0012.jpg:820,1140,160,90:0.5"
+
+    def answer(request):
+        sent.append(json.loads(request.content))
+        return httpx2.Response(202, json={"id": "job_1", "state": "queued"})
+
+    server.faults.append(answer)
+    assert app.run(["submit", "scene_1", "--set", "polish=on", "--grey-card", card]) == 0
+    assert sent[0]["params"] == {"polish": "on", "grey_card": card}
+
+
 def test_corrections_that_are_no_json_are_refused_before_anything_is_sent(server, tmp_path, capsys):
     (tmp_path / "c.json").write_text("no json")
     assert app.run(["submit", "scene_1", "--corrections", str(tmp_path / "c.json")]) == 2

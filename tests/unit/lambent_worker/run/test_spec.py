@@ -10,9 +10,12 @@ from lambent_proto.v1 import job_pb2, worker_pb2
 from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import UsageError
 from lambent_worker.files import write_json
+from lambent_worker.run.card_option import GreyCard
 from lambent_worker.run.folder import begin_task, finish_task
+from lambent_worker.run.hashes import input_hashes
 from lambent_worker.run.masks import WHOLE_VIEW, given_masks
 from lambent_worker.run.spec import RunSpec, adjust, keep_run, read_run, with_kept_corrections
+from PIL import Image
 from support.ball_photographs import write_masks
 from support.ball_views import ball_views
 
@@ -284,3 +287,70 @@ def test_a_run_of_an_earlier_release_took_the_light_to_stand_still(tmp_path):
     del record["light_fixed_to"]
     write_json(tmp_path / "run" / "run.json", record)
     assert read_run(tmp_path / "run")[0].light_fixed_to == "auto"
+
+
+CARD = "a.png:3,4,10,8:0.5"
+POLISHED = {"overrides": {"polish": "on"}}
+
+
+@pytest.fixture
+def photographed(tmp_path):
+    """Make the capture one with a photograph."""
+    (tmp_path / "scene").mkdir()
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "scene" / "a.png")
+
+
+@pytest.mark.usefixtures("photographed")
+def test_a_grey_card_is_the_same_from_an_order_the_command_line_and_the_folder(tmp_path):
+    spec = options(tmp_path, grey_card=CARD, **POLISHED)
+    assert spec.grey_card == GreyCard("a.png", (3.0, 4.0, 10.0, 8.0), 0.5)
+    assert spec == ordered(tmp_path, grey_card=CARD, polish="on") != options(tmp_path, **POLISHED)
+    keep_run(tmp_path / "run", spec, "cpu")
+    assert read_run(tmp_path / "run")[0] == spec
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    del record["grey_card"]
+    write_json(tmp_path / "run" / "run.json", record)
+    assert read_run(tmp_path / "run")[0].grey_card is None
+
+
+@pytest.mark.usefixtures("photographed")
+def test_a_grey_card_may_come_after_the_training_and_only_the_polish_is_done_again(tmp_path):
+    keep(tmp_path, **POLISHED)
+    before = input_hashes(options(tmp_path, **POLISHED))
+    for task in ("masks", "cache", "joint", "polish"):
+        begin_task(tmp_path / "run", task, before[task])
+        finish_task(tmp_path / "run", task, before[task])
+    keep(tmp_path, grey_card=CARD, **POLISHED)
+    with_card = read_run(tmp_path / "run")[0]
+    assert with_card.grey_card is not None
+    after = input_hashes(with_card)
+    assert {name for name in before if before[name] != after[name]} == {"polish", "evaluate", "export"}
+    other = input_hashes(options(tmp_path, grey_card="a.png:3,4,10,8:0.4", **POLISHED))
+    assert other["polish"] != after["polish"]
+
+
+@pytest.mark.usefixtures("photographed")
+@pytest.mark.parametrize(
+    ("card", "changes", "code"),
+    [
+        (CARD, {}, "polish_off.*polish=on"),
+        ("b.png:3,4,10,8", POLISHED, "photograph_missing"),
+        ("a.png:3,4,100,8", POLISHED, "box_outside.*40 x 30"),
+        ("a.png:3,4,0,8", POLISHED, "box_empty"),
+        ("a.png", POLISHED, "syntax"),
+        ("a.png:3,4,10,8:2", POLISHED, "reflectance"),
+    ],
+    ids=lambda value: value.split(".*")[0] if isinstance(value, str) else "",
+)
+def test_a_grey_card_that_cannot_be_used_is_refused_before_anything_runs(tmp_path, card, changes, code):
+    with pytest.raises(UsageError, match=rf"(?s)grey_card\.{code}"):
+        options(tmp_path, grey_card=card, **changes)
+    with pytest.raises(UsageError, match=rf"(?s)grey_card\.{code}"):
+        ordered(tmp_path, grey_card=card, **changes.get("overrides", {}))
+
+
+@pytest.mark.usefixtures("photographed")
+def test_a_grey_card_under_a_known_light_is_refused(tmp_path):
+    write_environment(tmp_path / "scene" / "sky.exr", np.ones((4, 8, 3), np.float32))
+    with pytest.raises(UsageError, match=r"grey_card\.known_light"):
+        options(tmp_path, grey_card=CARD, known_lights=[str(tmp_path / "scene" / "sky.exr")], **POLISHED)

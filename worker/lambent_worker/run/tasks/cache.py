@@ -3,6 +3,8 @@
 from flashcache.data.hull import fit_occupancy
 from flashcache.training.stage_one import StageOne
 
+from lambent_worker.run.capture import read_manifest
+from lambent_worker.run.card_pixels import check_grey_card
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.tasks.training import (
     capture_for,
@@ -15,10 +17,15 @@ from lambent_worker.run.tasks.training import (
 
 
 def run(context: TaskContext) -> None:
-    """Train stage one into `cache/step_*`; resumes from the last checkpoint."""
+    """Train stage one into `cache/step_*`; resumes from the last checkpoint.
+
+    Raises `UsageError` for a grey card that cannot be used with this capture: later would be too late.
+    """
     config, seed = context.spec.config.stage_one, context.spec.seed
     with processes_for(context, config.num_rays) as processes:
         scene = read_scene(context)
+        if context.spec.grey_card is not None:
+            check_grey_card(context.spec.grey_card, scene, read_manifest(context))
         model = new_model(context, scene)
         fit_occupancy(model, scene)
         pixels = training_pixels(context, scene, model)

@@ -7,6 +7,7 @@ from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import file_sha256, write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.run.capture import LEFT_OUT, MANIFEST, even_out, found_cameras, own_masks, settle_light
+from lambent_worker.run.card_pixels import box_turns, frame_of
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.masks import AUTOMATIC, given_masks
 from lambent_worker.scenes.detect import describe_scene
@@ -16,7 +17,8 @@ from lambent_worker.scenes.lights import select_lights
 def run(context: TaskContext) -> None:
     """Write `scene/manifest.json` with the chosen lights, and all findings to `scene/capture.json`, `.html`.
 
-    Raises `SceneRefusedError` after reporting every finding when the capture cannot be used.
+    Raises `SceneRefusedError` after reporting every finding when the capture cannot be used, and `UsageError`
+    for a grey card that is in none of its photographs.
     """
     spec = context.spec
     layout, given = spec.layout or None, given_masks(context.run_dir, spec.masks)
@@ -36,6 +38,8 @@ def run(context: TaskContext) -> None:
     write_json(context.folder / LEFT_OUT, left_out)
     manifest = describe_scene(spec.scene, layout, given, checked.left_out, cameras)
     manifest = select_lights(manifest, spec.lights)
+    if spec.grey_card is not None:
+        box_turns(spec.grey_card, frame_of(spec.grey_card, manifest)[0], manifest)
     settle_light(context, manifest)
     if checked.figures is not None and checked.figures.has_masks:
         even_out(context, manifest, checked.figures)

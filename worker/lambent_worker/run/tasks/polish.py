@@ -6,6 +6,8 @@ from flashcache.polish.polish import NUM_PARTS, polish
 from flashcache.training.checkpoint import CheckpointState, checkpoint_folder, save_checkpoint
 
 from lambent_worker.files import digest
+from lambent_worker.run.capture import read_manifest
+from lambent_worker.run.card_pixels import card_of, check_grey_card
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.tasks.training import load_trained, read_scene, training_pixels
 
@@ -16,7 +18,8 @@ STEP = 1
 def run(context: TaskContext) -> None:
     """Write the polished model to `polish/step_*`; that of stage two, with the reason, where it is kept.
 
-    On the processor whatever the run's device is: the compiled fit is there, and a GPU would wait for it.
+    With a grey card, albedo and light are brought to what it reflects; where that cannot be done the user is
+    told. On the processor whatever the run's device is: the compiled fit is there, and a GPU would wait.
     """
     on_cpu = replace(context, device="cpu")
     scene = read_scene(on_cpu)
@@ -27,7 +30,19 @@ def run(context: TaskContext) -> None:
         context.progress(done, NUM_PARTS)
         context.stop_if_asked()
 
-    report = polish(model, pixels, seed=context.spec.seed, advance=advance)
+    asked, card = context.spec.grey_card, None
+    if asked is not None:
+        manifest = read_manifest(on_cpu)
+        check_grey_card(asked, scene, manifest)
+        card = card_of(asked, scene, manifest, model)
+    report = polish(model, pixels, seed=context.spec.seed, card=card, advance=advance)
+    for code, message in report.findings:
+        context.reporter.finding(code, message)
+    if report.kept and card is not None:
+        context.reporter.finding(
+            "grey_card.not_used",
+            f"the grey card was not used, and colours are known up to a factor as without it: {report.kept}",
+        )
     if report.kept:
         context.reporter.log("polish.kept", reason=report.kept, **report.values)
     else:

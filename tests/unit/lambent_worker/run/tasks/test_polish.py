@@ -8,6 +8,7 @@ from flashcache.polish.polish import PolishReport
 from flashcache.presets import tiny
 from flashcache.training.checkpoint import CheckpointState, checkpoint_folder, save_checkpoint
 from lambent_worker.errors import Stopped
+from lambent_worker.run.card_option import GreyCard
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import input_hashes, last_training_task
@@ -41,7 +42,7 @@ def trained(tmp_path, monkeypatch, stop_after: int | None = None) -> TaskContext
 def test_what_the_polish_makes_is_what_later_tasks_read(tmp_path, monkeypatch):
     context = trained(tmp_path, monkeypatch)
 
-    def brighter(model, pixels, *, seed, advance):
+    def brighter(model, pixels, *, seed, card, advance):
         model.environment.head.bias.add_(1.0)
         advance(1)
         return PolishReport("", {"elements": 12.0})
@@ -63,9 +64,45 @@ def test_a_model_without_a_surface_is_kept_and_the_log_says_why(tmp_path, monkey
         assert torch.equal(one, other)
 
 
+CARD = GreyCard("a.png", (1.0, 2.0, 3.0, 4.0), 0.5)
+
+
+def with_card(tmp_path, monkeypatch) -> TaskContext:
+    context = trained(tmp_path, monkeypatch)
+    monkeypatch.setattr(polish, "read_manifest", lambda context: "manifest")
+    return replace(context, spec=replace(context.spec, grey_card=CARD))
+
+
+def test_the_polish_gets_the_cards_pixels_and_the_user_what_it_found(tmp_path, monkeypatch):
+    context, asked = with_card(tmp_path, monkeypatch), []
+    monkeypatch.setattr(polish, "check_grey_card", lambda *given: asked.append(given))
+    monkeypatch.setattr(polish, "card_of", lambda *given: given[:3])
+
+    def told(model, pixels, *, seed, card, advance):
+        assert card == (CARD, SCENE, "manifest")
+        return PolishReport("", {}, (("grey_card.brighter_than_white", "8 % of the surface"),))
+
+    monkeypatch.setattr(polish, "polish", told)
+    polish.run(context)
+    assert asked == [(CARD, SCENE, "manifest")]
+    (finding,) = context.reporter.named("finding")
+    assert (finding["code"], finding["message"]) == ("grey_card.brighter_than_white", "8 % of the surface")
+
+
+def test_a_card_that_was_not_used_because_nothing_was_polished_is_told(tmp_path, monkeypatch):
+    context = with_card(tmp_path, monkeypatch)
+    monkeypatch.setattr(polish, "check_grey_card", lambda *given: None)
+    monkeypatch.setattr(polish, "card_of", lambda *given: "card")
+    monkeypatch.setattr(polish, "polish", lambda *given, **named: PolishReport("few pieces"))
+    polish.run(context)
+    (finding,) = context.reporter.named("finding")
+    assert finding["code"] == "grey_card.not_used"
+    assert "few pieces" in finding["message"]
+
+
 def test_a_stopped_polish_leaves_nothing_and_begins_again(tmp_path, monkeypatch):
     context = trained(tmp_path, monkeypatch, stop_after=0)
-    monkeypatch.setattr(polish, "polish", lambda model, pixels, *, seed, advance: advance(1))
+    monkeypatch.setattr(polish, "polish", lambda model, pixels, *, seed, card, advance: advance(1))
     with pytest.raises(Stopped):
         polish.run(context)
     assert not list(context.folder.glob("step_*"))
