@@ -56,6 +56,7 @@ def test_a_job_leaves_a_report_a_page_and_a_preview(run_dir):
     assert {"nvs/psnr", "nvs_cache/psnr", "normal/mae_mask", "albedo_rgb_ratio/psnr_gamma"} <= names
     assert set(report["seconds"]) == set(TASKS[:3])
     assert report["num_views"] == 1
+    assert any("--grey-card" in note for note in report["notes"])
     assert report["antialias"] == 1  # Of preset tiny.
     assert (run_dir / "evaluation" / "report.html").read_text().startswith("<!doctype html>")
 

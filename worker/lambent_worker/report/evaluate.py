@@ -12,6 +12,7 @@ from lambent_worker.files import write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.report import figures, protocol
 from lambent_worker.report.absent import absent_metrics
+from lambent_worker.report.common_factor import common_factor_note
 from lambent_worker.report.environment_scores import score_environments
 from lambent_worker.report.maps import load
 from lambent_worker.report.page import write_page
@@ -115,6 +116,9 @@ def _notes(subject: Subject, *, has_ratio: bool) -> list[str]:
             "Relit pictures use albedo times the median ratio; relight_unscaled, on at most "
             f"{UNSCALED_VIEWS} views, does without."
         )
+    open_factor = common_factor_note(subject)
+    if open_factor is not None:
+        notes.append(open_factor)
     if subject.request.num_repeats == 1:
         notes.append("With one repeat the standard error of a picture is an upper estimate.")
     if subject.rule.control_variate == "off":

@@ -71,6 +71,8 @@ class Subject:
     """Uncertainty of the materials, if it was measured."""
     true_lights: Mapping[str, Float32[ndarray, "rows columns 3"]] = field(default_factory=dict)
     """True environments of training lights, where they are known: linear radiance."""
+    grey_card: bool = False
+    """Whether albedo and light were brought to a grey card."""
 
     @property
     def known_lights(self) -> tuple[str, ...]:

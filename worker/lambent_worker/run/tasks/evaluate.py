@@ -8,6 +8,7 @@ from lambent_proto.v1 import evaluation_pb2
 from numpy import ndarray
 
 from lambent_worker.errors import UsageError
+from lambent_worker.report.common_factor import CODE, common_factor_note
 from lambent_worker.report.evaluate import evaluate, preview_sheet
 from lambent_worker.report.predictions import num_pictures
 from lambent_worker.report.request import EvaluationRequest, Subject, evenly_spaced, rule_of
@@ -46,6 +47,9 @@ def run(context: TaskContext) -> None:
         true_lights=_true_lights(context, scene),
     )
     evaluated(context, subject)
+    open_factor = common_factor_note(subject)
+    if open_factor is not None and not any("albedo" in view.truth for view in scene.test):
+        context.reporter.finding(CODE, open_factor)
     context.reporter.preview("evaluation", preview_sheet(subject))
     for name in ("report.json", "report.html"):
         context.reporter.artifact(name, context.folder / name)
@@ -81,6 +85,7 @@ def subject_of(context: TaskContext, request: EvaluationRequest, *, scene: Scene
         seed=context.spec.seed,
         advance=advance,
         rule=rule_of(context.spec.config.stage_two, request.shadows),
+        grey_card=context.spec.grey_card is not None,
         **given,
     )
     return subject
