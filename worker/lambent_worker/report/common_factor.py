@@ -33,6 +33,6 @@ def common_factor_note(subject: Subject) -> str | None:
         "Photographs under a light that is not known tell albedo from light only up to one factor per "
         f"channel. The recovered light is on average {', '.join(colours)} (red : green : blue); if it was "
         "white in truth, all albedo is off by the inverse of that. It matters where the object is shown "
-        "beside others under new light, or its albedo is used as it is. A small grey card on the object in one photograph "
-        f"(--grey-card) or a known environment (--known-light) settles it.{several}"
+        "beside others under new light, or its albedo is used as it is. A small grey card on the object in "
+        f"one photograph (--grey-card) or a known environment (--known-light) settles it.{several}"
     )
