@@ -17,9 +17,17 @@ def check(
     ] = None,
     masks: Masks = None,
     layout: Layout = "",
+    grey_card: Annotated[
+        str, typer.Option(metavar="PHOTOGRAPH:X,Y,W,H[:R]", help="A grey card, as train takes it.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Say what is wrong with a capture before any training; exit code 4 if it cannot be used."""
+    from lambent_worker.run.card_option import look_for_photograph, parse_grey_card
+
+    card = parse_grey_card(grey_card) if grey_card else None
+    if card is not None:
+        look_for_photograph(scene_dir, card)
     from lambent_worker.capture_qa.check import check_capture
     from lambent_worker.capture_qa.check_result import capture_record
 
@@ -35,6 +43,15 @@ def check(
         _tell(scene_dir, record, out)
     if not checked.report.usable:
         raise typer.Exit(4)
+    if card is not None and not lacks_cameras(record):
+        from lambent_worker.run.card_pixels import check_in_capture
+
+        check_in_capture(card, scene_dir, layout or None, masks, checked.left_out)
+
+
+def lacks_cameras(record: dict[str, Any]) -> bool:
+    """Return whether a usable capture is of photographs whose cameras are still to be found."""
+    return record["layout"] == "photographs"
 
 
 def _tell(scene_dir: Path, record: dict[str, Any], out: Path | None) -> None:
@@ -42,7 +59,7 @@ def _tell(scene_dir: Path, record: dict[str, Any], out: Path | None) -> None:
         kind = "error" if finding["severity"] == "SEVERITY_ERROR" else "note"
         typer.echo(f"{kind}: {finding['code']}: {finding['message']}")
     verdict = "can be used" if record["usable"] else "cannot be used"
-    if record["layout"] == "photographs" and record["usable"]:
+    if lacks_cameras(record) and record["usable"]:
         typer.echo(
             f'"{scene_dir}" {verdict}: {record["num_train_frames"]} photographs without cameras; lambent '
             "train finds cameras and cuts the object out (lambent poses and lambent masks, for a look first)"

@@ -1,5 +1,8 @@
 """Where a grey card lies among the pixels that are trained on, and whether it can be used there."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import torch
 from flashcache.data.scene import Scene, View
@@ -7,14 +10,16 @@ from flashcache.evaluation.gbuffer import camera_rays
 from flashcache.physical.model import InverseModel
 from flashcache.polish.grey_card import LEAST_SAMPLES, Card
 from flashcache.polish.polish import MOST_LIGHTS
+from flashcache.presets import preset
 from jaxtyping import Bool
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.run.card_option import GreyCard, fits, is_named, outside, refused
 from lambent_worker.scenes import photographs
+from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.lens import distorted
-from lambent_worker.scenes.load import camera_of, turned
+from lambent_worker.scenes.load import camera_of, load_scene, turned
 from lambent_worker.scenes.upright import turned_size, upright_turns
 
 OPAQUE = 0.99
@@ -36,6 +41,24 @@ def check_grey_card(card: GreyCard, scene: Scene, manifest: scene_pb2.SceneManif
             "many_lights",
             f"there are {len(scene.lights)} training lights, and a card needs {MOST_LIGHTS} at most",
         )
+    card_pixels(card, scene, manifest)
+
+
+def check_in_capture(
+    card: GreyCard, folder: Path, layout: str | None, masks: Path | None, left_out: Sequence[str]
+) -> None:
+    """Raise `UsageError` where the card cannot be used in a capture that has cameras, at the usual size.
+
+    The arguments are those of `describe_scene`. Only the card's photograph is read.
+    """
+    manifest = describe_scene(folder, layout, masks, left_out)
+    frame, _ = frame_of(card, manifest)
+    only = scene_pb2.Frame()
+    only.CopyFrom(frame)
+    del manifest.frames[:]
+    manifest.frames.append(only)
+    config = preset("fast")
+    scene = load_scene(folder, manifest, max_side=config.max_side, crop=config.crop)
     card_pixels(card, scene, manifest)
 
 
