@@ -134,6 +134,9 @@ class StageTwoConfig:
     material_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
     gloss_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
     """Of GGX width and metalness, where they have a grid of their own (`model.materials.gloss_grid`)."""
+    gloss_from: float = 0.0
+    """Share of the steps before which photographs change neither GGX width nor metalness of what is taken for
+    a dielectric, and materials are not drawn together (decision 0025)."""
     cache_rates: Rates = field(default_factory=lambda: Rates(grid=3.125e-5, network=3.125e-5))
     fast_rates: Rates = field(default_factory=lambda: Rates(grid=1.5625e-4, network=1.5625e-4))
     environment_rate: float = 3.125e-5

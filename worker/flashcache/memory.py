@@ -29,7 +29,7 @@ PROBE_RAYS = {"cache": (512, 1024), "joint": (64, 128)}
 TRACED_SHARE = 0.8
 """Share of the secondary directions that are above the surface once a scene has been learned."""
 PAIR_BYTES = 16
-"""Bytes that the prior on clusters of materials keeps for every pair of rays."""
+"""Bytes that a prior on materials which compares all points keeps for every pair of rays."""
 ALLOCATED_SHARE = {"cache": 1.22, "joint": 1.38}
 """Memory that a process takes by the size of its tensors: blocks are rounded, some are kept, and compiled
 queries have scratch memory of their own. From `python -m benchmarks memory_model` on a processor."""
@@ -87,8 +87,9 @@ def _stage_estimate(config: Config, num_lights: int, stage: str, fixed: bool) ->
     num_rays = config.stage_one.num_rays if stage == "cache" else config.stage_two.num_rays
     activations = max(first + per_ray * (num_rays - few), 0.0)
     if stage == "joint":
-        if config.stage_two.clusters.weight:
-            activations += PAIR_BYTES * max(num_rays**2 - more**2, 0)
+        clusters = config.stage_two.clusters
+        compared = (clusters.weight > 0.0) + (clusters.gloss_weight > 0.0)
+        activations += compared * PAIR_BYTES * max(num_rays**2 - more**2, 0)
         # Directions that point into matter are not traced; on random surfaces there are more of them. With
         # fixed shapes all are traced, here too.
         doubled, twice = probe.peak(stage, few, factor=2)

@@ -53,6 +53,17 @@ def _grid(
     )
 
 
+def _gloss_grid(grid: HashGridConfig, finest: int = 32) -> HashGridConfig:
+    """Return a coarse grid for GGX width and metalness beside `grid`, that of albedo (decision 0025)."""
+    return replace(
+        grid,
+        base_resolution=8,
+        finest_resolution=finest,
+        num_levels=3 if finest > 16 else 2,
+        log2_table_size=15,
+    )
+
+
 def _shape_prior(emptiness_weight: float = 0.0) -> ShapePriorConfig:
     """Return the priors on shape for short trainings (decisions 0014 and 0021)."""
     return ShapePriorConfig(recession_weight=0.15, flatness_weight=0.03, emptiness_weight=emptiness_weight)
@@ -119,7 +130,13 @@ def fast() -> Config:
             decoder_widths=(32, 32),
         ),
         environment=EnvironmentConfig(width=64, num_layers=2, last_width=64),
-        materials=MaterialConfig(grid=_grid(256, 8, 2, 17), width=64, metalness_bias=-2.0),
+        materials=MaterialConfig(
+            grid=_grid(256, 8, 2, 17),
+            gloss_grid=_gloss_grid(_grid(256, 8, 2, 17)),
+            width=64,
+            metalness_bias=-2.0,
+            alpha_gradient=1.0,
+        ),
         light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 15), width=32, num_lobes=16),
         occupancy=OccupancyConfig(cells=64),
     )
@@ -143,13 +160,14 @@ def fast() -> Config:
             num_rays=256,
             warmup_steps=120,
             estimator=EstimatorConfig(
-                fast=DirectionCounts(cosine=7, sampler=5, specular=4),
+                fast=DirectionCounts(cosine=5, sampler=3, specular=8),
                 exact=DirectionCounts(cosine=2, sampler=1, specular=1),
                 stratified=True,
             ),
             symmetric=True,
             material_rates=Rates(grid=5e-3, network=1.5e-3),
-            gloss_rates=Rates(grid=5e-3, network=1.5e-3),
+            gloss_rates=Rates(grid=2e-2, network=2e-3),
+            gloss_from=0.35,
             cache_rates=Rates(grid=5e-4, network=1e-4),
             fast_rates=Rates(grid=1e-2, network=2e-3),
             environment_rate=3e-3,
@@ -162,9 +180,15 @@ def fast() -> Config:
             normal_rays=0.25,
             random_background=True,
             smoothness_weight=0.0,
-            clusters=ClusterConfig(weight=0.004),
+            clusters=ClusterConfig(weight=0.004, gloss=0.0, gloss_weight=0.04, gloss_distance=0.1),
             grey_weight=0.015,
-            metalness_prior=MetalnessPriorConfig(warmup_weight=1.0, weight=0.3, num_directions=8),
+            metalness_prior=MetalnessPriorConfig(
+                warmup_weight=1.0,
+                weight=0.3,
+                num_directions=8,
+                range=(0.03, 1.0),
+                perceptual_roughness=(0.52, 0.25),
+            ),
             proposal_exponent=1.0,
             distil=DistilConfig(num_steps=300),
         ),
@@ -184,7 +208,13 @@ def quick() -> Config:
         preset="quick",
         model=replace(base.model, nerf=nerf),
         stage_one=replace(base.stage_one, num_steps=1200, warmup_steps=80),
-        stage_two=replace(base.stage_two, num_steps=240, warmup_steps=60, distil=DistilConfig(num_steps=80)),
+        stage_two=replace(
+            base.stage_two,
+            num_steps=240,
+            warmup_steps=60,
+            gloss_rates=Rates(grid=4e-2, network=4e-3),
+            distil=DistilConfig(num_steps=80),
+        ),
         evaluation=replace(base.evaluation, num_views=2, num_directions=32, uncertainty_points=100),
         export=replace(
             base.export, mesh_resolution=96, atlas_size=256, occlusion_points=5000, judge_samples=0
@@ -223,7 +253,12 @@ def tiny() -> Config:
             distance_layers=2,
         ),
         environment=EnvironmentConfig(width=32, num_layers=2, last_width=32),
-        materials=replace(base.model.materials, grid=_grid(96, 4, 2, 15), width=32),
+        materials=replace(
+            base.model.materials,
+            grid=_grid(96, 4, 2, 15),
+            gloss_grid=_gloss_grid(_grid(96, 4, 2, 15), finest=16),
+            width=32,
+        ),
         light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 14), width=16, num_lobes=8),
         occupancy=OccupancyConfig(cells=32),
     )
@@ -246,8 +281,9 @@ def tiny() -> Config:
             num_rays=128,
             warmup_steps=40,
             smoothness_weight=0.003,
-            clusters=ClusterConfig(),
+            clusters=ClusterConfig(gloss_weight=0.04, gloss_distance=0.1),
             material_rates=Rates(grid=2e-2, network=5e-3),
+            gloss_rates=Rates(grid=4e-2, network=4e-3),
             environment_rate=1e-2,
             distil=DistilConfig(num_steps=20, num_points=256),
         ),
@@ -281,6 +317,7 @@ def long() -> Config:
             base.stage_two,
             num_steps=4_000,
             warmup_steps=300,
+            gloss_from=0.15,
             metalness_prior=replace(
                 base.stage_two.metalness_prior, num_directions=16, bright_variation=BRIGHT_VARIATION
             ),
@@ -312,7 +349,13 @@ def standard() -> Config:
         preset="standard",
         crop=base.crop,
         space=base.space,
-        model=replace(sizes, nerf=nerf),
+        model=replace(
+            sizes,
+            nerf=nerf,
+            materials=replace(
+                sizes.materials, gloss_grid=_gloss_grid(sizes.materials.grid), alpha_gradient=1.0
+            ),
+        ),
         pixels=base.pixels,
         stage_one=replace(
             _stage_one(), num_steps=12_000, num_rays=4096, warmup_steps=500, distortion_weight=1e-3
@@ -322,6 +365,7 @@ def standard() -> Config:
             num_steps=10_000,
             num_rays=1024,
             warmup_steps=500,
+            gloss_from=0.15,
             estimator=EstimatorConfig(stratified=True),
             metalness_prior=replace(
                 base.stage_two.metalness_prior, num_directions=16, bright_variation=BRIGHT_VARIATION

@@ -55,17 +55,34 @@ class MaterialConfig:
 class GlossField(nn.Module):
     """Raw GGX width and metalness, from a grid that albedo has no part in.
 
-    Where both share features, steps go where the gradient of albedo points, which is many times larger.
+    Where they share features, steps go where the gradient of albedo points, which is many times larger. They
+    are kept apart from each other too: half of each level's features belong to the width, half to metalness,
+    and either begins as the sum of its own. A single feature per level serves both.
     """
+
+    own: Tensor
+    """Which weights of the head are learned."""
 
     def __init__(self, config: HashGridConfig) -> None:
         super().__init__()
         self.grid = HashGrid(config)
         self.head = linear(self.grid.out_features, 2)
+        half = config.num_features // 2
+        if not half:
+            self.register_buffer(
+                "own", torch.ones(2, self.grid.out_features, dtype=torch.bool), persistent=False
+            )
+            return
+        feature = torch.arange(self.grid.out_features) % config.num_features
+        self.register_buffer("own", torch.stack([feature < half, feature >= half]), persistent=False)
+        with torch.no_grad():
+            self.head.weight.copy_(self.own)
 
     def forward(self, contracted: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Return both numbers before their sigmoids, at contracted positions."""
-        return self.head(self.grid(contracted))
+        weight = self.head.weight
+        weight = torch.where(self.own, weight, weight.detach())
+        return torch.nn.functional.linear(self.grid(contracted), weight, self.head.bias)
 
 
 class MaterialField(nn.Module):

@@ -30,6 +30,9 @@ class MetalnessPriorConfig:
     """The same relative to bright points; if set, a metal must pass both tests."""
     range: tuple[float, float] = (0.12, 0.95)
     """Metalness at the two ends."""
+    perceptual_roughness: tuple[float, float] | None = None
+    """The same for perceptual roughness, during the warm-up alone: where radiance varies much with direction,
+    a surface is smooth (decision 0025). None leaves it at its initial value."""
 
     def __post_init__(self) -> None:
         if self.num_directions < 2:
@@ -87,12 +90,33 @@ def metalness_prior(
     config: MetalnessPriorConfig,
 ) -> Float[Tensor, ""]:
     """Return the weighted mean squared distance of metalness from the value that `variation` suggests."""
+    return _distance_from(metalness, config.range, variation, weight, config)
+
+
+def smoothness_prior(
+    perceptual_roughness: Float[Tensor, "points 1"],
+    variation: Variation,
+    weight: Float[Tensor, " points"],
+    config: MetalnessPriorConfig,
+) -> Float[Tensor, ""]:
+    """Return the same for perceptual roughness, whose values at the two ends `config` must have."""
+    assert config.perceptual_roughness is not None
+    return _distance_from(perceptual_roughness, config.perceptual_roughness, variation, weight, config)
+
+
+def _distance_from(
+    values: Float[Tensor, "points 1"],
+    ends: tuple[float, float],
+    variation: Variation,
+    weight: Float[Tensor, " points"],
+    config: MetalnessPriorConfig,
+) -> Float[Tensor, ""]:
+    """Return the weighted mean squared distance from where `variation` stands between the ends."""
     rise = _smooth_step(variation.own.detach(), config.variation)
     if config.bright_variation is not None:
         rise = torch.minimum(rise, _smooth_step(variation.bright.detach(), config.bright_variation))
-    least, most = config.range
-    wanted = least + (most - least) * rise
-    return ((metalness[:, 0] - wanted).square() * weight).mean()
+    wanted = ends[0] + (ends[1] - ends[0]) * rise
+    return ((values[:, 0] - wanted).square() * weight).mean()
 
 
 def _smooth_step(values: Float[Tensor, " points"], ends: tuple[float, float]) -> Float[Tensor, " points"]:

@@ -5,17 +5,23 @@ from jaxtyping import Float
 from torch import Tensor
 
 from flashcache.caches.nerf_cache import Geometry
+from flashcache.color import perceptual_roughness_from_alpha
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch
 from flashcache.fields.appearance import Appearance
 from flashcache.fields.materials import Materials
-from flashcache.losses.clusters import material_entropy
+from flashcache.losses.clusters import gloss_differences, material_entropy
 from flashcache.losses.consistency import consistency
 from flashcache.losses.environment import grey_prior
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.light_sampler import light_sampler_loss
-from flashcache.losses.metalness import directional_variation, directions_around, metalness_prior
+from flashcache.losses.metalness import (
+    directional_variation,
+    directions_around,
+    metalness_prior,
+    smoothness_prior,
+)
 from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
 from flashcache.physical.incident import SecondaryRays
@@ -122,8 +128,10 @@ def material_terms(
     appearance: Appearance,
     shaded: Shaded,
     generator: torch.Generator,
+    *,
+    with_gloss: bool = True,
 ) -> Terms:
-    """Return the priors on materials."""
+    """Return the priors on materials, without `with_gloss` smoothness alone: the others wait."""
     points, terms = shaded.points, {}
     if config.smoothness_weight:
         shape, device = points.positions.shape, points.positions.device
@@ -143,11 +151,17 @@ def material_terms(
             covered(batch, points),
             guided=config.smoothness_guide,
         )
+    if not with_gloss:
+        return terms
+    # One point of each ray: all pairs are compared.
+    found, first = shaded.materials, slice(len(batch))
+    materials = Materials(found.albedo[first], found.alpha[first], found.metalness[first])
+    seen = (batch.coverage > 0.0).to(points.positions.dtype)
+    if config.clusters.gloss_weight:
+        terms["gloss"] = config.clusters.gloss_weight * gloss_differences(
+            materials, points.positions[first].detach(), seen, config.clusters
+        )
     if config.clusters.weight:
-        # One point of each ray: all pairs are compared.
-        found, first = shaded.materials, slice(len(batch))
-        materials = Materials(found.albedo[first], found.alpha[first], found.metalness[first])
-        seen = (batch.coverage > 0.0).to(points.positions.dtype)
         terms["clusters"] = config.clusters.weight * material_entropy(
             materials, seen, config.clusters.width, config.clusters.gloss
         )
@@ -187,7 +201,11 @@ def metalness_terms(
             outgoing.diffuse.reshape(shape), outgoing.specular.reshape(shape), seen
         )
     metalness = shaded.materials.metalness[first]
-    return {"metalness": weight * metalness_prior(metalness, variation, seen, prior)}
+    terms = {"metalness": weight * metalness_prior(metalness, variation, seen, prior)}
+    if warming_up and prior.perceptual_roughness is not None:
+        width = perceptual_roughness_from_alpha(shaded.materials.alpha[first])
+        terms["width"] = weight * smoothness_prior(width, variation, seen, prior)
+    return terms
 
 
 def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:

@@ -41,10 +41,12 @@ def shade(
     *,
     passes: int = 1,
     supervise: bool = True,
+    with_gloss: bool = True,
 ) -> Shaded:
     """Return estimates of the batch that share nothing but the geometry.
 
-    `supervise` traces the exact rays even if the estimate itself omits them, for the losses of the
+    Without `with_gloss`, GGX width and metalness are constants to the estimate where they are not those of
+    metal. `supervise` traces the exact rays even if the estimate itself omits them, for the losses of the
     fast cache and the light sampler.
     """
     weights = geometry.weights.detach()
@@ -71,7 +73,7 @@ def shade(
         mixture = model.light_sampler(points.positions, points.light_index)
     estimate = control_variate(
         points,
-        materials,
+        materials if with_gloss else _gloss_of_metals(materials),
         nerf=model.nerf_source(generator, jitter=config.secondary_jitter),
         fast=model.fast_source(),
         environment=model.environment,
@@ -84,3 +86,13 @@ def shade(
     radiance = draw.weight.T[..., None] * estimate.rgb.reshape(repeats, num_rays, 3)
     pictures = radiance.reshape(passes, -1, num_rays, 3).sum(dim=1)
     return Shaded(pictures, estimate, points, materials, mixture, index)
+
+
+def _gloss_of_metals(materials: Materials) -> Materials:
+    """Return the materials with gradients to GGX width and metalness where metal is more likely than not.
+
+    What a metal reflects is what shows the light first, and it cannot be fitted with a wrong width.
+    """
+    metal = materials.metalness.detach() > 0.5
+    gloss = (torch.where(metal, part, part.detach()) for part in (materials.alpha, materials.metalness))
+    return Materials(materials.albedo, *gloss)

@@ -55,6 +55,8 @@ class JointPhase(NamedTuple):
     with_normals: bool
     with_second: bool
     """Whether the warm-up of the fast cache is over: two passes, and all losses."""
+    with_gloss: bool
+    """Whether GGX width and metalness learn from photographs."""
 
 
 @dataclass
@@ -75,7 +77,8 @@ class JointLosses:
         """Return what is computed in a step."""
         config = self.config
         with_normals = config.normal_weight > 0.0 and step % config.normal_every == 0
-        return JointPhase(with_normals, step >= config.warmup_steps)
+        with_gloss = step >= config.gloss_from * config.num_steps
+        return JointPhase(with_normals, step >= config.warmup_steps, with_gloss)
 
     def terms(self, model: InverseModel, batch: RayBatch, step: int, part: int = 0) -> tuple[Terms, Tensor]:
         """Return the weighted losses of part number `part` of a step's batch by name, and its picture.
@@ -88,7 +91,7 @@ class JointLosses:
             return generator_for(self.seed, STAGE, step, f"{purpose} {part}", batch.colour.device)
 
         generator = generator_of("part")
-        with_normals, with_second = self.phase(step)
+        with_normals, with_second, with_gloss = self.phase(step)
         geometry = model.nerf.trace(
             batch.rays,
             exponent=config.proposal_exponent,
@@ -100,7 +103,8 @@ class JointLosses:
         terms = cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
         terms |= decay_terms(model, config)
         passes = 2 if with_second and config.symmetric else 1
-        shaded = shade(model, config, batch, geometry, generator_of("passes"), passes=passes)
+        own = generator_of("passes")
+        shaded = shade(model, config, batch, geometry, own, passes=passes, with_gloss=with_gloss)
         picture = shaded.pictures.mean(dim=0)
         if with_second:
             if config.symmetric:
@@ -123,7 +127,9 @@ class JointLosses:
                     covered(batch, shaded.points),
                     config.consistency_weight,
                 )
-            terms |= material_terms(model, config, batch, appearance, shaded, generator)
+            terms |= material_terms(
+                model, config, batch, appearance, shaded, generator, with_gloss=with_gloss
+            )
             terms |= environment_terms(model, config, generator)
         terms |= metalness_terms(
             model, config, batch, geometry, shaded, generator, warming_up=not with_second

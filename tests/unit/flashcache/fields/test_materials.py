@@ -58,6 +58,20 @@ def test_a_grid_of_their_own_keeps_width_and_metalness_apart_from_albedo():
     assert id(made.gloss.grid.table) in moved
 
 
+@pytest.mark.parametrize(("part", "other"), [("alpha", "metalness"), ("metalness", "alpha")])
+def test_width_and_metalness_have_features_of_their_own_that_the_other_does_not_read(part, other):
+    made = field(gloss_grid=replace(GRID, finest_resolution=16))
+    before = made(positions())
+    optimiser = torch.optim.Adam(made.gloss.parameters(), lr=0.1)
+    for _ in range(2):
+        optimiser.zero_grad()
+        getattr(made(positions()), part).sum().backward()
+        optimiser.step()
+    after = made(positions())
+    assert (getattr(after, part) < getattr(before, part) - 0.01).all()
+    torch.testing.assert_close(getattr(after, other), getattr(before, other))
+
+
 def test_a_grid_of_their_own_must_be_one_that_a_bundle_can_join_to_the_other():
     for settings in ({"num_features": 4}, {"half_extent": 2.0}, {"output_scale": 10.0}):
         with pytest.raises(ConfigError, match="gloss_grid"):

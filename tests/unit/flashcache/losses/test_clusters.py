@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 from flashcache.errors import ConfigError
-from flashcache.losses.clusters import ClusterConfig, material_entropy
+from flashcache.losses.clusters import ClusterConfig, gloss_differences, material_entropy
 from flashcache.physical.brdf import Materials
 
 
@@ -40,18 +40,20 @@ def test_a_stray_point_is_drawn_to_the_near_cluster_and_not_to_the_far_one():
     assert (rows.grad[8] > 0.0).all()
 
 
-def test_without_gloss_albedo_alone_is_compared_and_drawn_together():
+def test_without_gloss_widths_are_not_compared_and_not_drawn_together():
     rows = torch.full((8, 5), 0.3)
-    rows[4:, 3:] = 0.9
+    rows[4:, 3] = 0.9
     rows[0, :3] += 0.05
+    rows[1, 4] += 0.05
     rows.requires_grad_()
     weight = torch.ones(8)
     assert float(material_entropy(materials(rows.detach()), weight, 0.1)) > 0.3
     entropy = material_entropy(materials(rows), weight, 0.1, gloss=0.0)
     entropy.backward()
     assert float(entropy.detach()) < 0.1
-    assert (rows.grad[:, 3:] == 0.0).all()
+    assert (rows.grad[:, 3] == 0.0).all()
     assert (rows.grad[0, :3] > 0.0).all()
+    assert rows.grad[1, 4] > 0.0
 
 
 def test_nothing_is_gained_by_making_all_albedo_darker():
@@ -65,3 +67,43 @@ def test_nothing_is_gained_by_making_all_albedo_darker():
 def test_a_width_of_zero_is_refused():
     with pytest.raises(ConfigError, match="width"):
         ClusterConfig(width=0.0)
+
+
+GLOSS = ClusterConfig(width=0.1, gloss_distance=0.1)
+
+
+def pair(albedo: float, distance: float) -> tuple[Materials, torch.Tensor]:
+    """Return two points of unlike gloss, apart in albedo and in space, and their positions."""
+    rows = torch.full((2, 5), 0.3)
+    rows[1, :3] += albedo
+    rows[1, 3:] = 0.8
+    return materials(rows.requires_grad_()), torch.tensor([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]])
+
+
+def test_neighbours_of_one_albedo_share_their_width_and_others_do_not():
+    """Without a neighbour a point differs from itself alone, by nothing."""
+    near, unlike, far = (
+        gloss_differences(*pair(albedo, distance), torch.ones(2), GLOSS).item()
+        for albedo, distance in ((0.0, 0.02), (0.6, 0.02), (0.0, 1.0))
+    )
+    expected = 0.5 * (math.sqrt(0.8) - math.sqrt(0.3)) ** 2
+    assert near == pytest.approx(expected, rel=0.05)
+    assert max(unlike, far) < 0.01 * near
+
+
+def test_shared_width_moves_widths_alone():
+    rows = torch.rand(9, 5, generator=torch.Generator().manual_seed(2)).requires_grad_()
+    positions = 0.05 * torch.rand(9, 3, generator=torch.Generator().manual_seed(3))
+    gloss_differences(materials(rows), positions, torch.ones(9), GLOSS).backward()
+    assert rows.grad[:, 3].any()
+    assert not rows.grad[:, [0, 1, 2, 4]].any()
+
+
+def test_neighbours_that_no_photograph_covers_do_not_count():
+    found, positions = pair(0.0, 0.02)
+    assert gloss_differences(found, positions, torch.tensor([1.0, 0.0]), GLOSS).item() == 0.0
+
+
+def test_a_distance_of_zero_is_refused():
+    with pytest.raises(ConfigError, match="gloss_distance"):
+        ClusterConfig(gloss_distance=0.0)

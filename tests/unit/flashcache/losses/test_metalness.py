@@ -7,6 +7,7 @@ from flashcache.losses.metalness import (
     directional_variation,
     directions_around,
     metalness_prior,
+    smoothness_prior,
 )
 
 GREY = torch.full((1, 8, 3), 0.3)
@@ -83,3 +84,14 @@ def test_directions_lie_above_the_surface_with_nearly_the_mean_cosine_of_diffuse
 def test_settings_that_say_nothing_are_refused(settings):
     with pytest.raises(ConfigError):
         MetalnessPriorConfig(**settings)
+
+
+def test_what_varies_with_direction_is_taken_for_smooth():
+    config = MetalnessPriorConfig(perceptual_roughness=(0.5, 0.25))
+    ends = torch.tensor([[0.5], [0.25], [0.9]])
+    given = Variation(torch.tensor([0.0, 2.0, 2.0]), torch.zeros(3))
+    assert smoothness_prior(ends, given, torch.tensor([1.0, 1.0, 0.0]), config).item() < 1e-12
+    dull = torch.full((1, 1), 0.6, requires_grad=True)
+    shiny = Variation(torch.ones(1), torch.zeros(1))
+    smoothness_prior(dull, shiny, torch.ones(1), config).backward()
+    assert dull.grad.item() > 0.0

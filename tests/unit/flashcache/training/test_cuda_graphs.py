@@ -55,7 +55,13 @@ def stage_of(kind: str, capture: Capture | None, device: str = "cpu") -> StageOn
     else:
         distil = DistilConfig(num_steps=7, num_points=16)
         two = replace(
-            config.stage_two, num_steps=8, num_rays=8, warmup_steps=0, normal_every=1, distil=distil
+            config.stage_two,
+            num_steps=8,
+            num_rays=8,
+            warmup_steps=0,
+            gloss_from=0.0,
+            normal_every=1,
+            distil=distil,
         )
         made = StageTwo(model, pixels, two, seed=0, fixed=True, capture=capture)
     if device == "cpu":
