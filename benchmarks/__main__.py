@@ -33,7 +33,7 @@ from benchmarks import claims
 
 ROOT = Path(__file__).parent.parent
 BUILD = ROOT / "build" / "benchmarks"
-SAMPLE = ROOT / "client" / "python" / "lambent" / "sample"
+SAMPLE = ROOT / "tests" / "data" / "still_life"
 
 
 def benchmarks() -> dict[str, str]:

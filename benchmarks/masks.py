@@ -20,7 +20,7 @@ from benchmarks.painted_scene import Background, Painted, overlap, paint, plain,
 
 QUICK = "{sample} --every 4 --only grey"
 
-SAMPLE = Path(__file__).parents[1] / "client" / "python" / "lambent" / "sample"
+SAMPLE = Path(__file__).parents[1] / "tests" / "data" / "still_life"
 
 
 def backgrounds(folder: Path, environment: Path) -> dict[str, Background]:

@@ -1,6 +1,6 @@
-"""Render the scene that ships with Lambent: a still life, path traced, with its ground truth.
+"""Render the scene that ships with Lambent, or another one of ours: path traced, with its ground truth.
 
-    python examples/make_sample_scene.py -o FOLDER [--spp 2048]
+    python examples/make_sample_scene.py -o FOLDER [--scene NAME] [--spp N] [--only test_000]
 
 Needs Mitsuba 3 (in the `dev` extra) and an LLVM library (Debian: `apt-get install libllvm19`). Writes a
 folder in TensoIR-synthetic's layout; its conventions are written to scene.json. Before anything is rendered,
@@ -14,17 +14,20 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from sample_environments import directions, environment_image, lookup
+from sample_environments import directions, lookup
 
-TRAIN_LIGHT, UNSEEN_LIGHTS = "morning", ("studio", "sunset")
-NUM_TRAIN, NUM_TEST = 40, 6
-RESOLUTION, MAX_DEPTH = 96, 8
+if TYPE_CHECKING:
+    import mitsuba as mi
+    from sample_scenes.catalogue import Scene
+
+DEFAULT_SCENE = "breakfast"
+MAX_DEPTH = 8
 CAMERA_ANGLE_X, CAMERA_DISTANCE = 0.628318530717959, 4.0
-TRUTH_SPP = 256
 
 CONVENTIONS = {
     "world": "right-handed, z up; object inside a sphere of radius 1.3 at the origin; cameras at distance 4",
@@ -50,22 +53,22 @@ CONVENTIONS = {
 }
 
 
-def cameras() -> dict[str, np.ndarray]:
+def cameras(what: "Scene") -> dict[str, np.ndarray]:
     """Return camera-to-world [4, 4] by view name: spirals over the upper hemisphere, test between train."""
 
     def spiral(count: int, phase: float) -> list[np.ndarray]:
         golden = np.pi * (3.0 - np.sqrt(5.0))
-        height = 0.10 + 0.82 * (np.arange(count) + 0.5) / count
-        return [look_from(z, golden * k + phase) for k, z in enumerate(height)]
+        height = what.lowest + (0.92 - what.lowest) * (np.arange(count) + 0.5) / count
+        return [look_from(z, golden * k + phase, what.aim) for k, z in enumerate(height)]
 
-    named = {f"train_{k:03d}": pose for k, pose in enumerate(spiral(NUM_TRAIN, 0.0))}
-    return named | {f"test_{k:03d}": pose for k, pose in enumerate(spiral(NUM_TEST, 1.0))}
+    named = {f"train_{k:03d}": pose for k, pose in enumerate(spiral(what.num_train, 0.0))}
+    return named | {f"test_{k:03d}": pose for k, pose in enumerate(spiral(what.num_test, 1.0))}
 
 
-def look_from(height: float, azimuth: float) -> np.ndarray:
-    """Return the camera-to-world matrix of a camera above the plate that looks slightly below the origin."""
+def look_from(height: float, azimuth: float, aim: float) -> np.ndarray:
+    """Return the camera-to-world matrix of a camera that looks at the height `aim` on the axis."""
     flat = np.sqrt(1.0 - height**2)
-    target = np.array([0.0, 0.0, -0.22])
+    target = np.array([0.0, 0.0, aim])
     eye = CAMERA_DISTANCE * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), height])
     back = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross([0.0, 0.0, 1.0], back)
@@ -100,15 +103,18 @@ def load_renderer() -> None:
     mi.set_variant("llvm_ad_rgb")
 
 
-def emitter(image: np.ndarray, rows: int = 513) -> dict:
+def emitter(image: np.ndarray, rows: int | None = None) -> dict:
     """Return Mitsuba's environment for `image` [H, W, 3], resampled to an odd number of `rows`.
+
+    By default those are at least 513, and four for each of the image's.
 
     Mitsuba's rows lie at pi r / (H - 1) and its up is y, so the picture is resampled to rows of its own and
     turned; columns agree. `check_environment` holds the result against the convention.
     """
     import mitsuba as mi
 
-    height, width = rows, 2 * (rows - 1)
+    height = rows or max(513, 4 * len(image) + 1)
+    width = 2 * (height - 1)
     azimuth = np.pi - 2.0 * np.pi * (np.arange(width) + 0.5) / width
     elevation = np.pi / 2.0 - np.pi * np.arange(height) / (height - 1)
     azimuth, elevation = np.meshgrid(azimuth, elevation)
@@ -119,12 +125,11 @@ def emitter(image: np.ndarray, rows: int = 513) -> dict:
     return {"type": "envmap", "bitmap": picture, "to_world": mi.ScalarTransform4f(turn)}
 
 
-def build(image: np.ndarray) -> "mi.Scene":
-    """Return the still life lit by the environment `image`."""
+def build(shapes: dict[str, Any], image: np.ndarray) -> "mi.Scene":
+    """Return `shapes` lit by the environment `image`."""
     import mitsuba as mi
-    from sample_objects import objects
 
-    return mi.load_dict({"type": "scene", "light": emitter(image), **objects()})
+    return mi.load_dict({"type": "scene", "light": emitter(image), **shapes})
 
 
 def render(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int, seed: int) -> np.ndarray:
@@ -152,6 +157,8 @@ def render(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int, seed:
     )
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True})
     premultiplied = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed))
+    if not np.isfinite(premultiplied).all():
+        raise SystemExit("a picture has values that are no numbers; look for triangles without height")
     return straight(premultiplied[..., :3], premultiplied[..., 3])
 
 
@@ -161,10 +168,13 @@ def straight(total: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     return np.concatenate([value, coverage[..., None]], axis=-1).astype(np.float32)
 
 
-def truth(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int) -> dict[str, np.ndarray]:
-    """Return albedo, normal (straight alpha), roughness, metallic and distance, by casting our own rays.
+def truth(
+    scene: "mi.Scene", what: "Scene", pose: np.ndarray, resolution: int, spp: int
+) -> dict[str, np.ndarray]:
+    """Return albedo, normal (straight alpha), roughness, metallic, distance and material, with our own rays.
 
-    The rays follow the documented pixel convention and nothing of Mitsuba's camera.
+    The rays follow the documented pixel convention and nothing of Mitsuba's camera. `material` is 0 where
+    every ray of a pixel misses, the number of a uniform material where every ray hits it, else 255.
     """
     import mitsuba as mi
 
@@ -189,6 +199,11 @@ def truth(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int) -> dic
         "distance": np.array(hit.t)[:, None],
     }
     mask = np.array(valid)[:, None]
+    label = np.where(mask, 255, 0)
+    found_triple = np.concatenate([values["albedo"], values["roughness"], values["metallic"]], axis=-1)
+    for number, surface in what.uniform_surfaces.items():
+        triple = np.array([*surface.base_colour, surface.perceptual_roughness, surface.metallic])
+        label[mask[:, 0] & (np.abs(found_triple - triple) < 1e-5).all(axis=-1)] = number
 
     def pixels(per_ray: np.ndarray) -> np.ndarray:
         grid = per_ray.reshape(resolution, side, resolution, side, -1)
@@ -198,6 +213,12 @@ def truth(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int) -> dic
     found = {k: straight(pixels(np.where(mask, v, 0.0)), coverage) for k, v in values.items()}
     length = np.linalg.norm(found["normal"][..., :3], axis=-1, keepdims=True)
     found["normal"][..., :3] /= np.where(length > 0, length, 1.0)
+    first = (
+        label.reshape(resolution, side, resolution, side)
+        .transpose(0, 2, 1, 3)
+        .reshape(resolution, resolution, -1)
+    )
+    found["material"] = np.where((first == first[..., :1]).all(axis=-1), first[..., 0], 255)
     return found
 
 
@@ -239,34 +260,44 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
 
 
-def write_view(folder: Path, pose: np.ndarray, scenes: dict[str, "mi.Scene"], spp: int, seed: int) -> None:
+def write_view(
+    folder: Path,
+    what: "Scene",
+    pose: np.ndarray,
+    scenes: dict[str, "mi.Scene"],
+    spp: int,
+    seed: int,
+) -> None:
     """Render one view under every scene of `scenes` (picture name -> lit scene) and write its folder."""
     import mitsuba as mi
 
     folder.mkdir(parents=True, exist_ok=True)
     first = next(iter(scenes.values()))
     for name, scene in scenes.items():
-        picture = render(scene, pose, RESOLUTION, spp, seed)
+        picture = render(scene, pose, what.resolution, spp, seed)
         write_png(folder / f"rgba_{name}.png", np.dstack([encode_srgb(picture[..., :3]), picture[..., 3]]))
-    maps = truth(first, pose, RESOLUTION, TRUTH_SPP)
+    maps = truth(first, what, pose, what.resolution, what.truth_spp)
     disagreement = np.abs(maps["albedo"][..., 3] - picture[..., 3]).mean()
     if disagreement > 0.005:
         raise SystemExit(
             f"{folder.name}: coverage by our rays and by Mitsuba's camera differs by {disagreement:.4f}"
         )
-    write_png(folder / "albedo.png", maps["albedo"])
-    normal = maps["normal"]
-    write_png(folder / "normal.png", np.dstack([normal[..., :3] * 0.5 + 0.5, normal[..., 3]]))
-    if folder.name.startswith("test"):
+    test = folder.name.startswith("test")
+    if test or what.training_maps:
+        write_png(folder / "albedo.png", maps["albedo"])
+        normal = maps["normal"]
+        write_png(folder / "normal.png", np.dstack([normal[..., :3] * 0.5 + 0.5, normal[..., 3]]))
+    if test:
         write_png(folder / "roughness.png", maps["roughness"][..., :1])
         write_png(folder / "metallic.png", maps["metallic"][..., :1])
         distance = mi.Bitmap(maps["distance"][..., 0].astype(np.float16))
         distance.write(str(folder / "distance.exr"))
+        write_png(folder / "material.png", maps["material"][..., None] / 255.0)
     matrix = ",".join(f"{value:.9g}" for value in pose.ravel())
     metadata = {
-        "scene": "still_life",
-        "imw": RESOLUTION,
-        "imh": RESOLUTION,
+        "scene": what.name,
+        "imw": what.resolution,
+        "imh": what.resolution,
         "cam_angle_x": CAMERA_ANGLE_X,
         "spp": spp,
         "cam_transform_mat": matrix,
@@ -283,55 +314,70 @@ def write_environment(path: Path, image: np.ndarray) -> np.ndarray:
     return np.array(mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
 
 
-def description(spp: int) -> dict:
-    """Return the content of scene.json."""
+def description(what: "Scene", spp: int | None, environment: np.ndarray) -> dict:
+    """Return the content of scene.json; `spp` in place of the scene's own."""
     import mitsuba as mi
 
+    size = environment.shape
     return {
         "suite": "sample",
-        "scene": "still_life",
-        "about": "A glazed plate with a gold and a blue ball, a red box by a white vase and a painted ring.",
-        "resolution": RESOLUTION,
-        "train_env": TRAIN_LIGHT,
+        "scene": what.name,
+        "about": what.about,
+        "resolution": what.resolution,
+        "train_env": what.train_light,
         "rotations": ["000"],
-        "test_envs": list(UNSEEN_LIGHTS),
-        "views": {"train": NUM_TRAIN, "test": NUM_TEST},
-        "spp": {"train": spp, "test": spp},
+        "test_envs": list(what.unseen_lights),
+        "views": {"train": what.num_train, "test": what.num_test},
+        "spp": {"train": spp or what.spp_train, "test": spp or what.spp_test},
         "max_depth": MAX_DEPTH,
         "renderer": f"Mitsuba {mi.__version__} path integrator, {mi.variant()}",
-        "env_processing": "procedural, 128x64, scaled to mean 0.42, rendered from the stored RGBE values",
+        "env_processing": (
+            f"procedural, {size[1]}x{size[0]}, scaled to mean 0.42, rendered from the stored RGBE values"
+        ),
         "near_far": [2.0, 6.0],
         "bbox": [[-1.3, -1.3, -1.3], [1.3, 1.3, 1.3]],
         "sources": {
             "everything": "generated by examples/make_sample_scene.py; Apache-2.0 like the rest of Lambent"
         },
-        "conventions": CONVENTIONS,
+        "conventions": CONVENTIONS | what.conventions,
     }
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Render the scene, or one view of it."""
+    """Render a scene, or one view of it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--spp", type=int, default=2048)
+    parser.add_argument("--scene", default=DEFAULT_SCENE, help="its name in sample_scenes/catalogue.py")
+    parser.add_argument("--spp", type=int, help="samples per pixel, in place of the scene's own")
     parser.add_argument("--only", help="render this view alone, e.g. test_000")
     options = parser.parse_args(arguments)
     load_renderer()
+    from sample_scenes.catalogue import SCENES
+
+    if options.scene not in SCENES:
+        parser.error(f"no scene {options.scene!r}; there are {', '.join(SCENES)}")
+    what = SCENES[options.scene]
     check_environment()
     stored = {
-        name: write_environment(options.output / "envmaps" / f"{name}.hdr", environment_image(name))
-        for name in (TRAIN_LIGHT, *UNSEEN_LIGHTS)
+        name: write_environment(options.output / "envmaps" / f"{name}.hdr", what.light(name))
+        for name in what.lights
     }
-    lit = {f"{TRAIN_LIGHT}_000": build(stored[TRAIN_LIGHT])}
-    all_lit = lit | {name: build(stored[name]) for name in UNSEEN_LIGHTS}
-    for seed, (name, pose) in enumerate(cameras().items()):
-        if options.only in (None, name):
-            write_view(
-                options.output / name, pose, all_lit if name.startswith("test") else lit, options.spp, seed
-            )
-            print(name, flush=True)
-    text = json.dumps(description(options.spp), indent=1)
+    text = json.dumps(description(what, options.spp, stored[what.train_light]), indent=1)
     (options.output / "scene.json").write_text(text + "\n", encoding="utf-8")
+    views = {
+        name: (seed, pose)
+        for seed, (name, pose) in enumerate(cameras(what).items())
+        if options.only in (None, name)
+    }
+    shapes = what.objects()
+    lit = {f"{what.train_light}_000": build(shapes, stored[what.train_light])}
+    if any(name.startswith("test") for name in views):
+        all_lit = lit | {name: build(shapes, stored[name]) for name in what.unseen_lights}
+    for name, (seed, pose) in views.items():
+        test = name.startswith("test")
+        spp = options.spp or (what.spp_test if test else what.spp_train)
+        write_view(options.output / name, what, pose, all_lit if test else lit, spp, seed)
+        print(name, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Compile everything that numba compiles, for this processor: a short training on the sample and one picture.
+"""Compile everything that numba compiles, for this processor: a short training and one picture.
 
     .venv/bin/python scripts/compile_kernels.py
 
@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-SAMPLE = Path(__file__).parent.parent / "client" / "python" / "lambent" / "sample"
+SCENE = Path(__file__).parent.parent / "tests" / "data" / "still_life"
 FEW_STEPS = {
     "stage_one.num_steps": "80",  # Without a surface there would be no bundle.
     "stage_two.num_steps": "4",
@@ -27,8 +27,8 @@ def main() -> None:
     print("compiling for this processor, once: about a minute", flush=True)
     lambent = [sys.executable, "-m", "lambent"]
     with tempfile.TemporaryDirectory() as folder:
-        run, light = Path(folder) / "run", SAMPLE / "envmaps" / "studio.hdr"
-        train = [*lambent, "train", str(SAMPLE), "-o", str(run), "--preset", "tiny"]
+        run, light = Path(folder) / "run", SCENE / "envmaps" / "studio.hdr"
+        train = [*lambent, "train", str(SCENE), "-o", str(run), "--preset", "tiny"]
         train += [word for name, value in FEW_STEPS.items() for word in ("--set", f"{name}={value}")]
         relight = [*lambent, "relight", str(run / "bundle"), "--env", str(light), "--turntable", "1"]
         relight += ["--spp", "4", "-o", str(Path(folder) / "pictures")]

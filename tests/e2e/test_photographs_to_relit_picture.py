@@ -1,4 +1,4 @@
-"""The whole chain on the bundled sample, small and real: upload, train, lose the run, resume, relight, bake.
+"""The whole chain on a still life, small and real: upload, train, lose the run, resume, relight, bake.
 
 Preset `tiny`: its pictures are rough, so that the floors here say "it works" and no more. The figures of
 the other presets are in docs/benchmarks/.
@@ -23,7 +23,7 @@ from lambent_relight.bundle.adapted import adapted_lights, environment_digest
 from PIL import Image
 from support.live_server import LiveServer
 
-SAMPLE = Path(__file__).parents[2] / "client" / "python" / "lambent" / "sample"
+SAMPLE = Path(__file__).parents[1] / "data" / "still_life"
 TRAIN_LIGHT, UNSEEN_LIGHT = "morning_000", "sunset"
 MIN_KILL_STEP = 120
 """Stage 1 of `tiny` has 350 steps and a checkpoint every 50."""

@@ -10,7 +10,7 @@ from lambent_worker.run.spec import RunSpec
 
 from benchmarks.gpu_training import Sitting, add_seconds, curve, keep_ends, shortened, training
 
-SAMPLE = Path(__file__).parents[3] / "client" / "python" / "lambent" / "sample"
+SAMPLE = Path(__file__).parents[2] / "data" / "still_life"
 
 
 def test_a_shorter_schedule_warms_up_for_the_same_share():

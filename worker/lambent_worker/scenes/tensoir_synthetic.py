@@ -1,7 +1,8 @@
 """Reads the TensoIR-synthetic layout: one folder per view with `metadata.json` and `rgba_<light>.png`.
 
     <scene>/train_000/ metadata.json rgba_<light>.png albedo.png normal.png
-    <scene>/test_000/  the same, with the lights to relight to, optionally roughness, metallic, distance
+    <scene>/test_000/  the same, with the lights to relight to, optionally roughness, metallic, distance,
+                       and material.png, which says where albedo is uniform and is not read
     <scene>/scene.json optional: train_env, rotations, test_envs, near_far, bbox
 
 `cam_transform_mat` is camera-to-world with camera axes x right, y up, looking along -z; world z up.
@@ -95,6 +96,7 @@ def _choose_lights(
     for view in lights_of:
         capture.other_files |= {f"{view}/{path.name}" for path in (folder / view).glob("radiance_*")}
         capture.other_files |= {f"{view}/rgba_{light}.png" for light in trained | tested}
+        capture.other_files.add(f"{view}/material.png")
 
 
 def _common_lights(lights_of: dict[str, set[str]]) -> set[str]:

@@ -5,7 +5,7 @@ import { startChromium } from "../support/chromium.js";
 import { JobServer } from "./server.js";
 import { choose, keepPicture, live, serious } from "./support.js";
 
-const sample = resolve(import.meta.dirname, "../../../python/lambent/sample");
+const scene = resolve(import.meta.dirname, "../../../../tests/data/still_life");
 
 let server: JobServer;
 let browser: Browser;
@@ -23,7 +23,7 @@ it("photographs become a bundle that can be looked at", { timeout: 1_200_000 }, 
   page.setDefaultTimeout(1_100_000);
   await page.goto(server.link);
   await live(page);
-  await choose(page, sample);
+  await choose(page, scene);
   await page.waitForURL(/#\/scenes\//);
   // The order does not wait for the check: a job begins with one of its own.
   await page.check("input[value=tiny]");

@@ -1,11 +1,10 @@
-"""One thing is damaged in the sample capture: exactly that finding appears, none on the capture itself."""
+"""One thing is damaged in the still life: exactly that finding appears, none on the capture itself."""
 
 import copy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import lambent
 import numpy as np
 import pytest
 from lambent_proto.v1 import scene_pb2
@@ -21,7 +20,7 @@ from PIL import Image
 
 pytestmark = pytest.mark.slow
 
-SAMPLE = Path(lambent.__file__).parent / "sample"
+SAMPLE = Path(__file__).parents[3] / "data" / "still_life"
 LIMITS = CaptureLimits()
 VIEW = 7
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import lambent
 import numpy as np
 import pytest
 from lambent_worker.errors import SceneRefusedError
@@ -15,7 +14,7 @@ from benchmarks.painted_scene import overlap, paint, plain, surroundings
 SETTINGS = EstimateSettings()
 
 
-SAMPLE = Path(lambent.__file__).parent / "sample"
+SAMPLE = Path(__file__).parents[3] / "data" / "still_life"
 
 
 def overlaps(background) -> np.ndarray:
