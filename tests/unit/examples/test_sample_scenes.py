@@ -7,6 +7,7 @@ from sample_scenes import breakfast
 from sample_scenes.catalogue import SCENES
 from sample_scenes.lights import LIGHTS, light_image
 from sample_scenes.shapes import Triangles, lathe, ring, rotation, rounded, solid, wound
+from scipy import ndimage
 from tabletop.distance import ball
 
 ARC = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 121)
@@ -87,6 +88,7 @@ def test_three_small_lamps_carry_most_of_the_light_of_the_lamps_scene():
     solid_angle = solid_angle / solid_angle.sum() * 4.0 * np.pi / image.shape[1]
     power = image.mean(axis=-1) * solid_angle
     lamps = image.mean(axis=-1) > 50.0
+    assert ndimage.label(lamps)[1] == 3
     assert power[lamps].sum() > 0.75 * power.sum()
     covered = np.broadcast_to(solid_angle, lamps.shape)[lamps].sum()
     assert covered < 2 * 3 * np.pi * np.radians(0.9) ** 2, "half of it are pixels at the lamps' edges"
