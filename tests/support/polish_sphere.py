@@ -9,10 +9,10 @@ import math
 import torch
 from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import environment_directions, environment_solid_angles, normalize
+from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.physical.brdf import brdf_cos
 from flashcache.polish.elements import Elements
 from flashcache.polish.incoming import SIDE, IncomingTables
-from flashcache.polish.octahedron import octahedral_directions
 from flashcache.polish.polish import FINER
 from torch import Tensor
 
@@ -82,6 +82,10 @@ def sphere_elements(
         clipped=torch.zeros(total, 3, dtype=torch.bool),
         detail=torch.ones(total, 3),
         light=torch.zeros(total, dtype=torch.long),
+        pixel=torch.arange(total),
+        photograph=eye,
+        places=RADIUS * normal[element][:, None].expand(-1, 4, 3),
+        rest=torch.zeros(0, 4, 3),
     )
 
 

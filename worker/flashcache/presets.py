@@ -142,6 +142,7 @@ def fast() -> Config:
     )
     return Config(
         preset="fast",
+        polish="on",
         max_side=128,
         crop="object",
         model=model,
@@ -206,6 +207,7 @@ def quick() -> Config:
     return replace(
         base,
         preset="quick",
+        polish="off",
         model=replace(base.model, nerf=nerf),
         stage_one=replace(base.stage_one, num_steps=1200, warmup_steps=80),
         stage_two=replace(
@@ -265,6 +267,7 @@ def tiny() -> Config:
     return replace(
         base,
         preset="tiny",
+        polish="off",
         max_side=64,
         model=model,
         stage_one=replace(
@@ -347,6 +350,7 @@ def standard() -> Config:
     return replace(
         paper,
         preset="standard",
+        polish="off",
         crop=base.crop,
         space=base.space,
         model=replace(

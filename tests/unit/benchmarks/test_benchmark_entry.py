@@ -32,7 +32,7 @@ def test_what_was_printed_and_returned_is_kept_with_the_machine(tmp_path, monkey
         record = json.loads((tmp_path / "result.json").read_text())
         assert (record["printed"], record["result"]) == ("| rays | ms |\n", {"ms": 8.0})
         assert record["machine"]["cores"] >= 1
-    assert record["options"]["maps"].endswith("sample/envmaps")
+    assert record["options"]["maps"].endswith("still_life/envmaps")
 
 
 def test_a_name_that_is_no_benchmark_is_refused_with_the_list_of_those(monkeypatch, capsys):

@@ -6,7 +6,7 @@ Directions point towards the light, z up; texture convention as in `geometry.dir
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Float64, Int, Int64
@@ -17,6 +17,7 @@ from flashcache.encoding.turns import LightTurns
 from flashcache.errors import ConfigError
 from flashcache.fields.mlp import Hidden, linear
 from flashcache.geometry.directions import environment_directions, look_up
+from flashcache.geometry.octahedron import look_up_octahedral
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,6 +56,8 @@ class Environment(nn.Module):
     known_place: Int64[Tensor, " lights"]
     """Of each light among the known ones; -1 for those that are learned."""
     learned_lights: Int64[Tensor, " learned"]
+    texture: Float[Tensor, "lights cells 3"] | None
+    """Radiance over octahedral squares, in place of the network's; None until there is one."""
 
     def __init__(
         self,
@@ -86,6 +89,7 @@ class Environment(nn.Module):
         }
         for name, values in constants.items():
             self.register_buffer(name, values, persistent=False)
+        self.register_buffer("texture", None)
         num_inputs = 3 + 6 * config.num_frequencies
         self.network = Hidden(num_inputs, config.width, config.num_layers, skip_after=config.num_layers)
         self.last = linear(self.network.num_outputs, config.last_width)
@@ -104,6 +108,19 @@ class Environment(nn.Module):
         place = 0 if self.rotations else self.known.index(light)
         with torch.no_grad():
             self.known_images[place].copy_(image)
+
+    def set_texture(self, texture: Float[Tensor, "lights cells 3"]) -> None:
+        """Give the learned lights the radiance of octahedral squares, which networks are too smooth for.
+
+        It is part of the state that checkpoints hold. Rows of known lights are not used.
+        """
+        self.texture = texture.detach().clone()
+
+    def _load_from_state_dict(self, state_dict: dict, prefix: str, *arguments: Any) -> None:
+        # Whether there is a texture is the state's to say: training ends without one, a polish with one.
+        found = state_dict.get(f"{prefix}texture")
+        self.texture = None if found is None else torch.empty_like(found, device=self.angles.device)
+        super()._load_from_state_dict(state_dict, prefix, *arguments)
 
     def forward(
         self, directions: Float[Tensor, "rays 3"], light_index: Int[Tensor, " rays"]
@@ -131,6 +148,8 @@ class Environment(nn.Module):
         return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], dim=-1)
 
     def _learned(self, directions: Tensor, light_index: Tensor) -> Tensor:
+        if self.texture is not None:
+            return look_up_octahedral(self.texture, directions, light_index)
         hidden = torch.relu(
             self.last(self.network(positional_encoding(directions, self.config.num_frequencies)))
         )

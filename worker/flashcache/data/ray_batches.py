@@ -156,9 +156,13 @@ class TrainingPixels:
         # Shuffled, so that the first rays of a batch are an unbiased sample of it.
         return self.at(index[torch.randperm(num_rays, generator=generator, device=self.device)])
 
+    def photograph_of(self, index: Int[Tensor, " rays"]) -> Int[Tensor, " rays"]:
+        """Return the number of the photograph in which each position lies."""
+        return torch.searchsorted(self.starts, index, right=True) - 1
+
     def at(self, index: Int[Tensor, " rays"]) -> RayBatch:
         """Return the rays of pixels given by their position in the concatenated frames."""
-        image = torch.searchsorted(self.starts, index, right=True) - 1
+        image = self.photograph_of(index)
         local = index - self.starts[image]
         width = self.frame_width[image]
         column = local % width - self.offset[image, 0]

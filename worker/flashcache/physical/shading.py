@@ -245,6 +245,8 @@ def _variance(weighted: Tensor, groups: tuple[int, ...]) -> Tensor:
     square.
     """
     variance = torch.zeros_like(weighted[:, 0])
+    if not len(weighted):
+        return variance
     for part in weighted.split(groups, dim=1):
         count = part.shape[1]
         spread = part.var(dim=1) if count > 1 else part[:, 0].square()

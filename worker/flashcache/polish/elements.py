@@ -1,6 +1,6 @@
 """Surface elements: small pieces of the trained surface, each with the pixels that show it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -11,10 +11,10 @@ from flashcache.data.ray_batches import TrainingPixels
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.directions import dot, facing, normalize
 from flashcache.physical.model import InverseModel
-from flashcache.volume.quadrature import composite
+from flashcache.volume.quadrature import composite, draw_points
 
-OPAQUE = 0.99
-"""Coverage of a pixel, and 0.9 of it opacity of its ray, from which it is an observation."""
+OPAQUE, SOUND_OPACITY = 0.99, 0.9
+"""Coverage of a pixel, and opacity of its ray, from which it is an observation."""
 GRAZING = 0.15
 """Cosine at the viewer below which a pixel is not one."""
 MOST_PIXELS = 120_000
@@ -22,10 +22,14 @@ MOST_ELEMENTS = 24_000
 MOST_OBSERVATIONS = 10
 """Per element."""
 LEAST_OBSERVATIONS = 2
+HELD_OUT = 5
 CHUNK_RAYS = 4096
 MOST_DETAIL = 1.6
-GRAIN = 0.12
+GRAIN = 0.1
+"""Standard deviation of the logarithm of trained albedo where the true one is uniform."""
 SIDES = 6
+PLACES = 4
+"""Places of a ray at which fields are taught."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +56,14 @@ class Elements:
     """Albedo that the trained field has at the point, over its mean in the element."""
     light: Int[Tensor, " observations"]
     """Light of the photograph, as in `RayBatch.light_index`."""
+    pixel: Int[Tensor, " observations"]
+    """Position among the training pixels."""
+    photograph: Int[Tensor, " observations"]
+    """Number of the photograph among all training photographs."""
+    places: Float[Tensor, "observations places 3"]
+    """Samples of each pixel's ray in equal parts of its render weight: where a picture is shaded."""
+    rest: Float[Tensor, "rest places 3"]
+    """The same of opaque pixels that are no observations: too oblique, too blurred, or alone."""
 
     def __len__(self) -> int:
         """Return the number of elements."""
@@ -61,6 +73,35 @@ class Elements:
     def counts(self) -> Int[Tensor, " elements"]:
         """Return the number of observations of each element."""
         return self.first[1:] - self.first[:-1]
+
+    def of(self, kept: Bool[Tensor, " observations"]) -> "Elements":
+        """Return the same elements with some of their observations; elements may be left without any."""
+        counts = torch.zeros(len(self), dtype=torch.long).index_add_(0, self.element, kept.long())
+        rows = {
+            name: getattr(self, name)[kept]
+            for name in (
+                "points",
+                "omega_o",
+                "colour",
+                "clipped",
+                "detail",
+                "light",
+                "pixel",
+                "photograph",
+                "places",
+            )
+        }
+        return replace(self, first=torch.nn.functional.pad(counts.cumsum(0), (1, 0)), **rows)
+
+    def split(self) -> tuple["Elements", "Elements"]:
+        """Return the elements for a fit, and with what photographs show that the fit does not see.
+
+        Every `HELD_OUT`th photograph is held out, but for elements that would be left with too little.
+        """
+        held = self.photograph % HELD_OUT == HELD_OUT - 1
+        left = torch.zeros(len(self), dtype=torch.long).index_add_(0, self.element, (~held).long())
+        held = held & (left >= LEAST_OBSERVATIONS)[self.element]
+        return self.of(~held), self.of(held)
 
     @property
     def element(self) -> Int[Tensor, " observations"]:
@@ -76,6 +117,7 @@ class _Hits:
     spread: Float[Tensor, " rays"]
     """Standard deviation of the render weights along the ray, scene units."""
     opacity: Float[Tensor, " rays"]
+    places: Float[Tensor, "rays places 3"]
 
 
 def find_elements(model: InverseModel, pixels: TrainingPixels, generator: torch.Generator) -> Elements:
@@ -90,7 +132,9 @@ def find_elements(model: InverseModel, pixels: TrainingPixels, generator: torch.
     hits = _Hits(*(torch.cat([getattr(part, name) for part in found]) for name in _Hits.__slots__))
     size = _footprint(pixels, hits.points, chosen)
     sound = (
-        (hits.spread < 1.5 * size) & (hits.opacity > 0.9) & (dot(hits.normal, hits.omega_o)[:, 0] > GRAZING)
+        (hits.spread < 1.5 * size)
+        & (hits.opacity > SOUND_OPACITY)
+        & (dot(hits.normal, hits.omega_o)[:, 0] > GRAZING)
     )
     kept = sound.nonzero()[:, 0]
     while True:
@@ -102,6 +146,8 @@ def find_elements(model: InverseModel, pixels: TrainingPixels, generator: torch.
     element, counts = _voxels(hits.points[kept], hits.normal[kept], size)
     positions = _means(hits.points[kept], element, counts)
     normal = normalize(_means(hits.normal[kept], element, counts))
+    alone = torch.ones(len(chosen), dtype=torch.bool)
+    alone[kept] = False
     order = _some_of_each(element, counts, generator)
     kept, element = kept[order], element[order]
     batch = pixels.at(chosen[kept])
@@ -118,6 +164,10 @@ def find_elements(model: InverseModel, pixels: TrainingPixels, generator: torch.
         clipped=clipped,
         detail=_detail(model, hits.points[kept], element, len(counts)),
         light=batch.light_index,
+        pixel=chosen[kept],
+        photograph=pixels.photograph_of(chosen[kept]),
+        places=hits.places[kept],
+        rest=hits.places[alone & (hits.opacity > SOUND_OPACITY)],
     )
 
 
@@ -141,14 +191,17 @@ def _hits(model: InverseModel, pixels: TrainingPixels, index: Int[Tensor, " rays
     away = (places - points[:, None]).square().sum(dim=-1)
     omega_o = -batch.rays.directions
     normal = facing(normalize(composite(share, geometry.normal)), omega_o)
-    return _Hits(points, normal, omega_o, (share * away).sum(dim=1).sqrt(), geometry.opacity)
+    parts = (torch.arange(PLACES, device=index.device) + 0.5) / PLACES
+    drawn = draw_points(geometry.weights, parts.expand(len(index), PLACES)).index
+    met = places.gather(1, drawn[..., None].expand(-1, -1, 3))
+    return _Hits(points, normal, omega_o, (share * away).sum(dim=1).sqrt(), geometry.opacity, met)
 
 
 def _footprint(pixels: TrainingPixels, points: Float[Tensor, "rays 3"], index: Int[Tensor, " rays"]) -> float:
     """Return the median width of a pixel on the surface, scene units."""
     if not len(index):
         return 1.0
-    image = torch.searchsorted(pixels.starts, index, right=True) - 1
+    image = pixels.photograph_of(index)
     distance = (points - pixels.pose[image, :3, 3]).norm(dim=-1)
     return float((distance / pixels.focal[image].mean(dim=-1)).median())
 
@@ -196,6 +249,6 @@ def _detail(
     albedo = torch.cat([model.materials(part).albedo for part in points.split(1 << 15)])
     mean = _means(albedo, element, torch.bincount(element, minlength=count))
     ratio = (albedo / mean[element].clamp_min(1e-3)).log()
-    # Small differences are grain more often than paint.
-    ratio = ratio.sign() * (ratio.abs() - GRAIN).clamp(0.0, MOST_DETAIL)
-    return ratio.exp()
+    # Small differences are grain more often than paint: the best estimate of one in noise (Wiener).
+    squared = ratio.square()
+    return (ratio * squared / (squared + GRAIN**2)).clamp(-MOST_DETAIL, MOST_DETAIL).exp()

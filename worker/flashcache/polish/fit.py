@@ -12,12 +12,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
 from flashcache.kernels.ranges import over_rows
 from flashcache.physical.brdf import DIELECTRIC_F0
 from flashcache.polish import compiled_fit
 from flashcache.polish.elements import Elements
 from flashcache.polish.incoming import IncomingTables
-from flashcache.polish.octahedron import octahedral_directions, octahedral_solid_angles
 
 ALPHAS = (0.02, 0.045, 0.09, 0.16, 0.28, 0.5, 0.85)
 DIRECTIONS = (6, 8, 12, 16, 20, 24, 24)
@@ -51,6 +51,17 @@ class Tilts:
         """Return all pairs of `steps`, with the cost `weight` times the squared length."""
         at = torch.tensor(steps)
         moves = torch.cartesian_prod(at, at)
+        return cls(moves, weight * moves.square().sum(dim=-1))
+
+    @classmethod
+    def rings(cls, radii: tuple[float, ...], weight: float) -> "Tilts":
+        """Return no move and six on a circle of each radius, every other circle turned by half a step."""
+        sixth = torch.arange(6) * (math.pi / 3.0)
+        rings = [torch.zeros(1, 2)]
+        for number, radius in enumerate(radii):
+            angle = sixth + (number % 2) * math.pi / 6.0
+            rings.append(radius * torch.stack([angle.cos(), angle.sin()], dim=-1))
+        moves = torch.cat(rings)
         return cls(moves, weight * moves.square().sum(dim=-1))
 
 

@@ -57,6 +57,8 @@ class Scaled:
     """Code and message of what the user should know; with an error nothing was scaled."""
     values: dict[str, float] = field(default_factory=dict)
     """For the log."""
+    factor: Float[Tensor, "3"] | None = None
+    """On albedos; None where nothing was scaled."""
 
 
 def card_factor(albedo: Float[Tensor, "samples 3"], reflectance: float) -> Float[Tensor, "3"]:
@@ -111,7 +113,7 @@ def scale_to_card(
         )
     red, green, blue = factor.tolist()
     values = {"card_red": red, "card_green": green, "card_blue": blue, "card_clamped": clamped}
-    return Scaled(scaled.clamp_max(1.0), sky / factor, clamped, tuple(findings), values)
+    return Scaled(scaled.clamp_max(1.0), sky / factor, clamped, tuple(findings), values, factor)
 
 
 def settle_by_card(

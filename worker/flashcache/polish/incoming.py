@@ -7,9 +7,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from flashcache.evaluation.threads import on_all_cores
+from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.physical.model import InverseModel
 from flashcache.polish.elements import Elements
-from flashcache.polish.octahedron import octahedral_directions
 
 SIDE = 20
 """Cells along each side of the square."""

@@ -6,14 +6,19 @@ errors of photographs, shape, materials and caches together. The given light is 
 more to the errors than all of these, and that is no accident of some places.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.evaluation.ambiguity import Priors
+from flashcache.polish.elements import Elements
 from flashcache.polish.fit import NOISE_FLOOR
+from flashcache.polish.incoming import IncomingTables
+from flashcache.polish.light import Prediction, Reflectance
+from flashcache.polish.neighbours import Neighbours
 
 STEP = 1.0 / 255.0
 """Error of an 8-bit photograph: no fit can claim to be better than this."""
@@ -22,6 +27,10 @@ BOUND = 25.0
 SURE = 4.75
 """Standard errors above which an excess is no accident: one false alarm in a million."""
 CODE = "light.known_contradicted"
+LEVEL_STEPS = 20
+"""Steps along the graph over which the level of albedo is settled. Fewer, and albedo takes in what is wrong
+with a light, piece by piece; without any, an error of all albedo looks like one of the light."""
+LEAST_LEVEL, MOST_LEVEL = 0.2, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +100,51 @@ def judge_known_light(
         error=max(1.0 + mean / level, 0.0) ** 0.5,
         excess=mean / level,
         sureness=sureness,
+    )
+
+
+def judge_by_elements(
+    elements: Elements,
+    tables: IncomingTables,
+    sky: Float[Tensor, "lights cells 3"],
+    reflectance: Reflectance,
+    neighbours: Neighbours,
+    *,
+    known: Sequence[int],
+    refit: Callable[[Prediction], Float[Tensor, "lights cells 3"]],
+) -> KnownLightVerdict:
+    """Return whether observations of `elements` contradict the lights `known`, which `sky` holds.
+
+    `reflectance` was fitted under `sky`. The level of its albedo is settled once more, over large
+    neighbourhoods, before `refit` returns the environments that explain a prediction best. Dull dielectrics
+    contradict hardly any light, for another albedo explains as much; what is glossy does.
+    """
+    fine = round(sky.shape[1] ** 0.5)
+    given = sky.numpy()
+    dark = replace(reflectance, albedo=torch.zeros_like(reflectance.albedo))
+    whole, rest = (
+        torch.from_numpy(Prediction(elements, tables, each, fine)(given)).double()
+        for each in (reflectance, dark)
+    )
+    by_albedo, observed = whole - rest, elements.colour.double()
+    weight = (~elements.clipped).double() / (observed + NOISE_FLOOR)
+    sums = torch.cat([weight * by_albedo * (observed - rest), weight * by_albedo.square()], dim=1)
+    sums = sums.new_zeros(len(elements), 6).index_add_(0, elements.element, sums)
+    sums = neighbours.pooled(sums, sums.new_ones(len(elements)), LEVEL_STEPS)
+    level = (sums[:, :3] / sums[:, 3:].clamp_min(1e-12)).clamp(LEAST_LEVEL, MOST_LEVEL).float()
+    settled = replace(reflectance, albedo=reflectance.albedo * level)
+    prediction = Prediction(elements, tables, settled, fine)
+    under_known, under_free = (
+        torch.from_numpy(prediction(each)).float() for each in (given, refit(prediction).numpy())
+    )
+    of_known = torch.isin(elements.light, torch.tensor(list(known)))
+    return judge_known_light(
+        elements.colour[of_known],
+        under_known[of_known],
+        under_free[of_known],
+        elements.element[of_known],
+        clipped=elements.clipped[of_known],
+        num_fitted=len(known) * sky[0].numel(),
     )
 
 

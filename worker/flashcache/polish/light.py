@@ -9,13 +9,13 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
+from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
 from flashcache.kernels.ranges import over_rows
 from flashcache.physical.brdf import DIELECTRIC_F0
 from flashcache.polish import compiled_fit
 from flashcache.polish.elements import Elements
 from flashcache.polish.fit import BLOCK, NOISE_FLOOR, half_vectors
 from flashcache.polish.incoming import IncomingTables
-from flashcache.polish.octahedron import octahedral_directions, octahedral_solid_angles
 
 DIRECTIONS = 16
 """Half vectors per observation."""

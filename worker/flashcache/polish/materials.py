@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from flashcache.fields.materials import Materials
@@ -15,7 +15,7 @@ from flashcache.polish.light import Reflectance
 from flashcache.polish.neighbours import Neighbours
 from flashcache.polish.normals import tilted
 
-TILTS = Tilts.grid((-0.4, -0.2, 0.0, 0.2, 0.4), 0.005)
+TILTS = Tilts.rings((0.18, 0.4), 0.005)
 """Both hypotheses may turn the normal, or the one that happens to fit wrong normals would win."""
 COST_FLOOR = 3e-4
 """Added to costs before their logarithm: the noise of an 8-bit photograph."""
@@ -27,11 +27,17 @@ WIDE_METAL_PRIOR = 0.2
 METAL_TOLERANCE, METAL_SOFTNESS = 0.08, 0.03
 """How much worse metals may fit, and over how much they become dielectrics: a metal's picture suffers more
 from wrong normals."""
+DIELECTRIC, SUSPECT = 0.05, 0.25
+"""Metalness of stage two up to which nothing is granted, and from which all of the tolerance is."""
 NORMAL_MARGIN, NORMAL_POOL = 0.03, 5
 """How much better another normal than the predicted one must fit, in the logarithm of cost, and over how many
 steps along the graph costs are pooled for that."""
+SMOOTHED = (2, 8)
+"""Steps along the graph over which turned normals are smoothed."""
 SHARE = 0.5
 """Part of the fit in a dielectric's albedo; the rest is stage two's. Errors of both are independent."""
+GRAIN, GRAIN_STEPS = 0.07, 4
+"""Difference of encoded albedo that is grain rather than paint, and over how many steps it is smoothed."""
 GAMMA = 1.0 / 2.2
 
 
@@ -42,6 +48,8 @@ class Choice:
     reflectance: Reflectance
     gain: Float[Tensor, " elements"]
     """By how much the chosen width fits better than stage two's, in the logarithm of cost; pooled."""
+    which: Int[Tensor, " elements"]
+    """Number of the candidate normal that stays; 0 is the predicted one."""
 
 
 def encoded(albedo: Float[Tensor, "elements 3"]) -> Float[Tensor, "elements 3"]:
@@ -49,63 +57,90 @@ def encoded(albedo: Float[Tensor, "elements 3"]) -> Float[Tensor, "elements 3"]:
     return albedo.clamp(0.005, 1.0).pow(GAMMA)
 
 
+def smoothed_albedo(
+    elements: Elements, trained: Materials, neighbours: Neighbours
+) -> Float[Tensor, "elements 3"]:
+    """Return stage two's albedo without its grain: means over neighbours of similar albedo."""
+    alike = neighbours.among_alike(encoded(trained.albedo), GRAIN)
+    return alike.pooled(trained.albedo, elements.counts.float(), GRAIN_STEPS)
+
+
 def choose(
     elements: Elements,
     tables: IncomingTables,
     sky: Float[Tensor, "lights cells 3"],
-    normal: Float[Tensor, "elements 3"],
+    normals: list[Float[Tensor, "elements 3"]],
     trained: Materials,
     neighbours: Neighbours,
 ) -> Choice:
-    """Return the best materials under the environments `sky`; `trained` are stage two's at the elements."""
-    count, widths = len(elements), torch.tensor(ALPHAS)
-    amount = elements.counts.float()
-    still = costs(elements, tables, sky, normal=normal)
-    turned = costs(elements, tables, sky, normal=normal, tilts=TILTS)
+    """Return the best materials under the environments `sky`; `trained` are stage two's at the elements.
 
-    base = neighbours.among_alike(encoded(trained.albedo), 0.07).pooled(trained.albedo, amount, 4)
+    `normals` are candidates; the first one is turned, and the predicted one is always among them.
+    """
+    count, widths = len(elements), torch.tensor(ALPHAS)
+    row, amount = torch.arange(count), elements.counts.float()
+    turned = costs(elements, tables, sky, normal=normals[0], tilts=TILTS)
+    base = smoothed_albedo(elements, trained, neighbours)
     close = neighbours.among_alike(encoded(base), 0.25)
     wide = neighbours.among_alike(encoded(base), 0.35)
-    pooled_still = close.pooled((still.cost + COST_FLOOR).log()[:, :, 0], amount, 40)
+
     both = (turned.cost + COST_FLOOR).log().reshape(count, -1)
-    pooled_turned = wide.pooled(both, amount, 40).reshape(count, len(ALPHAS), 2)
-
+    pooled = wide.pooled(both, amount, 40).reshape(count, len(ALPHAS), 2)
     beyond = (widths / WIDE_METAL).log().clamp_min(0.0).square()
-    of_metal = pooled_turned[:, :, 1] + WIDE_METAL_PRIOR * beyond
-    apart = of_metal.min(dim=1).values - pooled_turned[:, :, 0].min(dim=1).values
-    metal = torch.sigmoid((METAL_TOLERANCE - apart) / METAL_SOFTNESS)
+    of_metal = pooled[:, :, 1] + WIDE_METAL_PRIOR * beyond
+    apart = of_metal.min(dim=1).values - pooled[:, :, 0].min(dim=1).values
+    believed = wide.pooled(trained.metalness, amount, 10)[:, 0]
+    tolerance = METAL_TOLERANCE * ((believed - DIELECTRIC) / (SUSPECT - DIELECTRIC)).clamp(0.0, 1.0)
+    metal = torch.sigmoid((tolerance - apart) / METAL_SOFTNESS)
     metal = wide.pooled(metal[:, None], amount, 3)[:, 0]
+    is_metal = metal > 0.5
+    which = is_metal.long()
 
+    level = of_metal.argmin(dim=1)
+    moved = tilted(normals[0], TILTS.moves[turned.tilt[row, level, 1]])
+    sure = amount / (turned.cost[row, level, 1] + 0.002)
+    smooth = [normalize(neighbours.pooled(moved, sure, times)) for times in SMOOTHED]
+    # A smoothed turn may fit worse than what it began with: the normal that fits best around stays.
+    candidates = [
+        elements.normal,
+        *normals,
+        *(torch.where(is_metal[:, None], each, normals[0]) for each in smooth),
+    ]
+    still = [costs(elements, tables, sky, normal=candidate) for candidate in candidates]
+    fits = torch.stack(
+        [
+            neighbours.pooled((found.cost[row, :, which] + COST_FLOOR).log(), amount, NORMAL_POOL)
+            .min(dim=1)
+            .values
+            for found in still
+        ]
+    )
+    fits[1:] += NORMAL_MARGIN
+    best = fits.argmin(dim=0)
+    normal = torch.stack(candidates)[best, row]
+    cost, albedo_of = (
+        torch.stack([getattr(found, name) for found in still])[best, row] for name in ("cost", "albedo")
+    )
+
+    # The width that fits with the normal that stays: where that is wrong, a wide lobe errs least.
     before = trained.alpha[:, 0].clamp(ALPHAS[0], ALPHAS[-1])
     prior = WIDTH_PRIOR * (widths.log() - before.log()[:, None]).square()
-    width_of_dielectric, gain = _lowest(pooled_still + prior, before)
-    width_of_metal, _ = _lowest(of_metal, before)
-    is_metal = metal > 0.5
-    alpha = torch.where(is_metal, width_of_metal, width_of_dielectric)
+    pooled_still = close.pooled((cost[row, :, which] + COST_FLOOR).log(), amount, 40)
+    alpha, gain = _lowest(pooled_still + prior * (~is_metal)[:, None], before)
     alpha = close.pooled(alpha.log()[:, None], amount, 10)[:, 0].exp()
 
-    row = torch.arange(count)
-    fitted = still.albedo[row, (pooled_still + prior).argmin(dim=1), 0]
-    albedo = (base.clamp_min(0.005).log() * (1.0 - SHARE) + fitted.log() * SHARE).exp()
-    albedo = neighbours.among_alike(encoded(albedo), 0.07).pooled(albedo, amount, 4)
-    level = of_metal.argmin(dim=1)
+    fitted = albedo_of[row, (pooled_still + prior).argmin(dim=1), 0]
+    albedo = _mean(base, fitted)
+    albedo = neighbours.among_alike(encoded(albedo), GRAIN).pooled(albedo, amount, GRAIN_STEPS)
     among_metals = Neighbours(wide.index, wide.weight * is_metal[wide.index])
     f0 = among_metals.pooled(turned.albedo[row, level, 1], amount, 4)
     albedo = torch.where(is_metal[:, None], f0, albedo)
+    return Choice(Reflectance(albedo, alpha, metal, normal), gain, best)
 
-    moved = tilted(normal, TILTS.moves[turned.tilt[row, level, 1]])
-    sure = amount / (turned.cost[row, level, 1] + 0.002)
-    smooth = normalize(neighbours.pooled(moved, sure, 2))
-    # A smoothed tilt may fit worse than what it began with: of three normals the best one stays.
-    best = torch.where(is_metal, level, (pooled_still + prior).argmin(dim=1))
-    candidates = [elements.normal, normal, torch.where(is_metal[:, None], smooth, normal)]
-    fits = []
-    for candidate, price in zip(candidates, (0.0, NORMAL_MARGIN, NORMAL_MARGIN), strict=True):
-        of_it = costs(elements, tables, sky, normal=candidate).cost[row, best, is_metal.long()]
-        fits.append(neighbours.pooled((of_it + COST_FLOOR).log()[:, None], amount, NORMAL_POOL)[:, 0] + price)
-    which = torch.stack(fits).argmin(dim=0)
-    found = torch.stack(candidates)[which, row]
-    return Choice(Reflectance(albedo, alpha, metal, found), gain)
+
+def _mean(one: Tensor, other: Tensor) -> Tensor:
+    """Return the geometric mean with `SHARE` of `other`."""
+    return torch.lerp(one.clamp_min(0.005).log(), other.clamp_min(0.005).log(), SHARE).exp()
 
 
 def _lowest(

@@ -47,15 +47,18 @@ class Neighbours:
         self, values: Float[Tensor, "elements channels"], amount: Float[Tensor, " elements"], times: int
     ) -> Float[Tensor, "elements channels"]:
         """Return means over neighbourhoods that `times` steps reach, weighted by `amount`."""
+        step = self._step()
+        both = torch.cat([values * amount[:, None], amount[:, None]], dim=-1).double().numpy()
+        for _ in range(times):
+            both = step @ both
+        found = torch.from_numpy(both)
+        return (found[:, :-1] / found[:, -1:].clamp_min(1e-12)).to(values.dtype)
+
+    def _step(self) -> csr_matrix:
         count, near = self.index.shape
         rows = np.repeat(np.arange(count), near)
         parts = (self.weight.reshape(-1).numpy(), (rows, self.index.reshape(-1).numpy()))
         step = csr_matrix(parts, shape=(count, count))
         step = step.maximum(step.T)
         step.setdiag(1.0)
-        step = csr_matrix(step.multiply(1.0 / np.asarray(step.sum(axis=1))))
-        both = torch.cat([values * amount[:, None], amount[:, None]], dim=-1).double().numpy()
-        for _ in range(times):
-            both = step @ both
-        found = torch.from_numpy(both)
-        return (found[:, :-1] / found[:, -1:].clamp_min(1e-12)).to(values.dtype)
+        return csr_matrix(step.multiply(1.0 / np.asarray(step.sum(axis=1))))

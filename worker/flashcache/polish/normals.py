@@ -18,14 +18,15 @@ ALIKE = 0.2
 """Cosine between predicted normals from which elements belong to one plane."""
 
 
-def plane_normals(elements: Elements) -> Float[Tensor, "elements 3"]:
+def plane_normals(elements: Elements, reach: float = REACH, most: int = MOST) -> Float[Tensor, "elements 3"]:
     """Return the normals of planes through each element and those around it, facing as predicted ones do.
 
-    The predicted normal is kept where there are too few.
+    Of at most `most` elements, as near as `reach` sizes of an element. The predicted normal is kept where
+    there are too few.
     """
     predicted, places = elements.normal.numpy(), elements.positions.numpy()
-    reach = REACH * elements.size
-    distance, near = cKDTree(places).query(places, min(MOST, len(places)), distance_upper_bound=reach)
+    reach = reach * elements.size
+    distance, near = cKDTree(places).query(places, min(most, len(places)), distance_upper_bound=reach)
     found = np.isfinite(distance)
     near, distance = np.where(found, near, 0), np.where(found, distance, reach)
     alike = (predicted[near] * predicted[:, None]).sum(axis=-1) > ALIKE

@@ -1,5 +1,6 @@
 """The polish of a trained model: elements, tables, materials and light in turns, then the networks."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -9,26 +10,33 @@ from torch import Tensor
 
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.fields.materials import Materials
+from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.physical.model import InverseModel
+from flashcache.polish.confidence import Confidence, confidence_of
 from flashcache.polish.elements import Elements, find_elements
+from flashcache.polish.gate import LEAST_SHARE, blended, gate
 from flashcache.polish.grey_card import Card, settle_by_card
 from flashcache.polish.incoming import SIDE, incoming_tables
-from flashcache.polish.light import Prediction, fit_light
-from flashcache.polish.materials import choose
+from flashcache.polish.known_light import judge_by_elements
+from flashcache.polish.light import Prediction, Reflectance, fit_light
+from flashcache.polish.materials import choose, smoothed_albedo
 from flashcache.polish.neighbours import Neighbours
 from flashcache.polish.normals import plane_normals
-from flashcache.polish.octahedron import octahedral_directions
-from flashcache.polish.write import write_environments, write_materials, write_normals
+from flashcache.polish.write import write_materials, write_normals
 from flashcache.randomness import generator_for
 
 STAGE = "polish"
 LEAST_ELEMENTS = 200
 MOST_LIGHTS = 4
-ROUNDS = 2
-"""Times that the light is fitted."""
+MOST_CLIPPED = 0.9
+"""Share of clipped channels above which nothing is fitted."""
+ROUNDS = 3
+"""Times that materials are chosen and the light is fitted."""
+WIDE_REACH, WIDE_MOST = 9.0, 150
+"""Of the larger planes whose normals are tried: surfaces of mirrors come out bumpy."""
 FINER = 2
 """Cells of an environment along a side, per cell of the tables."""
-LIGHT_STEPS, LIGHT_RATE, LIGHT_OUTLIER, LIGHT_TETHER = 40, 0.15, 0.05, 1e-2
+LIGHT_STEPS, LIGHT_RATE, LIGHT_OUTLIER, LIGHT_TETHER = 40, 0.15, 0.15, 1e-2
 SAME_NORMAL = 0.9999
 """Cosine from which a normal is the predicted one."""
 NUM_PARTS = 5 + ROUNDS
@@ -44,6 +52,8 @@ class PolishReport:
     """Sizes and errors, for the log."""
     findings: tuple[tuple[str, str], ...] = ()
     """Code and message of what the user should know."""
+    confidence: Confidence | None = None
+    """How sure the elements' materials are; None where stage two's are kept."""
 
 
 def polish(
@@ -70,51 +80,105 @@ def polish(
         elements = find_elements(model, pixels, generator)
         if len(elements) < LEAST_ELEMENTS:
             return PolishReport(f"only {len(elements)} pieces of surface are seen by two photographs")
+        if float(elements.clipped.float().mean()) > MOST_CLIPPED:
+            return PolishReport("nearly all pixels are clipped: photographs say only that it was bright")
         advance(1)
         tables = incoming_tables(model, elements, num_lights)
         advance(2)
         sky = environments(model, num_lights)
         trained = _joined(model, elements)
         neighbours = Neighbours.of(elements)
-        normal = plane_normals(elements)
+        seen, checks = elements.split()
+        normals = [plane_normals(elements), plane_normals(elements, WIDE_REACH, WIDE_MOST)]
         values = {"elements": float(len(elements)), "observations": float(len(elements.colour))}
         learned = not model.environment.known and not model.environment.rotations
-        for number in range(ROUNDS + 1):
-            found = choose(elements, tables, sky, normal, trained, neighbours)
+        for number in range(ROUNDS if learned else 1):
+            found = choose(seen, tables, sky, normals, trained, neighbours)
+            if learned:
+                prediction = Prediction(seen, tables, found.reflectance, SIDE * FINER)
+                sky, before, after = _refitted(prediction, sky)
+                values |= {f"light_before_{number}": before, f"light_after_{number}": after}
             advance(3 + number)
-            if not learned:
-                break
-            prediction = Prediction(elements, tables, found.reflectance, SIDE * FINER)
-            sky, before, after = fit_light(
-                prediction,
-                sky,
-                steps=LIGHT_STEPS,
-                rate=LIGHT_RATE,
-                outlier=LIGHT_OUTLIER,
-                tether=LIGHT_TETHER,
-            )
-            values |= {f"light_before_{number}": before, f"light_after_{number}": after}
     reflectance = found.reflectance
+    if not all(bool(torch.isfinite(part).all()) for part in (*_parts(reflectance), sky)):
+        return PolishReport("a fitted value is not finite", values)
+    if model.environment.known and not model.environment.rotations:
+        verdict = judge_by_elements(
+            seen,
+            tables,
+            sky,
+            reflectance,
+            neighbours,
+            known=model.environment.known,
+            refit=lambda prediction: _refitted(prediction, sky)[0],
+        )
+        values |= {"known_light_error": verdict.error}
+        if verdict.contradicted:
+            return PolishReport("the photographs contradict the known light", values, verdict.findings)
+    polished = _written(model, elements, reflectance, sky if learned else None, generator)
+    advance(NUM_PARTS - 2)
+    with torch.no_grad():
+        kept = gate(model, polished, pixels, checks, neighbours, seed)
+    share = float(kept.share.mean())
+    values |= {"error_before": kept.before, "error_fitted": kept.fitted, "fitted_share": share}
+    if share < LEAST_SHARE:
+        return PolishReport("unseen photographs are explained better without it", values)
+    advance(NUM_PARTS - 1)
+    if share < 1.0:
+        stage_two = Reflectance(
+            smoothed_albedo(elements, trained, neighbours),
+            trained.alpha[:, 0],
+            trained.metalness[:, 0],
+            elements.normal,
+        )
+        reflectance = blended(stage_two, reflectance, kept.share)
     findings: tuple[tuple[str, str], ...] = ()
+    factor = None
     if card is not None:
         # Last, so that it holds whatever the fit has done; what photographs show hardly changes.
         settled = settle_by_card(model, card, elements.positions, elements.size, reflectance.albedo, sky)
         reflectance, sky = replace(reflectance, albedo=settled.albedo), settled.sky
-        values, findings = values | settled.values, settled.findings
-    metal = reflectance.metalness > 0.5
-    values["metal_share"] = float(metal.float().mean())
-    changed = (reflectance.normal * elements.normal).sum(dim=-1) < SAME_NORMAL
-    values["turned_share"] = float(changed.float().mean())
-    values["width_gain"] = float(found.gain.mean())
-    if not all(bool(torch.isfinite(part).all()) for part in (*_parts(reflectance), sky)):
-        return PolishReport("a fitted value is not finite", values)
-    write_materials(model, elements, reflectance, generator)
-    advance(NUM_PARTS - 1)
-    write_normals(model, elements, reflectance.normal, changed, generator)
-    if learned or card is not None:
-        write_environments(model, sky)
+        values, findings, factor = values | settled.values, settled.findings, settled.factor
+    if share < 1.0 or factor is not None:
+        light = sky if learned or factor is not None else None
+        polished = _written(model, elements, reflectance, light, generator, factor)
+    values["metal_share"] = float((reflectance.metalness > 0.5).float().mean())
+    confidence = confidence_of(seen, tables, sky, reflectance, neighbours)
+    model.load_state_dict(polished.state_dict())
     advance(NUM_PARTS)
-    return PolishReport("", values, findings)
+    return PolishReport("", values, findings, confidence)
+
+
+def _refitted(
+    prediction: Prediction, sky: Float[Tensor, "lights cells 3"]
+) -> tuple[Float[Tensor, "lights cells 3"], float, float]:
+    """Return the light that explains the photographs best, from `sky` on, and the loss before and after."""
+    return fit_light(
+        prediction,
+        sky,
+        steps=LIGHT_STEPS,
+        rate=LIGHT_RATE,
+        outlier=LIGHT_OUTLIER,
+        tether=LIGHT_TETHER,
+    )
+
+
+def _written(
+    model: InverseModel,
+    elements: Elements,
+    reflectance: Reflectance,
+    sky: Float[Tensor, "lights cells 3"] | None,
+    generator: torch.Generator,
+    factor: Float[Tensor, "3"] | None = None,
+) -> InverseModel:
+    """Return a copy of the model that has learned materials and normals of elements, and the light `sky`."""
+    polished = copy.deepcopy(model)
+    write_materials(polished, elements, reflectance, generator, factor)
+    changed = (reflectance.normal * elements.normal).sum(dim=-1) < SAME_NORMAL
+    write_normals(polished, elements, reflectance.normal, changed, generator)
+    if sky is not None:
+        polished.environment.set_texture(sky)
+    return polished
 
 
 def environments(model: InverseModel, num_lights: int) -> Float[Tensor, "lights cells 3"]:

@@ -1,9 +1,9 @@
-"""The polished values as networks: material field, normals and environments learn what elements hold."""
+"""The polished values as networks: material field and normals learn what elements hold."""
 
 from collections.abc import Callable, Iterator
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from flashcache.fields.materials import MaterialField
@@ -11,24 +11,29 @@ from flashcache.geometry.directions import dot
 from flashcache.physical.model import InverseModel
 from flashcache.polish.elements import Elements
 from flashcache.polish.light import Reflectance
-from flashcache.polish.octahedron import octahedral_directions
 
 BATCH = 8192
-MATERIAL_STEPS, NORMAL_STEPS, LIGHT_STEPS = 300, 150, 400
-MATERIAL_RATE, NORMAL_RATE, LIGHT_RATE = 1e-2, 4e-3, 3e-3
+MATERIAL_STEPS, NORMAL_STEPS = 300, 150
+MATERIAL_RATE, NORMAL_RATE = 1e-2, 4e-3
 FINAL_RATE = 0.03
-ABOVE = 0.6
-"""Standard deviation of how far from the surface values are taught, in sizes of an element: rays see through
-a layer about as thick."""
+MOST_REST = 0.25
+"""Largest share of a batch for what no element covers."""
+ASIDE = 0.3
+"""Standard deviation by which places are moved, in sizes of an element."""
 GAMMA = 1.0 / 2.2
 
 
 def write_materials(
-    model: InverseModel, elements: Elements, found: Reflectance, generator: torch.Generator
+    model: InverseModel,
+    elements: Elements,
+    found: Reflectance,
+    generator: torch.Generator,
+    factor: Float[Tensor, "3"] | None = None,
 ) -> None:
     """Replace the material field by one that is taught `found` at the observed points.
 
-    It begins afresh: what the trained one holds beyond the elements' values is grain.
+    It begins afresh: what the trained one holds beyond the elements' values is grain. Where opaque pixels are
+    no observations, it is taught what the trained one has there, with its albedo times `factor`.
     """
     config = model.config.materials
     device = elements.positions.device
@@ -39,17 +44,29 @@ def write_materials(
     wanted = (found.albedo[element] * elements.detail).clamp(0.004, 0.996).pow(GAMMA)
     alpha = found.alpha.clamp(1e-3, 0.996)[element, None].sqrt()
     metal = found.metalness.clamp(0.004, 0.996)[element, None]
-    normal = found.normal[element]
+    scale = torch.ones(3, device=device) if factor is None else factor
+    rest = elements.rest.reshape(-1, 3)
+    known = [model.materials(part) for part in rest.split(1 << 14)]
+    of_rest_targets = [
+        (torch.cat([each.albedo for each in known]) * scale).clamp(0.004, 0.996).pow(GAMMA),
+        torch.cat([each.alpha.sqrt() for each in known]),
+        torch.cat([each.metalness for each in known]),
+    ]
+    of_rest = round(BATCH * min(MOST_REST, len(rest) / (len(rest) + elements.places[..., 0].numel())))
 
     def loss() -> Tensor:
-        drawn = torch.randint(len(element), (BATCH,), generator=generator, device=device)
-        away = ABOVE * elements.size * torch.randn(BATCH, 1, generator=generator, device=device)
-        materials = field(elements.points[drawn] + away * normal[drawn])
-        return (
-            (materials.albedo.pow(GAMMA) - wanted[drawn]).abs().mean()
-            + (materials.alpha.sqrt() - alpha[drawn]).abs().mean()
-            + (materials.metalness - metal[drawn]).abs().mean()
-        )
+        drawn = torch.randint(len(element), (BATCH - of_rest,), generator=generator, device=device)
+        places = _places(elements, drawn, generator)
+        targets = [wanted[drawn], alpha[drawn], metal[drawn]]
+        if of_rest:
+            others = torch.randint(len(rest), (of_rest,), generator=generator, device=device)
+            targets = [
+                torch.cat([own, far[others]]) for own, far in zip(targets, of_rest_targets, strict=True)
+            ]
+            places = torch.cat([places, rest[others]])
+        materials = field(places)
+        values = (materials.albedo.pow(GAMMA), materials.alpha.sqrt(), materials.metalness)
+        return torch.stack([(a - b).abs().mean() for a, b in zip(values, targets, strict=True)]).sum()
 
     _learn(field, loss, MATERIAL_STEPS, MATERIAL_RATE)
     model.materials.load_state_dict(field.state_dict())
@@ -62,30 +79,24 @@ def write_normals(
     changed: Tensor,
     generator: torch.Generator,
 ) -> None:
-    """Teach the predicted normals `normal` at elements that are `changed`, and their own at all others."""
-    moved, kept = changed.nonzero()[:, 0], (~changed).nonzero()[:, 0]
+    """Teach the predicted normals `normal` at elements that are `changed`, and their own everywhere else."""
+    moved, kept = ((changed == flag)[elements.element].nonzero()[:, 0] for flag in (True, False))
     if not len(moved):
         return
     field, device = model.nerf.normals, normal.device
-    half = BATCH // 2 if len(kept) else BATCH
-
-    def points(among: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        drawn = among[torch.randint(len(among), (count,), generator=generator, device=device)]
-        away = ABOVE * elements.size * torch.randn(count, 1, generator=generator, device=device)
-        aside = 0.3 * elements.size * torch.randn(count, 3, generator=generator, device=device)
-        return drawn, elements.positions[drawn] + away * elements.normal[drawn] + aside
+    others = torch.cat([elements.places[kept].reshape(-1, 3), elements.rest.reshape(-1, 3)])
+    half = BATCH // 2 if len(others) else BATCH
 
     def teaching() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         for _ in range(NORMAL_STEPS):
-            drawn, places = points(moved, half)
-            hidden = model.nerf.density(places).hidden
-            target = normal[drawn]
-            if len(kept):
-                _, others = points(kept, BATCH - half)
-                of_others = model.nerf.density(others).hidden
-                target = torch.cat([target, field(others, of_others)])
-                places, hidden = torch.cat([places, others]), torch.cat([hidden, of_others])
-            yield places, hidden, target
+            drawn = moved[torch.randint(len(moved), (half,), generator=generator, device=device)]
+            places, target = _places(elements, drawn, generator), normal[elements.element[drawn]]
+            if len(others):
+                number = torch.randint(len(others), (BATCH - half,), generator=generator, device=device)
+                of_others = others[number]
+                places = torch.cat([places, of_others])
+                target = torch.cat([target, field(of_others, model.nerf.density(of_others).hidden)])
+            yield places, model.nerf.density(places).hidden, target
 
     # All batches are made before the field moves: others keep the normals that they have now.
     with torch.no_grad():
@@ -99,24 +110,14 @@ def write_normals(
     _learn(field, loss, NORMAL_STEPS, NORMAL_RATE)
 
 
-def write_environments(model: InverseModel, sky: Float[Tensor, "lights cells 3"]) -> None:
-    """Teach the environments that are learned the radiance `sky`."""
-    network = model.environment
-    side = round(sky.shape[1] ** 0.5)
-    directions = octahedral_directions(side).to(sky.device)
-    learned = network.learned_lights
-
-    def loss() -> Tensor:
-        total = sky.new_zeros(())
-        for light in learned.tolist():
-            index = torch.full((len(directions),), light, dtype=torch.long, device=sky.device)
-            now = network(directions, index)
-            total = total + ((now + 0.03).log() - (sky[light] + 0.03).log()).square().mean()
-            total = total + 0.2 * (now - sky[light]).abs().mean() / sky[light].mean()
-        return total
-
-    if len(learned):
-        _learn(network, loss, LIGHT_STEPS, LIGHT_RATE)
+def _places(
+    elements: Elements, drawn: Int[Tensor, " batch"], generator: torch.Generator
+) -> Float[Tensor, "batch 3"]:
+    """Return one place of the rays of each of the observations `drawn`, moved a little."""
+    device = elements.places.device
+    which = torch.randint(elements.places.shape[1], drawn.shape, generator=generator, device=device)
+    aside = torch.randn(len(drawn), 3, generator=generator, device=device)
+    return elements.places[drawn, which] + ASIDE * elements.size * aside
 
 
 def _learn(part: nn.Module, loss: Callable[[], Tensor], steps: int, rate: float) -> None:

@@ -21,9 +21,9 @@ from flashcache.errors import ConfigError
 from flashcache.geometry.directions import facing
 from flashcache.losses.consistency import consistency
 from flashcache.physical.brdf import Materials
-from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
+from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, estimate
 from flashcache.physical.incident import Incident, RayLimits, SecondaryRays
-from flashcache.physical.sampling import Strategy
+from flashcache.physical.sampling import CosineLobe, GgxLobe, Strategy
 from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
 from flashcache.training.distillation_rays import relit_rays
@@ -225,13 +225,16 @@ class LightBake:
         return met.weight[:, None] * found
 
     def _shaded(self, points, materials, source, counts, generator) -> Tensor:
-        return relight(
+        # Lobes with directions of their own: the loss is sensitive to noise, and white walls are diffuse.
+        sampler, shared = self.light.sampler, counts.specular // 2
+        lobe = GgxLobe(points.omega_o, points.normal, materials.alpha)
+        return estimate(
             points,
             materials,
             source=source,
             environment=self.light,
-            light=self.light.sampler,
-            counts=counts,
+            diffuse=[(CosineLobe(points.normal), counts.cosine), (sampler, counts.sampler)],
+            specular=[(lobe, counts.specular - shared), (sampler, shared)],
             limits=self.scene.limits,
             config=_ESTIMATOR,
             generator=generator,

@@ -21,9 +21,10 @@ from flashcache.evaluation.surface_points import (
 )
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.physical.model import InverseModel
+from flashcache.polish.confidence import Confidence
 from flashcache.randomness import generator_for
 from jaxtyping import Float, Float32
-from lambent_relight.bundle.uncertainty import UncertaintyGrid
+from lambent_relight.bundle.uncertainty import CHANNELS, UncertaintyGrid
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -41,6 +42,8 @@ SMALLEST_NOISE = 1.0 / 255.0
 GRID_CELLS = 40
 """Cells along the longest side of the box around the points."""
 NEIGHBOURS = 4
+NEAR_POINT = 1e-4
+"""Distance below which places are the same, scene units."""
 CHUNK_POINTS = 32
 MANY_VIEWS = 1e4
 """Bound on the number of photographs, which float16 holds."""
@@ -62,11 +65,13 @@ def measure_uncertainty(
     rule: RenderRule,
     num_points: int = NUM_POINTS,
     priors: Priors = PRIORS,
+    confidence: Confidence | None = None,
 ) -> UncertaintyGrid | None:
     """Return the uncertainty of the materials of `model` given the training photographs of `scene`.
 
     Half of the points lie where photographs look, half anywhere on the outer surface. None where there are no
-    training photographs, or the model has hardly any surface.
+    training photographs, or the model has hardly any surface. With the `confidence` of a polish, its elements
+    take the place of the points near them.
     """
     if not scene.train:
         return None
@@ -78,7 +83,8 @@ def measure_uncertainty(
     if len(points.positions) < FEWEST_POINTS:
         return None
     noise = Noise(absolute=residual(model, scene, seed))
-    return grid_of(measure_points(model, points, scene, noise=noise, rule=rule, priors=priors, seed=seed))
+    found = measure_points(model, points, scene, noise=noise, rule=rule, priors=priors, seed=seed)
+    return grid_of(found if confidence is None else with_confidence(found, confidence))
 
 
 @torch.no_grad()
@@ -115,6 +121,30 @@ def measure_points(
     return MeasuredPoints(points.positions.float().cpu().numpy(), values)
 
 
+def with_confidence(points: MeasuredPoints, confidence: Confidence) -> MeasuredPoints:
+    """Return the elements of a polish, and those of `points` that are near none.
+
+    The photographs' part is the polish's. What the unknown light adds to it, and the number of photographs,
+    are those of the nearest points.
+    """
+    near = _interpolated(points, confidence.positions.numpy(), NEAR_POINT)
+    around = dict(zip(CHANNELS, near.T, strict=True))
+    albedo = np.square(confidence.log_albedo.numpy()).mean(axis=1)
+    of_elements = {
+        "albedo": np.sqrt(albedo + np.square(around["albedo_from_light"])),
+        "albedo_from_light": around["albedo_from_light"],
+        "metalness": confidence.metalness.numpy(),
+        "perceptual_roughness": confidence.perceptual_roughness.numpy(),
+        "views": around["views"],
+    }
+    alone = confidence.at(torch.from_numpy(points.positions)).metalness.isnan().numpy()
+    values = np.stack([of_elements[name] for name in CHANNELS], axis=1).astype(np.float32)
+    return MeasuredPoints(
+        np.concatenate([confidence.positions.numpy(), points.positions[alone]]),
+        np.concatenate([values, points.values[alone]]),
+    )
+
+
 def residual(model: InverseModel, scene: Scene, seed: int) -> float:
     """Return the root mean square error of the NeRF cache on photographed pixels of the object.
 
@@ -149,12 +179,19 @@ def grid_of(points: MeasuredPoints, cells: int = GRID_CELLS) -> UncertaintyGrid:
     counts = np.maximum(1, np.round(cells * (high - low) / (high - low).max())).astype(int)
     axes = [low[k] + (np.arange(counts[k]) + 0.5) * (high[k] - low[k]) / counts[k] for k in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = min(NEIGHBOURS, len(points.positions))
-    distance, index = cKDTree(points.positions).query(centres, k=[*range(1, near + 1)])
-    weight = 1.0 / (distance**2 + (0.1 * margin) ** 2)
-    weight /= weight.sum(axis=1, keepdims=True)
-    values = (weight[..., None] * points.values[index]).sum(axis=1)
+    values = _interpolated(points, centres, 0.1 * margin)
     return UncertaintyGrid(low, high, values.reshape(*counts, -1).astype(np.float32))
+
+
+def _interpolated(
+    points: MeasuredPoints, places: Float[ndarray, "places 3"], softness: float
+) -> Float[ndarray, "places channels"]:
+    """Return means of the nearest points by inverse squared distance; `softness` is a distance too."""
+    near = min(NEIGHBOURS, len(points.positions))
+    distance, index = cKDTree(points.positions).query(places, k=[*range(1, near + 1)])
+    weight = 1.0 / (distance**2 + softness**2)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return (weight[..., None] * points.values[index]).sum(axis=1)
 
 
 def uncertainty_map(

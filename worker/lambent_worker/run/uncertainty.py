@@ -5,12 +5,15 @@ from pathlib import Path
 import numpy as np
 from flashcache.data.scene import Scene
 from flashcache.physical.model import InverseModel
+from flashcache.polish.confidence import FILE as CONFIDENCE
+from flashcache.polish.confidence import Confidence
 from lambent_relight.bundle.uncertainty import CHANNELS, UncertaintyGrid
 
 from lambent_worker.report.request import rule_of
 from lambent_worker.report.uncertainty import measure_uncertainty
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import done_inputs, task_folder
+from lambent_worker.run.hashes import last_training_task
 
 FILE = "uncertainty.npz"
 
@@ -51,7 +54,21 @@ def uncertainty_of_run(context: TaskContext, model: InverseModel, scene: Scene) 
         seed=context.spec.seed,
         rule=rule_of(context.spec.config.stage_two),
         num_points=num_points,
+        confidence=polished_confidence(context),
     )
+
+
+def polished_confidence(context: TaskContext) -> Confidence | None:
+    """Return how sure the polish is of what it fitted.
+
+    None where the run has no finished polish, where that kept stage two's materials, and where it is of an
+    older version.
+    """
+    path = task_folder(context.run_dir, "polish") / CONFIDENCE
+    polished = last_training_task(context.spec.config) == "polish"
+    if not polished or done_inputs(context.run_dir, "polish") is None or not path.is_file():
+        return None
+    return Confidence.load(path)
 
 
 def _trained(run_dir: Path) -> str:

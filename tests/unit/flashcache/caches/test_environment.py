@@ -5,6 +5,7 @@ import pytest
 import torch
 from flashcache.caches.environment import Environment, EnvironmentConfig
 from flashcache.geometry.directions import environment_directions
+from flashcache.geometry.octahedron import octahedral_directions
 
 CONFIG = EnvironmentConfig(width=8, num_layers=1, last_width=8, known_height=8)
 
@@ -105,3 +106,40 @@ def test_a_known_environment_serves_all_rotated_lights_and_is_kept_in_the_state(
     assert made.learned == ()
     copy.load_state_dict(made.state_dict())
     torch.testing.assert_close(copy.image(8, 1), image.roll(-4, dims=1), rtol=1e-4, atol=1e-4)
+
+
+def test_a_texture_takes_the_networks_place_where_the_directions_say():
+    torch.manual_seed(0)
+    made = Environment(CONFIG, 2)
+    side = 12
+    texture = torch.rand(2, side * side, 3)
+    made.set_texture(texture)
+    centres = octahedral_directions(side)
+    for light in (0, 1):
+        # At the centres of cells their own values.
+        torch.testing.assert_close(
+            made(centres, lights(centres, light)), texture[light], rtol=1e-4, atol=1e-4
+        )
+    again = Environment(CONFIG, 2)
+    again.load_state_dict(made.state_dict())
+    torch.testing.assert_close(again(centres, lights(centres)), made(centres, lights(centres)))
+
+
+def test_a_state_without_a_texture_is_read_as_before():
+    torch.manual_seed(0)
+    made, other = Environment(CONFIG, 1), Environment(CONFIG, 1)
+    assert not any("texture" in name for name in made.state_dict())
+    other.set_texture(torch.rand(1, 16, 3))
+    other.load_state_dict(made.state_dict())
+    assert other.texture is None
+    flat = environment_directions(6, 12).float().reshape(-1, 3)
+    torch.testing.assert_close(other(flat, lights(flat)), made(flat, lights(flat)))
+
+
+def test_a_known_light_stays_what_was_given_beside_a_texture():
+    made = Environment(CONFIG, 2, known=(1,))
+    made.set_known(1, torch.rand(8, 16, 3))
+    flat = environment_directions(6, 12).float().reshape(-1, 3)
+    before = made(flat, lights(flat, 1))
+    made.set_texture(torch.rand(2, 16, 3))
+    torch.testing.assert_close(made(flat, lights(flat, 1)), before)

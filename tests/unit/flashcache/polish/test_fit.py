@@ -6,6 +6,7 @@ import pytest
 import torch
 from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import normalize
+from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
 from flashcache.polish import light
 from flashcache.polish.fit import ALPHAS, NO_TILT, Tilts, costs
 from flashcache.polish.incoming import SIDE, IncomingTables
@@ -13,7 +14,6 @@ from flashcache.polish.light import Prediction, Reflectance, fit_light
 from flashcache.polish.materials import choose
 from flashcache.polish.neighbours import Neighbours
 from flashcache.polish.normals import tilted
-from flashcache.polish.octahedron import octahedral_directions, octahedral_solid_angles
 from flashcache.polish.polish import FINER
 from support.polish_sphere import open_tables, sky_picture, sphere_elements
 
@@ -96,6 +96,15 @@ def test_a_tilt_undoes_the_error_of_a_normal_and_costs_what_it_should():
     assert float(tilts.cost[centre]) == 0.0
 
 
+def test_rings_of_tilts_are_even_and_begin_with_none():
+    tilts = Tilts.rings((0.2, 0.4), 0.5)
+    assert tilts.moves.shape == (13, 2)
+    assert not tilts.moves[0].any()
+    torch.testing.assert_close(tilts.moves.sum(dim=0), torch.zeros(2), atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(tilts.moves.norm(dim=1)[1:], torch.tensor([0.2] * 6 + [0.4] * 6))
+    torch.testing.assert_close(tilts.cost, 0.5 * tilts.moves.square().sum(dim=1))
+
+
 def test_clipped_channels_are_only_known_to_be_at_least_so_bright():
     elements = sphere_elements(BLUE, 0.16, 0.0)
     limit = elements.colour.quantile(0.9)
@@ -130,7 +139,7 @@ def test_gloss_and_metal_are_found_from_what_a_training_leaves(albedo, alpha, me
         torch.tensor(albedo).expand(count, 3) * 0.8, torch.full((count, 1), 0.28), torch.full((count, 1), 0.1)
     )
     found = choose(
-        elements, open_tables(count), sky_picture(), elements.normal, trained, Neighbours.of(elements)
+        elements, open_tables(count), sky_picture(), [elements.normal], trained, Neighbours.of(elements)
     ).reflectance
     assert float((found.metalness - metalness).abs().mean()) < 0.1
     assert float(found.alpha.log().mean().exp()) == pytest.approx(alpha, rel=0.25)

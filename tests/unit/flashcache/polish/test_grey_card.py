@@ -7,8 +7,10 @@ import torch
 from flashcache.data.ray_batches import PixelChoice, TrainingPixels
 from flashcache.evaluation.gbuffer import camera_rays
 from flashcache.geometry.directions import normalize
+from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.geometry.rays import Rays
 from flashcache.polish import polish as whole
+from flashcache.polish import write
 from flashcache.polish.grey_card import (
     Card,
     GreyCardError,
@@ -18,8 +20,6 @@ from flashcache.polish.grey_card import (
     scale_to_card,
     settle_by_card,
 )
-from flashcache.polish.octahedron import octahedral_directions
-from flashcache.polish.write import write_environments
 from support import lit_sphere
 from support.sphere_model import RADIUS, sphere_model
 
@@ -148,7 +148,9 @@ def test_a_card_that_cannot_be_used_changes_nothing_and_becomes_a_finding(model)
 
 def test_a_polish_with_a_card_ends_at_its_reflectance(monkeypatch):
     """On a ball whose upper half is the card."""
-    monkeypatch.setattr(whole, "ROUNDS", 0)
+    monkeypatch.setattr(whole, "ROUNDS", 1)
+    # The ball's stage two is random numbers: nothing of it should stay beside the elements.
+    monkeypatch.setattr(write, "MOST_REST", 0.0)
     monkeypatch.setattr(lit_sphere, "RADIUS", 0.8 * RADIUS)
     scene = lit_sphere.lit_sphere(num_views=14, side=40)
     pixels = TrainingPixels(scene, PixelChoice(clipped="at_least"), torch.device("cpu"))
@@ -165,7 +167,7 @@ def test_a_polish_with_a_card_ends_at_its_reflectance(monkeypatch):
     factor = torch.tensor([reports[1].values[f"card_{name}"] for name in ("red", "green", "blue")])
     points = card_points(before, rays.select(middle))
     without, found = (each.materials(points).albedo.median(dim=0).values for each in models)
-    assert float((without - 0.15).abs().max()) > 0.2
+    assert float((without - 0.15).abs().max()) > 0.1
     torch.testing.assert_close(found, torch.full((3,), 0.15), rtol=0.0, atol=0.03)
     skies = [each.environment.image(8) for each in models]
     ratio = (skies[1] / skies[0]).mean(dim=(0, 1))
@@ -179,6 +181,6 @@ def test_all_learned_environments_take_the_cards_level(model):
     index = torch.zeros(len(directions), dtype=torch.long)
     before = torch.stack([darker.environment(directions, index + light) for light in range(2)])
     factor = torch.tensor([0.5, 1.0, 2.0])
-    write_environments(darker, scale_to_card(torch.rand(4, 3), before, factor).sky)
+    darker.environment.set_texture(scale_to_card(torch.rand(4, 3), before, factor).sky)
     after = torch.stack([darker.environment(directions, index + light) for light in range(2)])
     torch.testing.assert_close((after / before).mean(dim=1), (1.0 / factor).expand(2, 3), rtol=0.05, atol=0.0)

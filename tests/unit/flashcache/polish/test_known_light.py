@@ -1,14 +1,18 @@
 """A wrong light is told from a right one by the noise of the photographs, whatever that is."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
+from flashcache.fields.materials import Materials
+from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.polish.incoming import SIDE
-from flashcache.polish.known_light import CODE, judge_known_light
+from flashcache.polish.known_light import CODE, judge_by_elements, judge_known_light
 from flashcache.polish.light import Prediction, Reflectance
-from flashcache.polish.octahedron import octahedral_directions
-from flashcache.polish.polish import FINER
+from flashcache.polish.materials import choose
+from flashcache.polish.neighbours import Neighbours
+from flashcache.polish.polish import FINER, _refitted
 from support.polish_sphere import open_tables, radiance, sphere_elements
 
 PLACES, EACH = 400, 4
@@ -145,3 +149,49 @@ def test_a_sphere_contradicts_a_sky_that_is_turned_and_not_its_own(alpha):
     assert not judge_known_light(observed, own, own, place).contradicted
     assert judge_known_light(observed, by_90, own, place).contradicted
     assert not judge_known_light(observed, by_2, own, place).contradicted
+
+
+@pytest.fixture(scope="module")
+def glossy():
+    elements = sphere_elements((0.9, 0.6, 0.3), 0.2, 1.0, count=1200, views=10)
+    noise = 0.01 * torch.randn(elements.colour.shape, generator=torch.Generator().manual_seed(0))
+    return replace(elements, colour=(elements.colour + noise).clamp_min(0.0))
+
+
+def by_elements(elements, degrees: float, level: float = 1.0, known: tuple[int, ...] = (0,)):
+    """Return the verdict on a turned sky, as the polish asks for it; trained albedo is off by `level`."""
+    count, sky = len(elements), torch.from_numpy(turned(degrees)).contiguous()
+    trained = Materials(
+        level * torch.tensor([[0.9, 0.6, 0.3]]).expand(count, 3),
+        torch.full((count, 1), 0.28),
+        torch.full((count, 1), 0.1),
+    )
+    tables, graph = open_tables(count), Neighbours.of(elements)
+    found = choose(elements, tables, sky, [elements.normal], trained, graph).reflectance
+    return judge_by_elements(
+        elements,
+        tables,
+        sky,
+        found,
+        graph,
+        known=known,
+        refit=lambda prediction: _refitted(prediction, sky)[0],
+    )
+
+
+@pytest.mark.slow
+def test_fitted_materials_do_not_take_in_that_the_map_is_turned(glossy):
+    assert by_elements(glossy, 90.0).findings[0][0] == CODE
+    assert not by_elements(glossy, 0.0).contradicted
+
+
+@pytest.mark.slow
+def test_an_error_of_all_albedo_is_not_one_of_the_light():
+    dull = sphere_elements((0.5, 0.4, 0.3), 0.5, 0.0, count=1200, views=10)
+    assert not by_elements(dull, 0.0, level=0.6).contradicted
+
+
+@pytest.mark.slow
+def test_only_photographs_in_a_known_light_speak_about_it(glossy):
+    verdict = by_elements(replace(glossy, light=torch.zeros_like(glossy.light)), 90.0, known=(1,))
+    assert (verdict.contradicted, verdict.error) == (False, 1.0)

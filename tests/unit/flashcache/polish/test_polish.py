@@ -8,12 +8,17 @@ import pytest
 import torch
 from flashcache.data.ray_batches import PixelChoice, TrainingPixels
 from flashcache.evaluation.surface_points import project
+from flashcache.geometry.octahedron import octahedral_directions
+from flashcache.physical.model import InverseModel
 from flashcache.polish import polish as whole
 from flashcache.polish import write
 from flashcache.polish.elements import MOST_OBSERVATIONS, find_elements
+from flashcache.polish.gate import blended, gate
 from flashcache.polish.incoming import BELOW, SIDE, incoming_tables
+from flashcache.polish.known_light import KnownLightVerdict
+from flashcache.polish.light import Reflectance
+from flashcache.polish.neighbours import Neighbours
 from flashcache.polish.normals import plane_normals
-from flashcache.polish.octahedron import octahedral_directions
 from flashcache.polish.polish import LEAST_ELEMENTS, NUM_PARTS, polish
 from support import lit_sphere
 from support.sphere_model import RADIUS, sphere_model
@@ -71,6 +76,29 @@ def test_an_observation_looks_at_its_camera(scene, elements):
     assert abs(float(where.column[0]) % 1.0 - 0.5) < 0.05
 
 
+def test_places_of_a_pixel_lie_on_its_ray_and_around_what_it_shows(elements):
+    away = elements.places - elements.points[:, None]
+    across = away - (away * elements.omega_o[:, None]).sum(dim=-1, keepdim=True) * elements.omega_o[:, None]
+    assert float(across.norm(dim=-1).max()) < 1e-4
+    depth = (away * elements.omega_o[:, None]).sum(dim=-1)
+    # From near to far, in equal parts of the weight.
+    assert bool((depth.diff(dim=1) <= 1e-6).all())
+    assert float(depth.mean(dim=1).abs().mean()) < elements.size
+
+
+def test_every_fifth_photograph_is_kept_from_the_fit(elements):
+    seen, checks = elements.split()
+    assert int(seen.counts.min()) >= 2
+    assert bool((checks.photograph % 5 == 4).all())
+    assert len(seen.colour) + len(checks.colour) == len(elements.colour)
+    assert not set(seen.pixel.tolist()) & set(checks.pixel.tolist())
+    torch.testing.assert_close(seen.positions, elements.positions)
+    # Rows stay with their elements.
+    rows = {int(pixel): int(element) for pixel, element in zip(elements.pixel, elements.element, strict=True)}
+    for part in (seen, checks):
+        assert [rows[int(pixel)] for pixel in part.pixel] == part.element.tolist()
+
+
 def test_a_plane_through_neighbours_faces_outwards_and_is_the_spheres(elements):
     normal = plane_normals(elements)
     outwards = torch.nn.functional.normalize(elements.positions, dim=-1)
@@ -93,34 +121,119 @@ def test_tables_hold_the_fast_caches_answers_above_the_horizon(model, elements):
     assert float(tables.clear[~asked].abs().max()) == 0.0
 
 
-def test_a_polish_changes_materials_normals_and_light_and_leaves_shape_and_caches(scene, model):
+def test_a_polish_changes_materials_normals_and_light_and_leaves_shape_and_caches(
+    scene, model, elements, monkeypatch
+):
+    # A light that takes on the colours would explain them as well.
+    monkeypatch.setattr(whole, "LIGHT_STEPS", 0)
     polished = copy.deepcopy(model)
+    polished.environment.set_texture(torch.ones(1, 16, 3))
     parts: list[int] = []
     report = polish(polished, pixels_of(scene), seed=0, advance=parts.append)
     assert report.kept == ""
     assert parts == list(range(1, NUM_PARTS + 1))
     assert report.values["elements"] >= LEAST_ELEMENTS
+    begun = model.state_dict()
+    assert set(polished.state_dict()) - set(begun) == {"environment.texture"}
     moved = {
         name.split(".")[0] + "." + name.split(".")[1]
-        for (name, after), before in zip(
-            polished.state_dict().items(), model.state_dict().values(), strict=True
-        )
-        if not torch.equal(after, before)
+        for name, after in polished.state_dict().items()
+        if name not in begun or not torch.equal(after, begun[name])
     }
     assert all(name.startswith(("materials.", "environment.", "nerf.normals")) for name in moved)
     assert any(name.startswith("materials.") for name in moved)
     with torch.no_grad():
-        top, bottom = (
-            polished.materials(torch.tensor([[0.0, 0.0, height * float(RADIUS) * 0.8]])).albedo[0]
-            for height in (0.9, -0.9)
-        )
+        albedo = polished.materials(elements.points).albedo
+    top, bottom = (
+        albedo[side].mean(dim=0) for side in (elements.points[:, 2] > 0.1, elements.points[:, 2] < -0.1)
+    )
     # The photographs' colours, up to the brightness of the light.
     assert top[0] - top[2] > bottom[0] - bottom[2] + 0.1
 
 
+def test_what_unseen_photographs_contradict_is_given_up_and_the_rest_stays(scene, model, elements):
+    """A fit that is black below the equator, where photographs are blue, and right above it."""
+    pixels = pixels_of(scene)
+    _, checks = elements.split()
+    with torch.no_grad():
+        right = Reflectance(
+            torch.where(
+                elements.positions[:, 2:] > 0.0, torch.tensor(lit_sphere.TOP), torch.tensor(lit_sphere.BOTTOM)
+            ),
+            torch.full((len(elements),), 0.3),
+            torch.zeros(len(elements)),
+            elements.normal,
+        )
+        below = elements.positions[:, 2] < -0.05
+        wrong = replace(right, albedo=torch.where(below[:, None], torch.tensor(0.01), right.albedo))
+        even = torch.ones(1, (2 * SIDE) ** 2, 3)
+        before, fitted = (
+            whole._written(model, elements, each, even, torch.Generator().manual_seed(0))
+            for each in (right, wrong)
+        )
+        neighbours = Neighbours.of(elements)
+        found = gate(before, fitted, pixels, checks, neighbours, seed=0)
+        assert found.fitted > 1.1 * found.before
+        assert float(found.share[below].mean()) < 0.2
+        # Pooling reaches far on so small a ball.
+        assert float(found.share[elements.positions[:, 2] > 0.2].mean()) > 0.6
+        assert float(gate(before, before, pixels, checks, neighbours, seed=0).share.min()) == 1.0
+
+
+def test_a_mean_of_two_reflectances_has_each_at_its_end():
+    one = Reflectance(torch.full((2, 3), 0.2), torch.full((2,), 0.1), torch.zeros(2), torch.eye(3)[:2])
+    other = Reflectance(torch.full((2, 3), 0.8), torch.full((2,), 0.4), torch.ones(2), torch.eye(3)[1:])
+    for share, expected in ((0.0, one), (1.0, other)):
+        found = blended(one, other, torch.full((2,), share))
+        for name in ("albedo", "alpha", "metalness", "normal"):
+            torch.testing.assert_close(getattr(found, name), getattr(expected, name))
+    half = blended(one, other, torch.full((2,), 0.5))
+    torch.testing.assert_close(half.albedo, torch.full((2, 3), 0.4))
+    torch.testing.assert_close(half.alpha, torch.full((2,), 0.2))
+
+
+def with_photographs(scene, change) -> object:
+    """Return the scene with every training photograph, and which of its channels are clipped, changed."""
+    views = []
+    for view in scene.train:
+        changed = {light: change(picture) for light, picture in view.images.items()}
+        views.append(
+            replace(
+                view,
+                images={light: picture for light, (picture, _) in changed.items()},
+                clipped={light: flags for light, (_, flags) in changed.items()},
+            )
+        )
+    return replace(scene, train=tuple(views))
+
+
+def all_clipped(picture):
+    white = picture.copy()
+    white[..., :3] = 1.0
+    return white, np.ones((*picture.shape[:2], 3), bool)
+
+
+def black(picture):
+    dark = picture.copy()
+    dark[..., :3] = 0.0
+    return dark, np.zeros((*picture.shape[:2], 3), bool)
+
+
+@pytest.mark.parametrize("change", [all_clipped, black])
+def test_photographs_that_say_nothing_leave_no_value_that_is_not_finite(scene, model, change, monkeypatch):
+    for name in ("MATERIAL_STEPS", "NORMAL_STEPS"):
+        monkeypatch.setattr(write, name, 10)
+    polished = copy.deepcopy(model)
+    report = polish(polished, pixels_of(with_photographs(scene, change)), seed=0)
+    for name, value in polished.state_dict().items():
+        assert not value.is_floating_point() or bool(torch.isfinite(value).all()), name
+    if change is all_clipped:
+        assert "clipped" in report.kept
+
+
 def test_the_same_seed_gives_the_same_model(scene, model, monkeypatch):
-    monkeypatch.setattr(whole, "ROUNDS", 0)
-    for name in ("MATERIAL_STEPS", "NORMAL_STEPS", "LIGHT_STEPS"):
+    monkeypatch.setattr(whole, "ROUNDS", 1)
+    for name in ("MATERIAL_STEPS", "NORMAL_STEPS"):
         monkeypatch.setattr(write, name, 10)
     first, second = copy.deepcopy(model), copy.deepcopy(model)
     for each in (first, second):
@@ -156,4 +269,41 @@ def test_a_polish_that_is_stopped_leaves_the_model_as_it_was(scene, model):
     with pytest.raises(EnoughError):
         polish(stopped, pixels_of(scene), seed=0, advance=advance)
     for after, before in zip(stopped.state_dict().values(), model.state_dict().values(), strict=True):
+        assert torch.equal(after, before)
+
+
+def test_a_polish_says_how_sure_it_is_of_every_element(scene, model, monkeypatch):
+    for name in ("MATERIAL_STEPS", "NORMAL_STEPS"):
+        monkeypatch.setattr(write, name, 10)
+    monkeypatch.setattr(whole, "LEAST_SHARE", 0.0)
+    report = polish(copy.deepcopy(model), pixels_of(scene), seed=0)
+    assert report.confidence is not None
+    assert len(report.confidence.positions) == report.values["elements"]
+    assert float(report.confidence.log_albedo.median()) < 0.5
+    assert float(report.confidence.log_albedo.min()) > 0.0
+
+
+def test_where_photographs_contradict_a_known_light_stage_two_is_kept_and_the_user_is_told(
+    scene, model, monkeypatch
+):
+    known = InverseModel(model.config, replace(model.domain, known_lights=model.domain.lights)).eval()
+    known.load_state_dict(model.state_dict(), strict=False)
+    rows = model.config.environment.known_height
+    known.environment.set_known(0, torch.ones(rows, 2 * rows, 3))
+    known.requires_grad_(False)
+    verdict = KnownLightVerdict(contradicted=True, error=3.0, excess=8.0, sureness=9.0)
+    asked = []
+
+    def judged(elements, tables, sky, *given, known, refit):
+        asked.append((float(sky.min()), float(sky.max()), tuple(known)))
+        return verdict
+
+    monkeypatch.setattr(whole, "judge_by_elements", judged)
+    kept = copy.deepcopy(known)
+    report = polish(kept, pixels_of(scene), seed=0)
+    assert asked == [(1.0, 1.0, (0,))]
+    assert "contradict the known light" in report.kept
+    assert report.findings == verdict.findings
+    assert report.confidence is None
+    for after, before in zip(kept.state_dict().values(), known.state_dict().values(), strict=True):
         assert torch.equal(after, before)

@@ -9,6 +9,8 @@ from flashcache.evaluation.ambiguity import Priors
 from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.evaluation.radiance_derivatives import Noise
 from flashcache.evaluation.surface_points import SurfacePoints
+from flashcache.polish.confidence import FILE, Confidence
+from flashcache.presets import tiny
 from lambent_relight.bundle.uncertainty import CHANNELS
 from lambent_worker.report.uncertainty import (
     MeasuredPoints,
@@ -17,9 +19,12 @@ from lambent_worker.report.uncertainty import (
     measure_uncertainty,
     residual,
     uncertainty_map,
+    with_confidence,
 )
-from lambent_worker.run.folder import finish_task
-from lambent_worker.run.uncertainty import keep_uncertainty, kept_uncertainty
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import finish_task, task_folder
+from lambent_worker.run.spec import RunSpec
+from lambent_worker.run.uncertainty import keep_uncertainty, kept_uncertainty, polished_confidence
 from support.lit_sphere import camera, lit_sphere
 from support.sphere_model import RADIUS, sphere_model
 
@@ -169,3 +174,61 @@ def test_a_run_keeps_what_was_measured_until_it_is_trained_again(tmp_path, grid)
     np.testing.assert_array_equal(found.values, grid.values)
     finish_task(tmp_path, "joint", "two")
     assert kept_uncertainty(tmp_path) is None
+
+
+def polished(places: list[list[float]]) -> Confidence:
+    count = len(places)
+    return Confidence(
+        torch.tensor(places),
+        0.1,
+        torch.tensor([[0.1, 0.2, 0.2]]).repeat(count, 1),
+        torch.full((count,), 0.05),
+        torch.full((count,), 0.02),
+    )
+
+
+def test_elements_of_a_polish_take_the_place_of_points_near_them():
+    places = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]], np.float32)
+    points = MeasuredPoints(
+        places, np.array([[0.5, 0.4, 0.3, 0.3, 7.0], [1.0, 0.0, 0.3, 0.3, 0.0]], np.float32)
+    )
+    found = with_confidence(points, polished([[0.0, 0.0, 0.01]]))
+    np.testing.assert_allclose(found.positions, [[0.0, 0.0, 0.01], [5.0, 0.0, 0.0]])
+    # Root mean square of the channels, and what the unknown light adds.
+    np.testing.assert_allclose(
+        found.values, [[np.sqrt(0.03 + 0.16), 0.4, 0.02, 0.05, 7.0], points.values[1]], rtol=1e-3
+    )
+
+
+def test_the_map_of_a_polished_model_has_the_same_channels_and_what_it_says(model, grid):
+    direction = torch.nn.functional.normalize(
+        torch.randn(400, 3, generator=torch.Generator().manual_seed(0)), dim=-1
+    )
+    whole = polished((RADIUS * direction).tolist())
+    found = measure_uncertainty(model, ABOVE, seed=0, rule=RULE, num_points=120, confidence=whole)
+    assert found.channels == grid.channels
+    assert np.isfinite(found.values).all()
+    above = RADIUS * direction[direction[:, 2] > 0.5].numpy()
+    np.testing.assert_allclose(found.channel("perceptual_roughness", above), 0.05, rtol=0.05)
+    assert (found.channel("albedo", above) >= found.channel("albedo_from_light", above)).all()
+
+
+def test_confidence_is_used_where_a_finished_polish_has_left_it(tmp_path):
+    on = TaskContext(
+        spec=RunSpec(scene=tmp_path, config=replace(tiny(), polish="on")),
+        run_dir=tmp_path / "run",
+        device="cpu",
+        reporter=None,
+        task="evaluate",
+    )
+    folder = task_folder(on.run_dir, "polish")
+    folder.mkdir(parents=True)
+    (on.run_dir / "steps").mkdir()
+    polished([[0.0, 0.0, 0.0]]).save(folder / FILE)
+    assert polished_confidence(on) is None
+    finish_task(on.run_dir, "polish", "inputs")
+    assert polished_confidence(on).size == 0.1
+    off = replace(on, spec=replace(on.spec, config=tiny()))
+    assert polished_confidence(off) is None
+    (folder / FILE).unlink()
+    assert polished_confidence(on) is None

@@ -50,8 +50,8 @@ def finished_run(tmp_path):
     """Return a run folder whose tasks pretend to be done."""
     spec = kept_run(tmp_path)
     folder = tmp_path / "run"
-    begin_task(folder, "joint", "trained")
-    finish_task(folder, "joint", "trained")
+    begin_task(folder, "polish", "trained")
+    finish_task(folder, "polish", "trained")
     inputs = task_inputs("export", "trained", spec.config, spec.seed)
     begin_task(folder, "export", inputs)
     write_json(task_folder(folder, "export") / "manifest.json", {})

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from flashcache.polish.confidence import FILE as CONFIDENCE
 from flashcache.polish.polish import NUM_PARTS, polish
 from flashcache.training.checkpoint import CheckpointState, checkpoint_folder, save_checkpoint
 
@@ -18,6 +19,7 @@ STEP = 1
 def run(context: TaskContext) -> None:
     """Write the polished model to `polish/step_*`; that of stage two, with the reason, where it is kept.
 
+    How sure the fit is lies beside it, for the uncertainty of materials in reports and bundles.
     With a grey card, albedo and light are brought to what it reflects; where that cannot be done the user is
     told. On the processor whatever the run's device is: the compiled fit is there, and a GPU would wait.
     """
@@ -49,6 +51,10 @@ def run(context: TaskContext) -> None:
         context.reporter.log(
             "polish.done", **{name: round(value, 5) for name, value in report.values.items()}
         )
+    path = context.folder / CONFIDENCE
+    path.unlink(missing_ok=True)
+    if report.confidence is not None:
+        report.confidence.save(path)
     state = CheckpointState(
         stage=context.task,
         step=STEP,

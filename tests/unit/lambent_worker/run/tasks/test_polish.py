@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from flashcache.polish.confidence import FILE, Confidence
 from flashcache.polish.polish import PolishReport
 from flashcache.presets import tiny
 from flashcache.training.checkpoint import CheckpointState, checkpoint_folder, save_checkpoint
@@ -115,3 +116,15 @@ def test_evaluation_and_export_depend_on_the_polish_where_it_is_on(tmp_path):
     assert "polish" in on
     assert {name for name in off if off[name] == on[name]} == {"ingest", "masks", "cache", "joint"}
     assert (last_training_task(tiny()), last_training_task(ON)) == ("joint", "polish")
+
+
+def test_confidence_lies_beside_the_checkpoint_and_not_where_stage_two_is_kept(tmp_path, monkeypatch):
+    context = trained(tmp_path, monkeypatch)
+    values = torch.full((2,), 0.1)
+    sure = Confidence(torch.zeros(2, 3), 0.1, values[:, None].repeat(1, 3), values, values)
+    monkeypatch.setattr(polish, "polish", lambda *given, **named: PolishReport("", {}, confidence=sure))
+    polish.run(context)
+    assert torch.equal(Confidence.load(context.folder / FILE).metalness, values)
+    monkeypatch.setattr(polish, "polish", lambda *given, **named: PolishReport("few pieces"))
+    polish.run(context)
+    assert not (context.folder / FILE).exists()

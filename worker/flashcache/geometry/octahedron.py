@@ -5,7 +5,7 @@ Row and column run along y and x; +z is the middle of the square, -z its corners
 """
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from flashcache.geometry.directions import normalize
@@ -34,6 +34,30 @@ def octahedral_solid_angles(side: int) -> Float[Tensor, " cells"]:
     parts = length.pow(-3) * (2.0 / fine) ** 2
     cells = parts.reshape(side, SUBDIVISIONS, side, SUBDIVISIONS).sum(dim=(1, 3))
     return cells.reshape(-1).float()
+
+
+def look_up_octahedral(
+    pictures: Float[Tensor, "pictures cells 3"],
+    directions: Float[Tensor, "rays 3"],
+    which: Int[Tensor, " rays"],
+) -> Float[Tensor, "rays 3"]:
+    """Return the values of `pictures[which]` in unit `directions`, bilinear between the cells' centres.
+
+    The square's border is not crossed: outside of its outermost centres they count alone.
+    """
+    side = round(pictures.shape[1] ** 0.5)
+    x, y, z = (directions / directions.abs().sum(dim=-1, keepdim=True)).unbind(dim=-1)
+    sign_x, sign_y = (torch.where(part >= 0.0, 1.0, -1.0).to(part) for part in (x, y))
+    below = z < 0.0
+    u = torch.where(below, (1.0 - y.abs()) * sign_x, x)
+    v = torch.where(below, (1.0 - x.abs()) * sign_y, y)
+    column, row = (((part + 1.0) * 0.5 * side - 0.5).clamp(0.0, side - 1.0) for part in (u, v))
+    left, top = (part.long().clamp_max(side - 2) for part in (column, row))
+    across, down = ((part - whole)[:, None] for part, whole in ((column, left), (row, top)))
+    first = top * side + left
+    values = [pictures[which, first + step] for step in (0, 1, side, side + 1)]
+    upper, lower = (values[k] + across * (values[k + 1] - values[k]) for k in (0, 2))
+    return upper + down * (lower - upper)
 
 
 def _direction(x: Tensor, y: Tensor) -> Tensor:
