@@ -33,9 +33,13 @@ def preset_model(variant: str) -> InverseModel:
             nerf=replace(config.nerf, density=density, normals=NormalConfig(own_grid=None)),
             fast=replace(config.fast, distance_layers=4, code_layers=2),
         )
-    if variant == "gloss grid":
-        own = replace(config.materials.grid, finest_resolution=24, num_levels=2)
-        config = replace(config, materials=replace(config.materials, gloss_grid=own))
+    # One variant has a grid for gloss, as presets do; the others are as bundles of before were.
+    own = (
+        replace(config.materials.grid, finest_resolution=24, num_levels=2)
+        if variant == "gloss grid"
+        else None
+    )
+    config = replace(config, materials=replace(config.materials, gloss_grid=own))
     if variant == "occupancy":
         config = replace(config, occupancy=OccupancyConfig(cells=20))
     model = InverseModel(config, DOMAIN)
