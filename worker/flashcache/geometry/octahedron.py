@@ -26,9 +26,7 @@ def octahedral_solid_angles(side: int) -> Float[Tensor, " cells"]:
     fine = side * SUBDIVISIONS
     at = 2.0 * (torch.arange(fine, dtype=torch.float64) + 0.5) / fine - 1.0
     y, x = torch.meshgrid(at, at, indexing="ij")
-    z = 1.0 - x.abs() - y.abs()
-    folded_x = torch.where(z < 0.0, (1.0 - y.abs()) * x.sign(), x)
-    folded_y = torch.where(z < 0.0, (1.0 - x.abs()) * y.sign(), y)
+    folded_x, folded_y, z = _folded(x, y)
     # A face's solid angle over its area in the square: 1 / |p|^3 for the point p of the octahedron.
     length = (folded_x.square() + folded_y.square() + z.square()).sqrt()
     parts = length.pow(-3) * (2.0 / fine) ** 2
@@ -47,10 +45,8 @@ def look_up_octahedral(
     """
     side = round(pictures.shape[1] ** 0.5)
     x, y, z = (directions / directions.abs().sum(dim=-1, keepdim=True)).unbind(dim=-1)
-    sign_x, sign_y = (torch.where(part >= 0.0, 1.0, -1.0).to(part) for part in (x, y))
-    below = z < 0.0
-    u = torch.where(below, (1.0 - y.abs()) * sign_x, x)
-    v = torch.where(below, (1.0 - x.abs()) * sign_y, y)
+    # Folding is its own inverse.
+    u, v, _ = _folded(x, y, below=z < 0.0)
     column, row = (((part + 1.0) * 0.5 * side - 0.5).clamp(0.0, side - 1.0) for part in (u, v))
     left, top = (part.long().clamp_max(side - 2) for part in (column, row))
     across, down = ((part - whole)[:, None] for part, whole in ((column, left), (row, top)))
@@ -61,7 +57,17 @@ def look_up_octahedral(
 
 
 def _direction(x: Tensor, y: Tensor) -> Tensor:
+    return normalize(torch.stack(_folded(x, y), dim=-1))
+
+
+def _folded(x: Tensor, y: Tensor, below: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the place with what is `below` the equator folded over the square's diagonals, and its height.
+
+    By default, what lies outside of the diamond |x| + |y| = 1.
+    """
     z = 1.0 - x.abs() - y.abs()
-    folded_x = torch.where(z < 0.0, (1.0 - y.abs()) * x.sign(), x)
-    folded_y = torch.where(z < 0.0, (1.0 - x.abs()) * y.sign(), y)
-    return normalize(torch.stack([folded_x, folded_y, z], dim=-1))
+    below = z < 0.0 if below is None else below
+    sign_x, sign_y = (torch.where(part >= 0.0, 1.0, -1.0).to(part) for part in (x, y))
+    folded_x = torch.where(below, (1.0 - y.abs()) * sign_x, x)
+    folded_y = torch.where(below, (1.0 - x.abs()) * sign_y, y)
+    return folded_x, folded_y, z

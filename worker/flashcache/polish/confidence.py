@@ -24,14 +24,12 @@ from torch import Tensor
 from flashcache.errors import TrainingError
 from flashcache.evaluation.ambiguity import Priors
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
-from flashcache.kernels.ranges import over_rows
 from flashcache.physical.brdf import DIELECTRIC_F0
-from flashcache.polish import compiled_fit
 from flashcache.polish.elements import Elements
-from flashcache.polish.fit import BLOCK, NOISE_FLOOR, OUTLIER, half_vectors
+from flashcache.polish.fit import NOISE_FLOOR, OUTLIER
 from flashcache.polish.incoming import IncomingTables
 from flashcache.polish.known_light import STEP
-from flashcache.polish.light import Reflectance
+from flashcache.polish.light import Reflectance, specular_sums
 from flashcache.polish.neighbours import Neighbours
 
 FILE = "confidence.safetensors"
@@ -189,29 +187,12 @@ def _specular(
     elements: Elements, tables: IncomingTables, sky: Tensor, normal: Tensor, alpha: Tensor
 ) -> tuple[Float[Tensor, "observations 3"], Float[Tensor, "observations 3"]]:
     """Return the specular integral of each observation: what F0 multiplies, and the rest."""
-    element, picture = elements.element.numpy(), sky.numpy()
-    omega_o, light = elements.omega_o.numpy(), elements.light.numpy()
-    per_element = tuple(
-        np.ascontiguousarray(part.numpy()) for part in (normal, alpha, half_vectors(DIRECTIONS))
-    )
-    side = round(sky.shape[1] ** 0.5)
-    rest = (DIRECTIONS, tables.clear.numpy(), tables.near.numpy(), side)
-    found = torch.zeros(2, len(element), 3, dtype=torch.float64)
-    for begin in range(0, len(element), CHUNK):
+    picture, light = sky.numpy(), elements.light.numpy()
+    side, count = round(sky.shape[1] ** 0.5), len(elements.colour)
+    found = torch.zeros(2, count, 3, dtype=torch.float64)
+    for begin in range(0, count, CHUNK):
         some = slice(begin, begin + CHUNK)
-        count = len(element[some])
-        cells = np.zeros((count, 4 * DIRECTIONS), np.int32)
-        weights = np.zeros((count, 4 * DIRECTIONS, 2), np.float32)
-        constant = np.zeros((count, 2, 3), np.float32)
-        given = (element[some], elements.first.numpy() - begin, omega_o[some], light[some])
-        arrays = tuple(np.ascontiguousarray(part) for part in given)
-        over_rows(
-            lambda first, end, arrays=arrays, made=(cells, weights, constant): compiled_fit.reflections(
-                first, end, *arrays, *per_element, *rest, *made
-            ),
-            count,
-            BLOCK,
-        )
+        cells, weights, constant = specular_sums(elements, tables, normal, alpha, side, DIRECTIONS, some)
         arriving = picture[light[some][:, None], cells]
         summed = np.einsum("nkp,nkc->pnc", weights, arriving) + constant.transpose(1, 0, 2)
         found[:, some] = torch.from_numpy(summed).double()

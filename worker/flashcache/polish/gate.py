@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from flashcache.color import srgb_from_linear
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.evaluation.lighting import lit_radiance
 from flashcache.evaluation.monte_carlo import RenderRule
@@ -19,6 +20,7 @@ from flashcache.polish.neighbours import Neighbours
 from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
 
+STAGE = "polish"
 WORSE = 10.0**0.01
 """Factor by which the error of unseen photographs may grow in all: a tenth of a decibel."""
 MOST_PIXELS = 8000
@@ -31,7 +33,6 @@ BLEND = 2
 """Steps over which the choice is smoothed, so that no border shows."""
 LEAST_SHARE = 0.25
 """Share of the elements from which on a polish is worth having."""
-GAMMA = 1.0 / 2.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,20 +50,21 @@ class Gate:
 def picture_errors(
     model: InverseModel, pixels: TrainingPixels, index: Int[Tensor, " some"], seed: int
 ) -> Float[Tensor, " some"]:
-    """Return the squared error of rendered pixels as pictures show it: encoded and at most white.
+    """Return the squared error of rendered pixels as pictures show it: sRGB-encoded and at most white.
 
-    From the fast cache alone, with the same random numbers for every model, so that models can be compared.
+    The mean of the channels; from the fast cache alone, and with the same random numbers for every model, so
+    that models can be compared.
     """
     rule = RenderRule(control_variate="fast_only")
     found = torch.zeros(len(index))
 
     def shown(radiance: Tensor) -> Tensor:
-        return radiance.clamp(0.0, 1.0).pow(GAMMA)
+        return srgb_from_linear(radiance.clamp(0.0, 1.0))
 
     def fill(part: tuple[int, Tensor]) -> None:
         number, some = part
         batch = pixels.at(index[some])
-        generator = generator_for(seed, "polish", number, "gate", batch.colour.device)
+        generator = generator_for(seed, STAGE, number, "gate", batch.colour.device)
         geometry = model.nerf.trace(batch.rays, generator=None)
         parts = (torch.arange(POINTS) + 0.5) / POINTS
         drawn = draw_points(geometry.weights, parts.expand(len(some), POINTS)).index[..., None]
@@ -95,7 +97,7 @@ def gate(
     wrong normal has no advantage there. Where their pixels get worse in all by more than `WORSE`, elements
     fall back to stage two, the worst neighbourhoods first, until the rest is within that.
     """
-    generator = generator_for(seed, "polish", 0, "checks", pixels.device)
+    generator = generator_for(seed, STAGE, 0, "checks", pixels.device)
     some = torch.randperm(len(checks.pixel), generator=generator)[:MOST_PIXELS].sort().values
     errors = [picture_errors(model, pixels, checks.pixel[some], seed) for model in (before, fitted)]
     element, excess = checks.element[some], errors[1] - errors[0]

@@ -31,6 +31,35 @@ class Reflectance:
     normal: Float[Tensor, "elements 3"]
 
 
+def specular_sums(
+    elements: Elements,
+    tables: IncomingTables,
+    normal: Float[Tensor, "elements 3"],
+    alpha: Float[Tensor, " elements"],
+    fine: int,
+    directions: int,
+    some: slice = slice(None),
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the specular integrals of `some` observations as sums over the sky's cells.
+
+    Places in a square of `fine` cells per side [observations, 4 directions], weights there [observations,
+    4 directions, 2] of what F0 multiplies and of the rest, and what near surfaces add [observations, 2, 3].
+    """
+    element = elements.element[some]
+    count = len(element)
+    cells = np.zeros((count, 4 * directions), np.int32)
+    weights = np.zeros((count, 4 * directions, 2), np.float32)
+    constant = np.zeros((count, 2, 3), np.float32)
+    given = (
+        element, elements.first - (some.start or 0), elements.omega_o[some], elements.light[some], normal,
+        alpha, half_vectors(directions),
+    )  # fmt: skip
+    arrays = tuple(np.ascontiguousarray(part.numpy()) for part in given)
+    rest = (directions, tables.clear.numpy(), tables.near.numpy(), fine, cells, weights, constant)
+    over_rows(lambda begin, end: compiled_fit.reflections(begin, end, *arrays, *rest), count, BLOCK)
+    return cells, weights, constant
+
+
 class Prediction:
     """What elements send to their cameras, as a linear function of the environments' cells."""
 
@@ -39,20 +68,9 @@ class Prediction:
     ) -> None:
         """`fine` is the number of cells along each side of an environment's square."""
         observations = len(elements.colour)
-        cells = np.zeros((observations, 4 * DIRECTIONS), np.int32)
-        weights = np.zeros((observations, 4 * DIRECTIONS, 2), np.float32)
-        constant = np.zeros((observations, 2, 3), np.float32)
         self.element, self.light, self.elements = elements.element, elements.light, elements
-        arrays = tuple(
-            np.ascontiguousarray(part.numpy())
-            for part in (
-                self.element, elements.first, elements.omega_o, elements.light, reflectance.normal,
-                reflectance.alpha, half_vectors(DIRECTIONS),
-            )
-        )  # fmt: skip
-        rest = (DIRECTIONS, tables.clear.numpy(), tables.near.numpy(), fine, cells, weights, constant)
-        over_rows(
-            lambda begin, end: compiled_fit.reflections(begin, end, *arrays, *rest), observations, BLOCK
+        cells, weights, constant = specular_sums(
+            elements, tables, reflectance.normal, reflectance.alpha, fine, DIRECTIONS
         )
         starts = np.arange(0, cells.size + 1, 4 * DIRECTIONS)
         shape = (observations, fine * fine)

@@ -1,9 +1,7 @@
 """The choice of every element's material from pooled costs, drawn to stage two's where evidence is weak."""
 
-from dataclasses import dataclass
-
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from flashcache.fields.materials import Materials
@@ -41,17 +39,6 @@ GRAIN, GRAIN_STEPS = 0.07, 4
 GAMMA = 1.0 / 2.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Choice:
-    """Materials of all elements, and how sure they are."""
-
-    reflectance: Reflectance
-    gain: Float[Tensor, " elements"]
-    """By how much the chosen width fits better than stage two's, in the logarithm of cost; pooled."""
-    which: Int[Tensor, " elements"]
-    """Number of the candidate normal that stays; 0 is the predicted one."""
-
-
 def encoded(albedo: Float[Tensor, "elements 3"]) -> Float[Tensor, "elements 3"]:
     """Return albedo as it is compared: equal steps look about equally large."""
     return albedo.clamp(0.005, 1.0).pow(GAMMA)
@@ -72,7 +59,7 @@ def choose(
     normals: list[Float[Tensor, "elements 3"]],
     trained: Materials,
     neighbours: Neighbours,
-) -> Choice:
+) -> Reflectance:
     """Return the best materials under the environments `sky`; `trained` are stage two's at the elements.
 
     `normals` are candidates; the first one is turned, and the predicted one is always among them.
@@ -126,7 +113,7 @@ def choose(
     before = trained.alpha[:, 0].clamp(ALPHAS[0], ALPHAS[-1])
     prior = WIDTH_PRIOR * (widths.log() - before.log()[:, None]).square()
     pooled_still = close.pooled((cost[row, :, which] + COST_FLOOR).log(), amount, 40)
-    alpha, gain = _lowest(pooled_still + prior * (~is_metal)[:, None], before)
+    alpha = _lowest(pooled_still + prior * (~is_metal)[:, None])
     alpha = close.pooled(alpha.log()[:, None], amount, 10)[:, 0].exp()
 
     fitted = albedo_of[row, (pooled_still + prior).argmin(dim=1), 0]
@@ -135,7 +122,7 @@ def choose(
     among_metals = Neighbours(wide.index, wide.weight * is_metal[wide.index])
     f0 = among_metals.pooled(turned.albedo[row, level, 1], amount, 4)
     albedo = torch.where(is_metal[:, None], f0, albedo)
-    return Choice(Reflectance(albedo, alpha, metal, normal), gain, best)
+    return Reflectance(albedo, alpha, metal, normal)
 
 
 def _mean(one: Tensor, other: Tensor) -> Tensor:
@@ -143,10 +130,8 @@ def _mean(one: Tensor, other: Tensor) -> Tensor:
     return torch.lerp(one.clamp_min(0.005).log(), other.clamp_min(0.005).log(), SHARE).exp()
 
 
-def _lowest(
-    cost: Float[Tensor, "elements widths"], before: Float[Tensor, " elements"]
-) -> tuple[Float[Tensor, " elements"], Float[Tensor, " elements"]]:
-    """Return the width of least cost, by a parabola through the three around it, and what it gains."""
+def _lowest(cost: Float[Tensor, "elements widths"]) -> Float[Tensor, " elements"]:
+    """Return the width of least cost, by a parabola through the three around it."""
     logs = torch.tensor(ALPHAS).log()
     row, best = torch.arange(len(cost)), cost.argmin(dim=1)
     middle = best.clamp(1, len(ALPHAS) - 2)
@@ -158,6 +143,4 @@ def _lowest(
     inside = torch.minimum(
         torch.maximum(lowest, logs[(best - 1).clamp_min(0)]), logs[(best + 1).clamp_max(6)]
     )
-    width = torch.where(bend > 1e-9, inside, logs[best]).exp()
-    near = (logs - before.log()[:, None]).abs().argmin(dim=1)
-    return width, cost[row, near] - cost[row, best]
+    return torch.where(bend > 1e-9, inside, logs[best]).exp()

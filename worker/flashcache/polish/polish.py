@@ -14,7 +14,7 @@ from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.physical.model import InverseModel
 from flashcache.polish.confidence import Confidence, confidence_of
 from flashcache.polish.elements import Elements, find_elements
-from flashcache.polish.gate import LEAST_SHARE, blended, gate
+from flashcache.polish.gate import LEAST_SHARE, STAGE, blended, gate
 from flashcache.polish.grey_card import Card, settle_by_card
 from flashcache.polish.incoming import SIDE, incoming_tables
 from flashcache.polish.known_light import judge_by_elements
@@ -25,7 +25,6 @@ from flashcache.polish.normals import plane_normals
 from flashcache.polish.write import write_materials, write_normals
 from flashcache.randomness import generator_for
 
-STAGE = "polish"
 LEAST_ELEMENTS = 200
 MOST_LIGHTS = 4
 MOST_CLIPPED = 0.9
@@ -93,13 +92,12 @@ def polish(
         values = {"elements": float(len(elements)), "observations": float(len(elements.colour))}
         learned = not model.environment.known and not model.environment.rotations
         for number in range(ROUNDS if learned else 1):
-            found = choose(seen, tables, sky, normals, trained, neighbours)
+            reflectance = choose(seen, tables, sky, normals, trained, neighbours)
             if learned:
-                prediction = Prediction(seen, tables, found.reflectance, SIDE * FINER)
+                prediction = Prediction(seen, tables, reflectance, SIDE * FINER)
                 sky, before, after = _refitted(prediction, sky)
                 values |= {f"light_before_{number}": before, f"light_after_{number}": after}
             advance(3 + number)
-    reflectance = found.reflectance
     if not all(bool(torch.isfinite(part).all()) for part in (*_parts(reflectance), sky)):
         return PolishReport("a fitted value is not finite", values)
     if model.environment.known and not model.environment.rotations:

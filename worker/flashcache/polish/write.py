@@ -11,6 +11,7 @@ from flashcache.geometry.directions import dot
 from flashcache.physical.model import InverseModel
 from flashcache.polish.elements import Elements
 from flashcache.polish.light import Reflectance
+from flashcache.polish.materials import GAMMA
 
 BATCH = 8192
 MATERIAL_STEPS, NORMAL_STEPS = 300, 150
@@ -20,7 +21,6 @@ MOST_REST = 0.25
 """Largest share of a batch for what no element covers."""
 ASIDE = 0.3
 """Standard deviation by which places are moved, in sizes of an element."""
-GAMMA = 1.0 / 2.2
 
 
 def write_materials(

@@ -140,7 +140,7 @@ def test_gloss_and_metal_are_found_from_what_a_training_leaves(albedo, alpha, me
     )
     found = choose(
         elements, open_tables(count), sky_picture(), [elements.normal], trained, Neighbours.of(elements)
-    ).reflectance
+    )
     assert float((found.metalness - metalness).abs().mean()) < 0.1
     assert float(found.alpha.log().mean().exp()) == pytest.approx(alpha, rel=0.25)
     assert torch.isfinite(found.albedo).all()

@@ -167,7 +167,7 @@ def by_elements(elements, degrees: float, level: float = 1.0, known: tuple[int, 
         torch.full((count, 1), 0.1),
     )
     tables, graph = open_tables(count), Neighbours.of(elements)
-    found = choose(elements, tables, sky, [elements.normal], trained, graph).reflectance
+    found = choose(elements, tables, sky, [elements.normal], trained, graph)
     return judge_by_elements(
         elements,
         tables,
