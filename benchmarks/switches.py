@@ -53,11 +53,13 @@ def compared(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
     return {name: SWITCHES[name] for name in arguments.only or SWITCHES}
 
 
-def spec_of(overrides: dict[str, str], seed: int, arguments: argparse.Namespace) -> RunSpec:
-    """Return a run with the preset, the settings of all runs, and `overrides`."""
+def spec_of(
+    overrides: dict[str, str], seed: int, arguments: argparse.Namespace, scene: Path | None = None
+) -> RunSpec:
+    """Return a run with the preset, the settings of all runs, and `overrides`; `scene` or the only one."""
     common = dict(item.split("=", 1) for item in arguments.set)
     return RunSpec.from_options(
-        arguments.scene, preset=arguments.preset, overrides=common | overrides, seed=seed
+        scene or arguments.scene, preset=arguments.preset, overrides=common | overrides, seed=seed
     )
 
 

@@ -26,6 +26,8 @@ NUM_SAMPLES = 256
 ANTIALIAS = 2
 """Rays per pixel along each side, for pictures and albedo alike."""
 NUM_SHOWN = 2
+MAPS = (("perceptual_roughness", "roughness", 0.5), ("metalness", "metalness", 0.0))
+"""Maps of a rendering, those of the truth, and the value that is their floor: half rough, no metal."""
 
 Note = Callable[[str], None]
 
@@ -119,14 +121,14 @@ def make_pictures(bundle: Path, sample: Sample, output: Path, note: Note) -> lis
 def format_table(figures: list[Figure]) -> str:
     """Return the figures as a plain table."""
     width = max(len(figure.name) for figure in figures)
-    lines = [f"{'':{width}}  {'here':>9}  {'floor':>9}"]
+    lines = [f"{'':{width}}  {'here':>6}      {'floor':>6}"]
     for figure in figures:
-        here, floor = (f"{number:6.2f} {figure.unit}" for number in (figure.value, figure.floor))
-        lines.append(f"{figure.name:{width}}  {here:>9}  {floor:>9}")
+        here, floor = (f"{number:6.2f} {figure.unit:3}" for number in (figure.value, figure.floor))
+        lines.append(f"{figure.name:{width}}  {here:>10}  {floor:>10}".rstrip())
     lines.append(
         "floor: the nearest photograph as reconstruction; the photograph itself as albedo and as relit"
     )
-    lines.append("picture; the direction to the camera as normal.")
+    lines.append("picture; the direction to the camera as normal; roughness 0.5 and no metal anywhere.")
     return "\n".join(lines)
 
 
@@ -183,6 +185,20 @@ def _score(
             larger_is_better=False,
         )
     )
+    for name, truth_of, trivial in MAPS:
+        pairs = [
+            (getattr(r.reconstruction, name)[..., 0], getattr(r.view, truth_of), r.view.mask)
+            for r in rendered
+        ]
+        value = float(
+            np.mean([truth.rmse(found.astype(np.float64), true, mask) for found, true, mask in pairs])
+        )
+        floor = float(
+            np.mean([truth.rmse(np.full_like(true, trivial), true, mask) for _, true, mask in pairs])
+        )
+        figures.append(
+            Figure(name=f"{truth_of}, rmse", unit="", value=value, floor=floor, larger_is_better=False)
+        )
     return figures
 
 
@@ -203,6 +219,8 @@ def _write_pictures(rendered: list[Rendered], output: Path) -> None:
 
 def _write_sheet(sample: Sample, rendered: list[Rendered], figures: list[Figure], path: Path) -> None:
     columns = ["photograph", "reconstruction", "albedo", "true albedo", "normals", "true normals"]
+    for _, name, _ in MAPS:
+        columns += [name, f"true {name}"]
     for light in sample.unseen_lights:
         columns += [f"relit: {light}", f"truth: {light}"]
     rows = []
@@ -216,6 +234,9 @@ def _write_sheet(sample: Sample, rendered: list[Rendered], figures: list[Figure]
             np.where(mask, 0.5 + 0.5 * item.normal, 1.0),
             np.where(mask, 0.5 + 0.5 * item.view.normal, 1.0),
         ]
+        for name, truth_of, _ in MAPS:
+            maps = (getattr(item.reconstruction, name)[..., 0], getattr(item.view, truth_of))
+            tiles += [np.where(mask, map_[..., None], 1.0).repeat(3, axis=-1) for map_ in maps]
         for light in sample.unseen_lights:
             tiles += [_shown(item.relit[light]), item.view.pictures_srgb[light]]
         rows.append((item.view.name, tiles))

@@ -29,6 +29,10 @@ class TrueView:
     """[H, W, 3], linear, over white."""
     normal: Picture
     """[H, W, 3], unit; (0, 0, 1) on the background."""
+    roughness: Picture
+    """[H, W], perceptual; inside the mask."""
+    metalness: Picture
+    """[H, W], inside the mask."""
     mask: NDArray[np.bool_]
     """[H, W], where the object covers any part of a pixel."""
 
@@ -51,6 +55,8 @@ def read_view(folder: Path, lights: tuple[str, ...]) -> TrueView:
         pictures_srgb={light: over_white(_pixels(folder / f"rgba_{light}.png")) for light in lights},
         albedo=over_white(albedo),
         normal=blend_normals(2.0 * normal[..., :3] - 1.0, normal[..., 3:]),
+        roughness=_pixels(folder / "roughness.png")[..., 0],
+        metalness=_pixels(folder / "metallic.png")[..., 0],
         mask=albedo[..., 3] > 0,
     )
 
@@ -109,3 +115,8 @@ def normal_error_deg(found: Picture, view: TrueView) -> float:
     """Return the mean angle between unit normals inside the mask, in degrees."""
     cosine = np.clip((found * view.normal).sum(axis=-1), -1.0, 1.0)
     return float(np.degrees(np.arccos(cosine))[view.mask].mean())
+
+
+def rmse(found: Picture, true: Picture, mask: NDArray[np.bool_]) -> float:
+    """Return the root mean square difference of two maps [H, W] inside the mask."""
+    return float(np.sqrt(np.mean((found - true)[mask] ** 2)))

@@ -8,6 +8,7 @@ from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
 from flashcache.physical.incident import EnvironmentSource, Incident, RadianceSource, SecondaryRays
 from flashcache.physical.model import InverseModel
+from flashcache.physical.sampling import EnvironmentMapSampler, Strategy
 from flashcache.physical.shading import ShadingPoints
 
 _ESTIMATOR = EstimatorConfig(stratified=True)
@@ -21,6 +22,15 @@ def lighting_counts(total: int) -> DirectionCounts:
     return DirectionCounts(cosine=quarter, sampler=max(1, total - 2 * quarter), specular=quarter)
 
 
+SKY_ROWS = 64
+"""Of the picture of a learned environment from which directions are drawn."""
+
+
+def sky_sampler(model: InverseModel, light: int) -> EnvironmentMapSampler:
+    """Return the strategy that draws from what the model's environment sends in `light`."""
+    return EnvironmentMapSampler(model.environment.image(SKY_ROWS, light))
+
+
 def lit_radiance(
     model: InverseModel,
     points: ShadingPoints,
@@ -28,16 +38,18 @@ def lit_radiance(
     num_directions: int,
     rule: RenderRule,
     generator: torch.Generator,
+    sky: EnvironmentMapSampler | None = None,
 ) -> Float[Tensor, "points 3"]:
     """Return the radiance that `points` send to their viewers under their own lights; no gradients.
 
     The fast estimate with `num_directions` per point plus the correction, as in training, or what `rule`
-    leaves of them. Source: paper Eq. 9.
+    leaves of them. `sky` draws from what the model's environment sends; it shares the directions of the
+    light sampler, which knows what hides it but is softer. Source: paper Eq. 9; `sky` is beyond the paper.
     """
     materials = model.materials(points.positions)
-    mixture = None
+    light: list[Strategy] = [] if sky is None else [sky]
     if rule.sampler == "vmf":
-        mixture = model.light_sampler(points.positions, points.light_index)
+        light.append(model.light_sampler(points.positions, points.light_index))
     nerf, fast = model.nerf_source(generator), model.fast_source()
 
     def shaded(source: RadianceSource, environment: EnvironmentSource, counts: DirectionCounts) -> Tensor:
@@ -46,7 +58,7 @@ def lit_radiance(
             materials,
             source=source,
             environment=environment,
-            light=mixture,
+            light=light,
             counts=counts,
             limits=model.limits,
             config=_ESTIMATOR,

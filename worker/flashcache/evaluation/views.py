@@ -10,7 +10,7 @@ from torch import Tensor
 
 from flashcache.data.scene import Camera
 from flashcache.evaluation.gbuffer import GBuffer, camera_rays, render_gbuffer
-from flashcache.evaluation.lighting import lit_radiance
+from flashcache.evaluation.lighting import lit_radiance, sky_sampler
 from flashcache.evaluation.monte_carlo import Picture, RenderRule, monte_carlo
 from flashcache.evaluation.relighting import MapLight, relit_radiance
 from flashcache.evaluation.supersampling import finer, mean_gbuffer, mean_picture
@@ -54,14 +54,15 @@ def render_physical(
     A pixel has `antialias` x `antialias` rays. Every repeat shades `points_per_ray` points of each, drawn
     anew (0: four per pixel, but two per ray at least), and spreads `num_directions` secondary rays per pixel
     of the fast estimate over them, four per point at least, with four more per point for the correction
-    (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone. Both lobes
-    share all directions (`relight`), unlike in training.
+    (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone. Unlike in
+    training, both lobes share all directions (`relight`), and a quarter is drawn from the environment.
     """
     points_per_ray = points_per_ray or default_points(antialias)
     per_point = max(4, num_directions // (points_per_ray * antialias**2))
+    sky = sky_sampler(model, light) if rule.sampler == "vmf" else None
 
     def shade(points: ShadingPoints, generator: torch.Generator) -> Tensor:
-        return lit_radiance(model, points, num_directions=per_point, rule=rule, generator=generator)
+        return lit_radiance(model, points, num_directions=per_point, rule=rule, generator=generator, sky=sky)
 
     picture = monte_carlo(
         model,

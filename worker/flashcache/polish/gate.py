@@ -8,7 +8,7 @@ from torch import Tensor
 
 from flashcache.color import srgb_from_linear
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.evaluation.lighting import lit_radiance
+from flashcache.evaluation.lighting import lit_radiance, sky_sampler
 from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.directions import normalize
@@ -47,24 +47,21 @@ class Gate:
     """That of the whole fit."""
 
 
-def picture_errors(
-    model: InverseModel, pixels: TrainingPixels, index: Int[Tensor, " some"], seed: int
-) -> Float[Tensor, " some"]:
-    """Return the squared error of rendered pixels as pictures show it: sRGB-encoded and at most white.
+def rendered(
+    model: InverseModel, pixels: TrainingPixels, index: Int[Tensor, " some"], repeat: int, *, seed: int
+) -> Float[Tensor, "some 3"]:
+    """Return the radiance of rendered pixels, linear Rec. 709, from the fast cache alone.
 
-    The mean of the channels; from the fast cache alone, and with the same random numbers for every model, so
-    that models can be compared.
+    Every model gets the same random numbers, so that models can be compared; every `repeat` gets its own.
     """
     rule = RenderRule(control_variate="fast_only")
-    found = torch.zeros(len(index))
-
-    def shown(radiance: Tensor) -> Tensor:
-        return srgb_from_linear(radiance.clamp(0.0, 1.0))
+    found = torch.zeros(len(index), 3)
+    sky = sky_sampler(model, 0) if len(model.domain.lights) == 1 else None
 
     def fill(part: tuple[int, Tensor]) -> None:
         number, some = part
         batch = pixels.at(index[some])
-        generator = generator_for(seed, STAGE, number, "gate", batch.colour.device)
+        generator = generator_for(seed, STAGE, number, f"pixels_{repeat}", batch.colour.device)
         geometry = model.nerf.trace(batch.rays, generator=None)
         parts = (torch.arange(POINTS) + 0.5) / POINTS
         drawn = draw_points(geometry.weights, parts.expand(len(some), POINTS)).index[..., None]
@@ -75,12 +72,30 @@ def picture_errors(
             (-batch.rays.directions).repeat_interleave(POINTS, dim=0),
             batch.light_index.repeat_interleave(POINTS),
         )
-        radiance = lit_radiance(model, points, num_directions=DIRECTIONS, rule=rule, generator=generator)
-        radiance = radiance.reshape(len(some), POINTS, 3).mean(dim=1)
-        found[some] = (shown(radiance) - shown(batch.colour)).square().mean(dim=1)
+        radiance = lit_radiance(
+            model, points, num_directions=DIRECTIONS, rule=rule, generator=generator, sky=sky
+        )
+        found[some] = radiance.reshape(len(some), POINTS, 3).mean(dim=1)
 
     on_all_cores(fill, enumerate(torch.arange(len(index)).split(CHUNK_PIXELS)), index.device)
     return found
+
+
+def picture_errors(
+    model: InverseModel, pixels: TrainingPixels, index: Int[Tensor, " some"], seed: int
+) -> Float[Tensor, " some"]:
+    """Return the squared error of rendered pixels as pictures show it: sRGB-encoded and at most white.
+
+    The mean of the channels. It is the product of two renderings' errors, so that the variance of neither is
+    in it: metals have more of that, and would be given up for it. Single values may be negative.
+    """
+    colour = _shown(torch.cat([pixels.at(part).colour for part in index.split(1 << 14)]))
+    one, other = (_shown(rendered(model, pixels, index, repeat, seed=seed)) - colour for repeat in range(2))
+    return (one * other).mean(dim=1)
+
+
+def _shown(radiance: Float[Tensor, "pixels 3"]) -> Float[Tensor, "pixels 3"]:
+    return srgb_from_linear(radiance.clamp(0.0, 1.0))
 
 
 def gate(

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -13,8 +14,9 @@ from flashcache.fields.materials import Materials
 from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.physical.model import InverseModel
 from flashcache.polish.confidence import Confidence, confidence_of
+from flashcache.polish.correction import corrected_albedo
 from flashcache.polish.elements import Elements, find_elements
-from flashcache.polish.gate import LEAST_SHARE, STAGE, blended, gate
+from flashcache.polish.gate import LEAST_SHARE, STAGE, blended, gate, rendered
 from flashcache.polish.grey_card import Card, settle_by_card
 from flashcache.polish.incoming import SIDE, incoming_tables
 from flashcache.polish.known_light import judge_by_elements
@@ -38,7 +40,7 @@ FINER = 2
 LIGHT_STEPS, LIGHT_RATE, LIGHT_OUTLIER, LIGHT_TETHER = 40, 0.15, 0.15, 1e-2
 SAME_NORMAL = 0.9999
 """Cosine from which a normal is the predicted one."""
-NUM_PARTS = 5 + ROUNDS
+NUM_PARTS = 6 + ROUNDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +115,11 @@ def polish(
         values |= {"known_light_error": verdict.error}
         if verdict.contradicted:
             return PolishReport("the photographs contradict the known light", values, verdict.findings)
+    polished = _written(model, elements, reflectance, sky if learned else None, generator)
+    advance(NUM_PARTS - 3)
+    with torch.no_grad():
+        render = partial(rendered, polished, pixels, seed=seed)
+        reflectance = corrected_albedo(render, seen, reflectance, neighbours, seed)
     polished = _written(model, elements, reflectance, sky if learned else None, generator)
     advance(NUM_PARTS - 2)
     with torch.no_grad():

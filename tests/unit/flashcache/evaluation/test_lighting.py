@@ -2,12 +2,13 @@
 
 import pytest
 import torch
-from flashcache.evaluation.lighting import lit_radiance
+from flashcache.evaluation.lighting import lit_radiance, sky_sampler
 from flashcache.evaluation.monte_carlo import RenderRule, _by_blocks
 from flashcache.evaluation.views import render_physical, render_relit
 from flashcache.geometry.directions import normalize
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.model import InverseModel
+from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
 from support.lit_sphere import camera
 from support.sphere_model import sphere_model
@@ -27,13 +28,15 @@ def copies_of_a_point() -> ShadingPoints:
     return ShadingPoints(0.5 * normal, normal, omega_o, torch.zeros(COUNT, dtype=torch.long))
 
 
+@pytest.mark.parametrize("from_sky", [False, True])
 @pytest.mark.parametrize("rule", [RenderRule(), RenderRule(control_variate="fast_only", sampler="none")])
-def test_pictures_have_the_mean_that_training_estimates(model, rule):
+def test_pictures_have_the_mean_that_training_estimates(model, rule, from_sky):
     points = copies_of_a_point()
     mixture = model.light_sampler(points.positions, points.light_index) if rule.sampler == "vmf" else None
     generators = [torch.Generator().manual_seed(seed) for seed in (1, 2)]
     with torch.no_grad():
-        found = lit_radiance(model, points, num_directions=16, rule=rule, generator=generators[0])
+        sky = sky_sampler(model, 0) if from_sky else None
+        found = lit_radiance(model, points, num_directions=16, rule=rule, generator=generators[0], sky=sky)
         expected = control_variate(
             points,
             model.materials(points.positions),
@@ -71,6 +74,23 @@ def test_the_correction_is_no_small_part_of_that_mean(model):
     assert float(((whole - fast) / whole).abs().max()) > 0.1
 
 
+@pytest.mark.parametrize("sampler", ["vmf", "none"])
+def test_a_lamp_of_the_learned_light_makes_no_noise(sampler):
+    """The light sampler has not learned it: a polish finds it sharper than stage two did."""
+    model = sphere_model(lights=("sky",)).requires_grad_(False).eval()
+    texture = torch.full((40, 40, 3), 0.2)
+    texture[12:14, 22:24] = 60.0
+    model.environment.set_texture(texture.reshape(1, -1, 3))
+    points, spread = copies_of_a_point(), []
+    for sky in (None, sky_sampler(model, 0)):
+        generator = torch.Generator().manual_seed(5)
+        rule = RenderRule(control_variate="fast_only", sampler=sampler)
+        with torch.no_grad():
+            found = lit_radiance(model, points, num_directions=16, rule=rule, generator=generator, sky=sky)
+        spread.append(float(found.std(dim=0).mean()))
+    assert spread[1] < 0.5 * spread[0]
+
+
 def test_rays_of_a_pixel_follow_each_other():
     order = _by_blocks(camera(0.4, 0.3, side=4), 2, torch.device("cpu"))
     assert order[:8].tolist() == [0, 1, 4, 5, 2, 3, 6, 7]
@@ -81,7 +101,7 @@ def test_rays_of_a_pixel_follow_each_other():
 @pytest.mark.parametrize("render", ["physical", "relit"])
 def test_points_of_a_pixel_avoid_each_others_directions_in_pictures(model, monkeypatch, render):
     """Asked with what: the lattice has to reach the estimator from the pictures."""
-    asked = []
+    asked, strategies = [], []
     import flashcache.evaluation.lighting as lighting
     import flashcache.evaluation.relighting as relighting
 
@@ -90,6 +110,7 @@ def test_points_of_a_pixel_avoid_each_others_directions_in_pictures(model, monke
 
         def noted(*arguments, own=own, **settings):
             asked.append(settings.get("continued", False))
+            strategies.append([type(one) for one in settings["light"]])
             return own(*arguments, **settings)
 
         monkeypatch.setattr(module, "relight", noted)
@@ -101,3 +122,4 @@ def test_points_of_a_pixel_avoid_each_others_directions_in_pictures(model, monke
         render_relit(model, view, sky, num_directions=16, antialias=2, indirect=False)
     assert asked
     assert all(asked)
+    assert all(EnvironmentMapSampler in some for some in strategies)

@@ -10,6 +10,7 @@ from flashcache.data.ray_batches import PixelChoice, TrainingPixels
 from flashcache.evaluation.surface_points import project
 from flashcache.geometry.octahedron import octahedral_directions
 from flashcache.physical.model import InverseModel
+from flashcache.polish import gate as gate_of
 from flashcache.polish import polish as whole
 from flashcache.polish import write
 from flashcache.polish.elements import MOST_OBSERVATIONS, find_elements
@@ -180,6 +181,26 @@ def test_what_unseen_photographs_contradict_is_given_up_and_the_rest_stays(scene
         assert float(gate(before, before, pixels, checks, neighbours, seed=0).share.min()) == 1.0
 
 
+def test_noise_of_renderings_is_no_error_of_the_model(scene, model, monkeypatch):
+    """Metals have more noise than paint, and would be given up for it."""
+    pixels = pixels_of(scene)
+    # Neither dark nor white, where noise would be cut.
+    colour = pixels.at(pixels.inside).colour
+    index = pixels.inside[((colour > 0.02) & (colour < 0.7)).all(dim=1)]
+    colour = pixels.at(index).colour
+    assert len(index) > 200
+
+    def noisy(model, pixels, index, repeat, *, seed):
+        generator = torch.Generator().manual_seed(seed + repeat)
+        return colour * (1.0 + 0.1 * torch.randn(colour.shape, generator=generator))
+
+    monkeypatch.setattr(gate_of, "rendered", noisy)
+    found = gate_of.picture_errors(model, pixels, index, 7)
+    shown = [gate_of._shown(noisy(None, None, None, repeat, seed=7)) for repeat in range(2)]
+    one = (shown[0] - gate_of._shown(pixels.at(index).colour)).square().mean()
+    assert float(found.mean()) < 0.3 * float(one)
+
+
 def test_a_mean_of_two_reflectances_has_each_at_its_end():
     one = Reflectance(torch.full((2, 3), 0.2), torch.full((2,), 0.1), torch.zeros(2), torch.eye(3)[:2])
     other = Reflectance(torch.full((2, 3), 0.8), torch.full((2,), 0.4), torch.ones(2), torch.eye(3)[1:])
@@ -279,7 +300,7 @@ def test_a_polish_says_how_sure_it_is_of_every_element(scene, model, monkeypatch
     report = polish(copy.deepcopy(model), pixels_of(scene), seed=0)
     assert report.confidence is not None
     assert len(report.confidence.positions) == report.values["elements"]
-    assert float(report.confidence.log_albedo.median()) < 0.5
+    assert float(report.confidence.log_albedo.median()) < 0.7
     assert float(report.confidence.log_albedo.min()) > 0.0
 
 

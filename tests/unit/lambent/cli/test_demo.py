@@ -54,6 +54,8 @@ def _write_view(folder, view, opened, maps):
     for stem, values in (("albedo", picture.albedo), ("normal", 0.5 + 0.5 * picture.normal)):
         rgba = np.concatenate([values, picture.coverage], axis=-1)
         Image.fromarray(np.round(255 * rgba).astype(np.uint8)).save(folder / f"{stem}.png")
+    for stem, values in (("roughness", picture.perceptual_roughness), ("metallic", picture.metalness)):
+        Image.fromarray(np.round(255 * values[..., 0]).astype(np.uint8)).save(folder / f"{stem}.png")
     pose = ",".join(map(str, view.camera_to_world.ravel()))
     angle = 2 * np.arctan(0.5 * view.width / view.focal_x)
     metadata = {"imw": 20, "imh": 20, "cam_angle_x": angle, "cam_transform_mat": pose}
@@ -73,6 +75,8 @@ def test_an_exact_bundle_is_far_above_every_floor(world, exr_maps, tmp_path):
     assert by_name["reconstruction, PSNR"].value > 35
     assert by_name["albedo (scaled), PSNR"].value > 40
     assert by_name["normals, mean error"].value < 1.0
+    assert by_name["roughness, rmse"].value < 0.02
+    assert by_name["metalness, rmse"].value < 0.02
     for light in ("dusk", "noon"):
         relit = by_name[f"relit under {light}, PSNR"]
         assert relit.value > 35
@@ -100,7 +104,8 @@ def test_pictures_sheet_and_figures_are_written_and_found_again(world, exr_maps,
 def test_the_table_has_a_line_for_every_figure(world, exr_maps, tmp_path):
     bundle, sample = world
     table = format_table(make_pictures(bundle, sample, tmp_path, lambda text: None))
-    for word in ("reconstruction", "albedo", "dusk", "noon", "normals", " dB", " deg"):
+    words = ("reconstruction", "albedo", "dusk", "noon", "normals", "roughness", "metalness", " dB", " deg")
+    for word in words:
         assert word in table
 
 

@@ -20,8 +20,9 @@ def run(context: TaskContext) -> None:
     """Write the polished model to `polish/step_*`; that of stage two, with the reason, where it is kept.
 
     How sure the fit is lies beside it, for the uncertainty of materials in reports and bundles.
-    With a grey card, albedo and light are brought to what it reflects; where that cannot be done the user is
-    told. On the processor whatever the run's device is: the compiled fit is there, and a GPU would wait.
+    The user is told where stage two is kept. With a grey card, albedo and light are brought to what it
+    reflects; where that cannot be done the user is told, too. On the processor whatever the run's device is:
+    the compiled fit is there, and a GPU would wait.
     """
     on_cpu = replace(context, device="cpu")
     scene = read_scene(on_cpu)
@@ -44,6 +45,11 @@ def run(context: TaskContext) -> None:
         context.reporter.finding(
             "grey_card.not_used",
             f"the grey card was not used, and colours are known up to a factor as without it: {report.kept}",
+        )
+    elif report.kept and not report.findings:
+        context.reporter.finding(
+            "materials.not_fitted",
+            f"materials are those of stage two, without the fit to all photographs: {report.kept}",
         )
     if report.kept:
         context.reporter.log("polish.kept", reason=report.kept, **report.values)

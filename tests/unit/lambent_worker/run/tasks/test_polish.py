@@ -55,11 +55,14 @@ def test_what_the_polish_makes_is_what_later_tasks_read(tmp_path, monkeypatch):
     assert context.reporter.named("polish.done") == [{"elements": 12.0}]
 
 
-def test_a_model_without_a_surface_is_kept_and_the_log_says_why(tmp_path, monkeypatch):
+def test_a_model_without_a_surface_is_kept_and_the_user_hears_why(tmp_path, monkeypatch):
     context = trained(tmp_path, monkeypatch)
     polish.run(context)
     (told,) = context.reporter.named("polish.kept")
     assert "seen by two photographs" in told["reason"]
+    (finding,) = context.reporter.named("finding")
+    assert finding["code"] == "materials.not_fitted"
+    assert told["reason"] in finding["message"]
     before, after = load_trained(context, SCENE, "joint"), load_final(context, SCENE)
     for one, other in zip(before.state_dict().values(), after.state_dict().values(), strict=True):
         assert torch.equal(one, other)
