@@ -6,17 +6,24 @@ Every estimator shades the same surface points of the run's scene many times. Co
 deviation of one estimate relative to the mean radiance; `time`, processor time per point in microseconds;
 `gain`, how many times less variance than the first row at equal time; `bias`, the deviation of the mean from
 the first row's relative to the mean radiance, with its standard error. Only `fast only` should have a bias.
+In the rows of *pictures* both lobes share all directions; half of these are drawn from the light sampler or,
+as in `lambent evaluate`, from the recovered environment.
 """
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
+from flashcache.evaluation.lighting import CORRECTION_COUNTS, lit_radiance, sky_sampler
+from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.evaluation.views import camera_rays
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.model import InverseModel
+from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
@@ -25,6 +32,8 @@ from lambent_worker.run.prepare import open_task
 from lambent_worker.run.tasks.training import load_final, read_scene
 from torch import Tensor
 
+DIRECTIONS = 64
+"""Of the fast estimate of pictures."""
 QUICK = "{run} --points 64 --repeats 8"
 
 
@@ -82,19 +91,19 @@ def surface_points(model: InverseModel, cameras: list, count: int) -> ShadingPoi
     return ShadingPoints(positions, normal, omega_o, torch.zeros(len(positions), dtype=torch.long))
 
 
-def measure(
-    model: InverseModel, points: ShadingPoints, config: EstimatorConfig, repeats: int
-) -> tuple[Tensor, float]:
-    """Return [repeats, points] of mean-channel radiance, and the seconds of processor time per estimate."""
+Shade = Callable[[torch.Generator], Tensor]
+"""Returns an estimate of the radiance [points, 3], from fresh random numbers."""
+
+
+def as_in_training(model: InverseModel, points: ShadingPoints, config: EstimatorConfig) -> Shade:
+    """Return the estimate of a training step with `config`."""
     materials = model.materials(points.positions)
-    values = []
-    began = time.process_time()
-    for repeat in range(repeats):
-        generator = generator_for(1, "benchmark", repeat, "estimate", torch.device("cpu"))
+
+    def shade(generator: torch.Generator) -> Tensor:
         mixture = None
         if config.sampler == "vmf":
             mixture = model.light_sampler(points.positions, points.light_index)
-        estimate = control_variate(
+        return control_variate(
             points,
             materials,
             nerf=model.nerf_source(generator),
@@ -104,8 +113,29 @@ def measure(
             limits=model.limits,
             config=config,
             generator=generator,
-        )
-        values.append(estimate.rgb.mean(dim=-1))
+        ).rgb
+
+    return shade
+
+
+def as_in_pictures(model: InverseModel, points: ShadingPoints) -> dict[str, Shade]:
+    """Return the estimates of pictures by what their light directions are drawn from."""
+    skies = {"light sampler": None, "environment": sky_sampler(model, 0)}
+
+    def shade(generator: torch.Generator, sky: EnvironmentMapSampler | None) -> Tensor:
+        rule = RenderRule()
+        return lit_radiance(model, points, num_directions=DIRECTIONS, rule=rule, generator=generator, sky=sky)
+
+    return {f"pictures, {name}": partial(shade, sky=sky) for name, sky in skies.items()}
+
+
+def measure(shade: Shade, repeats: int) -> tuple[Tensor, float]:
+    """Return [repeats, points] of mean-channel radiance, and the seconds of processor time per estimate."""
+    values = []
+    began = time.process_time()
+    for repeat in range(repeats):
+        generator = generator_for(1, "benchmark", repeat, "estimate", torch.device("cpu"))
+        values.append(shade(generator).mean(dim=-1))
     return torch.stack(values), (time.process_time() - began) / repeats
 
 
@@ -137,9 +167,12 @@ def compare(model: InverseModel, points: ShadingPoints, own: EstimatorConfig, re
     """Return one row per estimator."""
     rows: list[Row] = []
     reference: tuple[Tensor, float] | None = None
-    for name, config in estimators(own).items():
-        measure(model, points, config, 2)
-        values, seconds = measure(model, points, config, repeats)
+    trained_with = estimators(own)
+    shades = {name: as_in_training(model, points, config) for name, config in trained_with.items()}
+    rays = {name: describe(config) for name, config in trained_with.items()}
+    for name, shade in (shades | as_in_pictures(model, points)).items():
+        measure(shade, 2)
+        values, seconds = measure(shade, repeats)
         variance = float(values.var(dim=0).mean())
         mean = values.mean(dim=1)
         if reference is None:
@@ -149,7 +182,7 @@ def compare(model: InverseModel, points: ShadingPoints, own: EstimatorConfig, re
         rows.append(
             Row(
                 name=name,
-                rays=describe(config),
+                rays=rays.get(name, f"{DIRECTIONS} + {CORRECTION_COUNTS.total}"),
                 spread=variance**0.5 / level,
                 time_us=seconds / len(points.positions) * 1e6,
                 gain=reference[1] / (variance * seconds),

@@ -158,7 +158,7 @@ def lit(
         materials,
         source=source,
         environment=light,
-        light=[light.sampler],
+        light=light.sampler,
         counts=counts,
         limits=LIMITS,
         config=EstimatorConfig(stratified=True),

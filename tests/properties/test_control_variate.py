@@ -125,7 +125,7 @@ def _texels(image: torch.Tensor):
 def test_relighting_with_a_known_map_is_unbiased_and_far_quieter_than_without_its_sampler(alpha):
     given, image = case(ROWS, alpha=alpha), _sky()
     spread = {}
-    for name, light in (("map", [EnvironmentMapSampler(image)]), ("none", [])):
+    for name, light in (("map", EnvironmentMapSampler(image)), ("none", None)):
         found = relight(
             given.points,
             given.materials,
@@ -153,7 +153,7 @@ def test_lobes_that_share_directions_have_less_noise_than_lobes_with_their_own(a
     light, generator = EnvironmentMapSampler(image), torch.Generator().manual_seed(4)
     common = {"environment": _texels(image), "limits": LIMITS, "config": EstimatorConfig(stratified=True)}
     shared = relight(
-        given.points, given.materials, source=nerf, light=[light], counts=_counts(2, 4, 2),
+        given.points, given.materials, source=nerf, light=light, counts=_counts(2, 4, 2),
         generator=generator, continued=True, **common,
     )  # fmt: skip
     cosine = CosineLobe(given.points.normal)

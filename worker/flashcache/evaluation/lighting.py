@@ -43,13 +43,14 @@ def lit_radiance(
     """Return the radiance that `points` send to their viewers under their own lights; no gradients.
 
     The fast estimate with `num_directions` per point plus the correction, as in training, or what `rule`
-    leaves of them. `sky` draws from what the model's environment sends; it shares the directions of the
-    light sampler, which knows what hides it but is softer. Source: paper Eq. 9; `sky` is beyond the paper.
+    leaves of them. `sky` draws from what the model's environment sends and takes the light sampler's place:
+    that knows what hides the light, but is so soft that its pictures have twice the variance, also where
+    little of the light arrives (docs/benchmarks/variance.md). Source: paper Eq. 9; `sky` is beyond the paper.
     """
     materials = model.materials(points.positions)
-    light: list[Strategy] = [] if sky is None else [sky]
-    if rule.sampler == "vmf":
-        light.append(model.light_sampler(points.positions, points.light_index))
+    light: Strategy | None = sky
+    if sky is None and rule.sampler == "vmf":
+        light = model.light_sampler(points.positions, points.light_index)
     nerf, fast = model.nerf_source(generator), model.fast_source()
 
     def shaded(source: RadianceSource, environment: EnvironmentSource, counts: DirectionCounts) -> Tensor:

@@ -55,7 +55,7 @@ def render_physical(
     anew (0: four per pixel, but two per ray at least), and spreads `num_directions` secondary rays per pixel
     of the fast estimate over them, four per point at least, with four more per point for the correction
     (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone. Unlike in
-    training, both lobes share all directions (`relight`), and a quarter is drawn from the environment.
+    training, both lobes share all directions (`relight`), and half of these are drawn from the environment.
     """
     points_per_ray = points_per_ray or default_points(antialias)
     per_point = max(4, num_directions // (points_per_ray * antialias**2))

@@ -188,7 +188,7 @@ def relight(
     *,
     source: RadianceSource,
     environment: EnvironmentSource,
-    light: Sequence[Strategy],
+    light: Strategy | None,
     counts: DirectionCounts,
     limits: RayLimits,
     config: EstimatorConfig,
@@ -197,22 +197,18 @@ def relight(
 ) -> Estimate:
     """Return radiance under a known environment with its variance; no gradients.
 
-    `light` draws from the environment: an `EnvironmentMapSampler`, the learned sampler's mixture, or both,
-    which share `counts.sampler` directions; without any they go to the cosine. Every direction counts for
-    both lobes, weighted by the power heuristic. Beyond the paper, which samples only the map: the GGX share
-    is what keeps shiny surfaces free of noise. With `continued` the directions of neighbouring points avoid
-    each other (`draw_uniforms`): for pictures.
+    `light` draws from the environment: an `EnvironmentMapSampler`, or the learned sampler's mixture. It gets
+    `counts.sampler` directions, which go to the cosine without it. Every direction counts for both lobes,
+    weighted by the power heuristic. Beyond the paper, which samples only the map: the GGX share is what keeps
+    shiny surfaces free of noise. With `continued` the directions of neighbouring points avoid each other
+    (`draw_uniforms`): for pictures.
     """
     cosine = CosineLobe(points.normal)
     lobe = GgxLobe(points.omega_o, points.normal, materials.alpha)
-    cosines, shares = counts.cosine, [counts.sampler // max(len(light), 1)] * len(light)
-    rest = counts.sampler - sum(shares)
-    if light:
-        shares[0] += rest
+    if light is None:
+        strategies = [(cosine, [counts.cosine + counts.sampler]), (lobe, [counts.specular])]
     else:
-        cosines += rest
-    strategies = [(cosine, [cosines]), *((one, [share]) for one, share in zip(light, shares, strict=True))]
-    strategies.append((lobe, [counts.specular]))
+        strategies = [(cosine, [counts.cosine]), (light, [counts.sampler]), (lobe, [counts.specular])]
     with torch.no_grad():
         directions = DrawnDirections.draw(
             points, strategies, [], config.stratified, limits, generator, continued=continued
