@@ -58,14 +58,16 @@ SAME = 1.5 / 255.0
 """Difference of true albedo within a window that is uniform."""
 
 
-def grain(scene: Path, predictions: Path, views: int) -> dict[str, float]:
-    """Return the grain of predicted albedo maps: encoded, root mean square and median over uniform pixels."""
-    report = reference_report(scene, predictions, views)
+def grain(scene: Path, predictions: Path, ratio: list[float]) -> dict[str, float]:
+    """Return the grain of predicted albedo maps: encoded, root mean square and median over uniform pixels.
+
+    `ratio` brings them to the truth's scale, per channel (`albedo_ratio` of the reference's report).
+    """
     rests: list[np.ndarray] = []
     for folder in sorted(predictions.iterdir()):
         truth = np.asarray(Image.open(scene / folder.name / "albedo.png"), np.float64) / 255.0
         found = np.load(folder / "albedo.npy").astype(np.float64)[..., :3]
-        found = np.clip(found * report["albedo_ratio"], 0.0, 1.0) ** (1.0 / 2.2)
+        found = np.clip(found * ratio, 0.0, 1.0) ** (1.0 / 2.2)
         size = (WINDOW, WINDOW, 1)
         spread = maximum_filter(truth, size) - minimum_filter(truth, size)
         uniform = (spread.max(axis=-1) < SAME) & (truth[..., 3] > 0.99)
@@ -124,7 +126,7 @@ def run_one(name: str, scene: Path, seed: int, arguments: argparse.Namespace) ->
         f"{light} [dB]": report[f"rgb/{light}/psnr"]
         for light in sorted({key.split("/")[1] for key in report if key.startswith("rgb/")})
     }
-    figures |= lights | grain(scene, predictions, arguments.views) | polished
+    figures |= lights | grain(scene, predictions, report["albedo_ratio"]) | polished
     result.write_text(json.dumps(figures, indent=1))
     return figures
 

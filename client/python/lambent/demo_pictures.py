@@ -42,6 +42,10 @@ class Figure:
     floor: float
     larger_is_better: bool
 
+    def text(self, number: float) -> str:
+        """Return `number`, the value or the floor, with its unit: differences of maps need a digit more."""
+        return f"{number:.1f} {self.unit}" if self.unit else f"{number:.2f}"
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
@@ -240,7 +244,7 @@ def _write_sheet(sample: Sample, rendered: list[Rendered], figures: list[Figure]
         for light in sample.unseen_lights:
             tiles += [_shown(item.relit[light]), item.view.pictures_srgb[light]]
         rows.append((item.view.name, tiles))
-    note = "   ".join(f"{f.name} {f.value:.1f} {f.unit} (floor {f.floor:.1f})" for f in figures)
+    note = "   ".join(f"{f.name} {f.text(f.value)} (floor {f.text(f.floor)})" for f in figures)
     title = "Lambent demo: held-out views of the bundled sample, and two lights it was never photographed in"
     write_contact_sheet(path, columns, rows, title=title, note=note)
 

@@ -27,7 +27,7 @@ SKY_ROWS = 64
 
 
 def sky_sampler(model: InverseModel, light: int) -> EnvironmentMapSampler:
-    """Return the strategy that draws from what the model's environment sends in `light`."""
+    """Return the strategy that draws from what the model's environment sends in the light number `light`."""
     return EnvironmentMapSampler(model.environment.image(SKY_ROWS, light))
 
 

@@ -31,6 +31,7 @@ class RenderRule:
     control_variate: Literal["on", "off", "fast_only"] = "on"
     """"off" asks the NeRF cache only, in pictures and for shadows: the fast cache was not trained."""
     sampler: Literal["vmf", "none"] = "vmf"
+    """"none" draws from the cosine where pictures would draw from the light, as the training did."""
     points: Literal["categorical", "depth"] = "categorical"
     """Shade points drawn by their weight, or the point where half the weight is passed (biased)."""
     shadows: Literal["fast", "nerf"] = "fast"

@@ -101,8 +101,8 @@ class EnvironmentMapSampler:
 
     A pixel is drawn with probability proportional to (R + G + B) times its solid angle, and a direction
     uniformly (by solid angle) inside it. A black picture is sampled uniformly. `image` is linear radiance in
-    the convention of `geometry.directions`. For evaluation under a known light only: training uses the
-    learned light sampler.
+    the convention of `geometry.directions`. For pictures, whose light is known or has been recovered:
+    training uses the learned light sampler.
     """
 
     num_uniforms = 2

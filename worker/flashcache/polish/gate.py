@@ -13,6 +13,7 @@ from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.directions import normalize
 from flashcache.physical.model import InverseModel
+from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
 from flashcache.polish.elements import Elements
 from flashcache.polish.light import Reflectance
@@ -27,6 +28,8 @@ MOST_PIXELS = 8000
 POINTS, DIRECTIONS = 2, 16
 """Points of a pixel that are shaded, and directions of each."""
 CHUNK_PIXELS = 1024
+LOOKED_UP = 1 << 14
+"""Photographs' pixels that are looked up at once."""
 POOL = 8
 """Steps along the graph over which errors are averaged."""
 BLEND = 2
@@ -52,14 +55,21 @@ def rendered(
 ) -> Float[Tensor, "some 3"]:
     """Return the radiance of rendered pixels, linear Rec. 709, from the fast cache alone.
 
-    Every model gets the same random numbers, so that models can be compared; every `repeat` gets its own.
+    Each in the light of its photograph. Every model gets the same random numbers, so that models can be
+    compared; every `repeat` gets its own.
     """
     rule = RenderRule(control_variate="fast_only")
     found = torch.zeros(len(index), 3)
-    sky = sky_sampler(model, 0) if len(model.domain.lights) == 1 else None
+    light = torch.cat([pixels.at(part).light_index for part in index.split(LOOKED_UP)])
+    skies = [sky_sampler(model, number) for number in range(len(model.domain.lights))]
+    parts_by_light = [
+        (sky, part)
+        for number, sky in enumerate(skies)
+        for part in (light == number).nonzero()[:, 0].split(CHUNK_PIXELS)
+    ]
 
-    def fill(part: tuple[int, Tensor]) -> None:
-        number, some = part
+    def fill(numbered: tuple[int, tuple[EnvironmentMapSampler, Tensor]]) -> None:
+        number, (sky, some) = numbered
         batch = pixels.at(index[some])
         generator = generator_for(seed, STAGE, number, f"pixels_{repeat}", batch.colour.device)
         geometry = model.nerf.trace(batch.rays, generator=None)
@@ -77,7 +87,7 @@ def rendered(
         )
         found[some] = radiance.reshape(len(some), POINTS, 3).mean(dim=1)
 
-    on_all_cores(fill, enumerate(torch.arange(len(index)).split(CHUNK_PIXELS)), index.device)
+    on_all_cores(fill, enumerate(parts_by_light), index.device)
     return found
 
 
@@ -89,7 +99,7 @@ def picture_errors(
     The mean of the channels. It is the product of two renderings' errors, so that the variance of neither is
     in it: metals have more of that, and would be given up for it. Single values may be negative.
     """
-    colour = _shown(torch.cat([pixels.at(part).colour for part in index.split(1 << 14)]))
+    colour = _shown(torch.cat([pixels.at(part).colour for part in index.split(LOOKED_UP)]))
     one, other = (_shown(rendered(model, pixels, index, repeat, seed=seed)) - colour for repeat in range(2))
     return (one * other).mean(dim=1)
 

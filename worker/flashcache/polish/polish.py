@@ -80,9 +80,14 @@ def polish(
     with torch.no_grad():
         elements = find_elements(model, pixels, generator)
         if len(elements) < LEAST_ELEMENTS:
-            return PolishReport(f"only {len(elements)} pieces of surface are seen by two photographs")
+            return PolishReport(
+                f"only {len(elements)} pieces of surface are seen by two photographs; take more, nearer to "
+                "each other"
+            )
         if float(elements.clipped.float().mean()) > MOST_CLIPPED:
-            return PolishReport("nearly all pixels are clipped: photographs say only that it was bright")
+            return PolishReport(
+                "nearly all pixels are clipped and say only that it was bright; expose the photographs less"
+            )
         advance(1)
         tables = incoming_tables(model, elements, num_lights)
         advance(2)

@@ -1,11 +1,13 @@
 """Pictures under the light of the photographs: the mean that training estimates, with less noise."""
 
+import math
+
 import pytest
 import torch
 from flashcache.evaluation.lighting import lit_radiance, sky_sampler
 from flashcache.evaluation.monte_carlo import RenderRule, _by_blocks
 from flashcache.evaluation.views import render_physical, render_relit
-from flashcache.geometry.directions import normalize
+from flashcache.geometry.directions import direction_from_uv, normalize
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
 from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler
@@ -89,6 +91,19 @@ def test_a_lamp_of_the_learned_light_makes_no_noise(sampler):
             found = lit_radiance(model, points, num_directions=16, rule=rule, generator=generator, sky=sky)
         spread.append(float(found.std(dim=0).mean()))
     assert spread[1] < 0.5 * spread[0]
+
+
+def test_every_light_is_drawn_from_by_itself():
+    model = sphere_model(lights=("even", "lamp")).requires_grad_(False).eval()
+    texture = torch.full((2, 40, 40, 3), 0.2)
+    texture[1, 12:14, 22:24] = 60.0
+    model.environment.set_texture(texture.reshape(2, -1, 3))
+    picture = model.environment.image(64, 1).sum(dim=-1)
+    row, column = divmod(int(picture.argmax()), picture.shape[1])
+    towards = direction_from_uv(torch.tensor([[(column + 0.5) / 128, (row + 0.5) / 64]]))[None]
+    even, lamp = (float(sky_sampler(model, light).pdf(towards)) for light in (0, 1))
+    assert even == pytest.approx(1.0 / (4.0 * math.pi), rel=0.05)
+    assert lamp > 20.0 * even
 
 
 def test_rays_of_a_pixel_follow_each_other():

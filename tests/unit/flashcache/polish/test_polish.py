@@ -263,6 +263,26 @@ def test_photographs_that_say_nothing_leave_no_value_that_is_not_finite(scene, m
         assert report.values["metal_share"] == 0.0
 
 
+def test_what_rendered_pixels_ask_for_is_what_the_networks_learn(scene, model, monkeypatch):
+    monkeypatch.setattr(whole, "ROUNDS", 1)
+    monkeypatch.setattr(whole, "gate", lambda *given: gate_of.Gate(torch.ones(len(given[4].index)), 1.0, 1.0))
+    asked = []
+
+    def corrected(render, elements, found, neighbours, seed):
+        asked.append(render(elements.pixel[:8], 0))
+        return replace(found, albedo=torch.full_like(found.albedo, 0.15))
+
+    monkeypatch.setattr(whole, "corrected_albedo", corrected)
+    polished = copy.deepcopy(model)
+    polish(polished, pixels_of(scene), seed=0)
+    (radiance,) = asked
+    assert radiance.shape == (8, 3)
+    with torch.no_grad():
+        places = find_elements(polished, pixels_of(scene), torch.Generator().manual_seed(0)).positions
+        learned = polished.materials(places).albedo
+    assert float(learned.median()) == pytest.approx(0.15, rel=0.15)
+
+
 def test_the_same_seed_gives_the_same_model(scene, model, monkeypatch):
     monkeypatch.setattr(whole, "ROUNDS", 1)
     for name in ("MATERIAL_STEPS", "NORMAL_STEPS"):
