@@ -33,6 +33,9 @@ def scene(tmp_path):
         for stem in ("albedo", "normal", "rgba_sun_000", "rgba_moon"):
             rgba = np.concatenate([generator.uniform(0.05, 1.0, (14, 16, 3)), alpha], axis=-1)
             Image.fromarray(np.round(255 * rgba).astype(np.uint8)).save(view / f"{stem}.png")
+        for stem in ("roughness", "metallic"):
+            values = generator.uniform(0.0, 1.0, (14, 16))
+            Image.fromarray(np.round(255 * values).astype(np.uint8)).save(view / f"{stem}.png")
         pose = np.eye(4)
         pose[2, 3] = 3.0 + number
         words = ",".join(map(str, pose.ravel()))
@@ -47,6 +50,7 @@ def test_albedo_normals_and_pictures_get_the_reference_figures(reference, scene,
     generator = np.random.default_rng(5)
     views = [truth.read_view(scene / name, ("sun_000", "moon")) for name in ("test_000", "test_001")]
     albedo, normals, relit = [], [], []
+    maps: dict[str, list] = {"roughness": [], "metallic": []}
     for view in views:
         folder = tmp_path / "pred" / view.name
         folder.mkdir(parents=True)
@@ -61,12 +65,18 @@ def test_albedo_normals_and_pictures_get_the_reference_figures(reference, scene,
         picture = generator.uniform(0.0, 1.0, (14, 16, 3))
         np.save(folder / "rgba_moon.npy", picture)
         relit.append(picture)
+        for stem, found in maps.items():
+            found.append(generator.uniform(0.0, 1.0, (14, 16)))
+            np.save(folder / f"{stem}.npy", found[-1])
     expected = reference.evaluate(scene, tmp_path / "pred")
     ratio = truth.albedo_ratio(albedo, views)
     np.testing.assert_allclose(ratio, expected["albedo_ratio"], rtol=1e-12)
     assert truth.albedo_psnr(albedo, ratio, views) == pytest.approx(expected["albedo_rgb_ratio/psnr_gamma"])
     errors = [truth.normal_error_deg(n, v) for n, v in zip(normals, views, strict=True)]
     assert np.mean(errors) == pytest.approx(expected["normal/mae_mask"])
+    for stem, name in (("roughness", "roughness"), ("metallic", "metalness")):
+        found = [truth.rmse(m, getattr(v, name), v.mask) for m, v in zip(maps[stem], views, strict=True)]
+        assert np.mean(found) == pytest.approx(expected[f"{stem}/rmse"])
     pairs = zip(relit, views, strict=True)
     assert np.mean([truth.psnr(p, v.pictures_srgb["moon"]) for p, v in pairs]) == pytest.approx(
         expected["rgb/moon/psnr"]
