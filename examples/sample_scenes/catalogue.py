@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from sample_environments import environment_image
 
-from sample_scenes import bookcase, breakfast, metals, still_life, sunlit
+from sample_scenes import bookcase, breakfast, metals, still_life, sunlit, tinware
 from sample_scenes.lights import light_image
 from sample_scenes.shapes import Surface
 
@@ -120,6 +120,16 @@ SCENES = {
             surfaces=sunlit.SURFACES,
             train_light="garden",
             unseen_lights=("drawing_room", "harbour"),
+            spp_test=512,
+        ),
+        Scene(
+            name="tinware",
+            about="A pot, a candlestick, a weight and a bowl of metal, a blue cup and two balls on wood.",
+            objects=tinware.objects,
+            surfaces=tinware.SURFACES,
+            train_light="garage",
+            unseen_lights=("drawing_room", "harbour"),
+            num_test=8,
             spp_test=512,
         ),
     )

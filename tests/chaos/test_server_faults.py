@@ -69,9 +69,11 @@ def scene(server: LiveServer) -> str:
 
 
 @pytest.fixture
-def end(tmp_path: Path) -> Path:
-    """Return the file that lets endless jobs end."""
-    return tmp_path / "end"
+def end(tmp_path: Path) -> Iterator[Path]:
+    """Yield the file that lets endless jobs end; it is written in the end, so that none outlives a failure."""
+    path = tmp_path / "end"
+    yield path
+    path.touch()
 
 
 def database_of(server: LiveServer) -> contextlib.closing[sqlite3.Connection]:

@@ -80,7 +80,8 @@ def test_the_stored_description_is_what_the_script_writes_but_for_the_samples(pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "view"), [("lamps", "test_000"), ("metals", "train_000"), ("sunlit", "train_000")]
+    ("name", "view"),
+    [("lamps", "test_000"), ("metals", "train_000"), ("sunlit", "train_000"), ("tinware", "train_000")],
 )
 def test_a_scene_that_is_not_stored_lies_within_its_pictures(name: str, view: str, tmp_path: Path):
     folder = render(name, tmp_path / name, 4, view) / view
