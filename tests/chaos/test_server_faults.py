@@ -70,7 +70,7 @@ def scene(server: LiveServer) -> str:
 
 @pytest.fixture
 def end(tmp_path: Path) -> Iterator[Path]:
-    """Yield the file that lets endless jobs end; it is written in the end, so that none outlives a failure."""
+    """Yield the file that lets endless jobs end; it is written at the end in any case."""
     path = tmp_path / "end"
     yield path
     path.touch()
