@@ -22,11 +22,11 @@ WIDTH_PRIOR = 0.3
 WIDE_METAL = 0.16
 WIDE_METAL_PRIOR = 0.2
 """The same for metals wider than `WIDE_METAL`: they look as dielectrics with a wrong normal do."""
-METAL_TOLERANCE, METAL_SOFTNESS = (0.1, 0.24), 0.04
-"""How much worse metals may fit where stage two sees none and where it sees some, in the logarithm of cost,
-and over how much they become dielectrics: a metal's picture suffers more from wrong normals."""
+METAL_TOLERANCE, METAL_SOFTNESS = 0.24, 0.04
+"""How much worse metals may fit, in the logarithm of cost, and over how much they become dielectrics: a
+metal's picture suffers more from wrong normals."""
 DIELECTRIC, SUSPECT = 0.05, 0.25
-"""Metalness of stage two up to which the less is granted, and from which the more is."""
+"""Metalness of stage two up to which nothing is granted, and from which all of the tolerance is."""
 NORMAL_MARGIN, NORMAL_POOL = 0.03, 5
 """How much better another normal than the predicted one must fit, in the logarithm of cost, and over how many
 steps along the graph costs are pooled for that."""
@@ -77,8 +77,7 @@ def choose(
     of_metal = pooled[:, :, 1] + WIDE_METAL_PRIOR * beyond
     apart = of_metal.min(dim=1).values - pooled[:, :, 0].min(dim=1).values
     believed = wide.pooled(trained.metalness, amount, 10)[:, 0]
-    suspected = ((believed - DIELECTRIC) / (SUSPECT - DIELECTRIC)).clamp(0.0, 1.0)
-    tolerance = METAL_TOLERANCE[0] + (METAL_TOLERANCE[1] - METAL_TOLERANCE[0]) * suspected
+    tolerance = METAL_TOLERANCE * ((believed - DIELECTRIC) / (SUSPECT - DIELECTRIC)).clamp(0.0, 1.0)
     metal = torch.sigmoid((tolerance - apart) / METAL_SOFTNESS)
     metal = wide.pooled(metal[:, None], amount, 3)[:, 0]
     is_metal = metal > 0.5
