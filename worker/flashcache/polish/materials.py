@@ -77,9 +77,7 @@ def choose(
     of_metal = pooled[:, :, 1] + WIDE_METAL_PRIOR * beyond
     apart = of_metal.min(dim=1).values - pooled[:, :, 0].min(dim=1).values
     believed = wide.pooled(trained.metalness, amount, 10)[:, 0]
-    tolerance = METAL_TOLERANCE * ((believed - DIELECTRIC) / (SUSPECT - DIELECTRIC)).clamp(0.0, 1.0)
-    metal = torch.sigmoid((tolerance - apart) / METAL_SOFTNESS)
-    metal = wide.pooled(metal[:, None], amount, 3)[:, 0]
+    metal = wide.pooled(metalness(apart, believed)[:, None], amount, 3)[:, 0]
     is_metal = metal > 0.5
     which = is_metal.long()
 
@@ -123,6 +121,17 @@ def choose(
     f0 = among_metals.pooled(turned.albedo[row, level, 1], amount, 4)
     albedo = torch.where(is_metal[:, None], f0, albedo)
     return Reflectance(albedo, alpha, metal, normal)
+
+
+def metalness(
+    apart: Float[Tensor, " elements"], believed: Float[Tensor, " elements"]
+) -> Float[Tensor, " elements"]:
+    """Return metalness 0..1 where metals fit worse by `apart`, in the logarithm of cost.
+
+    Where stage two's metalness `believed` says so, they may fit worse and still be metals.
+    """
+    suspected = ((believed - DIELECTRIC) / (SUSPECT - DIELECTRIC)).clamp(0.0, 1.0)
+    return torch.sigmoid((METAL_TOLERANCE * suspected - apart) / METAL_SOFTNESS)
 
 
 def _mean(one: Tensor, other: Tensor) -> Tensor:
