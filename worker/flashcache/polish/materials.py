@@ -22,10 +22,10 @@ WIDTH_PRIOR = 0.3
 WIDE_METAL = 0.16
 WIDE_METAL_PRIOR = 0.2
 """The same for metals wider than `WIDE_METAL`: they look as dielectrics with a wrong normal do."""
-METAL_TOLERANCE, METAL_SOFTNESS = 0.24, 0.04
+METAL_TOLERANCE, METAL_SOFTNESS = 0.42, 0.04
 """How much worse metals may fit, in the logarithm of cost, and over how much they become dielectrics: a
 metal's picture suffers more from wrong normals."""
-DIELECTRIC, SUSPECT = 0.05, 0.25
+DIELECTRIC, SUSPECT = 0.05, 0.4
 """Metalness of stage two up to which nothing is granted, and from which all of the tolerance is."""
 NORMAL_MARGIN, NORMAL_POOL = 0.03, 5
 """How much better another normal than the predicted one must fit, in the logarithm of cost, and over how many
