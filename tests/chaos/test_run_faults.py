@@ -41,14 +41,6 @@ def scene(server: LiveServer) -> str:
     return server.scene()
 
 
-@pytest.fixture
-def end(tmp_path: Path) -> Iterator[Path]:
-    """Yield the file that lets endless jobs end; it is written at the end in any case."""
-    path = tmp_path / "end"
-    yield path
-    path.touch()
-
-
 def processes_of(server: LiveServer, jobs: list[str]) -> list[tuple[str, psutil.Process]]:
     found = []
     for process in server.run_processes():

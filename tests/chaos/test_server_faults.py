@@ -68,14 +68,6 @@ def scene(server: LiveServer) -> str:
     return server.scene()
 
 
-@pytest.fixture
-def end(tmp_path: Path) -> Iterator[Path]:
-    """Yield the file that lets endless jobs end; it is written at the end in any case."""
-    path = tmp_path / "end"
-    yield path
-    path.touch()
-
-
 def database_of(server: LiveServer) -> contextlib.closing[sqlite3.Connection]:
     return contextlib.closing(sqlite3.connect(server.data / "lambent.sqlite", timeout=10))
 

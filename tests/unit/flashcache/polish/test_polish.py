@@ -252,14 +252,6 @@ def only_reflections(picture):
 def test_photographs_that_say_nothing_leave_no_value_that_is_not_finite(scene, model, change, monkeypatch):
     for name in ("MATERIAL_STEPS", "NORMAL_STEPS"):
         monkeypatch.setattr(write, name, 10)
-    joined = whole._joined
-
-    def without_metal(*given):
-        trained = joined(*given)
-        return replace(trained, metalness=torch.zeros_like(trained.metalness))
-
-    # The untrained model calls all of it metal.
-    monkeypatch.setattr(whole, "_joined", without_metal)
     polished = copy.deepcopy(model)
     report = polish(polished, pixels_of(with_photographs(scene, change)), seed=0)
     for name, value in polished.state_dict().items():
@@ -268,7 +260,24 @@ def test_photographs_that_say_nothing_leave_no_value_that_is_not_finite(scene, m
         assert "clipped" in report.kept
     if change is only_reflections:
         assert report.values["error_fitted"] < report.values["error_before"]
-        assert report.values["metal_share"] == 0.0
+
+
+@pytest.mark.parametrize(("believed", "is_metal"), [(0.0, False), (0.7, True)])
+def test_where_photographs_leave_it_open_stage_two_says_what_is_metal(
+    scene, model, believed, is_metal, monkeypatch
+):
+    for name in ("MATERIAL_STEPS", "NORMAL_STEPS"):
+        monkeypatch.setattr(write, name, 10)
+    joined = whole._joined
+
+    def believing(*given):
+        trained = joined(*given)
+        return replace(trained, metalness=torch.full_like(trained.metalness, believed))
+
+    monkeypatch.setattr(whole, "_joined", believing)
+    report = polish(copy.deepcopy(model), pixels_of(with_photographs(scene, only_reflections)), seed=0)
+    assert (report.values["metal_share"] > 0.5) == is_metal
+    assert report.values["metal_share"] == 0.0 or is_metal
 
 
 def test_what_rendered_pixels_ask_for_is_what_the_networks_learn(scene, model, monkeypatch):
