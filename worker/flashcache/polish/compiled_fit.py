@@ -203,13 +203,14 @@ def _solved(
 
 @compiled()
 def sweep(
-    begin, end, first, omega_o, detail, colour, clipped, light, normal, tilts, tilt_cost, clear, near, sky,
-    directions, solid_angles, alphas, halves, counts, noise_values, cost, choice, albedo,
+    begin, end, first_tilt, rows, first, omega_o, detail, colour, clipped, light, normal, tilts, tilt_cost,
+    clear, near, sky, directions, solid_angles, alphas, halves, counts, noise_values, cost, choice, albedo,
 ):  # fmt: skip
-    """Write for the elements `begin` to `end` the cost, tilt and albedo of every width and both hypotheses.
+    """Write for the elements `rows` the cost, tilt and albedo of every width and both hypotheses.
 
-    `near` [lights, elements, cells, 3], `sky` [lights, fine cells, 3]; results have the axes element, width,
-    hypothesis (0 dielectric, 1 metal).
+    For `begin` to `end` of these. `near` [lights, elements, cells, 3], `sky` [lights, fine cells, 3]; results
+    have the axes element, width, hypothesis (0 dielectric, 1 metal). Tilts are tried from `first_tilt` on and
+    chosen where they cost less than what stands there.
     """
     noise = Noise(noise_values[0], noise_values[1], noise_values[2], noise_values[3])
     num_lights, cells = near.shape[0], clear.shape[1]
@@ -225,22 +226,19 @@ def sweep(
     drawn = np.zeros((MOST_DIRECTIONS, 5), np.float32)
     tilted, radiance, best = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
     area = ONE / np.float32(scale * scale)
-    for e in range(begin, end):
+    for row in range(begin, end):
+        e = rows[row]
         start, stop = first[e], first[e + 1]
-        for k in range(len(alphas)):
-            for m in range(2):
-                cost[e, k, m] = np.float32(1e9)
         for number in range(num_lights):
             _incoming(pictures[number], clear[e], near[number, e], sky[number], side, scale)
             for d in range(cells):
                 for c in range(3):
                     coarse[number, d, c] = ZERO
-            for row in range(fine):
-                for column in range(fine):
-                    cell = (row // scale) * side + column // scale
-                    for c in range(3):
-                        coarse[number, cell, c] += area * pictures[number, row * fine + column, c]
-        for t in range(len(tilts)):
+            for place in range(fine * fine):
+                cell = (place // fine // scale) * side + (place % fine) // scale
+                for c in range(3):
+                    coarse[number, cell, c] += area * pictures[number, place, c]
+        for t in range(first_tilt, len(tilts)):
             _tilted(normal[e], tilts[t, 0], tilts[t, 1], tilted)
             for number in range(num_lights):
                 _irradiance(coarse[number], directions, solid_angles, tilted, irradiance[number])
@@ -295,3 +293,39 @@ def reflections(
                     weights[o, 4 * j + corner, part] = weight * clear[e, cell]
                     for c in range(3):
                         constant[o, part, c] += weight * near[light[o], e, cell, c]
+
+
+@compiled()
+def reflected(begin, end, cells, weights, f0, light, sky, radiance):
+    """Write for the observations `begin` to `end` the specular `radiance` [observations, 3] under `sky`.
+
+    `cells` and `weights` are those of `reflections`, without near surfaces; `sky` [lights, cells, 3].
+    """
+    for o in range(begin, end):
+        red, green, blue = ZERO, ZERO, ZERO
+        f_red, f_green, f_blue = f0[o, 0], f0[o, 1], f0[o, 2]
+        picture = sky[light[o]]
+        for j in range(cells.shape[1]):
+            cell, a, b = cells[o, j], weights[o, j, 0], weights[o, j, 1]
+            red += (f_red * a + b) * picture[cell, 0]
+            green += (f_green * a + b) * picture[cell, 1]
+            blue += (f_blue * a + b) * picture[cell, 2]
+        radiance[o, 0], radiance[o, 1], radiance[o, 2] = red, green, blue
+
+
+@compiled()
+def gathered(begin, end, rows, cells, weights, f0, light, residual, gradient):
+    """Add what `reflected` does to its observations' residuals, backwards: to the cells of the sky.
+
+    For parts `begin` to `end` of `rows` observations each; `gradient` [parts, lights, cells, 3] is zero before.
+    """
+    for part in range(begin, end):
+        for o in range(part * rows, min((part + 1) * rows, len(cells))):
+            found = gradient[part, light[o]]
+            r_red, r_green, r_blue = residual[o, 0], residual[o, 1], residual[o, 2]
+            f_red, f_green, f_blue = f0[o, 0], f0[o, 1], f0[o, 2]
+            for j in range(cells.shape[1]):
+                cell, a, b = cells[o, j], weights[o, j, 0], weights[o, j, 1]
+                found[cell, 0] += (f_red * a + b) * r_red
+                found[cell, 1] += (f_green * a + b) * r_green
+                found[cell, 2] += (f_blue * a + b) * r_blue

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
@@ -25,6 +25,8 @@ DIRECTIONS = (6, 8, 12, 16, 20, 24, 24)
 NOISE_FLOOR = 0.03
 OUTLIER = 0.15
 LEAST_ALBEDO = 0.01
+NOT_TRIED = 1e9
+"""Cost of what was not tried."""
 BLOCK = 32
 INVERSE_GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)
 
@@ -37,6 +39,18 @@ class Costs:
     """Mean squared error over the observed radiance, robust."""
     tilt: Int[Tensor, "elements widths 2"]
     albedo: Float[Tensor, "elements widths 2 3"]
+
+    @classmethod
+    def none(cls, count: int) -> "Costs":
+        """Return the costs of `count` elements before anything is tried."""
+        shape = (count, len(ALPHAS), 2)
+        return cls(
+            torch.full(shape, NOT_TRIED), torch.zeros(shape, dtype=torch.int64), torch.zeros(*shape, 3)
+        )
+
+    def copy(self) -> "Costs":
+        """Return costs that may be changed without these."""
+        return Costs(self.cost.clone(), self.tilt.clone(), self.albedo.clone())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,19 +100,52 @@ def costs(
     *,
     normal: Float[Tensor, "elements 3"] | None = None,
     tilts: Tilts = NO_TILT,
+    untilted: Costs | None = None,
 ) -> Costs:
-    """Return the costs of `ALPHAS` under the environments `sky`, with the best tilt of `normal` for each."""
-    count, widths = len(elements), len(ALPHAS)
-    found = Costs(
-        torch.empty(count, widths, 2),
-        torch.zeros(count, widths, 2, dtype=torch.int64),
-        torch.empty(count, widths, 2, 3),
-    )
+    """Return the costs of `ALPHAS` under the environments `sky`, with the best tilt of `normal` for each.
+
+    The first tilt is none. Where its costs are known, `untilted` saves computing them again.
+    """
+    every = torch.arange(len(elements))
+    found = Costs.none(len(elements)) if untilted is None else untilted.copy()
+    _sweep(found, every, elements, tables, sky, normal, tilts, 0 if untilted is None else 1)
+    return found
+
+
+def costs_of_some(
+    some: Bool[Tensor, " elements"],
+    elements: Elements,
+    tables: IncomingTables,
+    sky: Float[Tensor, "lights cells 3"],
+    normal: Float[Tensor, "elements 3"],
+    others: Costs,
+) -> Costs:
+    """Return the costs of `ALPHAS` with `normal` at `some` of the elements, and `others` at the rest."""
+    found = others.copy()
+    rows = some.nonzero()[:, 0]
+    found.cost[rows] = NOT_TRIED
+    _sweep(found, rows, elements, tables, sky, normal, NO_TILT, 0)
+    return found
+
+
+def _sweep(
+    found: Costs,
+    rows: Int[Tensor, " some"],
+    elements: Elements,
+    tables: IncomingTables,
+    sky: Float[Tensor, "lights cells 3"],
+    normal: Float[Tensor, "elements 3"] | None,
+    tilts: Tilts,
+    first_tilt: int,
+) -> None:
+    """Write into `found` what costs less than it in the elements `rows`."""
+    widths = len(ALPHAS)
     cells = octahedral_directions(math.isqrt(tables.clear.shape[1]))
     halves = torch.zeros(widths, max(DIRECTIONS), 3)
     for row, number in enumerate(DIRECTIONS):
         halves[row, :number] = half_vectors(number)
     arguments = (
+        rows,
         elements.first,
         elements.omega_o,
         elements.detail,
@@ -123,5 +170,4 @@ def costs(
     )
     arrays = tuple(np.ascontiguousarray(part.numpy()) for part in arguments[:-3])
     arrays += tuple(part.numpy() for part in arguments[-3:])
-    over_rows(lambda begin, end: compiled_fit.sweep(begin, end, *arrays), count, BLOCK)
-    return found
+    over_rows(lambda begin, end: compiled_fit.sweep(begin, end, first_tilt, *arrays), len(rows), BLOCK)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
@@ -19,6 +18,8 @@ from flashcache.polish.incoming import IncomingTables
 
 DIRECTIONS = 16
 """Half vectors per observation."""
+ROWS = 4096
+"""Observations whose part in a gradient is summed at once: sums do not depend on the number of threads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,23 +68,16 @@ class Prediction:
         self, elements: Elements, tables: IncomingTables, reflectance: Reflectance, fine: int
     ) -> None:
         """`fine` is the number of cells along each side of an environment's square."""
-        observations = len(elements.colour)
-        self.element, self.light, self.elements = elements.element, elements.light, elements
-        cells, weights, constant = specular_sums(
+        self.element, self.elements = elements.element, elements
+        self.light = np.ascontiguousarray(elements.light.numpy())
+        self.cells, self.weights, constant = specular_sums(
             elements, tables, reflectance.normal, reflectance.alpha, fine, DIRECTIONS
         )
-        starts = np.arange(0, cells.size + 1, 4 * DIRECTIONS)
-        shape = (observations, fine * fine)
-        self.parts = [
-            csr_matrix((weights[..., part].reshape(-1), cells.reshape(-1), starts), shape=shape)
-            for part in range(2)
-        ]
-        self.back = [part.T.tocsr() for part in self.parts]
         metal = reflectance.metalness[:, None]
         albedo = reflectance.albedo[self.element] * elements.detail
         metal = metal[self.element]
         self.diffuse = ((1.0 - metal) * albedo).numpy()
-        self.f0 = (DIELECTRIC_F0 * (1.0 - metal) + metal * albedo).numpy()
+        self.f0 = np.ascontiguousarray((DIELECTRIC_F0 * (1.0 - metal) + metal * albedo).numpy())
         side = math.isqrt(tables.clear.shape[1])
         cosine = (reflectance.normal @ octahedral_directions(side).T).clamp_min(0.0)
         cosine = cosine * (octahedral_solid_angles(side) / math.pi)
@@ -95,27 +89,30 @@ class Prediction:
 
     def __call__(self, sky: np.ndarray) -> np.ndarray:
         """Return the radiance [observations, 3] of every observation under `sky` [lights, cells, 3]."""
-        found = self.constant.copy()
+        sky = np.ascontiguousarray(sky, np.float32)
+        found = np.empty_like(self.constant)
+        arrays = (self.cells, self.weights, self.f0, self.light, sky, found)
+        over_rows(lambda begin, end: compiled_fit.reflected(begin, end, *arrays), len(found), BLOCK)
+        found += self.constant
         for light in range(self.lights):
-            rows = slice(None) if self.lights == 1 else (self.light == light).numpy()
-            element = self.element.numpy()[rows]
+            rows = slice(None) if self.lights == 1 else self.light == light
             irradiance = self.received @ self._coarse(sky[light]) + self.near[light]
-            found[rows] += self.diffuse[rows] * irradiance[element]
-            found[rows] += (
-                self.f0[rows] * (self.parts[0] @ sky[light])[rows] + (self.parts[1] @ sky[light])[rows]
-            )
+            found[rows] += self.diffuse[rows] * irradiance[self.element.numpy()[rows]]
         return found
 
     def gradient(self, residual: np.ndarray) -> np.ndarray:
         """Return the gradient [lights, cells, 3] of the sum of predictions times `residual`."""
-        found = []
+        residual = np.ascontiguousarray(residual, np.float32)
+        parts = math.ceil(len(residual) / ROWS)
+        found = np.zeros((parts, self.lights, self.fine**2, 3), np.float32)
+        arrays = (ROWS, self.cells, self.weights, self.f0, self.light, residual, found)
+        over_rows(lambda begin, end: compiled_fit.gathered(begin, end, *arrays), parts, 1)
+        gradient = found.sum(axis=0)
         for light in range(self.lights):
-            of_light = residual if self.lights == 1 else residual * (self.light == light).numpy()[:, None]
+            of_light = residual if self.lights == 1 else residual * (self.light == light)[:, None]
             per_element = np.add.reduceat(self.diffuse * of_light, self.elements.first[:-1].numpy(), axis=0)
-            coarse = self.received.T @ per_element
-            fine = self.back[0] @ (self.f0 * of_light) + self.back[1] @ of_light
-            found.append(fine + self._spread(coarse))
-        return np.stack(found)
+            gradient[light] += self._spread(self.received.T @ per_element)
+        return gradient
 
     def _coarse(self, sky: np.ndarray) -> np.ndarray:
         shape = (self.side, self.scale, self.side, self.scale, 3)

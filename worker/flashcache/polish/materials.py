@@ -7,7 +7,7 @@ from torch import Tensor
 from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import normalize
 from flashcache.polish.elements import Elements
-from flashcache.polish.fit import ALPHAS, Tilts, costs
+from flashcache.polish.fit import ALPHAS, Tilts, costs, costs_of_some
 from flashcache.polish.incoming import IncomingTables
 from flashcache.polish.light import Reflectance
 from flashcache.polish.neighbours import Neighbours
@@ -66,7 +66,8 @@ def choose(
     """
     count, widths = len(elements), torch.tensor(ALPHAS)
     row, amount = torch.arange(count), elements.counts.float()
-    turned = costs(elements, tables, sky, normal=normals[0], tilts=TILTS)
+    of_plane = costs(elements, tables, sky, normal=normals[0])
+    turned = costs(elements, tables, sky, normal=normals[0], tilts=TILTS, untilted=of_plane)
     base = smoothed_albedo(elements, trained, neighbours)
     close = neighbours.among_alike(encoded(base), 0.25)
     wide = neighbours.among_alike(encoded(base), 0.35)
@@ -91,7 +92,12 @@ def choose(
         *normals,
         *(torch.where(is_metal[:, None], each, normals[0]) for each in smooth),
     ]
-    still = [costs(elements, tables, sky, normal=candidate) for candidate in candidates]
+    still = [
+        costs(elements, tables, sky, normal=elements.normal),
+        of_plane,
+        *(costs(elements, tables, sky, normal=other) for other in normals[1:]),
+        *(costs_of_some(is_metal, elements, tables, sky, each, of_plane) for each in smooth),
+    ]
     fits = torch.stack(
         [
             neighbours.pooled((found.cost[row, :, which] + COST_FLOOR).log(), amount, NORMAL_POOL)

@@ -24,7 +24,7 @@ from flashcache.polish.light import Prediction, Reflectance, fit_light
 from flashcache.polish.materials import choose, smoothed_albedo
 from flashcache.polish.neighbours import Neighbours
 from flashcache.polish.normals import plane_normals
-from flashcache.polish.write import write_materials, write_normals
+from flashcache.polish.write import AGAIN, FIRST, write_materials, write_normals
 from flashcache.randomness import generator_for
 
 LEAST_ELEMENTS = 200
@@ -55,6 +55,14 @@ class PolishReport:
     """Code and message of what the user should know."""
     confidence: Confidence | None = None
     """How sure the elements' materials are; None where stage two's are kept."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Written:
+    """A model that has learned the elements' materials, and the normals that it has learned."""
+
+    model: InverseModel
+    normal: Float[Tensor, "elements 3"]
 
 
 def polish(
@@ -120,15 +128,16 @@ def polish(
         values |= {"known_light_error": verdict.error}
         if verdict.contradicted:
             return PolishReport("the photographs contradict the known light", values, verdict.findings)
-    polished = _written(model, elements, reflectance, sky if learned else None, generator)
+    light = sky if learned else None
+    written = _written(model, elements, reflectance, light, generator)
     advance(NUM_PARTS - 3)
     with torch.no_grad():
-        render = partial(rendered, polished, pixels, seed=seed)
+        render = partial(rendered, written.model, pixels, seed=seed)
         reflectance = corrected_albedo(render, seen, reflectance, neighbours, seed)
-    polished = _written(model, elements, reflectance, sky if learned else None, generator)
+    written = _written(model, elements, reflectance, light, generator, before=written)
     advance(NUM_PARTS - 2)
     with torch.no_grad():
-        kept = gate(model, polished, pixels, checks, neighbours, seed)
+        kept = gate(model, written.model, pixels, checks, neighbours, seed)
     share = float(kept.share.mean())
     values |= {"error_before": kept.before, "error_fitted": kept.fitted, "fitted_share": share}
     if share < LEAST_SHARE:
@@ -151,10 +160,12 @@ def polish(
         values, findings, factor = values | settled.values, settled.findings, settled.factor
     if share < 1.0 or factor is not None:
         light = sky if learned or factor is not None else None
-        polished = _written(model, elements, reflectance, light, generator, factor)
+        # A card may change albedo by far, which is learned afresh.
+        before = written if factor is None else None
+        written = _written(model, elements, reflectance, light, generator, factor, before)
     values["metal_share"] = float((reflectance.metalness > 0.5).float().mean())
     confidence = confidence_of(seen, tables, sky, reflectance, neighbours)
-    model.load_state_dict(polished.state_dict())
+    model.load_state_dict(written.model.state_dict())
     advance(NUM_PARTS)
     return PolishReport("", values, findings, confidence)
 
@@ -180,15 +191,23 @@ def _written(
     sky: Float[Tensor, "lights cells 3"] | None,
     generator: torch.Generator,
     factor: Float[Tensor, "3"] | None = None,
-) -> InverseModel:
-    """Return a copy of the model that has learned materials and normals of elements, and the light `sky`."""
+    before: _Written | None = None,
+) -> _Written:
+    """Return a copy of the model that has learned materials and normals of elements, and the light `sky`.
+
+    Networks go on from `before`, whose materials are nearly these: they learn the difference in less time.
+    """
     polished = copy.deepcopy(model)
-    write_materials(polished, elements, reflectance, generator, factor)
-    changed = (reflectance.normal * elements.normal).sum(dim=-1) < SAME_NORMAL
-    write_normals(polished, elements, reflectance.normal, changed, generator)
+    learned, normal, lesson = None, elements.normal, FIRST
+    if before is not None:
+        learned, normal, lesson = before.model.materials, before.normal, AGAIN
+        polished.nerf.normals.load_state_dict(before.model.nerf.normals.state_dict())
+    write_materials(polished, elements, reflectance, generator, factor, learned)
+    changed = (reflectance.normal * normal).sum(dim=-1) < SAME_NORMAL
+    write_normals(polished, elements, reflectance.normal, changed, generator, lesson)
     if sky is not None:
         polished.environment.set_texture(sky)
-    return polished
+    return _Written(polished, reflectance.normal)
 
 
 def environments(model: InverseModel, num_lights: int) -> Float[Tensor, "lights cells 3"]:

@@ -1,6 +1,8 @@
 """The polished values as networks: material field and normals learn what elements hold."""
 
+import copy
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -14,8 +16,21 @@ from flashcache.polish.light import Reflectance
 from flashcache.polish.materials import GAMMA
 
 BATCH = 8192
-MATERIAL_STEPS, NORMAL_STEPS = 300, 150
-MATERIAL_RATE, NORMAL_RATE = 1e-2, 4e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """How long networks learn."""
+
+    material_steps: int
+    normal_steps: int
+    material_rate: float
+    normal_rate: float
+
+
+FIRST = Lesson(300, 150, 1e-2, 4e-3)
+AGAIN = Lesson(100, 60, 4e-3, 2e-3)
+"""Of networks that have learned nearly the same before."""
 FINAL_RATE = 0.03
 MOST_REST = 0.25
 """Largest share of a batch for what no element covers."""
@@ -29,17 +44,17 @@ def write_materials(
     found: Reflectance,
     generator: torch.Generator,
     factor: Float[Tensor, "3"] | None = None,
+    before: MaterialField | None = None,
 ) -> None:
     """Replace the material field by one that is taught `found` at the observed points.
 
-    It begins afresh: what the trained one holds beyond the elements' values is grain. Where opaque pixels are
-    no observations, it is taught what the trained one has there, with its albedo times `factor`.
+    It begins with `before`, which has learned nearly the same, or afresh: what the trained one holds beyond
+    the elements' values is grain. Where opaque pixels are no observations, it is taught what the trained one
+    has there, with its albedo times `factor`.
     """
-    config = model.config.materials
     device = elements.positions.device
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(generator.initial_seed())
-        field = MaterialField(config, model.domain.contraction_radius).to(device)
+    lesson = FIRST if before is None else AGAIN
+    field = _fresh_field(model, generator).to(device) if before is None else copy.deepcopy(before)
     element = elements.element
     wanted = (found.albedo[element] * elements.detail).clamp(0.004, 0.996).pow(GAMMA)
     alpha = found.alpha.clamp(1e-3, 0.996)[element, None].sqrt()
@@ -68,8 +83,14 @@ def write_materials(
         values = (materials.albedo.pow(GAMMA), materials.alpha.sqrt(), materials.metalness)
         return torch.stack([(a - b).abs().mean() for a, b in zip(values, targets, strict=True)]).sum()
 
-    _learn(field, loss, MATERIAL_STEPS, MATERIAL_RATE)
+    _learn(field, loss, lesson.material_steps, lesson.material_rate)
     model.materials.load_state_dict(field.state_dict())
+
+
+def _fresh_field(model: InverseModel, generator: torch.Generator) -> MaterialField:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator.initial_seed())
+        return MaterialField(model.config.materials, model.domain.contraction_radius)
 
 
 def write_normals(
@@ -78,6 +99,7 @@ def write_normals(
     normal: Float[Tensor, "elements 3"],
     changed: Tensor,
     generator: torch.Generator,
+    lesson: Lesson = FIRST,
 ) -> None:
     """Teach the predicted normals `normal` at elements that are `changed`, and their own everywhere else."""
     moved, kept = ((changed == flag)[elements.element].nonzero()[:, 0] for flag in (True, False))
@@ -88,7 +110,7 @@ def write_normals(
     half = BATCH // 2 if len(others) else BATCH
 
     def teaching() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        for _ in range(NORMAL_STEPS):
+        for _ in range(lesson.normal_steps):
             drawn = moved[torch.randint(len(moved), (half,), generator=generator, device=device)]
             places, target = _places(elements, drawn, generator), normal[elements.element[drawn]]
             if len(others):
@@ -107,7 +129,7 @@ def write_normals(
         places, hidden, target = next(remaining)
         return (1.0 - dot(field(places, hidden), target)).mean()
 
-    _learn(field, loss, NORMAL_STEPS, NORMAL_RATE)
+    _learn(field, loss, lesson.normal_steps, lesson.normal_rate)
 
 
 def _places(
