@@ -2,7 +2,8 @@
 
     python -m benchmarks long_curve SUITE/cowcrate --environments SUITE/envmaps/high_res -o OUT
 
-Keeps about `--points` checkpoints of each stage, then evaluates each with `lambent evaluate` and
+Keeps about `--points` checkpoints of each stage, and the polished model where the preset has a polish, then
+evaluates each with `lambent evaluate` and
 `tests/references/evaluate.py` on `--views` test views, one repeat, 64 directions per pixel. Time is training
 time alone: evaluation comes after. Writes OUT/curve.csv and OUT/curve.png. Stopped anywhere, it goes on when
 called again with the same arguments.
@@ -20,8 +21,8 @@ from pathlib import Path
 
 from lambent_worker.console_reporter import ConsoleReporter
 from lambent_worker.files import read_record
-from lambent_worker.run.folder import done_inputs, finish_task
-from lambent_worker.run.hashes import PREPARATION
+from lambent_worker.run.folder import done_inputs, finish_task, task_seconds
+from lambent_worker.run.hashes import PREPARATION, last_training_task
 from lambent_worker.run.pipeline import run_pipeline
 from lambent_worker.run.prepare import device_for
 from lambent_worker.run.spec import RunSpec
@@ -31,7 +32,7 @@ from benchmarks.reference_scores import FIGURES, figures_of
 
 QUICK = "{sample} --environments {maps} --preset tiny --points 2 --views 1 --directions 16"
 
-STAGES = ("cache", "joint")
+STAGES = ("cache", "joint", "polish")
 OF_CACHE = ("cache novel views [dB]", "normals, inside mask [deg]")
 """Figures that mean something before materials are trained."""
 COLUMNS = ("stage", "step", "stage seconds", "seconds", *FIGURES)
@@ -92,33 +93,48 @@ def kept_checkpoints(folder: Path) -> list[Checkpoint]:
     return sorted(found)
 
 
-def train(scene: Path, out: Path, arguments: argparse.Namespace) -> None:
+def seconds_until(checkpoint: Checkpoint, all_kept: list[Checkpoint]) -> float:
+    """Return the training time until a checkpoint: that of its stage and the whole stages before it."""
+    before = (max(one.seconds for one in all_kept if one.stage == stage) for stage in range(checkpoint.stage))
+    return checkpoint.seconds + sum(before)
+
+
+def train(spec: RunSpec, out: Path, arguments: argparse.Namespace) -> None:
     """Train as far as materials go, keeping checkpoints on the way."""
-    overrides = dict(setting.split("=", 1) for setting in arguments.settings)
-    spec = RunSpec.from_options(scene, preset=arguments.preset, overrides=overrides, seed=arguments.seed)
     steps = {"cache": spec.config.stage_one.num_steps, "joint": spec.config.stage_two.num_steps}
     every = {stage: max(1, round(0.99 * count / arguments.points)) for stage, count in steps.items()}
+    stages = STAGES if spec.config.polish == "on" else STAGES[:-1]
     with Keeper(out / "run", out / "kept", every) as reporter:
         device = device_for(out / "run", arguments.device)
-        run_pipeline(spec, out / "run", device, reporter, (*PREPARATION, *STAGES))
-    for stage in STAGES:  # The end of a stage is always worth a look.
+        run_pipeline(spec, out / "run", device, reporter, (*PREPARATION, *stages))
+    for stage in stages:  # The end of a stage is always worth a look.
         ended = max((out / "run" / stage).glob("step_*"))
         copy_checkpoint(ended, out / "kept" / f"{stage}_{ended.name.removeprefix('step_')}")
+    if "polish" in stages:
+        note_seconds(out / "kept", task_seconds(out / "run")["polish"])
+
+
+def note_seconds(kept: Path, seconds: float) -> None:
+    """Write how long the polish took beside its model: its checkpoint does not say it."""
+    (path,) = kept.glob("polish_*/state.json")
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | {"seconds": seconds}))
 
 
 def evaluate(
-    scene: Path, out: Path, checkpoint: Checkpoint, arguments: argparse.Namespace
+    spec: RunSpec, out: Path, checkpoint: Checkpoint, arguments: argparse.Namespace
 ) -> dict[str, float]:
-    """Return the figures of a checkpoint."""
+    """Return the figures of a checkpoint, in the place of the run's last one."""
+    scene = arguments.scene
     probe, report = out / "probe", out / "report"
     shutil.rmtree(probe, ignore_errors=True)
     shutil.rmtree(report, ignore_errors=True)
     probe.mkdir()
     shutil.copyfile(out / "run" / "run.json", probe / "run.json")
     shutil.copytree(out / "run" / "scene", probe / "scene")
-    copy_checkpoint(checkpoint.folder, probe / "joint" / f"step_{checkpoint.step:07d}")
+    last = last_training_task(spec.config)
+    copy_checkpoint(checkpoint.folder, probe / last / f"step_{checkpoint.step:07d}")
     (probe / "steps").mkdir()
-    finish_task(probe, "joint", f"{done_inputs(out / 'run', 'joint')} {checkpoint.name}")
+    finish_task(probe, last, f"{done_inputs(out / 'run', last)} {checkpoint.name}")
     relight = []
     if arguments.environments and checkpoint.stage:
         relight = ["--environments", str(arguments.environments)]
@@ -191,9 +207,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """Train, evaluate what is kept, and write the curve anew after every point."""
     prepare()
-    train(arguments.scene, arguments.out, arguments)
+    overrides = dict(setting.split("=", 1) for setting in arguments.settings)
+    spec = RunSpec.from_options(
+        arguments.scene, preset=arguments.preset, overrides=overrides, seed=arguments.seed
+    )
+    train(spec, arguments.out, arguments)
     checkpoints = kept_checkpoints(arguments.out / "kept")
-    before = max(one.seconds for one in checkpoints if STAGES[one.stage] == "cache")
     table = arguments.out / "curve.csv"
     rows = read_table(table)
     for checkpoint in checkpoints:
@@ -201,12 +220,12 @@ def main(arguments: argparse.Namespace) -> None:
             (row["stage"], int(row["step"])) == (STAGES[checkpoint.stage], checkpoint.step) for row in rows
         ):
             continue
-        figures = evaluate(arguments.scene, arguments.out, checkpoint, arguments)
+        figures = evaluate(spec, arguments.out, checkpoint, arguments)
         row = {
             "stage": STAGES[checkpoint.stage],
             "step": checkpoint.step,
             "stage seconds": round(checkpoint.seconds, 1),
-            "seconds": round(checkpoint.seconds + (before if checkpoint.stage else 0.0), 1),
+            "seconds": round(seconds_until(checkpoint, checkpoints), 1),
             **{name: round(value, 4) for name, value in figures.items()},
         }
         rows = with_row(rows, row)

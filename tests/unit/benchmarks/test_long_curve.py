@@ -5,7 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.long_curve import Keeper, kept_checkpoints, plot, read_table, with_row, write_table
+from benchmarks.long_curve import (
+    Keeper,
+    kept_checkpoints,
+    note_seconds,
+    plot,
+    read_table,
+    seconds_until,
+    with_row,
+    write_table,
+)
 from benchmarks.reference_scores import FIGURES
 
 
@@ -61,6 +70,16 @@ def test_rows_come_back_from_the_table_in_the_order_of_training(tmp_path: Path):
     ]
     assert {float(one["normals, inside mask [deg]"]) for one in found} == {17.5}
     assert {one["relit [dB]"] for one in found} == {""}
+
+
+def test_time_counts_the_stages_before_and_the_polish_its_own(tmp_path: Path):
+    every = {"cache": 100, "joint": 50, "polish": 1}
+    keeper = Keeper(tmp_path / "run", tmp_path / "kept", every)
+    for stage, step in (("cache", 100), ("cache", 200), ("joint", 50), ("joint", 100), ("polish", 1)):
+        keeper.checkpoint(stage, step, checkpoint(tmp_path / "run" / stage, step, step / 10.0))
+    note_seconds(tmp_path / "kept", 40.0)
+    kept = kept_checkpoints(tmp_path / "kept")
+    assert [seconds_until(one, kept) for one in kept] == [10.0, 20.0, 25.0, 30.0, 70.0]
 
 
 def test_there_are_no_rows_before_the_first(tmp_path: Path):

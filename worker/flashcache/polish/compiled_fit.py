@@ -317,7 +317,8 @@ def reflected(begin, end, cells, weights, f0, light, sky, radiance):
 def gathered(begin, end, rows, cells, weights, f0, light, residual, gradient):
     """Add what `reflected` does to its observations' residuals, backwards: to the cells of the sky.
 
-    For parts `begin` to `end` of `rows` observations each; `gradient` [parts, lights, cells, 3] is zero before.
+    For parts `begin` to `end` of `rows` observations each. `gradient` [parts, lights, cells, 3] begins with
+    zeros.
     """
     for part in range(begin, end):
         for o in range(part * rows, min((part + 1) * rows, len(cells))):

@@ -52,7 +52,7 @@ def _stage_two(config: Config, cores: int) -> float:
 
 def _polish(cores: int) -> float:
     """Return the seconds of a polish; the number of surface elements is bounded."""
-    return BEGINNING_S + 12.0 + 60.0 / min(cores, 8)
+    return BEGINNING_S + 15.0 + 44.0 / min(cores, 8)
 
 
 def _evaluation(config: Config, cores: int) -> float:

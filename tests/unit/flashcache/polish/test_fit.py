@@ -1,14 +1,16 @@
 """The fit of materials to surface elements, against sums over all directions."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import normalize
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
 from flashcache.polish import light
-from flashcache.polish.fit import ALPHAS, NO_TILT, Tilts, costs
+from flashcache.polish.fit import ALPHAS, NO_TILT, Tilts, costs, costs_of_some
 from flashcache.polish.incoming import SIDE, IncomingTables
 from flashcache.polish.light import Prediction, Reflectance, fit_light
 from flashcache.polish.materials import choose
@@ -57,14 +59,35 @@ def test_a_prediction_is_the_sum_over_all_directions(albedo, alpha, metalness, m
     assert float(error.square().mean().sqrt() / elements.colour.mean()) < 0.1
 
 
-def test_the_gradient_by_the_sky_is_that_of_the_predictions():
+@pytest.mark.parametrize("lights", [1, 2])
+def test_the_gradient_by_the_sky_is_that_of_the_predictions(lights, monkeypatch):
+    monkeypatch.setattr(light, "ROWS", 64)  # The sum has several parts, and the last one is not full.
     elements = sphere_elements(GOLD, 0.28, 0.5, count=40)
-    prediction = Prediction(elements, open_tables(len(elements)), alone(elements, GOLD, 0.28, 0.5), FINE)
-    sky, generator = sky_picture().double().numpy(), torch.Generator().manual_seed(0)
+    elements = replace(elements, light=torch.arange(len(elements.colour)) % lights)
+    tables = open_tables(len(elements))
+    tables = replace(tables, near=tables.near.expand(lights, -1, -1, -1).contiguous())
+    prediction = Prediction(elements, tables, alone(elements, GOLD, 0.28, 0.5), FINE)
+    generator = torch.Generator().manual_seed(0)
+    sky = sky_picture().repeat(lights, 1, 1).double().numpy()
     residual = torch.randn(elements.colour.shape, generator=generator, dtype=torch.float64).numpy()
     change = torch.randn(sky.shape, generator=generator, dtype=torch.float64).numpy()
     by_sum = ((prediction(sky + change) - prediction(sky)) * residual).sum()
     assert (prediction.gradient(residual) * change).sum() == pytest.approx(by_sum, rel=1e-4)
+
+
+def test_every_observation_is_predicted_in_the_light_of_its_photograph():
+    elements = sphere_elements(GOLD, 0.28, 0.5, count=40)
+    reflectance, tables = alone(elements, GOLD, 0.28, 0.5), open_tables(len(elements))
+    bright = Prediction(elements, tables, reflectance, FINE)(sky_picture().numpy())
+    both = torch.cat([sky_picture(), 3.0 * sky_picture()]).numpy()
+    second = torch.arange(len(elements.colour)) % 2
+    mixed = Prediction(
+        replace(elements, light=second),
+        replace(tables, near=tables.near.expand(2, -1, -1, -1).contiguous()),
+        reflectance,
+        FINE,
+    )(both)
+    np.testing.assert_allclose(mixed, bright * (1.0 + 2.0 * second[:, None].numpy()), rtol=1e-5)
 
 
 @pytest.mark.parametrize(("alpha", "metalness"), [(0.09, 0.0), (0.28, 0.0), (0.09, 1.0), (0.28, 1.0)])
@@ -94,6 +117,30 @@ def test_a_tilt_undoes_the_error_of_a_normal_and_costs_what_it_should():
     assert float(after.median()) < 0.3 * float(before.median())
     centre = int((tilts.moves.abs().sum(dim=1) == 0).nonzero()[0, 0])
     assert float(tilts.cost[centre]) == 0.0
+
+
+def test_costs_that_are_known_are_not_needed_again():
+    elements = sphere_elements(GOLD, 0.16, 1.0, count=60)
+    tilts = Tilts.rings((0.18, 0.4), 0.005)
+    tables, sky = open_tables(len(elements)), sky_picture()
+    normal = tilted(elements.normal, torch.tensor([[0.2, 0.1]]).expand(len(elements), 2))
+    untilted = costs(elements, tables, sky, normal=normal)
+    known = untilted.copy()
+    whole = costs(elements, tables, sky, normal=normal, tilts=tilts)
+    found = costs(elements, tables, sky, normal=normal, tilts=tilts, untilted=untilted)
+    for name in ("cost", "tilt", "albedo"):
+        assert torch.equal(getattr(found, name), getattr(whole, name)), name
+        assert torch.equal(getattr(untilted, name), getattr(known, name)), name
+    assert (found.tilt > 0).any()
+    assert (found.tilt == 0).any()
+
+    some = torch.arange(len(elements)) % 3 == 0
+    mixed = costs_of_some(some, elements, tables, sky, elements.normal, untilted)
+    other = costs(elements, tables, sky, normal=elements.normal)
+    assert torch.equal(mixed.cost[some], other.cost[some])
+    assert torch.equal(mixed.albedo[some], other.albedo[some])
+    assert torch.equal(mixed.cost[~some], untilted.cost[~some])
+    assert not torch.equal(other.cost[~some], untilted.cost[~some])
 
 
 def test_rings_of_tilts_are_even_and_begin_with_none():
