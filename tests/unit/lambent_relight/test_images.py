@@ -3,10 +3,11 @@
 import numpy as np
 import OpenEXR
 import pytest
-from lambent_relight.environment.exr import REC709_CHROMATICITIES
+from lambent_relight.environment.exr import REC709_CHROMATICITIES, write_exr
 from lambent_relight.images import (
     encode_png,
     linear_from_srgb,
+    read_picture_exr,
     srgb_from_linear,
     write_picture_exr,
     write_png,
@@ -44,7 +45,8 @@ def picture(*, opaque: bool = False) -> RelitPicture:
         normal=image(3),
         perceptual_roughness=image(1),
         metalness=image(1),
-        distance=image(1),
+        distance=2.0 * image(1),
+        depth=image(1),
         coverage=opacity,
         num_samples=8,
     )
@@ -82,7 +84,6 @@ def test_exr_is_linear_premultiplied_named_and_states_its_primaries(tmp_path):
     np.testing.assert_array_equal(channels["A"], source.opacity[..., 0])
     np.testing.assert_array_equal(channels["albedo.B"], source.albedo[..., 2])
     np.testing.assert_array_equal(channels["normal.Z"], source.normal[..., 2])
-    np.testing.assert_array_equal(channels["Z"], source.distance[..., 0])
     assert {"direct.R", "indirect.R", "standard_error.R", "perceptual_roughness.V", "metalness.V"} <= set(
         channels
     )
@@ -99,4 +100,36 @@ def test_exr_holds_the_passes_that_are_named_and_no_others(tmp_path):
     write_picture_exr(tmp_path / "p.exr", picture(), passes=("normal", "depth", "indirect"))
     channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
     layers = {f"normal.{letter}" for letter in "XYZ"} | {f"indirect.{letter}" for letter in "RGB"}
-    assert set(channels) == {*"RGBAZ"} | layers
+    assert set(channels) == {*"RGBAZ", "distance.V"} | layers
+
+
+@pytest.mark.parametrize("half", [True, False])
+def test_depth_is_planar_far_where_nothing_is_and_never_rounded(tmp_path, half):
+    source = picture()
+    source.coverage[0, 0] = 0.0
+    write_picture_exr(tmp_path / "p.exr", source, half=half)
+    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    colour = np.float16 if half else np.float32
+    assert {channels[name].pixels.dtype.type for name in ("R", "albedo.G", "normal.Z")} == {colour}
+    for name, expected in (("Z", source.depth), ("distance.V", source.distance)):
+        plane = channels[name].pixels
+        assert plane.dtype == np.float32
+        assert plane[0, 0] == np.float32(1e10)
+        np.testing.assert_array_equal(plane[1:], expected[1:, :, 0])
+
+
+def test_a_file_from_before_planar_depth_is_read_as_one_of_today(tmp_path):
+    old = {name: np.full((2, 3), 0.5, np.float32) for name in ("R", "G", "B", "A", "Z")}
+    old["Z"][0] = 0.0
+    header = {"lambent:depth": "distance from the camera along the ray, scene units"}
+    write_exr(tmp_path / "old.exr", old, attributes=header)
+    channels = read_picture_exr(tmp_path / "old.exr")
+    assert set(channels) == {*"RGBA", "distance.V"}
+    np.testing.assert_array_equal(channels["distance.V"], np.float32([[1e10] * 3, [0.5] * 3]))
+
+
+def test_a_file_of_today_is_read_as_it_was_written(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), half=False)
+    channels = read_picture_exr(tmp_path / "p.exr")
+    np.testing.assert_array_equal(channels["Z"], picture().depth[..., 0])
+    np.testing.assert_array_equal(channels["distance.V"], picture().distance[..., 0])
