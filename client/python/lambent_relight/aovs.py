@@ -13,6 +13,7 @@ import numpy as np
 from lambent_proto.pictures import Pass
 from numpy.typing import NDArray
 
+from lambent_relight import cryptomatte
 from lambent_relight.picture import RelitPicture
 
 PASSES = get_args(Pass)
@@ -27,19 +28,23 @@ ATTRIBUTES: Mapping[str, str] = {
 """Attributes that describe the channels, besides chromaticities."""
 EMPTY_DEPTH = 1e10
 """Z and distance.V where there is no object, scene units."""
-FULL_PRECISION = frozenset({"Z", "distance.V"})
-"""Channels that are 32-bit floats in every file: half floats end at 65504 and resolve a thousandth."""
+FULL_PRECISION = frozenset({"Z", "distance.V", *cryptomatte.CHANNELS})
+"""Channels that are 32-bit floats in every file: depth beyond 65504, and ids, which are their bits."""
+OBJECT_NAME = "object"
+"""Name of the object in a Cryptomatte where it has no other."""
 _OLD_DEPTH = "distance from the camera along the ray, scene units"
 """`lambent:depth` of files before there was planar depth: Z is the distance, and 0 where empty."""
 
 
-def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> dict[str, NDArray[np.floating]]:
+def exr_channels(
+    picture: RelitPicture, *, passes: bool | Collection[str], object_name: str = OBJECT_NAME
+) -> dict[str, NDArray[np.floating]]:
     """Return the channels of a picture's EXR by name, [height, width] each.
 
     R, G, B (times alpha) and A. With `passes`, all or some names of `PASSES`, also the radiance passes and
     standard_error (times coverage; R, G, B each), albedo (R, G, B), normal (X, Y, Z), visibility,
-    perceptual_roughness, metalness (V), and for depth Z along the camera's axis and distance.V along the
-    ray, both `EMPTY_DEPTH` where there is no object.
+    perceptual_roughness, metalness (V), for depth Z along the camera's axis and distance.V along the ray,
+    both `EMPTY_DEPTH` where there is no object, and for cryptomatte the mask of the object `object_name`.
     """
     wanted = (PASSES if passes else ()) if isinstance(passes, bool) else passes
     channels: dict[str, NDArray[np.floating]] = {}
@@ -68,6 +73,8 @@ def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> di
         empty = picture.coverage <= 0.0
         layer("", np.where(empty, EMPTY_DEPTH, picture.depth), "Z")
         layer("distance", np.where(empty, EMPTY_DEPTH, picture.distance), "V")
+    if "cryptomatte" in wanted:
+        channels |= cryptomatte.cryptomatte_channels(object_name, picture.coverage[..., 0])
     return channels
 
 

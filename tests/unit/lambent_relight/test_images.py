@@ -1,5 +1,8 @@
 """Writing pictures."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -101,6 +104,34 @@ def test_exr_holds_the_passes_that_are_named_and_no_others(tmp_path):
     channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
     layers = {f"normal.{letter}" for letter in "XYZ"} | {f"indirect.{letter}" for letter in "RGB"}
     assert set(channels) == {*"RGBAZ", "distance.V"} | layers
+
+
+def test_the_mask_is_a_cryptomatte_of_the_named_object_whatever_the_background(tmp_path):
+    source = replace(picture(opaque=True), coverage=picture().opacity.copy())
+    source.coverage[0, 0] = 0.0
+    write_picture_exr(tmp_path / "p.exr", source, passes=["cryptomatte"], object_name="vase")
+    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    ident, share, *second = (part.channels[f"CryptoObject00.{letter}"].pixels for letter in "RGBA")
+    assert {plane.dtype.type for plane in (ident, share, *second)} == {np.float32}
+    np.testing.assert_array_equal(share, source.coverage[..., 0])
+    (key,) = {name.split("/")[1] for name in part.header if name.startswith("cryptomatte/")}
+    stated = {name: part.header[f"cryptomatte/{key}/{name}"] for name in ("name", "hash", "conversion")}
+    assert stated == {
+        "name": "CryptoObject",
+        "hash": "MurmurHash3_32",
+        "conversion": "uint32_to_float32",
+    }
+    manifest = json.loads(part.header[f"cryptomatte/{key}/manifest"])
+    picked = ident.view(np.uint32) == int(manifest["vase"], 16)
+    np.testing.assert_array_equal(picked, source.coverage[..., 0] > 0.0)
+    assert not np.any(second)
+    assert ident[0, 0] == 0.0
+
+
+def test_a_file_without_the_mask_says_nothing_of_one(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), passes=["normal"])
+    header = OpenEXR.File(str(tmp_path / "p.exr"), header_only=True).parts[0].header
+    assert not [name for name in header if name.startswith("cryptomatte")]
 
 
 @pytest.mark.parametrize("half", [True, False])

@@ -53,7 +53,7 @@ def relight(
     mend_env: MendEnvOption = False,
     half: Annotated[
         bool,
-        typer.Option("--half/--float", help="Half or 32-bit floats in the EXR; depth always has 32 bits."),
+        typer.Option("--half/--float", help="Half or 32-bit floats in the EXR; depth and mask have 32 bits."),
     ] = True,
     as_json: JsonOption = False,
     *,

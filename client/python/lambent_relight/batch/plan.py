@@ -68,6 +68,8 @@ class Row:
             parts |= {**shown, "probes": files.probes}
         elif suffix == "exr":
             parts |= {"passes": sorted(files.passes), "half": files.half}
+            if "cryptomatte" in files.passes:
+                parts["object"] = self.asset.name
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def names(self) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.aovs import OBJECT_NAME
 from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
@@ -182,6 +183,7 @@ class Studio:
                     passes=() if kept else self._files.passes,
                     attributes={"lambent:bundle": row.bundle_digest, "lambent:environment": row.light_digest},
                     layers=read_picture_exr(path) if kept else None,
+                    object_name=row.asset.name or OBJECT_NAME,
                 )
             digest = file_sha256(partial)
             size_bytes = partial.stat().st_size
