@@ -12,8 +12,9 @@ from typing import Any
 
 from PIL import Image
 
-from lambent_relight.asset.textured_mesh import TexturedMesh
+from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
 from lambent_relight.baked.mesh import glb_chunks
+from lambent_relight.errors import BundleError
 
 WEBP = "EXT_texture_webp"
 
@@ -22,18 +23,12 @@ def glb_with_textures(data: bytes, mesh: TexturedMesh, *, webp: bool = False) ->
     """Return the GLB `data` of a bundle with the textures of `mesh`, which was read from it.
 
     With `webp` they are lossless WebP, and there is no PNG to fall back to: readers need EXT_texture_webp.
+    Raises BundleError `bundle.mesh_invalid` for a file with parts that leave it.
     """
     document, payload = glb_chunks(data)
-    material = document["materials"][0]
-    surface = material["pbrMetallicRoughness"]
-    slots = (
-        (surface["baseColorTexture"], mesh.base_colour_png),
-        (surface["metallicRoughnessTexture"], mesh.packed_png),
-        (material["normalTexture"], mesh.normal_png),
-    )
+    pictures = (mesh.base_colour_png, mesh.packed_png, mesh.normal_png)
     files = {}
-    for slot, png in slots:
-        texture = document["textures"][slot["index"]]
+    for texture, png in zip(textures_of(document), pictures, strict=True):
         image = document["images"][texture["source"]]
         files[image["bufferView"]] = _webp(png) if webp else png
         if webp:
@@ -55,8 +50,12 @@ def _packed(document: dict[str, Any], payload: bytes, files: Mapping[int, bytes]
     """Return a GLB whose buffer views hold what they held in `payload`, or what `files` has for them."""
     packed = bytearray()
     for number, view in enumerate(document["bufferViews"]):
-        start = view.get("byteOffset", 0)
-        content = files.get(number, payload[start : start + view["byteLength"]])
+        start, size = view.get("byteOffset", 0), view.get("byteLength")
+        if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+            raise BundleError(
+                "bundle.mesh_invalid", f"mesh/asset.glb has a part {number} that leaves it", "export it again"
+            )
+        content = files.get(number, payload[start : start + size])
         view["byteOffset"], view["byteLength"] = len(packed), len(content)
         packed += content + b"\0" * (-len(content) % 4)
     document["buffers"] = [{"byteLength": len(packed)}]

@@ -51,14 +51,7 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
         document, payload = glb_chunks(data)
         attributes = document["meshes"][0]["primitives"][0]["attributes"]
         normals = glb_accessor(document, payload, attributes["NORMAL"], "VEC3")
-        material = document["materials"][0]
-        surface = material["pbrMetallicRoughness"]
-        slots = (
-            surface["baseColorTexture"],
-            surface["metallicRoughnessTexture"],
-            material["normalTexture"],
-        )
-        pictures = [_png(document, payload, slot["index"]) for slot in slots]
+        pictures = [_png(document, payload, texture) for texture in textures_of(document)]
     except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
         raise BundleError(
             "bundle.mesh_invalid",
@@ -79,6 +72,20 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
         packed_png=packed,
         normal_png=bent,
     )
+
+
+def textures_of(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the textures of a document: base colour; occlusion, roughness and metalness; normal.
+
+    Raises KeyError, IndexError, TypeError or ValueError where they are not there, or share a picture.
+    """
+    material = document["materials"][0]
+    surface = material["pbrMetallicRoughness"]
+    slots = (surface["baseColorTexture"], surface["metallicRoughnessTexture"], material["normalTexture"])
+    textures = [document["textures"][slot["index"]] for slot in slots]
+    if len({document["images"][texture["source"]]["bufferView"] for texture in textures}) < len(textures):
+        raise ValueError("two textures share a picture")
+    return textures
 
 
 def with_absolute_albedo(mesh: TexturedMesh, scale_rgb: Sequence[float]) -> TexturedMesh:
@@ -102,9 +109,9 @@ def png_of(values: NDArray[np.floating]) -> bytes:
     return file.getvalue()
 
 
-def _png(document: dict[str, Any], payload: bytes, texture: int) -> bytes:
+def _png(document: dict[str, Any], payload: bytes, texture: dict[str, Any]) -> bytes:
     """Return the PNG file of a texture; raises ValueError for one that is no PNG, or too large."""
-    view = document["bufferViews"][document["images"][document["textures"][texture]["source"]]["bufferView"]]
+    view = document["bufferViews"][document["images"][texture["source"]]["bufferView"]]
     start, size = view.get("byteOffset", 0), view["byteLength"]
     if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
         raise ValueError("a texture leaves the file")

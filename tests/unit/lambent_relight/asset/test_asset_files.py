@@ -1,6 +1,7 @@
 """Assets as glTF, OBJ, Mitsuba's files and USDZ: every file holds the mesh and maps of the bundle."""
 
 import io
+import json
 import struct
 from dataclasses import replace
 from xml.dom import minidom
@@ -67,6 +68,36 @@ def test_a_texture_that_is_no_png_is_refused(png):
     mesh = replace(textured_mesh_from_glb(DATA), normal_png=png)
     with pytest.raises(BundleError, match=r"bundle\.mesh_invalid"):
         textured_mesh_from_glb(glb_with_textures(DATA, mesh))
+
+
+def changed(change) -> bytes:
+    """Return the file with another JSON chunk."""
+    document, payload = glb_chunks(DATA)
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(payload), 0x004E4942) + payload
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d["images"][1].update(bufferView=d["images"][0]["bufferView"]),
+        lambda d: d["textures"][2].update(source=99),
+        lambda d: d["bufferViews"][d["images"][0]["bufferView"]].update(byteLength=1 << 40),
+        lambda d: d["bufferViews"][d["images"][0]["bufferView"]].update(byteOffset=-4),
+        lambda d: d["meshes"][0]["primitives"][0]["attributes"].update(NORMAL=0, POSITION="x"),
+        lambda d: d["bufferViews"].append({"buffer": 0, "byteOffset": 0, "byteLength": 1 << 40}),
+        lambda d: d["bufferViews"].append({"buffer": 0, "byteOffset": 0}),
+        lambda d: d.pop("materials"),
+    ],
+)
+def test_a_mesh_file_of_a_stranger_is_refused_and_no_crash(change):
+    data = changed(change)
+    with pytest.raises(BundleError, match=r"bundle\.mesh_invalid"):
+        glb_with_textures(data, textured_mesh_from_glb(data), webp=True)
 
 
 def test_absolute_albedo_is_scaled_in_linear_light_and_clipped_at_one():
