@@ -55,6 +55,7 @@ Pass = Literal[
     "perceptual_roughness",
     "metalness",
     "depth",
+    "cryptomatte",
 ]
 
 
@@ -173,7 +174,7 @@ class RenderOutput(Wanted):
         list[Literal["png", "exr"]],
         Field(min_length=1, max_length=2, default_factory=lambda: ["png", "exr"]),
     ]
-    passes: Annotated[list[Pass], Field(max_length=11, default_factory=lambda: list(get_args(Pass)))]
+    passes: Annotated[list[Pass], Field(max_length=12, default_factory=lambda: list(get_args(Pass)))]
     half: bool = True
     path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$", description=_PATH)] = (
         "{asset}/{environment}/{quality}/{camera}"

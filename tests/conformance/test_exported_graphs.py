@@ -11,6 +11,7 @@ import torch
 from flashcache.export import graphs, reference
 from flashcache.export.onnx import WeightFile
 from flashcache.export.reference import GbufferRule
+from flashcache.export.signatures import SIGNATURES
 from flashcache.kernels import dispatch
 from lambent_worker.bundle.half_tables import with_half_tables
 from onnx import TensorProto
@@ -128,6 +129,19 @@ def test_graphs_pass_the_checker_with_inferred_shapes(exported):
     folder, made, _ = exported
     for name in made:
         onnx.checker.check_model(str(folder / f"{name}.onnx"), full_check=True)
+
+
+def test_every_node_has_a_name_of_its_own_and_every_input_and_output_is_described(exported):
+    for name, graph in exported[1].items():
+        names = [node.name for node in graph.graph.node]
+        assert all(names)
+        assert len(set(names)) == len(names)
+        signature = SIGNATURES[name.rstrip("_01")]
+        assert graph.doc_string == graph.graph.doc_string == signature.summary
+        assert {item.name: item.doc_string for item in graph.graph.input} == signature.inputs
+        assert {item.name: item.doc_string for item in graph.graph.output} == signature.outputs
+    parts = {node.name.rpartition("/")[0] for node in exported[1]["fast_cache_0"].graph.node}
+    assert {"fast.distance_grid", "fast.offset_head", "fast.feature_grid", "sample_distances"} <= parts
 
 
 def test_graphs_state_their_version_and_names(exported):

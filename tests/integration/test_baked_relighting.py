@@ -196,6 +196,14 @@ def test_material_edits_act_in_every_quality(renderer, quality):
     np.testing.assert_allclose(glossy.perceptual_roughness[inside], halved, atol=1e-3)
 
 
+@pytest.mark.parametrize("quality", ["baked", "refined"])
+def test_depth_is_along_the_axis_and_distance_along_the_ray(renderer, quality):
+    picture = renderer.render(CAMERA, sky(), quality=quality, spp=2, object_rotate_deg=30.0)
+    cosine = CAMERA.rays()[1] @ -CAMERA.camera_to_world[:3, 2].astype(np.float32)
+    np.testing.assert_allclose(picture.depth.ravel(), picture.distance.ravel() * cosine, rtol=1e-5)
+    assert picture.depth.max() > 0.0
+
+
 def test_exr_layers_hold_every_pass(renderer, tmp_path):
     picture = renderer.render(CAMERA, sky(), quality="baked")
     write_picture_exr(tmp_path / "p.exr", picture, attributes={"lambent:quality": "baked"})

@@ -2,7 +2,8 @@
 
 Layers are named as compositing programs expect: "layer.R" and so on; the beauty pass is R, G, B, A. Radiance
 is multiplied by coverage, so that layers add up under any background: direct + indirect = diffuse + specular
-= the beauty pass (where it has no background). Source: docs/reference/conventions.md (passes).
+= the beauty pass (where it has no background). Depth is planar and far where nothing is, as compositing
+programs expect it. Source: docs/reference/conventions.md (colour, depth).
 """
 
 from collections.abc import Collection, Mapping
@@ -12,6 +13,7 @@ import numpy as np
 from lambent_proto.pictures import Pass
 from numpy.typing import NDArray
 
+from lambent_relight import cryptomatte
 from lambent_relight.picture import RelitPicture
 
 PASSES = get_args(Pass)
@@ -21,17 +23,28 @@ ATTRIBUTES: Mapping[str, str] = {
     "lambent:colorspace": "Linear Rec.709 (sRGB)",
     "colorInteropID": "lin_rec709_scene",
     "lambent:normal": "world, right-handed, z up",
-    "lambent:depth": "distance from the camera along the ray, scene units",
+    "lambent:depth": "Z: along the camera's axis, distance.V: along the ray, scene units; 1e10 where empty",
 }
 """Attributes that describe the channels, besides chromaticities."""
+EMPTY_DEPTH = 1e10
+"""Z and distance.V where there is no object, scene units."""
+FULL_PRECISION = frozenset({"Z", "distance.V", *cryptomatte.CHANNELS})
+"""Channels that are 32-bit floats in every file: depth beyond 65504, and ids, which are their bits."""
+OBJECT_NAME = "object"
+"""Name of the object in a Cryptomatte where it has no other."""
+_OLD_DEPTH = "distance from the camera along the ray, scene units"
+"""`lambent:depth` of files before there was planar depth: Z is the distance, and 0 where empty."""
 
 
-def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> dict[str, NDArray[np.floating]]:
+def exr_channels(
+    picture: RelitPicture, *, passes: bool | Collection[str], object_name: str = OBJECT_NAME
+) -> dict[str, NDArray[np.floating]]:
     """Return the channels of a picture's EXR by name, [height, width] each.
 
     R, G, B (times alpha) and A. With `passes`, all or some names of `PASSES`, also the radiance passes and
     standard_error (times coverage; R, G, B each), albedo (R, G, B), normal (X, Y, Z), visibility,
-    perceptual_roughness, metalness (V), and for depth Z, the distance from the camera along the ray.
+    perceptual_roughness, metalness (V), for depth Z along the camera's axis and distance.V along the ray,
+    both `EMPTY_DEPTH` where there is no object, and for cryptomatte the mask of the object `object_name`.
     """
     wanted = (PASSES if passes else ()) if isinstance(passes, bool) else passes
     channels: dict[str, NDArray[np.floating]] = {}
@@ -57,5 +70,23 @@ def exr_channels(picture: RelitPicture, *, passes: bool | Collection[str]) -> di
         if name in wanted:
             layer(name, getattr(picture, name), letters)
     if "depth" in wanted:
-        layer("", picture.distance, "Z")
+        empty = picture.coverage <= 0.0
+        layer("", np.where(empty, EMPTY_DEPTH, picture.depth), "Z")
+        layer("distance", np.where(empty, EMPTY_DEPTH, picture.distance), "V")
+    if "cryptomatte" in wanted:
+        channels |= cryptomatte.cryptomatte_channels(object_name, picture.coverage[..., 0])
     return channels
+
+
+def as_written_now(
+    channels: Mapping[str, NDArray[np.floating]], attributes: Mapping[str, object]
+) -> dict[str, NDArray[np.floating]]:
+    """Return the channels of one of our EXRs, of any age, with the names and meanings of `exr_channels`.
+
+    The Z of old files becomes distance.V; they have no planar depth, and the result has no Z then.
+    """
+    found = dict(channels)
+    if attributes.get("lambent:depth") == _OLD_DEPTH and "Z" in found:
+        distance = found.pop("Z")
+        found["distance.V"] = np.where(distance <= 0.0, np.float32(EMPTY_DEPTH), distance)
+    return found

@@ -62,6 +62,16 @@ class Camera:
         origins = np.broadcast_to(self.camera_to_world[:3, 3], directions.shape)
         return origins.astype(np.float32), directions.astype(np.float32)
 
+    def depth_along_axis(self, distance: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return the depth along the camera's axis of points at `distance` along the pixel-centre rays.
+
+        Both are [height, width, 1], in scene units.
+        """
+        x = (np.arange(self.width) + 0.5 - self.centre_x) / self.focal_x
+        y = (np.arange(self.height) + 0.5 - self.centre_y) / self.focal_y
+        stretch = np.sqrt(1.0 + x[None, :] ** 2 + y[:, None] ** 2)
+        return (distance / stretch[..., None]).astype(np.float32)
+
     def resized(self, width: int, height: int) -> "Camera":
         """Return the same view with other pixel counts; the field of view is kept along each axis."""
         scale_x, scale_y = width / self.width, height / self.height

@@ -27,6 +27,10 @@ class CameraError(RelightError):
     """A camera description cannot be used. Codes start with `camera.`."""
 
 
+class ExportError(RelightError):
+    """An asset cannot be written in a format. Codes start with `export.`."""
+
+
 class SettingError(RelightError, ValueError):
     """A setting of a render is out of range. Codes start with `relight.`."""
 

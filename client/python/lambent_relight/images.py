@@ -8,10 +8,12 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from lambent_relight.aovs import ATTRIBUTES, exr_channels
+from lambent_relight import cryptomatte
+from lambent_relight.aovs import ATTRIBUTES, FULL_PRECISION, OBJECT_NAME, as_written_now, exr_channels
 from lambent_relight.environment.exr import write_exr
 from lambent_relight.picture import RelitPicture
 from lambent_relight.tone_mapping import tone_mapped
@@ -57,13 +59,29 @@ def write_picture_exr(
     passes: bool | Collection[str] = True,
     attributes: Mapping[str, str] | None = None,
     layers: Mapping[str, NDArray[np.floating]] | None = None,
+    object_name: str = OBJECT_NAME,
 ) -> None:
     """Write a picture as linear EXR with channels R, G, B (times alpha) and A.
 
     With `passes` also every pass of `lambent_relight.aovs`, or those that are named, as layers. `attributes`
     are written into the header beside what it says of colour, normals and depth. `layers` are channels of the
-    same picture that are made already.
+    same picture that are made already. With `half` channels are half floats, but for depth and the mask.
+    `object_name` is what the Cryptomatte calls the object.
     """
     header = {**ATTRIBUTES, **(attributes or {})}
-    channels = {**(layers or {}), **exr_channels(picture, passes=passes)}
-    write_exr(Path(path), channels, half=half, attributes=header)
+    channels = {**(layers or {}), **exr_channels(picture, passes=passes, object_name=object_name)}
+    if not channels.keys().isdisjoint(cryptomatte.CHANNELS):
+        header |= cryptomatte.cryptomatte_attributes(object_name)
+    write_exr(Path(path), channels, half=half, full_precision=FULL_PRECISION, attributes=header)
+
+
+def read_picture_exr(path: Path | str) -> dict[str, NDArray[np.floating]]:
+    """Return the channels [height, width] of an EXR that `write_picture_exr` wrote, now or in the past.
+
+    Names and meanings are those of files written now, see `lambent_relight.aovs.as_written_now`. The file is
+    trusted: one that cannot be decoded raises what OpenEXR does.
+    """
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        part = file.parts[0]
+        planes = {name: channel.pixels.copy() for name, channel in part.channels.items()}
+        return as_written_now(planes, part.header)

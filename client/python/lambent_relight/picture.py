@@ -34,7 +34,9 @@ class RelitPicture:
     perceptual_roughness: Image
     metalness: Image
     distance: Image
-    """Distance from the camera, scene units, [height, width, 1]; zero on the background."""
+    """Distance from the camera along the ray, scene units, [height, width, 1]; zero on the background."""
+    depth: Image
+    """Distance from the camera along its axis, scene units, [height, width, 1]; zero on the background."""
     coverage: Image
     """Coverage by the object in [0, 1], [height, width, 1], independent of the background."""
     num_samples: int

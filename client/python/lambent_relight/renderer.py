@@ -207,7 +207,7 @@ class Renderer:
         )
         scene, bounces = self._scene(environment, edit, settings)
         radiance = estimated(points, scene, light, settings, progress)
-        coverage = view.coverage()
+        coverage, distance = view.coverage(), view.mean(seen.distance)
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
         specular = view.mean(radiance.specular)
         return RelitPicture(
@@ -223,7 +223,8 @@ class Renderer:
             normal=normalise(view.mean(seen.normal)),
             perceptual_roughness=view.mean(roughness),
             metalness=view.mean(seen.metalness),
-            distance=view.mean(seen.distance),
+            distance=distance,
+            depth=camera.depth_along_axis(distance),
             coverage=coverage,
             num_samples=radiance.num_samples * settings.antialias**2,
             bounces=bounces,

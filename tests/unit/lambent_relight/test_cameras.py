@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from lambent_relight.cameras import cameras_json, look_at, parse_cameras, turntable
+from lambent_relight.cameras import Camera, cameras_json, look_at, parse_cameras, turntable
 from lambent_relight.errors import CameraError
 
 
@@ -45,6 +45,25 @@ def test_a_resized_camera_sees_the_same_view():
     fine = camera.resized(24, 30).rays()[1].reshape(30, 24, 3)
     coarse = camera.rays()[1].reshape(6, 8, 3)
     np.testing.assert_allclose(fine[2::5, 1::3], coarse, atol=1e-6)
+
+
+def test_depth_along_the_axis_is_that_of_the_points_on_the_rays():
+    pose = look_at((3.0, -2.0, 1.5), (0.1, 0.2, 0.3))
+    camera = Camera(
+        name="off centre",
+        width=7,
+        height=5,
+        focal_x=6.0,
+        focal_y=9.0,
+        centre_x=2.0,
+        centre_y=4.5,
+        camera_to_world=pose,
+    )
+    distance = np.random.default_rng(0).uniform(1.0, 5.0, (5, 7, 1))
+    origin, direction = camera.rays()
+    points = origin + distance.reshape(-1, 1) * direction
+    expected = (points - pose[:3, 3]) @ -pose[:3, 2]
+    np.testing.assert_allclose(camera.depth_along_axis(distance).ravel(), expected, rtol=1e-5)
 
 
 def test_looking_straight_down_has_a_defined_roll():

@@ -1,12 +1,16 @@
 """Writing pictures."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import OpenEXR
 import pytest
-from lambent_relight.environment.exr import REC709_CHROMATICITIES
+from lambent_relight.environment.exr import REC709_CHROMATICITIES, write_exr
 from lambent_relight.images import (
     encode_png,
     linear_from_srgb,
+    read_picture_exr,
     srgb_from_linear,
     write_picture_exr,
     write_png,
@@ -44,7 +48,8 @@ def picture(*, opaque: bool = False) -> RelitPicture:
         normal=image(3),
         perceptual_roughness=image(1),
         metalness=image(1),
-        distance=image(1),
+        distance=2.0 * image(1),
+        depth=image(1),
         coverage=opacity,
         num_samples=8,
     )
@@ -82,7 +87,6 @@ def test_exr_is_linear_premultiplied_named_and_states_its_primaries(tmp_path):
     np.testing.assert_array_equal(channels["A"], source.opacity[..., 0])
     np.testing.assert_array_equal(channels["albedo.B"], source.albedo[..., 2])
     np.testing.assert_array_equal(channels["normal.Z"], source.normal[..., 2])
-    np.testing.assert_array_equal(channels["Z"], source.distance[..., 0])
     assert {"direct.R", "indirect.R", "standard_error.R", "perceptual_roughness.V", "metalness.V"} <= set(
         channels
     )
@@ -99,4 +103,64 @@ def test_exr_holds_the_passes_that_are_named_and_no_others(tmp_path):
     write_picture_exr(tmp_path / "p.exr", picture(), passes=("normal", "depth", "indirect"))
     channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
     layers = {f"normal.{letter}" for letter in "XYZ"} | {f"indirect.{letter}" for letter in "RGB"}
-    assert set(channels) == {*"RGBAZ"} | layers
+    assert set(channels) == {*"RGBAZ", "distance.V"} | layers
+
+
+def test_the_mask_is_a_cryptomatte_of_the_named_object_whatever_the_background(tmp_path):
+    source = replace(picture(opaque=True), coverage=picture().opacity.copy())
+    source.coverage[0, 0] = 0.0
+    write_picture_exr(tmp_path / "p.exr", source, passes=["cryptomatte"], object_name="vase")
+    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    ident, share, *second = (part.channels[f"CryptoObject00.{letter}"].pixels for letter in "RGBA")
+    assert {plane.dtype.type for plane in (ident, share, *second)} == {np.float32}
+    np.testing.assert_array_equal(share, source.coverage[..., 0])
+    (key,) = {name.split("/")[1] for name in part.header if name.startswith("cryptomatte/")}
+    stated = {name: part.header[f"cryptomatte/{key}/{name}"] for name in ("name", "hash", "conversion")}
+    assert stated == {
+        "name": "CryptoObject",
+        "hash": "MurmurHash3_32",
+        "conversion": "uint32_to_float32",
+    }
+    manifest = json.loads(part.header[f"cryptomatte/{key}/manifest"])
+    picked = ident.view(np.uint32) == int(manifest["vase"], 16)
+    np.testing.assert_array_equal(picked, source.coverage[..., 0] > 0.0)
+    assert not np.any(second)
+    assert ident[0, 0] == 0.0
+
+
+def test_a_file_without_the_mask_says_nothing_of_one(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), passes=["normal"])
+    header = OpenEXR.File(str(tmp_path / "p.exr"), header_only=True).parts[0].header
+    assert not [name for name in header if name.startswith("cryptomatte")]
+
+
+@pytest.mark.parametrize("half", [True, False])
+def test_depth_is_planar_far_where_nothing_is_and_never_rounded(tmp_path, half):
+    source = picture()
+    source.coverage[0, 0] = 0.0
+    write_picture_exr(tmp_path / "p.exr", source, half=half)
+    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    colour = np.float16 if half else np.float32
+    assert {channels[name].pixels.dtype.type for name in ("R", "albedo.G", "normal.Z")} == {colour}
+    for name, expected in (("Z", source.depth), ("distance.V", source.distance)):
+        plane = channels[name].pixels
+        assert plane.dtype == np.float32
+        assert plane[0, 0] == np.float32(1e10)
+        np.testing.assert_array_equal(plane[1:], expected[1:, :, 0])
+
+
+def test_a_file_from_before_planar_depth_is_read_as_one_of_today(tmp_path):
+    old = {name: np.full((2, 3), 0.5, np.float32) for name in ("R", "G", "B", "A", "Z")}
+    old["Z"][0] = 0.0
+    header = {"lambent:depth": "distance from the camera along the ray, scene units"}
+    write_exr(tmp_path / "old.exr", old, attributes=header)
+    channels = read_picture_exr(tmp_path / "old.exr")
+    assert set(channels) == {*"RGBA", "distance.V"}
+    np.testing.assert_array_equal(channels["distance.V"], np.float32([[1e10] * 3, [0.5] * 3]))
+
+
+def test_a_file_of_today_is_read_as_it_was_written(tmp_path):
+    write_picture_exr(tmp_path / "p.exr", picture(), half=False)
+    channels = read_picture_exr(tmp_path / "p.exr")
+    np.testing.assert_array_equal(channels["Z"], picture().depth[..., 0])
+    np.testing.assert_array_equal(channels["distance.V"], picture().distance[..., 0])

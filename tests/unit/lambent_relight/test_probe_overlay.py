@@ -13,7 +13,7 @@ from lambent_relight.probe_overlay import LightProbes
 def picture(side, rgb=0.25, opacity=1.0):
     image = np.full((side, side, 3), rgb, np.float32)
     layers = ("standard_error", "direct", "indirect", "diffuse", "specular", "albedo", "normal")
-    scalars = ("visibility", "perceptual_roughness", "metalness", "distance", "coverage")
+    scalars = ("visibility", "perceptual_roughness", "metalness", "distance", "depth", "coverage")
     plane = np.full((side, side, 1), opacity, np.float32)
     rest = dict.fromkeys(layers, image) | dict.fromkeys(scalars, plane)
     return RelitPicture(rgb=image, opacity=plane, num_samples=0, **rest)

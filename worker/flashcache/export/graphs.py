@@ -17,6 +17,7 @@ from flashcache.export import layers
 from flashcache.export.constants import fast_cache_constants, gbuffer_constants, material_constants
 from flashcache.export.onnx import GraphBuilder, Value, WeightFile
 from flashcache.export.reference import OPACITY_FLOOR, SURFACE_THICKNESS, UPRIGHT_OPACITY, GbufferRule
+from flashcache.export.signatures import documented
 from flashcache.export.stored_grids import OCCUPANCY, exported_grids
 from flashcache.fields.materials import ALPHA_MINIMUM
 from flashcache.physical.model import InverseModel
@@ -79,7 +80,7 @@ def gbuffer_graph(
         "perceptual_roughness": (mean("perceptual_roughness", 1) * share, 1),
         "metalness": (mean("metalness", 1) * share, 1),
     }
-    return graph.finish(outputs, {**gbuffer_constants(model, rule), **metadata})
+    return documented(graph.finish(outputs, {**gbuffer_constants(model, rule), **metadata}), "gbuffer")
 
 
 def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata) -> onnx.ModelProto:
@@ -89,7 +90,8 @@ def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata)
     opacity = _hidden_share(graph, found.pop("density") * SURFACE_THICKNESS)
     sizes = {"albedo": 3, "normal": 3, "perceptual_roughness": 1, "metalness": 1}
     outputs = {name: (value, sizes[name]) for name, value in found.items()}
-    return graph.finish({**outputs, "opacity": (opacity, 1)}, {**material_constants(model), **metadata})
+    outputs["opacity"] = (opacity, 1)
+    return documented(graph.finish(outputs, {**material_constants(model), **metadata}), "material")
 
 
 def fast_cache_graph(
@@ -170,40 +172,43 @@ def _cache_graph(
         "opacity": (opacity, 1),
         "distance": (distance, 1),
     }
-    return graph.finish(outputs, {**fast_cache_constants(fast), **metadata})
+    return documented(graph.finish(outputs, {**fast_cache_constants(fast), **metadata}), "fast_cache")
 
 
 def _sample_distances(graph: GraphBuilder, fast: FastCache, offset: Value, gate: Value) -> Value:
     """Return the distances [row, samples] of the fast cache's samples (`FastCache._sample_distances`)."""
-    count = fast.config.num_samples
-    ladder = torch.linspace(0.0, 1.0, count).numpy()[None]
-    shifted = offset / float(count) * graph.node("Sigmoid", gate - 2.0) + ladder
-    whole = graph.node("Floor", shifted)
-    rest = shifted - whole
-    odd = whole - graph.node("Floor", whole / 2.0) * 2.0
-    folded = rest + odd * (1.0 - rest * 2.0)
-    power, premultiplier = SECONDARY_CURVE.power, SECONDARY_CURVE.premultiplier
-    a = abs(power - 1.0)
-    first, last = (SECONDARY_CURVE.ladder(torch.tensor(t)) for t in (fast.near, fast.far))
-    y = folded * (last - first).item() + first.item()
-    stretched = graph.node("Pow", y * power / a + 1.0, graph.value(1.0 / power))
-    return (stretched - 1.0) * (a / premultiplier)
+    with graph.part("sample_distances"):
+        count = fast.config.num_samples
+        ladder = torch.linspace(0.0, 1.0, count).numpy()[None]
+        shifted = offset / float(count) * graph.node("Sigmoid", gate - 2.0) + ladder
+        whole = graph.node("Floor", shifted)
+        rest = shifted - whole
+        odd = whole - graph.node("Floor", whole / 2.0) * 2.0
+        folded = rest + odd * (1.0 - rest * 2.0)
+        power, premultiplier = SECONDARY_CURVE.power, SECONDARY_CURVE.premultiplier
+        a = abs(power - 1.0)
+        first, last = (SECONDARY_CURVE.ladder(torch.tensor(t)) for t in (fast.near, fast.far))
+        y = folded * (last - first).item() + first.item()
+        stretched = graph.node("Pow", y * power / a + 1.0, graph.value(1.0 / power))
+        return (stretched - 1.0) * (a / premultiplier)
 
 
 def _stretch(graph: GraphBuilder, rule: GbufferRule, origin: Value, direction: Value) -> tuple[Value, Value]:
     """Return where rays enter and leave the box (`reference.stretch`)."""
-    tiny = graph.value(1e-9)
-    safe = graph.node("Where", graph.node("Less", graph.node("Abs", direction), tiny), tiny, direction)
-    first = (np.array([rule.box_min], np.float32) - origin) / safe
-    second = (np.array([rule.box_max], np.float32) - origin) / safe
-    start = graph.at_least(graph.reduce("ReduceMax", graph.minimum(first, second)), 0.0)
-    return start, graph.maximum(graph.reduce("ReduceMin", graph.maximum(first, second)), start)
+    with graph.part("box"):
+        tiny = graph.value(1e-9)
+        safe = graph.node("Where", graph.node("Less", graph.node("Abs", direction), tiny), tiny, direction)
+        first = (np.array([rule.box_min], np.float32) - origin) / safe
+        second = (np.array([rule.box_max], np.float32) - origin) / safe
+        start = graph.at_least(graph.reduce("ReduceMax", graph.minimum(first, second)), 0.0)
+        return start, graph.maximum(graph.reduce("ReduceMin", graph.maximum(first, second)), start)
 
 
 def _points_at(graph: GraphBuilder, origin: Value, direction: Value, distances: Value) -> Value:
     """Return the points [row * samples, 3] at distances [row, samples] along rays."""
-    steps = graph.unsqueeze(distances, 2) * graph.unsqueeze(direction, 1)
-    return graph.reshape(graph.unsqueeze(origin, 1) + steps, -1, 3)
+    with graph.part("points"):
+        steps = graph.unsqueeze(distances, 2) * graph.unsqueeze(direction, 1)
+        return graph.reshape(graph.unsqueeze(origin, 1) + steps, -1, 3)
 
 
 def _hidden_share(graph: GraphBuilder, depth: Value) -> Value:

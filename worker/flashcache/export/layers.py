@@ -37,9 +37,10 @@ def normalise(graph: GraphBuilder, vectors: Value) -> Value:
 
 def contract(graph: GraphBuilder, positions: Value, radius: float) -> Value:
     """Return contracted coordinates of [row, 3] (`geometry.contraction.contract`)."""
-    scaled = positions / radius
-    length = graph.at_least(norm(graph, scaled), 1.0)
-    return scaled * ((2.0 - 1.0 / length) / length)
+    with graph.part("contract"):
+        scaled = positions / radius
+        length = graph.at_least(norm(graph, scaled), 1.0)
+        return scaled * ((2.0 - 1.0 / length) / length)
 
 
 def softplus(graph: GraphBuilder, value: Value, beta: float = 1.0) -> Value:
@@ -52,13 +53,14 @@ def softplus(graph: GraphBuilder, value: Value, beta: float = 1.0) -> Value:
 
 def affine(graph: GraphBuilder, name: str, weight: Tensor, bias: Tensor, inputs: Value) -> Value:
     """Return inputs [row, n] times weight [m, n] transposed, plus bias [m]."""
-    return graph.node(
-        "Gemm",
-        inputs,
-        graph.weight(f"{name}.weight", array_of(weight)),
-        graph.weight(f"{name}.bias", array_of(bias)),
-        transB=1,
-    )
+    with graph.part(name):
+        return graph.node(
+            "Gemm",
+            inputs,
+            graph.weight(f"{name}.weight", array_of(weight)),
+            graph.weight(f"{name}.bias", array_of(bias)),
+            transB=1,
+        )
 
 
 def linear(graph: GraphBuilder, name: str, layer: nn.Linear, inputs: Value) -> Value:
@@ -73,10 +75,11 @@ def hidden(graph: GraphBuilder, name: str, network: Hidden, inputs: Value) -> Va
         if index == network.skip_after:
             values = graph.concat([values, inputs])
         values = linear(graph, f"{name}.layers.{index}", layer, values)
-        if network.softplus_beta is None:
-            values = graph.node("Relu", values)
-        else:
-            values = softplus(graph, values, network.softplus_beta)
+        with graph.part(f"{name}.layers.{index}"):
+            if network.softplus_beta is None:
+                values = graph.node("Relu", values)
+            else:
+                values = softplus(graph, values, network.softplus_beta)
     if network.skip_after == len(network.layers):
         values = graph.concat([values, inputs])
     return values
@@ -86,8 +89,9 @@ def positional_encoding(graph: GraphBuilder, values: Value, num_frequencies: int
     """Return [v, sin(2^j v), cos(2^j v)] (`encoding.directional.positional_encoding`)."""
     if num_frequencies == 0:
         return values
-    scaled = graph.concat([values * 2.0**octave for octave in range(num_frequencies)])
-    return graph.concat([values, *sine_and_cosine(graph, scaled)])
+    with graph.part("positional_encoding"):
+        scaled = graph.concat([values * 2.0**octave for octave in range(num_frequencies)])
+        return graph.concat([values, *sine_and_cosine(graph, scaled)])
 
 
 def sine_and_cosine(graph: GraphBuilder, angles: Value) -> tuple[Value, Value]:
@@ -127,6 +131,13 @@ def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid | Occupancy | Store
     repeated to that width by a product with a 0/1 matrix, which is exact and faster than broadcasting along
     the short last axis. Rows are 32-bit integers and cannot overflow (`kernels.lattice`).
     """
+    with graph.part(name):
+        return _grid_features(graph, name, grid, z)
+
+
+def _grid_features(
+    graph: GraphBuilder, name: str, grid: HashGrid | Occupancy | StoredGrid, z: Value
+) -> Value:
     levels, num_features = grid.layout.levels, grid.layout.num_features
 
     def per_level(values: Sequence[float | int], kind: Any = np.float32) -> NDArray[Any]:

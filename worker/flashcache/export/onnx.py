@@ -5,7 +5,8 @@ computed in 64-bit integers, there is no remainder, bit or sign operation, no lo
 64-bit integers appear only where ONNX wants axes and shapes, as constants. Opset 18, format version 9.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -100,6 +101,17 @@ class GraphBuilder:
         self._nodes: list[onnx.NodeProto] = []
         self._initializers: dict[str, onnx.TensorProto] = {}
         self._constants: dict[tuple[str, tuple[int, ...], bytes], Value] = {}
+        self._part = ""
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Begin the names of the nodes that are added meanwhile with `name/`; parts may lie in parts."""
+        outer = self._part
+        self._part = f"{outer}{name}/"
+        try:
+            yield
+        finally:
+            self._part = outer
 
     def input(self, name: str, size: int) -> Value:
         """Add a float32 input [row, size]."""
@@ -113,9 +125,9 @@ class GraphBuilder:
 
     def node(self, operator: str, *inputs: Operand, **attributes: Any) -> Value:
         """Add a node with one output and return that; numbers and arrays become constants."""
-        output = f"{operator.lower()}_{len(self._nodes)}"
+        output = f"{self._part}{operator.lower()}_{len(self._nodes)}"
         names = [self.value(item).name for item in inputs]
-        self._nodes.append(helper.make_node(operator, names, [output], **attributes))
+        self._nodes.append(helper.make_node(operator, names, [output], name=output, **attributes))
         return Value(self, output)
 
     def value(self, operand: Operand) -> Value:
@@ -125,7 +137,7 @@ class GraphBuilder:
         array = np.asarray(operand, dtype=None if isinstance(operand, np.ndarray) else np.float32)
         key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self._constants:
-            name = f"constant_{len(self._constants)}"
+            name = _constant_name(array, len(self._constants))
             self._initializers[name] = numpy_helper.from_array(array, name)
             self._constants[key] = Value(self, name)
         return self._constants[key]
@@ -196,7 +208,7 @@ class GraphBuilder:
         """Return the model, checked, with outputs [row, size] by name."""
         infos = []
         for name, (value, size) in outputs.items():
-            self._nodes.append(helper.make_node("Identity", [value.name], [name]))
+            self._nodes.append(helper.make_node("Identity", [value.name], [name], name=f"output/{name}"))
             infos.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, [self.row_axis, size]))
         graph = helper.make_graph(
             self._nodes, self.name, self._inputs, infos, list(self._initializers.values())
@@ -209,3 +221,10 @@ class GraphBuilder:
         )
         helper.set_model_props(model, dict(metadata))
         return model
+
+
+def _constant_name(array: NDArray[Any], number: int) -> str:
+    """Return a name that says what a constant is: a number with its value, axes or a shape, or an array."""
+    if array.dtype.kind == "f" and array.size == 1:
+        return f"number_{array.item():.6g}_{number}"
+    return f"{'axes' if array.dtype == np.int64 else 'array'}_{number}"

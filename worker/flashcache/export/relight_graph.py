@@ -17,6 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from flashcache.export.onnx import GraphBuilder, WeightFile
+from flashcache.export.signatures import documented
 
 INDIRECT_COEFFICIENTS = 9
 
@@ -43,7 +44,7 @@ def relight_graph(
     free = graph.reduce("ReduceSum", visibility * reflect)
     free = graph.node("Clip", free, 0.0, 1.0)
     radiance = albedo * irradiance * (1.0 / math.pi) + prefiltered * free
-    return graph.finish({"radiance": (radiance, 3)}, metadata)
+    return documented(graph.finish({"radiance": (radiance, 3)}, metadata), "relight")
 
 
 def relight(

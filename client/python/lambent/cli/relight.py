@@ -51,6 +51,10 @@ def relight(
     env_axes: EnvAxesOption = OURS,
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,
+    half: Annotated[
+        bool,
+        typer.Option("--half/--float", help="Half or 32-bit floats in the EXR; depth and mask have 32 bits."),
+    ] = True,
     as_json: JsonOption = False,
     *,
     settings: RenderSettings,
@@ -86,4 +90,4 @@ def relight(
             for view in views
         ]
         rows = rows_of(shots, opened, asset, settings)
-        make_pictures(rows, Files(linear=True), output_folder, Output(as_json))
+        make_pictures(rows, Files(linear=True, half=half), output_folder, Output(as_json))

@@ -52,6 +52,11 @@ _PANELS = {
         ),
         ("turntable", "Render a turn around the object, or of the light around it, as a film.", "turntable"),
         ("view", "Look at a bundle from all sides and in any light.", "view"),
+        (
+            "blender",
+            "Write the script that opens a bundle in Blender, with its light and cameras.",
+            "blender",
+        ),
         ("probe", "Look at an environment map: chrome ball, grey ball, brightest lights, energy.", "probe"),
     ),
     "Without a server": (
@@ -60,7 +65,11 @@ _PANELS = {
         ("masks", "Cut the object out of each photograph, to look at and correct it.", "", "worker"),
         ("train", "Train on photographs or a scene folder on this machine.", "", "worker"),
         ("evaluate", "Compare a trained run with ground truth.", "", "worker"),
-        ("export", "Write the relightable bundle of a trained run.", "", "worker"),
+        (
+            "export",
+            "Write the relightable bundle of a trained run, or its asset as glTF, USD, OBJ or Mitsuba scene.",
+            "export",
+        ),
         ("bake-light", "Adapt a bundle's fast cache to an environment, all bounces included.", "", "worker"),
         (
             "benchmark",

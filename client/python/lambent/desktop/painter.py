@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from lambent_relight import Camera, RelitPicture, Renderer, write_picture_exr
+from lambent_relight.aovs import OBJECT_NAME
 from lambent_relight.bundle.graphs import (
     NoCaches,
     PointMaterials,
@@ -125,7 +126,8 @@ class Painter:
         stem.parent.mkdir(parents=True, exist_ok=True)
         files = [stem.with_name(f"{stem.name}{suffix}") for suffix in (".png", ".exr")]
         PillowImage.fromarray(self.paint(state).image).save(files[0])
-        write_picture_exr(files[1], self.picture(state, state.light))
+        name = self.renderer.bundle.manifest.name or OBJECT_NAME
+        write_picture_exr(files[1], self.picture(state, state.light), object_name=name)
         return files
 
     def _view_key(self, state: ViewerState) -> tuple[bytes, float]:

@@ -41,12 +41,12 @@ def read_mesh(bundle: Bundle) -> AtlasMesh:
 def mesh_from_glb(data: bytes) -> AtlasMesh:
     """Return the first primitive of a binary glTF file."""
     try:
-        document, payload = _chunks(data)
+        document, payload = glb_chunks(data)
         primitive = document["meshes"][0]["primitives"][0]
         attributes = primitive["attributes"]
-        vertices = _accessor(document, payload, attributes["POSITION"], "VEC3")
-        uv = _accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
-        indices = _accessor(document, payload, primitive["indices"], "SCALAR")
+        vertices = glb_accessor(document, payload, attributes["POSITION"], "VEC3")
+        uv = glb_accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
+        indices = glb_accessor(document, payload, primitive["indices"], "SCALAR")
         mode = primitive.get("mode", 4)
     except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
         raise _invalid(f"cannot be read ({type(error).__name__}: {str(error)[:100]})") from error
@@ -64,7 +64,8 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
     return AtlasMesh(np.ascontiguousarray(vertices), faces, np.ascontiguousarray(uv, np.float32))
 
 
-def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+def glb_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return the document and the binary data of a GLB; raises ValueError or struct.error for any other."""
     magic, version, size = struct.unpack_from("<III", data, 0)
     if magic != 0x46546C67 or version != 2 or size > len(data):
         raise ValueError("not a GLB of version 2")
@@ -79,7 +80,11 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     return document, data[start + 8 : start + 8 + payload_length]
 
 
-def _accessor(document: dict[str, Any], payload: bytes, index: int, kind: str) -> NDArray[Any]:
+def glb_accessor(document: dict[str, Any], payload: bytes, index: int, kind: str) -> NDArray[Any]:
+    """Return the array [count, component] of an accessor of the type `kind`.
+
+    Raises KeyError, IndexError, TypeError or ValueError for one that is not there, or has another form.
+    """
     accessor = document["accessors"][index]
     view = document["bufferViews"][accessor["bufferView"]]
     dtype, components, count = (

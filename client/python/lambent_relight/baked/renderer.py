@@ -145,7 +145,7 @@ class _Prepared:
 
 def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
     black = np.zeros((view.camera.height, view.camera.width, 3), np.float32)
-    coverage = view.image(view.coverage)
+    coverage, distance = view.image(view.coverage), view.image(view.distance)
     still = RelitPicture(
         rgb=black,
         opacity=coverage,
@@ -159,11 +159,21 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         normal=view.image(view.normal),
         perceptual_roughness=view.image(lobes.perceptual_roughness),
         metalness=view.image(view.metalness),
-        distance=view.image(view.distance),
+        distance=distance,
+        depth=view.camera.depth_along_axis(distance),
         coverage=coverage,
         num_samples=0,
     )
-    for name in ("opacity", "standard_error", "visibility", "albedo", "normal", "metalness", "distance"):
+    for name in (
+        "opacity",
+        "standard_error",
+        "visibility",
+        "albedo",
+        "normal",
+        "perceptual_roughness",
+        "metalness",
+        "distance",
+        "depth",
+    ):
         getattr(still, name).flags.writeable = False
-    still.perceptual_roughness.flags.writeable = False
     return still

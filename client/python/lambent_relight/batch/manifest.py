@@ -113,7 +113,7 @@ class Files:
     suffixes: tuple[str, ...] = SUFFIXES
     passes: tuple[str, ...] = PASSES
     half: bool = True
-    """16-bit instead of 32-bit floats in EXR files."""
+    """16-bit instead of 32-bit floats in EXR files; depth and the Cryptomatte always have 32."""
     path: str = DEFAULT_PATH
     """Path in the output folder without suffix."""
     linear: bool = False

@@ -68,6 +68,8 @@ class Row:
             parts |= {**shown, "probes": files.probes}
         elif suffix == "exr":
             parts |= {"passes": sorted(files.passes), "half": files.half}
+            if "cryptomatte" in files.passes:
+                parts["object"] = self.asset.name
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def names(self) -> dict[str, Any]:
@@ -252,12 +254,12 @@ def _sized(camera: Camera, size: int) -> Camera:
 
 @cache
 def renderer_digest() -> str:
-    """Return a hash of the program that renders: its sources, those of this package left out."""
+    """Return a hash of the program that renders: its sources, without those of batches and of asset files."""
     root = Path(str(resources.files("lambent_relight")))
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         name = path.relative_to(root).as_posix()
-        if not name.startswith("batch/"):
+        if not name.startswith(("asset/", "batch/")):
             digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.aovs import OBJECT_NAME
 from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
@@ -17,7 +18,7 @@ from lambent_relight.environment.input import OpenedEnvironment, open_environmen
 from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
 from lambent_relight.files import file_sha256, whole_file
-from lambent_relight.images import encode_png, write_picture_exr, write_png
+from lambent_relight.images import encode_png, read_picture_exr, write_picture_exr, write_png
 from lambent_relight.picture import Image, RelitPicture
 from lambent_relight.renderer import Renderer, with_background
 
@@ -181,7 +182,8 @@ class Studio:
                     half=self._files.half,
                     passes=() if kept else self._files.passes,
                     attributes={"lambent:bundle": row.bundle_digest, "lambent:environment": row.light_digest},
-                    layers=_channels(path) if kept else None,
+                    layers=read_picture_exr(path) if kept else None,
+                    object_name=row.asset.name or OBJECT_NAME,
                 )
             digest = file_sha256(partial)
             size_bytes = partial.stat().st_size
@@ -202,14 +204,6 @@ def _write_linear(path: Path, picture: RelitPicture, notes: Sequence[str]) -> No
             bounces=picture.bounces,
             notes=np.array(notes, dtype=np.str_),
         )
-
-
-def _channels(path: Path) -> dict[str, NDArray[np.floating]]:
-    """Return the channels of one of our EXRs."""
-    import OpenEXR
-
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return {name: channel.pixels.copy() for name, channel in file.parts[0].channels.items()}
 
 
 def remove_partials(folder: Path, rows: Collection[Row]) -> None:

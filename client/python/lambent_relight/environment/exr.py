@@ -4,7 +4,7 @@ The headers of all parts are judged before pixels are read, because a file of a 
 for gigabytes, and the library decodes all parts or none. Source: docs/reference/conventions.md (colour).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -151,23 +151,24 @@ def write_exr(
     channels: Mapping[str, NDArray[np.floating]],
     *,
     half: bool = True,
+    full_precision: Collection[str] = (),
     attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write named channels [height, width] of one size as a scan-line EXR, ZIP compressed.
 
     The file states linear Rec. 709 primaries. With `half`, values are clamped to what half floats
-    hold (65504) instead of becoming infinite.
+    hold (65504) instead of becoming infinite; channels named in `full_precision` are 32-bit floats anyway.
     """
-    dtype = np.float16 if half else np.float32
-    limit = float(np.finfo(dtype).max)
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "chromaticities": REC709_CHROMATICITIES,
         **(attributes or {}),
     }
-    planes = {
-        name: np.ascontiguousarray(np.clip(plane, -limit, limit), dtype) for name, plane in channels.items()
-    }
+    planes = {}
+    for name, plane in channels.items():
+        dtype = np.float16 if half and name not in full_precision else np.float32
+        limit = float(np.finfo(dtype).max)
+        planes[name] = np.ascontiguousarray(np.clip(plane, -limit, limit), dtype)
     path.parent.mkdir(parents=True, exist_ok=True)
     OpenEXR.File(header, planes).write(str(path))

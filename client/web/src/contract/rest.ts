@@ -921,7 +921,7 @@ export interface components {
              */
             half: boolean;
             /** Passes */
-            passes?: ("direct" | "indirect" | "diffuse" | "specular" | "standard_error" | "visibility" | "albedo" | "normal" | "perceptual_roughness" | "metalness" | "depth")[];
+            passes?: ("direct" | "indirect" | "diffuse" | "specular" | "standard_error" | "visibility" | "albedo" | "normal" | "perceptual_roughness" | "metalness" | "depth" | "cryptomatte")[];
             /**
              * Path
              * @description a relative path of plain names that may name {asset}, {environment}, {quality} and {camera}

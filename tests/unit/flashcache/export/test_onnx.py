@@ -41,6 +41,23 @@ def test_equal_constants_are_stored_once():
     assert graph.value(np.array([1], np.int32)).name != graph.value(np.array([1], np.int64)).name
 
 
+def test_nodes_are_named_after_their_parts_and_constants_after_what_they_are():
+    graph = GraphBuilder("names", "row", WeightFile())
+    x = graph.input("x", 2)
+    with graph.part("outer"):
+        first = x * 0.5
+        with graph.part("inner.layers.0"):
+            second = graph.reduce("ReduceSum", first + np.array([1.0, 2.0], np.float32))
+    model = graph.finish({"result": (second + 1.0, 1)}, {})
+    names = [node.name for node in model.graph.node]
+    assert names == [
+        *("outer/mul_0", "outer/inner.layers.0/add_1", "outer/inner.layers.0/reducesum_2"),
+        *("add_3", "output/result"),
+    ]
+    constants = [tensor.name for tensor in model.graph.initializer]
+    assert constants == ["number_0.5_0", "array_1", "axes_2", "number_1_3"]
+
+
 def test_weights_come_from_the_file_beside_the_graph(tmp_path):
     weights = WeightFile()
     weights.add("other", np.zeros(3, np.float32))

@@ -59,6 +59,18 @@ def test_exposure_brightens_the_png_and_leaves_the_exr(bundle, sky, tmp_path):
     np.testing.assert_array_equal(pixels["1"][1], pixels["0"][1])
 
 
+@pytest.mark.parametrize(("word", "dtype"), [("--half", np.float16), ("--float", np.float32)])
+def test_colour_is_half_or_float_as_asked_and_depth_is_float(bundle, sky, tmp_path, word, dtype):
+    assert relight(bundle, sky, tmp_path / "out", "--turntable", "1", "--size", "8", word) == 0
+    with OpenEXR.File(str(tmp_path / "out/sky/turntable_000.exr"), separate_channels=True) as file:
+        channels = file.parts[0].channels
+        assert channels["R"].pixels.dtype == dtype
+        depth, distance = channels["Z"].pixels, channels["distance.V"].pixels
+    assert depth.dtype == distance.dtype == np.float32
+    assert depth[0, 0] == distance[0, 0] == np.float32(1e10), "nothing is in the corner"
+    assert 0.0 < depth[4, 4] < distance[4, 4] < 100.0
+
+
 def test_cameras_come_from_a_file_and_keep_their_names(bundle, sky, tmp_path):
     (view,) = turntable(1, radius=4.0, width=6, height=4)
     (tmp_path / "views.json").write_text(cameras_json([view]))

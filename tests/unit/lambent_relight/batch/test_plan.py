@@ -70,6 +70,12 @@ def test_names_are_not_in_the_key():
         asset={"name": "x"}, light={"name": "y"}, quality={"name": "z"}, camera={"name": "c"}, path="d"
     )
     assert other.key("png", Files()) == ROW.key("png", Files())
+    bare = Files(passes=("normal",))
+    assert other.key("exr", bare) == ROW.key("exr", bare)
+
+
+def test_a_cryptomatte_has_the_assets_name_in_it():
+    assert changed(asset={"name": "x"}).key("exr", Files()) != ROW.key("exr", Files())
 
 
 def test_each_file_has_a_key_of_its_own():

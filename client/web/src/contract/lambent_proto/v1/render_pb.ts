@@ -400,14 +400,14 @@ export type RenderOutput = Message<"lambent_proto.v1.RenderOutput"> & {
   files: string[];
 
   /**
-   * Layers of the EXR besides the picture.
+   * Layers of the EXR besides the picture; "cryptomatte" is the object's mask.
    *
    * @generated from field: repeated string passes = 2;
    */
   passes: string[];
 
   /**
-   * 16-bit instead of 32-bit floats in EXR files.
+   * 16-bit instead of 32-bit floats in EXR files; depth and the Cryptomatte always have 32.
    *
    * @generated from field: bool half = 3;
    */

@@ -1,8 +1,10 @@
 """Open a relightable bundle in Blender: the mesh, its light and its cameras, with the right axes.
 
-    blender --python examples/blender_import.py -- NAME.relight [--env sky.exr] [--rotate-deg 30] [--view 0]
+    lambent blender -o blender_import.py
+    blender --python blender_import.py -- NAME.relight [--env sky.exr] [--rotate-deg 30] [--view 0]
 
-Without --env the environment recovered for the first training light is used. Blender's world is right-handed
+`lambent blender NAME.relight` writes these arguments into the script, for Blender's text editor. Without
+--env the environment recovered for the first training light is used. Blender's world is right-handed
 with z up, as a bundle's is, and its environment maps have +x in the middle and +y left of it, as ours have: a
 map needs no turn. Written for Blender 3.6 and later; the functions above `main` need no Blender.
 """
@@ -12,11 +14,15 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
+
+OWN_ARGUMENTS: list[str] = []
+"""Arguments where none follow `--`."""
 
 
 def arguments_of(argv: list[str]) -> argparse.Namespace:
-    """Return the arguments behind `--`, as Blender passes them on."""
-    own = argv[argv.index("--") + 1 :] if "--" in argv else []
+    """Return the arguments behind `--`, as Blender passes them on, or those written into the script."""
+    own = argv[argv.index("--") + 1 :] if "--" in argv else OWN_ARGUMENTS
     parser = argparse.ArgumentParser(prog="blender --python blender_import.py --")
     parser.add_argument("bundle", type=Path, help="folder NAME.relight")
     parser.add_argument("--env", type=Path, help="equirectangular map, .exr or .hdr")
@@ -108,7 +114,7 @@ def main() -> None:
             )
 
 
-def _light(bpy: object, scene: object, options: argparse.Namespace) -> None:
+def _light(bpy: Any, scene: Any, options: argparse.Namespace) -> None:
     """Light the scene with the environment, rotated as requested."""
     world = bpy.data.worlds.new("environment")
     scene.world = world

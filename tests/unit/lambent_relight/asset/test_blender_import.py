@@ -6,9 +6,9 @@ import sys
 from types import ModuleType
 from unittest.mock import MagicMock
 
-import blender_import
 import numpy as np
 import pytest
+from lambent_relight.asset import blender_import
 from lambent_relight.cameras import cameras_json, turntable
 from lambent_relight.directions import rotate_about_z, uv_of_directions
 
@@ -44,6 +44,13 @@ def test_arguments_are_those_behind_two_dashes():
     assert (str(found.bundle), found.rotate_deg, found.env) == ("a.relight", 30.0, None)
     with pytest.raises(SystemExit):
         blender_import.arguments_of(["blender"])
+
+
+def test_arguments_written_into_the_script_count_where_none_follow(monkeypatch):
+    monkeypatch.setattr(blender_import, "OWN_ARGUMENTS", ["own.relight", "--view", "3"])
+    found = blender_import.arguments_of(["blender", "--python", "x.py"])
+    assert (str(found.bundle), found.view) == ("own.relight", 3)
+    assert str(blender_import.arguments_of(["blender", "--", "a.relight"]).bundle) == "a.relight"
 
 
 @pytest.fixture

@@ -1,0 +1,118 @@
+"""export: the bundle of a trained run, or the asset of a run or bundle in other programs' formats."""
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from lambent_relight.environment.axes import OURS
+
+from lambent.cli.environment_options import EnvAxesOption, environment_input
+from lambent.cli.output import JsonOption, Output
+from lambent.cli.rendering import open_bundle, relight_errors
+from lambent.errors import UsageProblemError
+
+
+def export(
+    source: Annotated[
+        Path, typer.Argument(metavar="RUN|BUNDLE", help="Folder made by lambent train, or a bundle.")
+    ],
+    output_folder: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="FOLDER", help="Where files go; for a bundle it must not exist yet."
+        ),
+    ],
+    glb: Annotated[bool, typer.Option("--glb", help="Write asset.glb, glTF 2.0.")] = False,
+    usdz: Annotated[bool, typer.Option("--usdz", help="Write asset.usdz; needs lambent[usd].")] = False,
+    obj: Annotated[bool, typer.Option("--obj", help="Write obj/asset.obj with materials.")] = False,
+    mitsuba: Annotated[
+        bool, typer.Option("--mitsuba", help="Write mitsuba/scene.xml with light and cameras.")
+    ] = False,
+    webp: Annotated[
+        bool, typer.Option("--webp", help="WebP textures in the GLB; readers need EXT_texture_webp.")
+    ] = False,
+    env: Annotated[
+        Path | None,
+        typer.Option(metavar="MAP", help="Light of the Mitsuba scene; by default the recovered one."),
+    ] = None,
+    env_axes: EnvAxesOption = OURS,
+    tier: Annotated[str, typer.Option(help="Of a bundle: full, or lite, without networks, for phones.")] = "",
+    weights: Annotated[
+        str, typer.Option(help="Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers.")
+    ] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
+    wanted = {"glb": glb, "usdz": usdz, "obj": obj, "mitsuba": mitsuba}
+    formats = [name for name, asked in wanted.items() if asked]
+    _check_options(
+        {"--webp": (webp, "glb"), "--env": (env is not None, "mitsuba")}, formats, for_bundle=tier or weights
+    )
+    if not formats:
+        _export_bundle(source, output_folder, tier=tier, weights=weights, as_json=as_json)
+        return
+    # These take a moment to import, which the export of a bundle does not pay.
+    from lambent_relight.asset.write import write_formats
+    from lambent_relight.environment.input import open_environment
+
+    with relight_errors():
+        bundle = open_bundle(_bundle_of(source))
+        light = open_environment(env, environment_input(env_axes, 0.0, False)) if env is not None else None
+        written = write_formats(
+            bundle,
+            output_folder,
+            formats,
+            environment=light.environment if light is not None else None,
+            webp=webp,
+        )
+    output = Output(as_json)
+    for note in light.notes(str(env)) if light is not None else ():
+        output.note(note)
+    output.result("\n".join(str(path) for path in written), {"files": [str(path) for path in written]})
+
+
+def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, for_bundle: str) -> None:
+    """Raise `cli.bad_choice` for an option without the format that it belongs to."""
+    for option, (given, name) in needs.items():
+        if given and name not in formats:
+            raise UsageProblemError("cli.bad_choice", f"{option} without --{name}", f"add --{name}")
+    if formats and for_bundle:
+        raise UsageProblemError(
+            "cli.bad_choice",
+            f"--tier and --weights with --{formats[0]}",
+            "they are for a bundle: export that first, without formats, and then its asset",
+        )
+
+
+def _bundle_of(source: Path) -> Path:
+    """Return the bundle of a run folder, or `source` itself."""
+    if not (source / "run.json").is_file():
+        return source
+    if not (source / "bundle" / "manifest.json").is_file():
+        raise UsageProblemError(
+            "export.no_bundle",
+            f'the run in "{source}" has no bundle yet',
+            "finish it with lambent train --resume",
+        )
+    return source / "bundle"
+
+
+def _export_bundle(source: Path, output_folder: Path, *, tier: str, weights: str, as_json: bool) -> None:
+    """Let the worker's command write the bundle of a run."""
+    if (source / "manifest.json").is_file() or source.suffix == ".zip":
+        raise UsageProblemError(
+            "export.no_format",
+            f'"{source}" is a bundle already',
+            "say what to write: --glb, --usdz, --obj or --mitsuba",
+        )
+    try:
+        (point,) = entry_points(group="lambent.commands", name="export")
+        command = point.load()
+    except (ModuleNotFoundError, ValueError) as error:
+        raise UsageProblemError(
+            "cli.missing_extra",
+            "the export of a bundle needs the worker, which is not installed",
+            "pip install 'lambent[worker]'",
+        ) from error
+    command(run_dir=source, out=output_folder, tier=tier, weights=weights, as_json=as_json)

@@ -1,0 +1,1 @@
+"""The asset of a bundle in the formats of other programs: glTF, USD, Wavefront OBJ, Mitsuba, Blender."""

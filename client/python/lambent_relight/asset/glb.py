@@ -1,0 +1,66 @@
+"""The GLB of an asset with other textures than the bundle's: absolute albedo, or WebP.
+
+Everything but the images stays as the bundle has it. Source: glTF 2.0 specification, section 4 (GLB);
+EXT_texture_webp.
+"""
+
+import io
+import json
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from PIL import Image
+
+from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
+from lambent_relight.baked.mesh import glb_chunks
+from lambent_relight.errors import BundleError
+
+WEBP = "EXT_texture_webp"
+
+
+def glb_with_textures(data: bytes, mesh: TexturedMesh, *, webp: bool = False) -> bytes:
+    """Return the GLB `data` of a bundle with the textures of `mesh`, which was read from it.
+
+    With `webp` they are lossless WebP, and there is no PNG to fall back to: readers need EXT_texture_webp.
+    Raises BundleError `bundle.mesh_invalid` for a file with parts that leave it.
+    """
+    document, payload = glb_chunks(data)
+    pictures = (mesh.base_colour_png, mesh.packed_png, mesh.normal_png)
+    files = {}
+    for texture, png in zip(textures_of(document), pictures, strict=True):
+        image = document["images"][texture["source"]]
+        files[image["bufferView"]] = _webp(png) if webp else png
+        if webp:
+            image["mimeType"] = "image/webp"
+            texture["extensions"] = {WEBP: {"source": texture.pop("source")}}
+    if webp:
+        document["extensionsUsed"] = document["extensionsRequired"] = [WEBP]
+    return _packed(document, payload, files)
+
+
+def _webp(png: bytes) -> bytes:
+    file = io.BytesIO()
+    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
+        image.save(file, format="WEBP", lossless=True, method=4)
+    return file.getvalue()
+
+
+def _packed(document: dict[str, Any], payload: bytes, files: Mapping[int, bytes]) -> bytes:
+    """Return a GLB whose buffer views hold what they held in `payload`, or what `files` has for them."""
+    packed = bytearray()
+    for number, view in enumerate(document["bufferViews"]):
+        start, size = view.get("byteOffset", 0), view.get("byteLength")
+        if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+            raise BundleError(
+                "bundle.mesh_invalid", f"mesh/asset.glb has a part {number} that leaves it", "export it again"
+            )
+        content = files.get(number, payload[start : start + size])
+        view["byteOffset"], view["byteLength"] = len(packed), len(content)
+        packed += content + b"\0" * (-len(content) % 4)
+    document["buffers"] = [{"byteLength": len(packed)}]
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(packed), 0x004E4942) + packed
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
