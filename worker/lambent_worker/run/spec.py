@@ -1,17 +1,20 @@
-"""The specification of a run, from the command line, a server's order, or `run.json`."""
+"""The specification of a run, from the command line, a server's order, or `run.json`.
+
+The method's settings, and torch with them, are imported only for a run that has some: photographs are
+prepared without.
+"""
 
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from flashcache.config import Config, Rates, from_dict, to_dict, with_overrides
 from flashcache.errors import ConfigError
-from flashcache.presets import preset as preset_of
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 from lambent_worker.errors import UsageError
@@ -30,6 +33,9 @@ from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_ma
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import detect_layout
 from lambent_worker.scenes.light_turns import LightFixedTo, as_light_fixed_to
+
+if TYPE_CHECKING:
+    from flashcache.config import Config, Rates
 
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
@@ -53,7 +59,8 @@ class RunSpec:
 
     scene: Path = field(compare=False)
     """Folder of the capture, which may be moved between two starts."""
-    config: Config
+    config: "Config | None"
+    """Settings of the method; None until training is asked for, since nothing before it reads them."""
     preset: str = field(default="", compare=False)
     """Name that the preset was asked for by; `config` has what came of it."""
     seed: int = 0
@@ -77,7 +84,7 @@ class RunSpec:
     def __post_init__(self) -> None:
         if self.corrections and self.masks != AUTOMATIC:
             raise unused_corrections("masks were given, or none are wanted")
-        if self.grey_card is not None and self.config.polish == "off":
+        if self.grey_card is not None and self.config is not None and self.config.polish == "off":
             raise refused(
                 "polish_off",
                 "albedo and light are brought to the card when materials are fitted once more after stage "
@@ -147,6 +154,9 @@ class RunSpec:
             settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
         )
         fixed_to, grey_card = settings.pop(LIGHT_FIXED_TO, "auto"), settings.pop(GREY_CARD, "")
+        from flashcache.config import with_overrides
+        from flashcache.presets import preset as preset_of
+
         config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
         items = []
         for item in _listed(known_lights):
@@ -169,11 +179,14 @@ class RunSpec:
         )
 
 
-def config_for(name: str, overrides: Mapping[str, str]) -> Config:
+def config_for(name: str, overrides: Mapping[str, str]) -> "Config":
     """Return a preset, or `PRESET:SCENE` for a published scene, with settings changed.
 
     Raises `UsageError` for an unknown name and `ConfigError` for a wrong setting.
     """
+    from flashcache.config import with_overrides
+    from flashcache.presets import preset as preset_of
+
     try:
         base = preset_of(name)
     except ConfigError as error:
@@ -181,7 +194,7 @@ def config_for(name: str, overrides: Mapping[str, str]) -> Config:
     return with_overrides(base, overrides)
 
 
-def adjust(config: Config, adjustments: worker_pb2.Adjustments) -> Config:
+def adjust(config: "Config", adjustments: worker_pb2.Adjustments) -> "Config":
     """Return the configuration with fewer rays or lower rates in the stages that failed."""
     stages = dict(adjustments.stages)
     if not stages and adjustments.stage:  # from a server of the version before
@@ -218,7 +231,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """
     wanted = {
         "preset": spec.preset,
-        "config": to_dict(spec.config),
+        "config": _config_record(spec.config),
         "seed": spec.seed,
         "device": device,
         "lights": list(spec.lights),
@@ -232,7 +245,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     }
     if (run_dir / "run.json").exists():
         found = run_record(run_dir)
-        if to_dict(from_dict(Config, found["config"])) != found["config"]:
+        if _config_record(_config_of(found["config"])) != found["config"]:
             raise UsageError(
                 "run.version",
                 f'"{run_dir}" has settings of another release, so it cannot be trained further; train again '
@@ -262,7 +275,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "schema_version": SCHEMA_VERSION,
         **wanted,
         "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {name: version(name) for name in ("lambent", "torch", "numpy")},
+        "versions": _versions(),
     }
     write_json(run_dir / "run.json", record)
     if not spec.corrections:
@@ -274,7 +287,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
     record = run_record(run_dir)
     spec = RunSpec(
         scene=Path(record["scene"]),
-        config=from_dict(Config, record["config"]),
+        config=_config_of(record["config"]),
         preset=record["preset"],
         seed=record["seed"],
         lights=tuple(record["lights"]),
@@ -286,6 +299,33 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
         grey_card=parse_grey_card(record["grey_card"]) if record["grey_card"] else None,
     )
     return spec, record["device"]
+
+
+def _config_record(config: "Config | None") -> dict[str, Any] | None:
+    """Return the settings as `run.json` has them: null for a run that is only prepared so far."""
+    if config is None:
+        return None
+    from flashcache.config import to_dict
+
+    return to_dict(config)
+
+
+def _config_of(record: Mapping[str, Any] | None) -> "Config | None":
+    """Return the settings that `run.json` has; needs torch where there are some."""
+    if record is None:
+        return None
+    from flashcache.config import Config, from_dict
+
+    return from_dict(Config, record)
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions of what computes, those of packages that are there."""
+    found = {}
+    for name in ("lambent", "torch", "numpy"):
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def with_kept_corrections(spec: RunSpec, run_dir: Path) -> RunSpec:
@@ -381,5 +421,5 @@ def _inside(scene: Path, parameter: str, name: str, advice: str) -> Path:
     return path
 
 
-def _slower(rates: Rates, factor: float) -> Rates:
+def _slower(rates: "Rates", factor: float) -> "Rates":
     return replace(rates, grid=rates.grid * factor, network=rates.network * factor)
