@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lambent_relight.bundle.bundle import Bundle, load_bundle
-    from lambent_relight.cameras import Camera, cameras_json, load_cameras, look_at, turntable
+    from lambent_relight.cameras import (
+        Camera,
+        cameras_from_arrays,
+        cameras_json,
+        load_cameras,
+        look_at,
+        turntable,
+    )
     from lambent_relight.edits import MaterialEdit
     from lambent_relight.environment.maps import (
         Cleaning,
@@ -47,6 +54,7 @@ _HOMES = {
     "Renderer": "renderer",
     "SettingError": "errors",
     "UnsupportedQuality": "errors",
+    "cameras_from_arrays": "cameras",
     "cameras_json": "cameras",
     "environment_from_array": "environment.maps",
     "load_bundle": "bundle.bundle",
@@ -60,7 +68,33 @@ _HOMES = {
     "write_png": "images",
 }
 
-__all__ = [*_HOMES]
+__all__ = [
+    "Bundle",
+    "BundleError",
+    "Camera",
+    "CameraError",
+    "Cleaning",
+    "Environment",
+    "EnvironmentFileError",
+    "MaterialEdit",
+    "RelightError",
+    "RelitPicture",
+    "Renderer",
+    "SettingError",
+    "UnsupportedQuality",
+    "cameras_from_arrays",
+    "cameras_json",
+    "environment_from_array",
+    "load_bundle",
+    "load_cameras",
+    "load_environment",
+    "look_at",
+    "render",
+    "turntable",
+    "write_environment",
+    "write_picture_exr",
+    "write_png",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from lambent_relight.aovs import ATTRIBUTES, exr_channels
+from lambent_relight.arguments import file_path, instance
 from lambent_relight.environment.exr import write_exr
 from lambent_relight.picture import RelitPicture
 from lambent_relight.tone_mapping import tone_mapped
+
+_MADE_BY = "give what Renderer.render returns"
 
 
 def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -44,7 +47,8 @@ def write_png(path: Path | str, picture: RelitPicture, *, tone_mapping: str = "l
 
     The curve `linear` clips radiance above 1; use `RelitPicture.exposed` before.
     """
-    path = Path(path)
+    path = file_path(path, "path")
+    instance(picture, RelitPicture, "picture", _MADE_BY)
     path.parent.mkdir(parents=True, exist_ok=True)
     PillowImage.fromarray(encode_png(picture, tone_mapping=tone_mapping)).save(path)
 
@@ -64,6 +68,7 @@ def write_picture_exr(
     are written into the header beside what it says of colour, normals and depth. `layers` are channels of the
     same picture that are made already.
     """
+    instance(picture, RelitPicture, "picture", _MADE_BY)
     header = {**ATTRIBUTES, **(attributes or {})}
     channels = {**(layers or {}), **exr_channels(picture, passes=passes)}
-    write_exr(Path(path), channels, half=half, attributes=header)
+    write_exr(file_path(path, "path"), channels, half=half, attributes=header)
