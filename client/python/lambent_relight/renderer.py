@@ -118,11 +118,12 @@ class Renderer:
 
         The environment may also be an array [height, width, 3] of linear radiance, or the path of a map; for
         many pictures in one light make it once. `changes` are fields of `settings`, such as `quality="baked"`
-        or `spp=256`; exposure and tone mapping are for screens and have no effect here. `rotate_deg` turns the light about +z, `object_rotate_deg`
-        the object, not its light. `edit` changes the material. `albedo_ratio` (one or three factors on the
-        stored albedo, result clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background`
-        may also be a linear colour. Without `soft_edges` the mesh alone draws the outline of a `baked`
-        picture: for a camera that moves. `progress` is called with the finished fraction.
+        or `spp=256`; exposure and tone mapping are for screens and have no effect here. `rotate_deg` turns
+        the light about +z, `object_rotate_deg` the object, not its light. `edit` changes the material.
+        `albedo_ratio` (one or three factors on the stored albedo, result clipped to [0, 1]) defaults to the
+        manifest's `albedo_scale_rgb`. `background` may also be a linear colour. Without `soft_edges` the mesh
+        alone draws the outline of a `baked` picture: for a camera that moves. `progress` is called with the
+        finished fraction.
 
         Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
         least); with `until_stderr` up to 64 times as many. The picture's `bounces` says where bounced light
