@@ -53,11 +53,11 @@ def number(
 ) -> float:
     """Return a finite number between two exclusive bounds."""
     refuse = refuse or refusal()
-    if isinstance(value, (bool, np.bool_, str, bytes)) or np.ndim(value):  # type: ignore[arg-type]
+    if isinstance(value, (bool, np.bool_, str, bytes)) or not is_single(value):
         raise refuse(f"{name} is no number but {_described(value)}", "give one number")
     try:
         found = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise refuse(f"{name} is no number but {_described(value)}", "give one number") from error
     if not (math.isfinite(found) and above < found < below):
         bounds = [f"above {above:g}"] if above > -math.inf else []
@@ -83,6 +83,23 @@ def whole(
     return found
 
 
+def is_single(value: object) -> bool:
+    """Return whether a value is neither an array nor a list of others."""
+    try:
+        return np.ndim(value) == 0  # type: ignore[arg-type]
+    except ValueError:  # a list whose rows differ in length
+        return False
+
+
+def colour(value: object, name: str, *, refuse: Refusal | None = None) -> tuple[float, float, float]:
+    """Return three finite numbers; a single one, also in a list, stands for all of them."""
+    given = array(value, () if is_single(value) else (None,), name, refuse=refuse)
+    if given.size not in (1, 3):
+        raise (refuse or refusal())(f"{name} has {given.size} entries", "give one or three numbers")
+    red, green, blue = np.broadcast_to(given, (3,)).tolist()
+    return red, green, blue
+
+
 def array(
     value: object, shape: tuple[int | None, ...], name: str, *, refuse: Refusal | None = None
 ) -> NDArray[np.float64]:
@@ -92,7 +109,7 @@ def array(
     advice = f"give finite numbers of shape {words}"
     try:
         found = np.array(value, np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise refuse(f"{name} is no array of numbers but {_described(value)}", advice) from error
     fits = len(found.shape) == len(shape) and all(
         size in (None, given) for size, given in zip(shape, found.shape, strict=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.arguments import Refusal, array, number, refusal
+from lambent_relight.arguments import colour, number, refusal
 
 Gain = tuple[float, float, float]
 
@@ -26,7 +26,7 @@ class MaterialEdit:
 
     def __post_init__(self) -> None:
         refuse = refusal("relight.albedo_ratio")
-        gain = _colour(self.albedo_gain, "albedo_gain", refuse)
+        gain = colour(self.albedo_gain, "albedo_gain", refuse=refuse)
         if min(gain) <= 0.0:
             raise refuse(f"albedo ratio {self.albedo_gain}", "give one or three positive numbers")
         object.__setattr__(self, "albedo_gain", gain)
@@ -37,10 +37,10 @@ class MaterialEdit:
         object.__setattr__(self, "roughness_scale", scale)
         if self.albedo is not None:
             refuse = refusal("relight.albedo")
-            colour = _colour(self.albedo, "albedo", refuse)
-            if min(colour) < 0.0 or max(colour) > 1.0:
+            own = colour(self.albedo, "albedo", refuse=refuse)
+            if min(own) < 0.0 or max(own) > 1.0:
                 raise refuse(f"albedo {self.albedo}", "give three linear values from 0 to 1")
-            object.__setattr__(self, "albedo", colour)
+            object.__setattr__(self, "albedo", own)
 
     def apply(
         self, albedo: NDArray[np.floating], perceptual_roughness: NDArray[np.floating]
@@ -61,10 +61,3 @@ class MaterialEdit:
             return np.asarray(self.albedo_gain, np.float32)
         changed = np.clip(np.asarray(self.albedo, np.float64) * self.albedo_gain, 0.0, 1.0)
         return (changed / np.maximum(mean_albedo, 1e-3)).astype(np.float32)
-
-
-def _colour(value: object, name: str, refuse: Refusal) -> Gain:
-    """Return three numbers, also where one is given for all of them."""
-    shape = (3,) if np.ndim(value) else ()  # type: ignore[arg-type]
-    red, green, blue = np.broadcast_to(array(value, shape, name, refuse=refuse), (3,)).tolist()
-    return red, green, blue

@@ -14,7 +14,7 @@ import numpy as np
 from lambent_proto.pictures import RenderSettings
 from numpy.typing import ArrayLike, NDArray
 
-from lambent_relight.arguments import array, instance, number, refusal, whole
+from lambent_relight.arguments import array, colour, instance, number, refusal, whole
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
@@ -276,11 +276,10 @@ def _open_caches(
 
 def _combined(bundle: Bundle, edit: MaterialEdit, ratio: ArrayLike | None) -> MaterialEdit:
     """Return `edit` with its gain times the albedo ratio, by default the manifest's."""
-    values = np.array(bundle.manifest.albedo_scale_rgb, np.float64)
-    if ratio is not None:
-        shape = (1,) if np.shape(ratio) == (1,) else (3,) if np.ndim(ratio) else ()
-        values = array(ratio, shape, "albedo_ratio", refuse=refusal("relight.albedo_ratio"))
-    return replace(edit, albedo_gain=np.broadcast_to(values, (3,)) * edit.albedo_gain)
+    refuse = refusal("relight.albedo_ratio")
+    stated = tuple(bundle.manifest.albedo_scale_rgb)
+    factors = stated if ratio is None else colour(ratio, "albedo_ratio", refuse=refuse)
+    return replace(edit, albedo_gain=np.multiply(factors, edit.albedo_gain))
 
 
 def _turned(
@@ -311,18 +310,18 @@ def with_background(
         return picture
     seen_from, turned = _turned(camera, environment, rotate_deg, object_rotate_deg)
     if behind == "environment":
-        colour = turned.lookup(seen_from.rays()[1]).reshape(picture.rgb.shape)
+        back = turned.lookup(seen_from.rays()[1]).reshape(picture.rgb.shape)
     else:
         refuse = refusal("relight.background")
         advice = f"use one of {', '.join(BACKGROUNDS)}, or three linear values"
         if isinstance(behind, str):
             raise refuse(f"background {background!r}", advice)
-        colour = array(behind, (3,), "background", refuse=refuse).astype(np.float32)
-        if (colour < 0.0).any():
+        back = array(behind, (3,), "background", refuse=refuse).astype(np.float32)
+        if (back < 0.0).any():
             raise refuse(f"background {background!r}", advice)
     return replace(
         picture,
-        rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * colour,
+        rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * back,
         standard_error=picture.coverage * picture.standard_error,
         opacity=np.ones_like(picture.coverage),
     )
