@@ -1,8 +1,4 @@
-"""The specification of a run, from the command line, a server's order, or `run.json`.
-
-The method's settings, and torch with them, are imported only for a run that has some: photographs are
-prepared without.
-"""
+"""The specification of a run, from the command line, a server's order, or `run.json`."""
 
 import json
 import shutil
@@ -30,12 +26,13 @@ from lambent_worker.run.card_option import GreyCard, look_for_photograph, parse_
 from lambent_worker.run.folder import begun_inputs, done_inputs
 from lambent_worker.run.known_lights import kept_lights, parse_known_lights
 from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
+from lambent_worker.run.settings import adjust, config_for, config_of, config_record
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import detect_layout
 from lambent_worker.scenes.light_turns import LightFixedTo, as_light_fixed_to
 
 if TYPE_CHECKING:
-    from flashcache.config import Config, Rates
+    from flashcache.config import Config
 
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
@@ -179,49 +176,6 @@ class RunSpec:
         )
 
 
-def config_for(name: str, overrides: Mapping[str, str]) -> "Config":
-    """Return a preset, or `PRESET:SCENE` for a published scene, with settings changed.
-
-    Raises `UsageError` for an unknown name and `ConfigError` for a wrong setting.
-    """
-    from flashcache.config import with_overrides
-    from flashcache.presets import preset as preset_of
-
-    try:
-        base = preset_of(name)
-    except ConfigError as error:
-        raise UsageError("config.preset_unknown", f'--preset "{name}": {error}') from error
-    return with_overrides(base, overrides)
-
-
-def adjust(config: "Config", adjustments: worker_pb2.Adjustments) -> "Config":
-    """Return the configuration with fewer rays or lower rates in the stages that failed."""
-    stages = dict(adjustments.stages)
-    if not stages and adjustments.stage:  # from a server of the version before
-        stages[adjustments.stage] = worker_pb2.StageAdjustments(
-            ray_chunk=adjustments.ray_chunk, learning_rate=adjustments.learning_rate
-        )
-    for stage, own in stages.items():
-        rays, rate = own.ray_chunk or 1.0, own.learning_rate or 1.0
-        if stage == "cache":
-            one = config.stage_one
-            one = replace(one, num_rays=max(int(one.num_rays * rays), 1), rates=_slower(one.rates, rate))
-            config = replace(config, stage_one=one)
-        elif stage == "joint":
-            two = config.stage_two
-            two = replace(
-                two,
-                num_rays=max(int(two.num_rays * rays), 1),
-                material_rates=_slower(two.material_rates, rate),
-                gloss_rates=_slower(two.gloss_rates, rate),
-                cache_rates=_slower(two.cache_rates, rate),
-                fast_rates=_slower(two.fast_rates, rate),
-                environment_rate=two.environment_rate * rate,
-            )
-            config = replace(config, stage_two=two)
-    return config
-
-
 def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """Make `run_dir` the folder of this run: `run.json` and the given files; one that it is already stays.
 
@@ -231,7 +185,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """
     wanted = {
         "preset": spec.preset,
-        "config": _config_record(spec.config),
+        "config": config_record(spec.config),
         "seed": spec.seed,
         "device": device,
         "lights": list(spec.lights),
@@ -245,7 +199,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     }
     if (run_dir / "run.json").exists():
         found = run_record(run_dir)
-        if _config_record(_config_of(found["config"])) != found["config"]:
+        if config_record(config_of(found["config"])) != found["config"]:
             raise UsageError(
                 "run.version",
                 f'"{run_dir}" has settings of another release, so it cannot be trained further; train again '
@@ -287,7 +241,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
     record = run_record(run_dir)
     spec = RunSpec(
         scene=Path(record["scene"]),
-        config=_config_of(record["config"]),
+        config=config_of(record["config"]),
         preset=record["preset"],
         seed=record["seed"],
         lights=tuple(record["lights"]),
@@ -299,24 +253,6 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
         grey_card=parse_grey_card(record["grey_card"]) if record["grey_card"] else None,
     )
     return spec, record["device"]
-
-
-def _config_record(config: "Config | None") -> dict[str, Any] | None:
-    """Return the settings as `run.json` has them: null for a run that is only prepared so far."""
-    if config is None:
-        return None
-    from flashcache.config import to_dict
-
-    return to_dict(config)
-
-
-def _config_of(record: Mapping[str, Any] | None) -> "Config | None":
-    """Return the settings that `run.json` has; needs torch where there are some."""
-    if record is None:
-        return None
-    from flashcache.config import Config, from_dict
-
-    return from_dict(Config, record)
 
 
 def _versions() -> dict[str, str]:
@@ -419,7 +355,3 @@ def _inside(scene: Path, parameter: str, name: str, advice: str) -> Path:
     if not path.is_relative_to(scene.resolve()):
         raise ConfigError(f'{parameter} "{name}" lies outside the capture; {advice}')
     return path
-
-
-def _slower(rates: "Rates", factor: float) -> "Rates":
-    return replace(rates, grid=rates.grid * factor, network=rates.network * factor)
