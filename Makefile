@@ -43,8 +43,13 @@ $(PAGES)/.built: $(PAGE_SOURCES) $(WEB)/node_modules/.installed
 
 pages: $(PAGES)/.built ## Build the web pages into the package lambent_pages
 
-wheel: $(VENV)/.installed pages ## Build the wheel, web pages included, into build/wheel
-	$(BIN)/hatchling build -t wheel -d build/wheel
+# An environment of its own, for a wheel needs hatchling and none of what it asks for: neither torch nor .venv.
+WHEEL_TOOLS := build/wheel-tools
+
+wheel: pages ## Build the wheel, web pages included, into build/wheel
+	$(PYTHON) -m venv $(WHEEL_TOOLS)
+	$(WHEEL_TOOLS)/bin/pip install -q --disable-pip-version-check -c constraints.txt build
+	$(WHEEL_TOOLS)/bin/python -m build -q --wheel --outdir build/wheel
 
 # Without Node there are no web pages: the demo's link says so, and browser tests are skipped.
 BUILT := $(if $(shell command -v npm),$(PAGES)/.built)

@@ -10,9 +10,24 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 def main() -> NoReturn:
     """Run the command line and exit: 0 ok, 1 some work failed, 2 usage, 3 unreachable, 4 refused."""
-    from lambent.cli.app import run
-
+    try:
+        from lambent.cli.app import run
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("lambent"):
+            raise
+        # Installed without its dependencies, or one was removed.
+        sys.exit(_lacks(error.name))
     sys.exit(run(sys.argv[1:]))
+
+
+def _lacks(package: str | None) -> int:
+    """Say on standard error that the command itself lacks a package, and return its exit code."""
+    print(
+        f"error: cli.missing_package: `lambent` cannot start: the package {package!r} is not installed; "
+        "pip install lambent",
+        file=sys.stderr,
+    )
+    return 2
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ from typing import Any, Self
 
 import httpx2
 
+from lambent import arguments, pictures, scenes
 from lambent import fetch as fetching
-from lambent import pictures, scenes
 from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
 from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport
@@ -18,6 +18,18 @@ from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 
 DELETABLE = {"scene": "scenes", "job": "jobs", "bundle": "bundles", "env": "environments"}
 """Prefixes of the ids that can be deleted, and the path of each kind."""
+
+
+def _scene(scene_id: str) -> str:
+    return f"/v1/scenes/{arguments.identifier(scene_id, 'scene_id')}"
+
+
+def _job(job_id: str) -> str:
+    return f"/v1/jobs/{arguments.identifier(job_id, 'job_id')}"
+
+
+def _batch(batch_id: str) -> str:
+    return f"/v1/batches/{arguments.identifier(batch_id, 'batch_id')}"
 
 
 class Client:
@@ -38,10 +50,17 @@ class Client:
         sleep: Callable[[float], None] = time.sleep,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.address = find_server(url, api_key, data=data)
+        arguments.text(url, "url")
+        arguments.text(api_key, "api_key")
+        folder = None if data is None else arguments.file_path(data, "data")
+        self.address = find_server(url, api_key, data=folder)
         self._sleep = sleep
         self._clock = clock
         self._connection = Connection(self.address, transport=transport, sleep=sleep)
+
+    def __repr__(self) -> str:
+        """Return the server's address, without the key."""
+        return f"Client({self.address.url!r})"
 
     def __enter__(self) -> Self:
         """Return the client itself."""
@@ -71,26 +90,31 @@ class Client:
         progress: TransferProgress = ignore_progress,
     ) -> Scene:
         """Upload a scene folder or archive and return the committed scene; a repeat sends nothing twice."""
-        return scenes.push(self._connection, Path(source), name=name, progress=progress)
+        return scenes.push(
+            self._connection,
+            arguments.file_path(source, "source"),
+            name=arguments.text(name, "name"),
+            progress=progress,
+        )
 
     def scene(self, scene_id: str) -> Scene:
         """Return a scene."""
-        return Scene.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}"))
+        return Scene.from_json(self._connection.json("GET", _scene(scene_id)))
 
     def scene_report(self, scene_id: str) -> SceneReport:
         """Return the findings about a scene, each with what to fix."""
-        return SceneReport.from_json(self._connection.json("GET", f"/v1/scenes/{scene_id}/report"))
+        return SceneReport.from_json(self._connection.json("GET", _scene(scene_id) + "/report"))
 
     def delete_scene(self, scene_id: str) -> None:
         """Delete a scene."""
-        self._connection.send("DELETE", f"/v1/scenes/{scene_id}")
+        self._connection.send("DELETE", _scene(scene_id))
 
     def delete(self, identifier: str) -> None:
         """Delete a scene, a job that has ended, a bundle or an environment map; the id says which.
 
         A job's bundle outlives it, and so does what was made from a scene, a bundle or an environment.
         """
-        kind = identifier.partition("_")[0]
+        kind = arguments.identifier(identifier, "identifier").partition("_")[0]
         if kind not in DELETABLE:
             raise UsageProblemError(
                 "client.unknown_id",
@@ -118,14 +142,14 @@ class Client:
         the number to the preset. Kind "prepare" finds cameras and masks only, "check" looks at the capture.
         """
         body = {
-            "scene_id": scene_id,
-            "preset": preset,
-            "params": dict(params or {}),
-            "seed": seed,
-            "kind": kind,
-            **({} if gpus is None else {"gpus": gpus}),
-            "priority": priority,
-            "labels": dict(labels or {}),
+            "scene_id": arguments.identifier(scene_id, "scene_id"),
+            "preset": arguments.text(preset, "preset"),
+            "params": arguments.texts(params, "params"),
+            "seed": arguments.whole(seed, "seed", 0),
+            "kind": arguments.text(kind, "kind"),
+            **({} if gpus is None else {"gpus": arguments.whole(gpus, "gpus", 0)}),
+            "priority": arguments.whole(priority, "priority"),
+            "labels": arguments.texts(labels, "labels"),
         }
         return Job.from_json(pictures.post(self._connection, "/v1/jobs", body, idempotency_key))
 
@@ -134,7 +158,8 @@ class Client:
     ) -> Iterator[Job]:
         """Return jobs, newest first; `label` is "name=value", `scene` an id, `limit` 0 means all."""
         given = {"state": state, "label": label, "scene": scene, "kind": kind}
-        params = {key: value for key, value in given.items() if value}
+        params = {key: value for key, value in given.items() if arguments.text(value, key)}
+        limit = arguments.whole(limit, "limit", 0)
         return map(Job.from_json, islice(self._pages("/v1/jobs", params), limit or None))
 
     def _pages(self, path: str, params: dict[str, str]) -> Iterator[Any]:
@@ -147,8 +172,8 @@ class Client:
 
     def job(self, job_id: str, *, wait_s: int = 0) -> Job:
         """Return a job; with `wait_s`, as soon as it has ended, but after that time (at most 60 s) anyway."""
-        params = {"wait": min(wait_s, 60)} if wait_s else {}
-        path = f"/v1/jobs/{job_id}"
+        params = {"wait": min(arguments.seconds(wait_s, "wait_s"), 60)} if wait_s else {}
+        path = _job(job_id)
         return Job.from_json(self._connection.json("GET", path, params=params, timeout_s=60.0 + wait_s))
 
     def wait(self, job_id: str) -> Job:
@@ -160,11 +185,11 @@ class Client:
 
     def cancel(self, job_id: str) -> Job:
         """Ask for a job to be stopped; it is "cancelling" until its process is gone."""
-        return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:cancel", repeatable=True))
+        return Job.from_json(self._connection.json("POST", _job(job_id) + ":cancel", repeatable=True))
 
     def retry(self, job_id: str) -> Job:
         """Queue a new job with the order of one that failed or was cancelled, and return the new one."""
-        return Job.from_json(self._connection.json("POST", f"/v1/jobs/{job_id}:retry"))
+        return Job.from_json(self._connection.json("POST", _job(job_id) + ":retry"))
 
     def watch(
         self,
@@ -183,11 +208,11 @@ class Client:
         """
         watcher = Watcher(
             connection=self._connection,
-            job_ids=job_ids,
+            job_ids=arguments.identifiers(job_ids, "job_ids"),
             after=after,
-            silence_s=silence_s,
-            patience_s=patience_s,
-            poll_s=poll_s,
+            silence_s=arguments.seconds(silence_s, "silence_s"),
+            patience_s=arguments.seconds(patience_s, "patience_s"),
+            poll_s=arguments.seconds(poll_s, "poll_s"),
             sleep=self._sleep,
             clock=self._clock,
         )
@@ -195,27 +220,31 @@ class Client:
 
     def events(self, job_id: str, *, after: int = 0) -> list[Event]:
         """Return the events of a job after number `after`."""
-        answer = self._connection.json("GET", f"/v1/jobs/{job_id}/events", params={"after": after})
+        answer = self._connection.json(
+            "GET", _job(job_id) + "/events", params={"after": arguments.whole(after, "after", 0)}
+        )
         return [Event.from_json(item) for item in answer["items"]]
 
     def logs(self, job_id: str) -> str:
         """Return the log of a job's runs as text."""
-        return self._connection.send("GET", f"/v1/jobs/{job_id}/log").text
+        return self._connection.send("GET", _job(job_id) + "/log").text
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """Return the files that a job has published."""
-        answer = self._connection.json("GET", f"/v1/jobs/{job_id}/artifacts")
+        answer = self._connection.json("GET", _job(job_id) + "/artifacts")
         return [Artifact.from_json(item) for item in answer["items"]]
 
     def read_artifact(self, artifact: Artifact) -> bytes:
         """Return the bytes of a published file; raises `fetch.digest_mismatch` for any others."""
+        arguments.instance(artifact, Artifact, "artifact", "give an entry of artifacts(job_id)")
         content = self._connection.send("GET", f"/v1/blobs/{artifact.sha256}").content
         fetching.check_digest(artifact.name, content, artifact.sha256)
         return content
 
     def download(self, artifact: Artifact, target: str | Path) -> Path:
         """Write a published file to `target`, which appears whole; one that has these bytes is kept."""
-        return fetching.download(self._connection, artifact, Path(target))
+        arguments.instance(artifact, Artifact, "artifact", "give an entry of artifacts(job_id)")
+        return fetching.download(self._connection, artifact, arguments.file_path(target, "target"))
 
     def environments(self) -> list[Environment]:
         """Return the environment maps on the server, newest first."""
@@ -224,7 +253,9 @@ class Client:
 
     def push_environment(self, source: str | Path, *, name: str = "") -> Environment:
         """Upload an environment map (.exr or .hdr); one that the server has under that name is not sent."""
-        return pictures.push_environment(self._connection, Path(source), name=name)
+        return pictures.push_environment(
+            self._connection, arguments.file_path(source, "source"), name=arguments.text(name, "name")
+        )
 
     def render(
         self,
@@ -242,21 +273,30 @@ class Client:
         {"turntable": 8, "size": 512} or {"views": ["r_000"]}; `more`: other fields of `POST /v1/renders`.
         """
         body = {
-            "bundle_id": bundle_id,
-            "environments": [{"environment_id": e} if isinstance(e, str) else dict(e) for e in environments],
-            "cameras": dict(cameras),
-            "quality": {"quality": quality} if isinstance(quality, str) else dict(quality),
+            "bundle_id": arguments.identifier(bundle_id, "bundle_id"),
+            "environments": [
+                {"environment_id": e}
+                if isinstance(e, str)
+                else arguments.mapping(e, "an entry of environments")
+                for e in environments
+            ],
+            "cameras": arguments.mapping(cameras, "cameras"),
+            "quality": {"quality": quality}
+            if isinstance(quality, str)
+            else arguments.mapping(quality, "quality"),
             **more,
         }
         return Job.from_json(pictures.post(self._connection, "/v1/renders", body, idempotency_key))
 
     def submit_batch(self, order: Mapping[str, Any], *, idempotency_key: str = "") -> Batch:
         """Queue a batch (the body of `POST /v1/batches`); the same `idempotency_key` makes one only."""
-        return Batch.from_json(pictures.post(self._connection, "/v1/batches", order, idempotency_key))
+        return Batch.from_json(
+            pictures.post(self._connection, "/v1/batches", arguments.mapping(order, "order"), idempotency_key)
+        )
 
     def batch(self, batch_id: str) -> Batch:
         """Return a batch."""
-        return Batch.from_json(self._connection.json("GET", f"/v1/batches/{batch_id}"))
+        return Batch.from_json(self._connection.json("GET", _batch(batch_id)))
 
     def batches(self) -> Iterator[Batch]:
         """Return batches, newest first."""
@@ -264,16 +304,16 @@ class Client:
 
     def cancel_batch(self, batch_id: str) -> Batch:
         """Ask for every job of a batch to be stopped."""
-        path = f"/v1/batches/{batch_id}:cancel"
+        path = _batch(batch_id) + ":cancel"
         return Batch.from_json(self._connection.json("POST", path, repeatable=True))
 
     def retry_batch(self, batch_id: str) -> Batch:
         """Queue the parts of a batch that failed or were cancelled again; the batch keeps its id."""
-        return Batch.from_json(self._connection.json("POST", f"/v1/batches/{batch_id}:retry"))
+        return Batch.from_json(self._connection.json("POST", _batch(batch_id) + ":retry"))
 
     def batch_artifacts(self, batch_id: str) -> list[Artifact]:
         """Return the files that the jobs of a batch have published."""
-        answer = self._connection.json("GET", f"/v1/batches/{batch_id}/artifacts")
+        answer = self._connection.json("GET", _batch(batch_id) + "/artifacts")
         return [Artifact.from_json(item) for item in answer["items"]]
 
     def fetch_batch(self, batch_id: str, target: str | Path) -> list[Path]:
@@ -283,11 +323,15 @@ class Client:
         last: a batch that has not ended has none yet.
         """
         files = pictures.for_people(self.batch_artifacts(batch_id))
-        return fetching.download_all(self._connection, files, Path(target))
+        return fetching.download_all(self._connection, files, arguments.file_path(target, "target"))
 
     def peek(self, bundle_id: str, target: str | Path) -> Path:
         """Write manifest.json and cameras.json of a bundle into the folder `target`, and no other file."""
-        return fetching.peek(self._connection, bundle_id, Path(target))
+        return fetching.peek(
+            self._connection,
+            arguments.identifier(bundle_id, "bundle_id"),
+            arguments.file_path(target, "target"),
+        )
 
     def login_link(self) -> str:
         """Return a link that opens the server's pages in one browser, once."""
@@ -305,7 +349,8 @@ class Client:
         Verified, atomic and resumable: see `lambent.fetch.fetch`. Raises `job.not_succeeded` when the job
         has no bundle.
         """
-        bundle_id = job_or_bundle_id
+        folder = arguments.file_path(target, "target")
+        bundle_id = arguments.identifier(job_or_bundle_id, "job_or_bundle_id")
         if not job_or_bundle_id.startswith("bundle"):
             job = self.job(job_or_bundle_id)
             if not job.bundle_id:
@@ -317,4 +362,4 @@ class Client:
                     else f"see `lambent logs {job.id}`, then `lambent retry {job.id}`",
                 )
             bundle_id = job.bundle_id
-        return fetching.fetch(self._connection, bundle_id, Path(target), progress=progress)
+        return fetching.fetch(self._connection, bundle_id, folder, progress=progress)

@@ -24,6 +24,10 @@ class FetchedBundle:
     path: Path
     files: tuple[FileEntry, ...]
 
+    def __repr__(self) -> str:
+        """Return id, folder and number of files in one line."""
+        return f"FetchedBundle({self.bundle_id!r}, {str(self.path)!r}, {len(self.files)} files)"
+
 
 def fetch(
     connection: Connection,

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent import ffmpeg
 from lambent.errors import LambentError, UsageProblemError
 
 SUFFIXES = (".mp4", ".webm")
@@ -42,34 +43,7 @@ def check_film(path: Path, crf: int | None) -> None:
         raise UsageProblemError(
             "film.quality", f"rate factor {crf}", f"use 0 to {MAX_CRF[path.suffix]}; lower is better"
         )
-    _ffmpeg()
-
-
-def encoder() -> str | None:
-    """Return the ffmpeg program that writes films, or None where there is none."""
-    try:
-        return str(_ffmpeg().get_ffmpeg_exe())
-    except UsageProblemError:
-        return None
-
-
-def _ffmpeg() -> Any:
-    """Return the package that runs ffmpeg."""
-    try:
-        import imageio_ffmpeg
-    except ModuleNotFoundError as error:
-        raise UsageProblemError(
-            "cli.missing_extra", "films need the package 'imageio-ffmpeg'", "pip install 'lambent[film]'"
-        ) from error
-    try:
-        imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError as error:
-        raise UsageProblemError(
-            "film.no_ffmpeg",
-            "there is no ffmpeg program",
-            "install it, or name it in the variable IMAGEIO_FFMPEG_EXE",
-        ) from error
-    return imageio_ffmpeg
+    ffmpeg.package()
 
 
 class FilmWriter:
@@ -126,7 +100,7 @@ class FilmWriter:
     def _start(self, width: int, height: int) -> Generator[None, Any, None]:
         codec, options = _CODECS[self.path.suffix]
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        encoder = _ffmpeg().write_frames(
+        encoder = ffmpeg.package().write_frames(
             str(self._partial),
             (width, height),
             fps=self._fps,

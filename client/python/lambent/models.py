@@ -14,9 +14,13 @@ FINAL_STATES = frozenset({"succeeded", "failed", "cancelled"})
 """Job states that never change again."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class _Message:
     """A JSON object with the dataclass's fields; those without a default are required."""
+
+    def __repr__(self) -> str:
+        """Return the fields that are set, in one line."""
+        return short_repr(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -37,7 +41,26 @@ class _Message:
             ) from error
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+_SHOWN = 48
+
+
+def short_repr(message: Any) -> str:
+    """Return the class and those fields of a dataclass that are set; long values are cut short."""
+    shown = []
+    for entry in fields(message):
+        value = getattr(message, entry.name)
+        if not value or value == Progress():
+            continue
+        text = repr(value)
+        if isinstance(value, tuple):
+            text = f"({len(value)} of them)"
+        elif not isinstance(value, _Message) and len(text) > _SHOWN:
+            text = f"{text[: _SHOWN - 3]}..."
+        shown.append(f"{entry.name}={text}")
+    return f"{type(message).__name__}({', '.join(shown)})"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Progress(_Message):
     """How far a run is; fields that do not apply to the stage are zero. `psnr` in dB on training pixels."""
 
@@ -53,7 +76,7 @@ class Progress(_Message):
     """What the steps are of, where a task does several things: "matching pairs"."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class JobError(_Message):
     """Why a job failed."""
 
@@ -63,7 +86,7 @@ class JobError(_Message):
     run: int = 0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Job(_Message):
     """One job. `run` counts its starts, `last_event` its events; `bundle_id` is set once it has succeeded."""
 
@@ -94,7 +117,7 @@ class Job(_Message):
         return self.state in FINAL_STATES
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Event(_Message):
     """One line of a job's history; `seq` counts from 1 inside the job.
 
@@ -113,7 +136,7 @@ class Event(_Message):
     name: str = ""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Artifact(_Message):
     """A published file of a job; `url` is relative to the server."""
 
@@ -126,7 +149,7 @@ class Artifact(_Message):
     """Set where files of several jobs are listed."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Environment(_Message):
     """An environment map on the server."""
 
@@ -140,7 +163,7 @@ class Environment(_Message):
     created_at: str = ""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Batch(_Message):
     """Pictures that are made by several jobs; `state` is that of all of them together."""
 
@@ -159,7 +182,7 @@ class Batch(_Message):
         return self.state in FINAL_STATES
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Finding(_Message):
     """One thing about a scene: `severity` is "warning" or "error", `subject` a frame or file."""
 
@@ -169,7 +192,7 @@ class Finding(_Message):
     subject: str = ""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class SceneReport(_Message):
     """The findings about a scene; none yet while `checked` is false."""
 
@@ -183,7 +206,7 @@ class SceneReport(_Message):
     num_test_frames: int = 0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Scene(_Message):
     """A set of photographs on the server. `state` is "open", "uploaded", "ready" or "rejected".
 

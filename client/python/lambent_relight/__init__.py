@@ -2,29 +2,71 @@
 
 `load_bundle`, `load_environment`, `load_cameras` or `turntable`, then `render`, then `write_png` or
 `write_picture_exr`. Conventions: docs/reference/conventions.md.
+
+Nothing is imported before it is used, so that a program that only reads an environment map, such as the
+check of a capture, needs no package for rendering.
 """
 
-from lambent_relight.bundle.bundle import Bundle, load_bundle
-from lambent_relight.cameras import Camera, cameras_json, load_cameras, look_at, turntable
-from lambent_relight.edits import MaterialEdit
-from lambent_relight.environment.maps import (
-    Cleaning,
-    Environment,
-    environment_from_array,
-    load_environment,
-    write_environment,
-)
-from lambent_relight.errors import (
-    BundleError,
-    CameraError,
-    EnvironmentFileError,
-    RelightError,
-    SettingError,
-    UnsupportedQuality,
-)
-from lambent_relight.images import write_picture_exr, write_png
-from lambent_relight.picture import RelitPicture
-from lambent_relight.renderer import Renderer, render
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lambent_relight.bundle.bundle import Bundle, load_bundle
+    from lambent_relight.cameras import (
+        Camera,
+        cameras_from_arrays,
+        cameras_json,
+        load_cameras,
+        look_at,
+        turntable,
+    )
+    from lambent_relight.edits import MaterialEdit
+    from lambent_relight.environment.maps import (
+        Cleaning,
+        Environment,
+        environment_from_array,
+        load_environment,
+        write_environment,
+    )
+    from lambent_relight.errors import (
+        BundleError,
+        CameraError,
+        EnvironmentFileError,
+        RelightError,
+        SettingError,
+        UnsupportedQuality,
+    )
+    from lambent_relight.images import write_picture_exr, write_png
+    from lambent_relight.picture import RelitPicture
+    from lambent_relight.renderer import Renderer, render
+
+_HOMES = {
+    "Bundle": "bundle.bundle",
+    "BundleError": "errors",
+    "Camera": "cameras",
+    "CameraError": "errors",
+    "Cleaning": "environment.maps",
+    "Environment": "environment.maps",
+    "EnvironmentFileError": "errors",
+    "MaterialEdit": "edits",
+    "RelightError": "errors",
+    "RelitPicture": "picture",
+    "Renderer": "renderer",
+    "SettingError": "errors",
+    "UnsupportedQuality": "errors",
+    "cameras_from_arrays": "cameras",
+    "cameras_json": "cameras",
+    "environment_from_array": "environment.maps",
+    "load_bundle": "bundle.bundle",
+    "load_cameras": "cameras",
+    "load_environment": "environment.maps",
+    "look_at": "cameras",
+    "render": "renderer",
+    "turntable": "cameras",
+    "write_environment": "environment.maps",
+    "write_picture_exr": "images",
+    "write_png": "images",
+}
 
 __all__ = [
     "Bundle",
@@ -40,6 +82,7 @@ __all__ = [
     "Renderer",
     "SettingError",
     "UnsupportedQuality",
+    "cameras_from_arrays",
     "cameras_json",
     "environment_from_array",
     "load_bundle",
@@ -52,3 +95,24 @@ __all__ = [
     "write_picture_exr",
     "write_png",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Return a public name, importing its module on first use.
+
+    Raises ModuleNotFoundError, which says what to install, where a package of the extra `client` is missing.
+    """
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("lambent"):
+            raise
+        advice = f"{__name__} needs the package {error.name!r}: pip install 'lambent[client]'"
+        raise ModuleNotFoundError(advice, name=error.name) from error
+
+
+def __dir__() -> list[str]:
+    """Return the public names, imported or not."""
+    return sorted(__all__)

@@ -14,16 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.arguments import array, file_path, instance, number, refusal, whole
 from lambent_relight.errors import CameraError
 
 _MAX_SIDE = 16384
 _MAX_CAMERAS = 100_000
 _MAX_FILE_BYTES = 64 << 20
+_refuse = refusal("camera.argument", CameraError)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A pinhole camera; lengths in pixels, pose in scene units."""
+    """A pinhole camera; lengths in pixels, pose in scene units.
+
+    Raises CameraError `camera.argument` for values that no camera has.
+    """
 
     name: str
     width: int
@@ -33,7 +38,28 @@ class Camera:
     centre_x: float
     centre_y: float
     camera_to_world: NDArray[np.float64]
-    """[4, 4], a rotation and a position."""
+    """[4, 4], a rotation and a position; anything that numpy makes such an array of."""
+
+    def __post_init__(self) -> None:
+        instance(self.name, str, "name", "give a camera a name", refuse=_refuse)
+        for name in ("width", "height"):
+            object.__setattr__(self, name, whole(getattr(self, name), name, 1, refuse=_refuse))
+        for name in ("focal_x", "focal_y"):
+            object.__setattr__(self, name, number(getattr(self, name), name, above=0.0, refuse=_refuse))
+        for name in ("centre_x", "centre_y"):
+            object.__setattr__(self, name, number(getattr(self, name), name, refuse=_refuse))
+        pose = array(self.camera_to_world, (4, 4), "camera_to_world", refuse=_refuse)
+        if not is_rigid(pose):
+            raise _refuse("camera_to_world is not a rotation and a position", NOT_RIGID_ADVICE)
+        object.__setattr__(self, "camera_to_world", pose)
+
+    def __repr__(self) -> str:
+        """Return name, size, focal length and position in one line."""
+        x, y, z = self.camera_to_world[:3, 3]
+        return (
+            f"Camera({self.name!r}, {self.width} x {self.height} pixels, focal length {self.focal_x:.4g}, "
+            f"at ({x:.4g}, {y:.4g}, {z:.4g}))"
+        )
 
     @classmethod
     def centred(
@@ -91,12 +117,52 @@ class Camera:
         return np.array(numbers, np.float64).tobytes() + np.ascontiguousarray(self.camera_to_world).tobytes()
 
 
+NOT_RIGID_ADVICE = "remove scale and mirroring; axes are x right, y up, looking along -z"
+
+
+def is_rigid(pose: NDArray[np.float64]) -> bool:
+    """Return whether a matrix [4, 4] is a rotation (to 1e-3) and a position."""
+    rotation = pose[:3, :3]
+    orthonormal = np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    return bool(orthonormal and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6))
+
+
+def cameras_from_arrays(
+    camera_to_world: object,
+    *,
+    width: int,
+    height: int,
+    focal: float,
+    names: Sequence[str] = (),
+) -> list[Camera]:
+    """Return cameras with square pixels of the poses [n, 4, 4] or [n, 3, 4] that another program has.
+
+    `focal` is in pixels, and the middle of the picture is that of the lens. Without `names` they are called
+    camera_000, camera_001 and so on. Raises CameraError `camera.argument`.
+    """
+    poses = array(camera_to_world, (None, None, 4), "camera_to_world", refuse=_refuse)
+    if poses.shape[1] not in (3, 4):
+        raise _refuse(f"camera_to_world has shape {list(poses.shape)}", "give [n, 4, 4] or [n, 3, 4]")
+    if poses.shape[1] == 3:
+        last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(poses), 1, 4))
+        poses = np.concatenate([poses, last], axis=1)
+    called = list(names) or [f"camera_{index:03d}" for index in range(len(poses))]
+    if len(called) != len(poses):
+        raise _refuse(f"there are {len(called)} names for {len(poses)} poses", "give one name for each")
+    return [
+        Camera.centred(name, width, height, focal, pose) for name, pose in zip(called, poses, strict=True)
+    ]
+
+
 def look_at(position: Sequence[float], target: Sequence[float]) -> NDArray[np.float64]:
     """Return the camera-to-world matrix at `position` that looks at `target` with +z upwards.
 
-    Straight up or down, where that leaves the roll open, +y is upwards.
+    Straight up or down, where that leaves the roll open, +y is upwards. Raises CameraError `camera.argument`.
     """
-    eye, goal = np.asarray(position, np.float64), np.asarray(target, np.float64)
+    eye = array(position, (3,), "position", refuse=_refuse)
+    goal = array(target, (3,), "target", refuse=_refuse)
+    if np.array_equal(eye, goal):
+        raise _refuse("position and target are the same point", "move one of them")
     backward = (eye - goal) / np.linalg.norm(eye - goal)
     up = np.array([0.0, 1.0, 0.0]) if abs(backward[2]) > 1.0 - 1e-9 else np.array([0.0, 0.0, 1.0])
     right = np.cross(up, backward)
@@ -132,14 +198,20 @@ def turntable(
     View k stands at azimuth `start_deg` + k 360 / `num_views` (0 = +x, growing towards +y) and looks at
     `target`. `field_of_view_deg` is horizontal.
     """
-    if num_views < 1 or num_views > _MAX_CAMERAS:
-        raise CameraError("camera.count", f"{num_views} views asked for", f"ask for 1 to {_MAX_CAMERAS}")
-    if not (radius > 0.0 and math.isfinite(radius)):
-        raise CameraError("camera.radius", f"radius {radius}", "give a positive distance in scene units")
-    if not 0.0 < field_of_view_deg < 180.0:
-        raise CameraError(
-            "camera.field_of_view", f"field of view {field_of_view_deg} degrees", "give 0 to 180, exclusive"
-        )
+    num_views = whole(num_views, "num_views", 1, _MAX_CAMERAS, refuse=refusal("camera.count", CameraError))
+    width = whole(width, "width", 1, _MAX_SIDE, refuse=_refuse)
+    height = whole(height, "height", 1, _MAX_SIDE, refuse=_refuse)
+    target = array(target, (3,), "target", refuse=_refuse).tolist()
+    elevation_deg = number(elevation_deg, "elevation_deg", refuse=_refuse)
+    start_deg = number(start_deg, "start_deg", refuse=_refuse)
+    radius = number(radius, "radius", above=0.0, refuse=refusal("camera.radius", CameraError))
+    field_of_view_deg = number(
+        field_of_view_deg,
+        "field_of_view_deg",
+        above=0.0,
+        below=180.0,
+        refuse=refusal("camera.field_of_view", CameraError),
+    )
     focal = 0.5 * width / math.tan(math.radians(field_of_view_deg) / 2.0)
     cameras = []
     for index in range(num_views):
@@ -154,7 +226,7 @@ def load_cameras(path: Path | str) -> list[Camera]:
 
     Raises CameraError, naming the camera, for missing or impossible values.
     """
-    path = Path(path)
+    path = file_path(path, "path", refuse=_refuse)
     if not path.is_file():
         raise CameraError("camera.file_missing", f'there is no file "{path}"', "check the path")
     if path.stat().st_size > _MAX_FILE_BYTES:
@@ -211,19 +283,17 @@ def _parse_camera(entry: Any, index: int, source: str) -> Camera:
         raise fault("holds NaN or infinite values", "fix the pose")
     if min(numbers["focal_x"], numbers["focal_y"]) <= 0.0:
         raise fault("has a focal length that is not positive", "give focal lengths in pixels")
-    rotation = pose[:3, :3]
-    orthonormal = np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
-    if not orthonormal or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
-        raise fault(
-            "has a camera_to_world that is not a rotation and a position",
-            "remove scale and mirroring; axes are x right, y up, looking along -z",
-        )
+    if not is_rigid(pose):
+        raise fault("has a camera_to_world that is not a rotation and a position", NOT_RIGID_ADVICE)
     numbers.update(width=int(width), height=int(height))
     return Camera(name=name, camera_to_world=pose, **numbers)
 
 
 def cameras_json(cameras: Sequence[Camera]) -> str:
-    """Return the text of a cameras.json that holds `cameras`."""
+    """Return the text of a cameras.json that holds `cameras`; raises CameraError for anything else."""
+    cameras = list(instance(cameras, Sequence, "cameras", "give a list of cameras", refuse=_refuse))
+    for camera in cameras:
+        instance(camera, Camera, "an entry of cameras", "use turntable or load_cameras", refuse=_refuse)
     fields = ("name", "width", "height", "focal_x", "focal_y", "centre_x", "centre_y")
     entries = [
         {field: getattr(camera, field) for field in fields}

@@ -5,14 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.errors import SettingError
+from lambent_relight.arguments import colour, number, refusal
 
 Gain = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MaterialEdit:
-    """Changes to the bundle's material, everywhere on the object."""
+    """Changes to the bundle's material, everywhere on the object; colours may be arrays.
+
+    Raises SettingError for values that no material has.
+    """
 
     albedo_gain: Gain = (1.0, 1.0, 1.0)
     """Factor on the albedo, per channel; the result is clipped to [0, 1]."""
@@ -22,23 +25,22 @@ class MaterialEdit:
     """Linear albedo instead of the bundle's, before the gain; None keeps it."""
 
     def __post_init__(self) -> None:
-        gain = np.asarray(self.albedo_gain, np.float64)
-        if gain.shape != (3,) or not (np.isfinite(gain).all() and (gain > 0.0).all()):
-            raise SettingError(
-                "relight.albedo_ratio",
-                f"albedo ratio {self.albedo_gain}",
-                "give one or three positive numbers",
-            )
-        if not (np.isfinite(self.roughness_scale) and self.roughness_scale >= 0.0):
-            raise SettingError(
-                "relight.roughness_scale", f"roughness scale {self.roughness_scale}", "give a number from 0"
-            )
+        refuse = refusal("relight.albedo_ratio")
+        gain = colour(self.albedo_gain, "albedo_gain", refuse=refuse)
+        if min(gain) <= 0.0:
+            raise refuse(f"albedo ratio {self.albedo_gain}", "give one or three positive numbers")
+        object.__setattr__(self, "albedo_gain", gain)
+        refuse = refusal("relight.roughness_scale")
+        scale = number(self.roughness_scale, "roughness_scale", refuse=refuse)
+        if scale < 0.0:
+            raise refuse(f"roughness scale {self.roughness_scale}", "give a number from 0")
+        object.__setattr__(self, "roughness_scale", scale)
         if self.albedo is not None:
-            colour = np.asarray(self.albedo, np.float64)
-            if colour.shape != (3,) or not ((colour >= 0.0) & (colour <= 1.0)).all():
-                raise SettingError(
-                    "relight.albedo", f"albedo {self.albedo}", "give three linear values from 0 to 1"
-                )
+            refuse = refusal("relight.albedo")
+            own = colour(self.albedo, "albedo", refuse=refuse)
+            if min(own) < 0.0 or max(own) > 1.0:
+                raise refuse(f"albedo {self.albedo}", "give three linear values from 0 to 1")
+            object.__setattr__(self, "albedo", own)
 
     def apply(
         self, albedo: NDArray[np.floating], perceptual_roughness: NDArray[np.floating]

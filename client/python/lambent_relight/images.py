@@ -14,9 +14,12 @@ from PIL import Image as PillowImage
 
 from lambent_relight import cryptomatte
 from lambent_relight.aovs import ATTRIBUTES, FULL_PRECISION, OBJECT_NAME, as_written_now, exr_channels
+from lambent_relight.arguments import file_path, instance
 from lambent_relight.environment.exr import write_exr
 from lambent_relight.picture import RelitPicture
 from lambent_relight.tone_mapping import tone_mapped
+
+_MADE_BY = "give what Renderer.render returns"
 
 
 def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -46,7 +49,8 @@ def write_png(path: Path | str, picture: RelitPicture, *, tone_mapping: str = "l
 
     The curve `linear` clips radiance above 1; use `RelitPicture.exposed` before.
     """
-    path = Path(path)
+    path = file_path(path, "path")
+    instance(picture, RelitPicture, "picture", _MADE_BY)
     path.parent.mkdir(parents=True, exist_ok=True)
     PillowImage.fromarray(encode_png(picture, tone_mapping=tone_mapping)).save(path)
 
@@ -68,11 +72,14 @@ def write_picture_exr(
     same picture that are made already. With `half` channels are half floats, but for depth and the mask.
     `object_name` is what the Cryptomatte calls the object.
     """
+    instance(picture, RelitPicture, "picture", _MADE_BY)
     header = {**ATTRIBUTES, **(attributes or {})}
     channels = {**(layers or {}), **exr_channels(picture, passes=passes, object_name=object_name)}
     if not channels.keys().isdisjoint(cryptomatte.CHANNELS):
         header |= cryptomatte.cryptomatte_attributes(object_name)
-    write_exr(Path(path), channels, half=half, full_precision=FULL_PRECISION, attributes=header)
+    write_exr(
+        file_path(path, "path"), channels, half=half, full_precision=FULL_PRECISION, attributes=header
+    )
 
 
 def read_picture_exr(path: Path | str) -> dict[str, NDArray[np.floating]]:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.arguments import number
+
 Image = NDArray[np.float32]
 
 
@@ -44,8 +46,15 @@ class RelitPicture:
     bounces: str = ""
     """Source of indirect light: `adapted:<light>`, `transport`, `one`, or empty without indirect light."""
 
+    def __repr__(self) -> str:
+        """Return size, samples and source of bounced light in one line."""
+        height, width = self.rgb.shape[:2]
+        light = f"{self.num_samples} light directions" if self.num_samples else "baked light"
+        bounced = f", bounces {self.bounces!r}" if self.bounces else ""
+        return f"RelitPicture({width} x {height} pixels, {light}{bounced})"
+
     def exposed(self, exposure_ev: float) -> "RelitPicture":
         """Return the picture with its radiance multiplied by 2^`exposure_ev`."""
-        factor = np.float32(2.0**exposure_ev)
+        factor = np.float32(2.0 ** number(exposure_ev, "exposure_ev", above=-64.0, below=64.0))
         names = ("rgb", "standard_error", "direct", "indirect", "diffuse", "specular")
         return replace(self, **{name: getattr(self, name) * factor for name in names})

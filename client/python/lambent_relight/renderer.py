@@ -7,12 +7,14 @@ import functools
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from lambent_proto.pictures import RenderSettings
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from lambent_relight.arguments import array, colour, instance, number, refusal, whole
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
@@ -21,7 +23,7 @@ from lambent_relight.cameras import Camera
 from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
-from lambent_relight.environment.maps import Environment
+from lambent_relight.environment.maps import Environment, as_environment
 from lambent_relight.errors import SettingError
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined.sampling_plan import estimated
@@ -61,14 +63,23 @@ class Renderer:
         as a warning with the reason. Raises SettingError when "fused" is asked for and impossible.
         `kept_rays` bounds the views that are remembered, by their camera rays; the last one always is.
         """
-        self.bundle = bundle
-        self._kept_rays = kept_rays
+        self.bundle = instance(bundle, Bundle, "bundle", "open it with load_bundle(path)")
+        if reader not in get_args(Reader):
+            raise SettingError(
+                "relight.reader", f"reader {reader!r}", f"use one of {', '.join(get_args(Reader))}"
+            )
+        num_threads = None if num_threads is None else whole(num_threads, "num_threads", 1)
+        self._kept_rays = whole(kept_rays, "kept_rays", 0)
         self._networks = _open_caches(bundle, num_threads, reader)
         self.caches: SurfaceCaches = self._networks
         self._told = ""
         self._views: dict[tuple[bytes, int], View] = {}
         self._light: tuple[Environment, Light] | None = None
         self._baked: BakedRenderer | None = None
+
+    def __repr__(self) -> str:
+        """Return the bundle and what reads its networks in one line."""
+        return f"Renderer({self.bundle!r}, reader {self.caches.name!r})"
 
     def view(self, camera: Camera, antialias: int) -> View:
         """Return what `camera` sees; the last few cameras are remembered."""
@@ -91,13 +102,13 @@ class Renderer:
     def render(
         self,
         camera: Camera,
-        environment: Environment,
+        environment: Environment | NDArray[np.floating] | Path | str,
         settings: RenderSettings | None = None,
         *,
         rotate_deg: float = 0.0,
         object_rotate_deg: float = 0.0,
         edit: MaterialEdit | None = None,
-        albedo_ratio: NDArray[np.floating] | None = None,
+        albedo_ratio: ArrayLike | None = None,
         background: Background | None = None,
         soft_edges: bool = True,
         progress: Callable[[float], None] | None = None,
@@ -105,18 +116,30 @@ class Renderer:
     ) -> RelitPicture:
         """Return the bundle's object as `camera` sees it in the light of `environment`, linear.
 
-        `changes` are fields of `settings`, such as `quality="baked"` or `spp=256`; exposure and tone mapping
-        are for screens and have no effect here. `rotate_deg` turns the light about +z, `object_rotate_deg`
-        the object, not its light. `edit` changes the material. `albedo_ratio` (one or three factors on the
-        stored albedo, result clipped to [0, 1]) defaults to the manifest's `albedo_scale_rgb`. `background`
-        may also be a linear colour. Without `soft_edges` the mesh alone draws the outline of a `baked`
-        picture: for a camera that moves. `progress` is called with the finished fraction.
+        The environment may also be an array [height, width, 3] of linear radiance, or the path of a map; for
+        many pictures in one light make it once. `changes` are fields of `settings`, such as `quality="baked"`
+        or `spp=256`; exposure and tone mapping are for screens and have no effect here. `rotate_deg` turns
+        the light about +z, `object_rotate_deg` the object, not its light. `edit` changes the material.
+        `albedo_ratio` (one or three factors on the stored albedo, result clipped to [0, 1]) defaults to the
+        manifest's `albedo_scale_rgb`. `background` may also be a linear colour. Without `soft_edges` the mesh
+        alone draws the outline of a `baked` picture: for a camera that moves. `progress` is called with the
+        finished fraction.
 
         Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
         least); with `until_stderr` up to 64 times as many. The picture's `bounces` says where bounced light
         came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such quality,
         or no baked transport) or BundleError.
         """
+        instance(camera, Camera, "camera", "use turntable, load_cameras or Bundle.cameras")
+        environment = as_environment(environment)
+        rotate_deg = number(rotate_deg, "rotate_deg")
+        object_rotate_deg = number(object_rotate_deg, "object_rotate_deg")
+        if settings is not None:
+            instance(settings, RenderSettings, "settings", "give RenderSettings, or its fields by name")
+        if edit is not None:
+            instance(edit, MaterialEdit, "edit", "give MaterialEdit(albedo_gain=..., roughness_scale=...)")
+        if progress is not None and not callable(progress):
+            raise SettingError("relight.argument", "progress is no function", "give one of the fraction done")
         if isinstance(background, str):
             changes["background"] = background
         settings = settled(settings, **changes)
@@ -252,15 +275,12 @@ def _open_caches(
         return OnnxCaches(bundle, num_threads=num_threads)
 
 
-def _combined(bundle: Bundle, edit: MaterialEdit, ratio: NDArray[np.floating] | None) -> MaterialEdit:
+def _combined(bundle: Bundle, edit: MaterialEdit, ratio: ArrayLike | None) -> MaterialEdit:
     """Return `edit` with its gain times the albedo ratio, by default the manifest's."""
-    values = np.asarray(bundle.manifest.albedo_scale_rgb if ratio is None else ratio, np.float64)
-    if values.shape not in ((), (1,), (3,)):
-        raise SettingError(
-            "relight.albedo_ratio", f"albedo ratio {ratio}", "give one or three positive numbers"
-        )
-    gain = np.broadcast_to(values, (3,)) * np.asarray(edit.albedo_gain)
-    return replace(edit, albedo_gain=tuple(float(value) for value in gain))
+    refuse = refusal("relight.albedo_ratio")
+    stated = tuple(bundle.manifest.albedo_scale_rgb)
+    factors = stated if ratio is None else colour(ratio, "albedo_ratio", refuse=refuse)
+    return replace(edit, albedo_gain=np.multiply(factors, edit.albedo_gain))
 
 
 def _turned(
@@ -291,18 +311,18 @@ def with_background(
         return picture
     seen_from, turned = _turned(camera, environment, rotate_deg, object_rotate_deg)
     if behind == "environment":
-        colour = turned.lookup(seen_from.rays()[1]).reshape(picture.rgb.shape)
+        back = turned.lookup(seen_from.rays()[1]).reshape(picture.rgb.shape)
     else:
-        colour = np.asarray(behind, np.float32)
-        if colour.shape != (3,) or not (np.isfinite(colour).all() and (colour >= 0).all()):
-            raise SettingError(
-                "relight.background",
-                f"background {background!r}",
-                f"use one of {', '.join(BACKGROUNDS)}, or three linear values",
-            )
+        refuse = refusal("relight.background")
+        advice = f"use one of {', '.join(BACKGROUNDS)}, or three linear values"
+        if isinstance(behind, str):
+            raise refuse(f"background {background!r}", advice)
+        back = array(behind, (3,), "background", refuse=refuse).astype(np.float32)
+        if (back < 0.0).any():
+            raise refuse(f"background {background!r}", advice)
     return replace(
         picture,
-        rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * colour,
+        rgb=picture.coverage * picture.rgb + (1.0 - picture.coverage) * back,
         standard_error=picture.coverage * picture.standard_error,
         opacity=np.ones_like(picture.coverage),
     )
@@ -311,7 +331,7 @@ def with_background(
 def render(
     bundle: Bundle,
     camera: Camera,
-    environment: Environment,
+    environment: Environment | NDArray[np.floating] | Path | str,
     settings: RenderSettings | None = None,
     **given: Any,
 ) -> RelitPicture:

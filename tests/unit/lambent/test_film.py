@@ -9,7 +9,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from lambent.errors import LambentError, UsageProblemError
-from lambent.film import FilmWriter, encoder
+from lambent.ffmpeg import encoder
+from lambent.film import FilmWriter
 from support.films import decoded
 
 # Flat areas of the colours that tell matrices and ranges apart.

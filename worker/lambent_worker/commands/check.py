@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lambent_worker.commands.shared import Json, Layout, Masks, reporting_errors
+from lambent_worker.commands.shared import Json, Layout, Masks, reporting_errors, require_worker
 
 
 @reporting_errors
@@ -44,6 +44,10 @@ def check(
     if not checked.report.usable:
         raise typer.Exit(4)
     if card is not None and not lacks_cameras(record):
+        require_worker(
+            "--grey-card of a capture with cameras",
+            "without --grey-card the same capture is checked, all but the card",
+        )
         from lambent_worker.run.card_pixels import check_in_capture
 
         check_in_capture(card, scene_dir, layout or None, masks, checked.left_out)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lambent_worker.commands.shared import Json, Layout, reporting_errors, stopping_on_signals
+from lambent_worker.commands.shared import Json, Layout, reporting_errors, require_worker, stopping_on_signals
 from lambent_worker.errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,8 +56,10 @@ def masks(
 
     prepare()
     from lambent_worker.console_reporter import ConsoleReporter
-    from lambent_worker.run.prepare import preparation_of
+    from lambent_worker.run.prepare import has_settings, preparation_of
 
+    if has_settings(out):
+        require_worker("a run folder with settings of the training", "choose another folder with -o")
     spec = preparation_of(scene_dir, out, layout)
     with ConsoleReporter(out, as_json=as_json) as reporter:
         if edit:

@@ -1,6 +1,7 @@
 """Options, error messages and the handling of Ctrl-C that the commands share."""
 
 import functools
+import importlib.util
 import json
 import signal
 from collections.abc import Callable, Iterator
@@ -70,6 +71,18 @@ def _tell(error: WorkerError, *, as_json: bool) -> None:
     problems = [{"pointer": f.subject, "message": f"{f.code}: {f.message}"} for f in findings]
     fault = {"code": error.code, "message": error.message, "advice": "", "errors": problems}
     typer.echo(json.dumps({"error": fault}))
+
+
+def require_worker(form: str, instead: str) -> None:
+    """Raise `UsageError` `cli.missing_extra` where torch is not installed, which only some forms need.
+
+    `form` names what was asked for, `instead` says what the extra `capture` can do.
+    """
+    if importlib.util.find_spec("torch") is None:
+        raise UsageError(
+            "cli.missing_extra",
+            f"{form} needs torch, which is not installed: pip install 'lambent[worker]'; {instead}",
+        )
 
 
 @contextmanager

@@ -76,6 +76,8 @@ def train(
         return
     if resume:
         spec = replace(read_run(out)[0], scene=scene_dir)
+        if spec.config is None:  # photographs that were only prepared so far
+            spec = replace(spec, config=config_for(preset, overrides), preset=preset)
     else:
         spec = RunSpec.from_options(
             scene_dir,

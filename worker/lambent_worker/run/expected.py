@@ -5,8 +5,10 @@ the speed that a run has shown so far. The cost of a training step is that of de
 work on rays that processes divide.
 """
 
-from flashcache.config import Config
-from flashcache.training.parts import num_parts
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flashcache.config import Config
 
 PREPARATION = {"cameras": 90.0, "ingest": 2.0, "masks": 30.0}
 """Seconds of the tasks that depend on the photographs, which are not known yet."""
@@ -15,8 +17,10 @@ BEGINNING_S = 3.0
 _MS = 1e-3
 
 
-def expected_seconds(config: Config, cores: int) -> dict[str, float]:
-    """Return the seconds of every task on `cores` cores, by name."""
+def expected_seconds(config: "Config | None", cores: int) -> dict[str, float]:
+    """Return the seconds of every task on `cores` cores, by name; without settings, of the preparation."""
+    if config is None:
+        return PREPARATION
     return PREPARATION | {
         "cache": BEGINNING_S + _stage_one(config, cores),
         "joint": BEGINNING_S + _stage_two(config, cores),
@@ -28,19 +32,21 @@ def expected_seconds(config: Config, cores: int) -> dict[str, float]:
 
 def step_seconds(fixed_ms: float, ray_ms: float, num_rays: int, cores: int) -> float:
     """Return the seconds of a training step with `num_rays` rays of `ray_ms` each."""
+    from flashcache.training.parts import num_parts
+
     parts = num_parts(num_rays, cores)
     # Every further process adds its gradients.
     return _MS * (fixed_ms + 1.5 * (parts - 1) + ray_ms * num_rays / parts)
 
 
-def _stage_one(config: Config, cores: int) -> float:
+def _stage_one(config: "Config", cores: int) -> float:
     one, counts = config.stage_one, config.model.nerf.primary_counts
     # The last samples also have normals and radiance.
     samples = counts.first + counts.second + 3 * counts.final
     return one.num_steps * step_seconds(20.0, 1.17 * _MS * samples, one.num_rays, cores)
 
 
-def _stage_two(config: Config, cores: int) -> float:
+def _stage_two(config: "Config", cores: int) -> float:
     two = config.stage_two
     exact, fast = two.estimator.exact.total, two.estimator.fast.total
     points = two.points_per_ray * (2 if two.num_steps > two.warmup_steps else 1)
@@ -55,14 +61,14 @@ def _polish(cores: int) -> float:
     return BEGINNING_S + 15.0 + 44.0 / min(cores, 8)
 
 
-def _evaluation(config: Config, cores: int) -> float:
+def _evaluation(config: "Config", cores: int) -> float:
     settings = config.evaluation
     pixels = settings.num_views * config.max_side**2
     per_pixel = 8e-6 * settings.antialias**2 + 1e-6 * settings.num_directions * settings.num_repeats
     return 2.0 + (per_pixel * pixels + 5e-3 * settings.uncertainty_points) / min(cores, 4)
 
 
-def _export(config: Config, cores: int) -> float:
+def _export(config: "Config", cores: int) -> float:
     settings = config.export
     surface = 2e-6 * settings.mesh_resolution**3 + 2.5e-5 * settings.atlas_size**2
     judged = 1e-6 * settings.judge_samples * config.max_side**2 * 4

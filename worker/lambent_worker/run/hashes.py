@@ -1,12 +1,14 @@
 """Hashes of everything that a task's result depends on."""
 
 from pathlib import Path
-
-from flashcache.config import Config, to_dict
+from typing import TYPE_CHECKING
 
 from lambent_worker.files import digest, file_sha256
 from lambent_worker.run.preparation import cameras_hash, files_hash, ingest_hash
 from lambent_worker.run.spec import RunSpec, card_text, corrections_hash
+
+if TYPE_CHECKING:
+    from flashcache.config import Config
 
 TASKS = ("cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export")
 """In order. Only photographs without cameras have `cameras`, and `polish` is left out where it is off."""
@@ -27,7 +29,10 @@ CONFIG_PARTS = {
 
 
 def input_hashes(spec: RunSpec) -> dict[str, str]:
-    """Return for every task of the run the hash of everything its result depends on."""
+    """Return for every task of the run the hash of everything its result depends on.
+
+    A run without settings of the method has the tasks of `PREPARATION` only.
+    """
     scene = scene_hash(spec.scene)
     hashes = {}
     if spec.lacks_cameras:
@@ -43,6 +48,8 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
     )
     corrected = corrections_hash(spec)
     hashes["masks"] = digest("masks", hashes["ingest"], *([corrected] if corrected else []))
+    if spec.config is None:
+        return hashes
     trained = last_training_task(spec.config)
     for name in CONFIG_PARTS:
         if name == "polish" and name != trained:
@@ -54,9 +61,9 @@ def input_hashes(spec: RunSpec) -> dict[str, str]:
     return hashes
 
 
-def last_training_task(config: Config) -> str:
-    """Return the last task of a run that changes the model."""
-    return "polish" if config.polish == "on" else "joint"
+def last_training_task(config: "Config | None") -> str:
+    """Return the last task of a run that changes the model, also of one that is only prepared so far."""
+    return "polish" if config is not None and config.polish == "on" else "joint"
 
 
 def cameras_inputs(scene_dir: Path, spec: RunSpec) -> str:
@@ -64,8 +71,10 @@ def cameras_inputs(scene_dir: Path, spec: RunSpec) -> str:
     return cameras_hash(scene_hash(scene_dir), spec.seed)
 
 
-def task_inputs(task: str, previous: str, config: Config, seed: int) -> str:
+def task_inputs(task: str, previous: str, config: "Config", seed: int) -> str:
     """Return the hash of what a task depends on, given that of the task before it."""
+    from flashcache.config import to_dict
+
     values = to_dict(config)
     return digest(task, previous, seed, {part: values[part] for part in CONFIG_PARTS[task]})
 

@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
-from flashcache.physical.model import InverseModel
 from lambent_relight.environment.maps import load_environment
 from lambent_relight.errors import RelightError
 
 from lambent_worker.errors import UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.scenes.resample import averaged
+
+if TYPE_CHECKING:
+    from flashcache.physical.model import InverseModel
 
 FOLDER = "known_lights"
 ANY_LIGHT = ""
@@ -65,8 +67,10 @@ def known_names(known: Mapping[str, str], lights: Sequence[str], *, rotated: boo
     return tuple(light or lights[0] for light in known)
 
 
-def give_known_lights(model: InverseModel, run_dir: Path, known: Mapping[str, str]) -> None:
+def give_known_lights(model: "InverseModel", run_dir: Path, known: Mapping[str, str]) -> None:
     """Put the given environments into `model`, whose domain names their lights in the order of `known`."""
+    import torch
+
     rows = model.config.environment.known_height
     for light, name in zip(model.domain.known_lights, known.values(), strict=True):
         image = averaged(load_environment(run_dir / FOLDER / name).radiance, (2 * rows, rows))

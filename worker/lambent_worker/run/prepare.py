@@ -4,8 +4,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from flashcache.config import with_overrides
-
 from lambent_worker.errors import UsageError
 from lambent_worker.masks.corrections import NAME
 from lambent_worker.masks.editing import Editing
@@ -48,11 +46,16 @@ def open_task(run_dir: Path, task: str, reporter: Reporter, device: str = "") ->
 def preparation_of(scene: Path, run_dir: Path, layout: str = "") -> RunSpec:
     """Return the specification of the run in `run_dir`, or of one that is to be prepared there.
 
-    What comes before the training is the same for every preset.
+    What comes before the training is the same for every preset, so that a new one has none yet.
     """
     if (run_dir / "run.json").exists():
         return replace(read_run(run_dir)[0], scene=scene)
-    return RunSpec.from_options(scene, preset="fast", layout=layout)
+    return RunSpec(scene=scene, config=None, layout=layout)
+
+
+def has_settings(run_dir: Path) -> bool:
+    """Return whether there is a run in `run_dir` that has settings of the method, which torch reads."""
+    return (run_dir / "run.json").exists() and run_record(run_dir)["config"] is not None
 
 
 def check_correctable(spec: RunSpec, run_dir: Path) -> None:
@@ -85,7 +88,9 @@ def editing_of(run_dir: Path, reporter: Reporter) -> Editing:
 
 
 def check_device(device: str) -> None:
-    """Raise `UsageError` where torch has no such device here."""
+    """Raise `UsageError` where torch has no such device here; the CPU is there without torch."""
+    if device == "cpu":
+        return
     import torch
 
     try:
@@ -107,15 +112,16 @@ def export_run(run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", 
     in the settings; empty ones are the run's. Raises `UsageError` where the run is not trained to its end or
     `out` exists, `ConfigError` for unknown values.
     """
+    from flashcache.config import with_overrides
+
     context = open_task(run_dir, "export", reporter)
+    previous = require_done(run_dir, last_training_task(context.spec.config))
     wanted = {"transport_tier": tier, "weights": weights or ("none" if tier == "lite" else "")}
     settings = {f"export.{name}": value for name, value in wanted.items() if value}
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
-    inputs = task_inputs(
-        "export", require_done(run_dir, last_training_task(spec.config)), spec.config, spec.seed
-    )
+    inputs = task_inputs("export", previous, spec.config, spec.seed)
     with locked(run_dir):
         if done_inputs(run_dir, "export") != inputs:
             run_task(replace(context, spec=spec), inputs)

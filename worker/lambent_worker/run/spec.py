@@ -3,15 +3,14 @@
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from flashcache.config import Config, Rates, from_dict, to_dict, with_overrides
 from flashcache.errors import ConfigError
-from flashcache.presets import preset as preset_of
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 from lambent_worker.errors import UsageError
@@ -27,9 +26,13 @@ from lambent_worker.run.card_option import GreyCard, look_for_photograph, parse_
 from lambent_worker.run.folder import begun_inputs, done_inputs
 from lambent_worker.run.known_lights import kept_lights, parse_known_lights
 from lambent_worker.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
+from lambent_worker.run.settings import adjust, config_for, config_of, config_record
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import detect_layout
 from lambent_worker.scenes.light_turns import LightFixedTo, as_light_fixed_to
+
+if TYPE_CHECKING:
+    from flashcache.config import Config
 
 SCHEMA_VERSION = "1.0"
 # What may change between two starts of a run.
@@ -53,7 +56,8 @@ class RunSpec:
 
     scene: Path = field(compare=False)
     """Folder of the capture, which may be moved between two starts."""
-    config: Config
+    config: "Config | None"
+    """Settings of the method; None until training is asked for, since nothing before it reads them."""
     preset: str = field(default="", compare=False)
     """Name that the preset was asked for by; `config` has what came of it."""
     seed: int = 0
@@ -77,7 +81,7 @@ class RunSpec:
     def __post_init__(self) -> None:
         if self.corrections and self.masks != AUTOMATIC:
             raise unused_corrections("masks were given, or none are wanted")
-        if self.grey_card is not None and self.config.polish == "off":
+        if self.grey_card is not None and self.config is not None and self.config.polish == "off":
             raise refused(
                 "polish_off",
                 "albedo and light are brought to the card when materials are fitted once more after stage "
@@ -147,6 +151,9 @@ class RunSpec:
             settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
         )
         fixed_to, grey_card = settings.pop(LIGHT_FIXED_TO, "auto"), settings.pop(GREY_CARD, "")
+        from flashcache.config import with_overrides
+        from flashcache.presets import preset as preset_of
+
         config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
         items = []
         for item in _listed(known_lights):
@@ -169,46 +176,6 @@ class RunSpec:
         )
 
 
-def config_for(name: str, overrides: Mapping[str, str]) -> Config:
-    """Return a preset, or `PRESET:SCENE` for a published scene, with settings changed.
-
-    Raises `UsageError` for an unknown name and `ConfigError` for a wrong setting.
-    """
-    try:
-        base = preset_of(name)
-    except ConfigError as error:
-        raise UsageError("config.preset_unknown", f'--preset "{name}": {error}') from error
-    return with_overrides(base, overrides)
-
-
-def adjust(config: Config, adjustments: worker_pb2.Adjustments) -> Config:
-    """Return the configuration with fewer rays or lower rates in the stages that failed."""
-    stages = dict(adjustments.stages)
-    if not stages and adjustments.stage:  # from a server of the version before
-        stages[adjustments.stage] = worker_pb2.StageAdjustments(
-            ray_chunk=adjustments.ray_chunk, learning_rate=adjustments.learning_rate
-        )
-    for stage, own in stages.items():
-        rays, rate = own.ray_chunk or 1.0, own.learning_rate or 1.0
-        if stage == "cache":
-            one = config.stage_one
-            one = replace(one, num_rays=max(int(one.num_rays * rays), 1), rates=_slower(one.rates, rate))
-            config = replace(config, stage_one=one)
-        elif stage == "joint":
-            two = config.stage_two
-            two = replace(
-                two,
-                num_rays=max(int(two.num_rays * rays), 1),
-                material_rates=_slower(two.material_rates, rate),
-                gloss_rates=_slower(two.gloss_rates, rate),
-                cache_rates=_slower(two.cache_rates, rate),
-                fast_rates=_slower(two.fast_rates, rate),
-                environment_rate=two.environment_rate * rate,
-            )
-            config = replace(config, stage_two=two)
-    return config
-
-
 def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """Make `run_dir` the folder of this run: `run.json` and the given files; one that it is already stays.
 
@@ -218,7 +185,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     """
     wanted = {
         "preset": spec.preset,
-        "config": to_dict(spec.config),
+        "config": config_record(spec.config),
         "seed": spec.seed,
         "device": device,
         "lights": list(spec.lights),
@@ -232,7 +199,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     }
     if (run_dir / "run.json").exists():
         found = run_record(run_dir)
-        if to_dict(from_dict(Config, found["config"])) != found["config"]:
+        if config_record(config_of(found["config"])) != found["config"]:
             raise UsageError(
                 "run.version",
                 f'"{run_dir}" has settings of another release, so it cannot be trained further; train again '
@@ -262,7 +229,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "schema_version": SCHEMA_VERSION,
         **wanted,
         "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {name: version(name) for name in ("lambent", "torch", "numpy")},
+        "versions": _versions(),
     }
     write_json(run_dir / "run.json", record)
     if not spec.corrections:
@@ -274,7 +241,7 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
     record = run_record(run_dir)
     spec = RunSpec(
         scene=Path(record["scene"]),
-        config=from_dict(Config, record["config"]),
+        config=config_of(record["config"]),
         preset=record["preset"],
         seed=record["seed"],
         lights=tuple(record["lights"]),
@@ -286,6 +253,15 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
         grey_card=parse_grey_card(record["grey_card"]) if record["grey_card"] else None,
     )
     return spec, record["device"]
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions of what computes, those of packages that are there."""
+    found = {}
+    for name in ("lambent", "torch", "numpy"):
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def with_kept_corrections(spec: RunSpec, run_dir: Path) -> RunSpec:
@@ -379,7 +355,3 @@ def _inside(scene: Path, parameter: str, name: str, advice: str) -> Path:
     if not path.is_relative_to(scene.resolve()):
         raise ConfigError(f'{parameter} "{name}" lies outside the capture; {advice}')
     return path
-
-
-def _slower(rates: Rates, factor: float) -> Rates:
-    return replace(rates, grid=rates.grid * factor, network=rates.network * factor)

@@ -63,10 +63,11 @@ def _load(name: str) -> Any:
 
 def missing_extra(name: str, error: ModuleNotFoundError | None = None) -> UsageProblemError:
     """Return the error for a command whose packages are not installed."""
-    extra = _BY_NAME[name].extra if name in _BY_NAME else "client"
+    extra = _BY_NAME[name].extra if name in _BY_NAME else ""
     found = f"the package {error.name!r} is not installed" if error else "it is not installed"
+    target = f"'lambent[{extra}]'" if extra else "lambent"
     return UsageProblemError(
-        "cli.missing_extra", f"`lambent {name}` cannot start: {found}", f"pip install 'lambent[{extra}]'"
+        "cli.missing_extra", f"`lambent {name}` cannot start: {found}", f"pip install {target}"
     )
 
 

@@ -31,13 +31,13 @@ def demo(
     Takes some minutes on two cores. Ctrl-C leaves nothing running; run again, it goes on where it was.
     On a terminal the server stays at the end, so that its page can be looked at (--no-keep: not).
     """
-    for extra in ("server", "worker"):
+    for extra in ("client", "capture", "server", "worker"):
         missing = missing_packages(extra)
         if missing:
             raise UsageProblemError(
                 "cli.missing_extra",
                 f"the demo runs a server and a worker; not installed: {', '.join(missing)}",
-                "pip install 'lambent[client,server,worker]'",
+                "pip install 'lambent[server,worker]'",
             )
     # The demo talks to its own server, whatever server this shell is set up for.
     for name in ("LAMBENT_URL", "LAMBENT_API_KEY", "LAMBENT_DATA"):

@@ -14,14 +14,20 @@ from typing import Annotated, Any
 import typer
 from lambent_compute.threads import available_threads
 
-from lambent import film
+from lambent import ffmpeg
 from lambent.cli.output import JsonOption, Output, UrlOption, format_size
 from lambent.client import Client
 from lambent.errors import LambentError, UnreachableError
 from lambent.settings import data_folder
 
 GIB = 1 << 30
-EXTRAS = ("client", "server", "worker")
+EXTRAS = {
+    "client": "for pictures from bundles",
+    "capture": "for check, poses and masks",
+    "server": "where the server runs",
+    "worker": "where training runs",
+}
+"""Extras that are looked for, and what for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,7 @@ def examine(url: str, data: Path) -> Iterator[Check]:
     yield check_memory(_available_memory())
     yield check_disk(data)
     yield check_gpu()
-    yield check_ffmpeg(film.encoder())
+    yield check_ffmpeg(ffmpeg.encoder())
     yield check_gl(find_library)
     yield check_server(url, data)
 
@@ -72,18 +78,13 @@ def check_python(found: tuple[int, ...]) -> Check:
 
 
 def check_packages(extra: str) -> Check:
-    """Return whether the packages of an extra are installed; only the client's are needed everywhere."""
+    """Return whether the packages of an extra are installed; nothing but talking to a server needs none."""
     missing = missing_packages(extra)
     name = f"[{extra}]"
     if not missing:
         return Check(name, "ok", "installed")
-    return Check(
-        name,
-        "fail" if extra == "client" else "warn",
-        f"missing: {', '.join(missing)}",
-        f"pip install 'lambent[{extra}]'"
-        + ("" if extra == "client" else " (only where that part shall run)"),
-    )
+    advice = f"pip install 'lambent[{extra}]' (needed only {EXTRAS[extra]})"
+    return Check(name, "warn", f"missing: {', '.join(missing)}", advice)
 
 
 def missing_packages(extra: str) -> list[str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 
+from lambent_relight.arguments import file_path, refusal
 from lambent_relight.bundle.archive import FileSource, check_path, open_source, read_checked, verify
 from lambent_relight.bundle.onnx_check import check_onnx
 from lambent_relight.bundle.uncertainty import UncertaintyGrid, read_uncertainty
@@ -45,6 +46,15 @@ class Bundle:
     path: Path
     manifest: BundleManifest
     source: FileSource
+
+    def __repr__(self) -> str:
+        """Return folder, version, lights and size in one line."""
+        lights = ", ".join(list(self.manifest.train_lights)[:4])
+        size = sum(int(file.size_bytes) for file in self.manifest.files) / 1e6
+        return (
+            f"Bundle({str(self.path)!r}, format {self.manifest.schema_version}, light {lights or 'unknown'}, "
+            f"{len(self.manifest.files)} files of {size:.3g} MB)"
+        )
 
     @property
     def has_networks(self) -> bool:
@@ -113,7 +123,7 @@ def load_bundle(path: Path | str) -> Bundle:
     Raises BundleError, with a code that starts with `bundle.`, unless every check of
     docs/reference/bundle-format.md holds. Nothing is written to disk and no graph is run.
     """
-    path = Path(path)
+    path = file_path(path, "path", refuse=refusal("bundle.argument", BundleError))
     source = open_source(path)
     present = source.paths()
     if "manifest.json" not in present:
@@ -136,7 +146,7 @@ def peek_bundle(path: Path | str) -> Bundle:
 
     The manifest is checked, files and graphs are not: nothing else of the bundle may be used.
     """
-    path = Path(path)
+    path = file_path(path, "path", refuse=refusal("bundle.argument", BundleError))
     source = open_source(path)
     manifest = _parse_manifest(read_checked(source, "manifest.json", limit_bytes=_MAX_MANIFEST_BYTES))
     _check_version(manifest)

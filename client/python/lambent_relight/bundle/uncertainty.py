@@ -30,6 +30,11 @@ class UncertaintyGrid:
     """[x, y, z, channel], in the order of `channels`."""
     channels: tuple[str, ...] = CHANNELS
 
+    def __repr__(self) -> str:
+        """Return cells and channels in one line."""
+        cells = " x ".join(str(count) for count in self.values.shape[:3])
+        return f"UncertaintyGrid({cells} cells, {', '.join(self.channels)})"
+
     def at(self, positions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return values [..., channel] at world positions [..., 3], trilinear between centres.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.arguments import file_path, number, refusal
 from lambent_relight.directions import Array, rotate_about_z, uv_of_directions
 from lambent_relight.environment.exr import read_exr_rgb, write_exr
 from lambent_relight.environment.rgbe import read_rgbe
@@ -20,6 +21,9 @@ MAX_PIXELS = 1 << 25
 """Largest map kept at full size by default, 8192 x 4096; larger files are reduced while they are read."""
 MAX_FILE_PIXELS = 1 << 27
 """Largest file that is read: 16384 x 8192."""
+
+
+_refuse = refusal("environment.argument", EnvironmentFileError)
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,25 @@ class Environment:
     reduced_from: tuple[int, int] | None = None
     """Height and width of the file, if it was above the limit and the map consists of means of its pixels."""
 
+    def __post_init__(self) -> None:
+        image = self.radiance
+        if not isinstance(image, np.ndarray) or image.ndim != 3 or image.shape[2:] != (3,):
+            found = list(image.shape) if isinstance(image, np.ndarray) else type(image).__name__
+            raise _refuse(
+                f"radiance is {found} and no array [height, width, 3]",
+                "make an environment with environment_from_array, which also checks the values",
+            )
+        number(self.rotate_deg, "rotate_deg", refuse=_refuse)
+
+    def __repr__(self) -> str:
+        """Return the size and the rotation in one line."""
+        height, width = self.radiance.shape[:2]
+        turned = f", rotated by {self.rotate_deg:g} degrees" if self.rotate_deg else ""
+        return f"Environment({width} x {height} pixels{turned})"
+
     def rotated(self, degrees: float) -> "Environment":
         """Return the same light rotated by a further +`degrees` about +z."""
+        degrees = number(degrees, "degrees", refuse=_refuse)
         return replace(self, rotate_deg=self.rotate_deg + degrees)
 
     def lookup(self, directions: Array) -> NDArray[np.float32]:
@@ -85,7 +106,12 @@ def environment_from_array(
     negative ones by 0, infinite ones by the largest finite value of the map; `cleaning` tells how many.
     Raises EnvironmentFileError for those, for a wrong shape, and where nothing usable is left.
     """
-    image = np.array(radiance, np.float32)
+    try:
+        image = np.array(radiance, np.float32)
+    except (TypeError, ValueError) as error:
+        raise _refuse(
+            f'"{source}" is {type(radiance).__name__} and no array of numbers', "give [height, width, 3]"
+        ) from error
     if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise EnvironmentFileError(
             "environment.shape",
@@ -130,7 +156,7 @@ def load_environment(
     means of blocks of pixels, and has `reduced_from` set. Raises EnvironmentFileError, with a code that
     starts with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
     """
-    path = Path(path)
+    path = file_path(path, "path", refuse=_refuse)
     if not path.is_file():
         raise EnvironmentFileError("environment.missing", f'there is no file "{path}"', "check the path")
     readers = {".hdr": read_rgbe, ".pic": read_rgbe, ".rgbe": read_rgbe, ".exr": read_exr_rgb}
@@ -154,7 +180,32 @@ def load_environment(
     return replace(read, reduced_from=(height, width)) if step > 1 else read
 
 
-def write_environment(path: Path | str, radiance: Array, *, half: bool = True) -> None:
-    """Write linear radiance [height, width, 3] as an EXR latitude-longitude map in our convention."""
-    image = np.asarray(radiance)
-    write_exr(Path(path), {name: image[..., index] for index, name in enumerate("RGB")}, half=half)
+def as_environment(light: "Environment | Array | Path | str") -> Environment:
+    """Return the light that a function was given as an environment, an array or a file.
+
+    Raises EnvironmentFileError as `environment_from_array` and `load_environment` do.
+    """
+    if isinstance(light, Environment):
+        return light
+    if isinstance(light, np.ndarray):
+        return environment_from_array(light)
+    advice = "give an Environment, an array [height, width, 3] of linear radiance, or the path of a map"
+    if not isinstance(light, (str, Path)):
+        raise _refuse(f"environment is {type(light).__name__}", advice)
+    return load_environment(light)
+
+
+def write_environment(path: Path | str, radiance: Array | Environment, *, half: bool = True) -> None:
+    """Write linear radiance [height, width, 3] as an EXR latitude-longitude map in our convention.
+
+    An environment has to be unrotated, because a file has no angle. Raises EnvironmentFileError.
+    """
+    if isinstance(radiance, Environment) and radiance.rotate_deg:
+        raise _refuse(
+            f"the environment is rotated by {radiance.rotate_deg:g} degrees", "rotate when rendering"
+        )
+    image = radiance.radiance if isinstance(radiance, Environment) else np.asarray(radiance)
+    if image.ndim != 3 or image.shape[2] != 3 or not np.issubdtype(image.dtype, np.number):
+        raise _refuse(f"radiance is {image.dtype} {list(image.shape)}", "give numbers [height, width, 3]")
+    target = file_path(path, "path", refuse=_refuse)
+    write_exr(target, {name: image[..., index] for index, name in enumerate("RGB")}, half=half)

@@ -46,3 +46,14 @@ def test_of_photographs_without_cameras_only_the_file_is_looked_for(looked_at):
     check(SCENE, grey_card=f"{PHOTOGRAPH}:0,0,20,20")
     with pytest.raises(typer.Exit):
         check(SCENE, grey_card="train_000/rgba_moon.png:1,1,2,2")
+
+
+def test_a_card_in_a_capture_with_cameras_needs_torch_and_says_so_after_the_check(capsys, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(typer.Exit) as caught:
+        check(SCENE, grey_card=f"{PHOTOGRAPH}:52,62,24,20")
+    assert caught.value.exit_code == 2
+    told = capsys.readouterr()
+    assert "can be used" in told.out
+    assert "cli.missing_extra" in told.err
+    assert "lambent[worker]" in told.err

@@ -1,23 +1,28 @@
 """What a run was asked to do is the same from the command line, an order, and the folder it is kept in."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from flashcache.errors import ConfigError
-from flashcache.presets import PRESETS
+from flashcache.presets import PRESETS, tiny
 from lambent_proto.v1 import job_pb2, worker_pb2
 from lambent_relight.environment.maps import write_environment
 from lambent_worker.errors import UsageError
 from lambent_worker.files import write_json
 from lambent_worker.run.card_option import GreyCard
+from lambent_worker.run.expected import PREPARATION, expected_seconds
 from lambent_worker.run.folder import begin_task, finish_task
 from lambent_worker.run.hashes import input_hashes
 from lambent_worker.run.masks import WHOLE_VIEW, given_masks
-from lambent_worker.run.spec import RunSpec, adjust, keep_run, read_run, with_kept_corrections
+from lambent_worker.run.prepare import export_run, has_settings, preparation_of
+from lambent_worker.run.spec import RunSpec, adjust, keep_run, read_run, run_record, with_kept_corrections
 from PIL import Image
 from support.ball_photographs import write_masks
 from support.ball_views import ball_views
+from support.recording_reporter import RecordingReporter
 
 UNCHANGED = worker_pb2.Adjustments()
 
@@ -214,6 +219,45 @@ def test_a_prepared_run_takes_any_preset_and_corrections_until_its_training_begi
         keep(tmp_path, preset="fast", corrections=corrected(tmp_path, STROKE))
     with pytest.raises(UsageError, match=r"run\.other_settings.*another preset, config;"):
         keep(tmp_path)
+
+
+def test_a_run_that_is_only_prepared_has_no_settings_until_its_training_is_asked_for(tmp_path):
+    run, scene = tmp_path / "run", tmp_path / "scene"
+    prepared = preparation_of(scene, run)
+    assert prepared.config is None
+    assert input_hashes(prepared).keys() == {"ingest", "masks"}
+    assert expected_seconds(prepared.config, 2).keys() == set(PREPARATION)
+    keep_run(run, prepared, "cpu")
+    assert run_record(run)["config"] is None
+    assert not has_settings(run)
+    assert read_run(run)[0] == preparation_of(scene, run) == prepared
+    keep_run(run, preparation_of(scene, run), "cpu")
+    keep(tmp_path)
+    assert has_settings(run)
+    assert preparation_of(scene, run).config == tiny()
+    hashes = input_hashes(options(tmp_path))
+    assert {name: hashes[name] for name in ("ingest", "masks")} == input_hashes(prepared)
+
+
+def test_a_run_that_is_only_prepared_has_neither_bundle_nor_trained_model(tmp_path):
+    run = tmp_path / "run"
+    keep_run(run, preparation_of(tmp_path / "scene", run), "cpu")
+    with pytest.raises(UsageError, match=r"run\."):
+        export_run(run, tmp_path / "bundle", RecordingReporter())
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_photographs_are_prepared_without_torch():
+    """The modules of the tasks before the training, in an interpreter that cannot import torch."""
+    code = """
+import sys
+sys.modules["torch"] = None
+from lambent_worker.run import pipeline, prepare
+from lambent_worker.run.tasks import cameras, ingest, masks
+prepare.check_device("cpu")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema_version": 1}', "{"])

@@ -7,7 +7,6 @@ from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import file_sha256, write_json
 from lambent_worker.messages import message_to_dict
 from lambent_worker.run.capture import LEFT_OUT, MANIFEST, even_out, found_cameras, own_masks, settle_light
-from lambent_worker.run.card_pixels import box_turns, frame_of
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.masks import AUTOMATIC, given_masks
 from lambent_worker.scenes.detect import describe_scene
@@ -39,6 +38,9 @@ def run(context: TaskContext) -> None:
     manifest = describe_scene(spec.scene, layout, given, checked.left_out, cameras)
     manifest = select_lights(manifest, spec.lights)
     if spec.grey_card is not None:
+        # Here, since it imports torch, which photographs are prepared without.
+        from lambent_worker.run.card_pixels import box_turns, frame_of
+
         box_turns(spec.grey_card, frame_of(spec.grey_card, manifest)[0], manifest)
     settle_light(context, manifest)
     if checked.figures is not None and checked.figures.has_masks:

@@ -1,0 +1,104 @@
+"""Arguments of `Client`, checked before anything is sent.
+
+Each function returns the value, or raises UsageProblemError `client.argument` with the argument's name, what
+was given, and what to give.
+"""
+
+import math
+import operator
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lambent.errors import UsageProblemError
+
+_ID = re.compile(r"[A-Za-z0-9_\-]{1,128}")
+_SHOWN = 40
+
+
+def identifier(value: object, name: str) -> str:
+    """Return an id of the server; one that was empty, or an object, would ask for something else."""
+    if not isinstance(value, str):
+        own = getattr(value, "id", None)
+        raise _refused(name, value, f"give its id, {own!r}" if isinstance(own, str) else "give an id")
+    if not _ID.fullmatch(value):
+        raise _refused(name, value, "give an id as the server gives it, of letters, digits, _ and -")
+    return value
+
+
+def identifiers(values: object, name: str) -> list[str]:
+    """Return a list of ids; a single id is not one, although it is a sequence of letters."""
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise _refused(name, values, "give a list of ids")
+    return [identifier(value, f"an entry of {name}") for value in values]
+
+
+def text(value: object, name: str) -> str:
+    """Return a string."""
+    if not isinstance(value, str):
+        raise _refused(name, value, "give a string")
+    return value
+
+
+def file_path(value: object, name: str) -> Path:
+    """Return the path that a string or a path object names."""
+    if not isinstance(value, (str, os.PathLike)) or not str(value):
+        raise _refused(name, value, "give the path as a string or a Path")
+    return Path(value)
+
+
+def whole(value: object, name: str, least: int | None = None) -> int:
+    """Return a whole number, `least` at least."""
+    advice = "give a whole number" + ("" if least is None else f" of {least} or more")
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        found = operator.index(value)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise _refused(name, value, advice) from error
+    if least is not None and found < least:
+        raise _refused(name, value, advice)
+    return found
+
+
+def seconds(value: object, name: str) -> float:
+    """Return a finite number of seconds, 0 or more."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise _refused(name, value, "give a number of seconds")
+    if not (math.isfinite(value) and value >= 0.0):
+        raise _refused(name, value, "give a finite number of seconds, 0 or more")
+    return value
+
+
+def texts(value: object, name: str) -> dict[str, str]:
+    """Return a mapping of strings to strings; None stands for an empty one."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise _refused(name, value, "give a mapping of strings to strings")
+    for key, entry in value.items():
+        if not isinstance(key, str) or not isinstance(entry, str):
+            raise _refused(f"{name}[{key!r}]", entry, "give names and values as strings, numbers too")
+    return dict(value)
+
+
+def mapping(value: object, name: str) -> dict[str, Any]:
+    """Return a mapping with string keys."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise _refused(name, value, "give a mapping")
+    return dict(value)
+
+
+def instance(value: object, kind: type, name: str, advice: str) -> None:
+    """Make sure that a value is of a class."""
+    if not isinstance(value, kind):
+        raise _refused(name, value, advice)
+
+
+def _refused(name: str, value: object, advice: str) -> UsageProblemError:
+    shown = repr(value)
+    shown = shown if len(shown) <= _SHOWN else shown[: _SHOWN - 3] + "..."
+    kind = "" if value is None else f"{type(value).__name__} "
+    return UsageProblemError("client.argument", f"{name} cannot be {kind}{shown}", advice)
