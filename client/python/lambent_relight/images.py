@@ -77,9 +77,7 @@ def write_picture_exr(
     channels = {**(layers or {}), **exr_channels(picture, passes=passes, object_name=object_name)}
     if not channels.keys().isdisjoint(cryptomatte.CHANNELS):
         header |= cryptomatte.cryptomatte_attributes(object_name)
-    write_exr(
-        file_path(path, "path"), channels, half=half, full_precision=FULL_PRECISION, attributes=header
-    )
+    write_exr(file_path(path, "path"), channels, half=half, full_precision=FULL_PRECISION, attributes=header)
 
 
 def read_picture_exr(path: Path | str) -> dict[str, NDArray[np.floating]]:
