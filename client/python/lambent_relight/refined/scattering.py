@@ -15,8 +15,10 @@ from lambent_relight.brdf import DIELECTRIC_F0, Materials
 from lambent_relight.directions import Array
 from lambent_relight.environment.light_sampling import LightSampler, lobe_of_alpha
 
-LIGHT_SHARE = 0.6
-"""Share of each lobe's directions that is drawn in proportion to the light as well."""
+DIFFUSE_LIGHT_SHARE = 0.8
+"""Share of the diffuse lobe's directions that is drawn in proportion to the light as well."""
+SPECULAR_LIGHT_SHARE = 0.3
+"""The same of the specular lobe, whose own density is the better guide the narrower it is."""
 
 
 @dataclass(frozen=True)
@@ -64,20 +66,16 @@ def strategy_shares(materials: Materials) -> NDArray[np.float32]:
     specular = metalness * albedo + (1.0 - metalness) * DIELECTRIC_F0
     diffuse = (1.0 - metalness) * albedo
     share = np.clip(specular / np.maximum(specular + diffuse, 1e-6), 0.1, 0.95)
-    lit, unlit = np.float32(LIGHT_SHARE), np.float32(1.0 - LIGHT_SHARE)
-    return np.stack([lit * (1.0 - share), unlit * (1.0 - share), unlit * share, lit * share], axis=-1)
-
-
-def whole_shares(shares: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Return `shares` [point, 4] rounded so that `count` directions of a point divide without rest.
-
-    A fixed number of directions for every strategy has less variance than a random one. Of three or more,
-    at least one goes to a strategy that reaches every direction; fewer are left to chance.
-    """
-    if count < 3:
-        return shares
-    ends = np.round(np.cumsum(shares, axis=-1) * count)
-    return (np.diff(ends, axis=-1, prepend=0.0) / count).astype(np.float32)
+    diffuse_lit, specular_lit = np.float32(DIFFUSE_LIGHT_SHARE), np.float32(SPECULAR_LIGHT_SHARE)
+    return np.stack(
+        [
+            diffuse_lit * (1.0 - share),
+            (1.0 - diffuse_lit) * (1.0 - share),
+            (1.0 - specular_lit) * share,
+            specular_lit * share,
+        ],
+        axis=-1,
+    )
 
 
 def draw_directions(
