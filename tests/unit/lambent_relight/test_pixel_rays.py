@@ -1,4 +1,4 @@
-"""The rays of a pixel share one even sequence, whose elements are uniform and independent of other pixels'."""
+"""The rays of a pixel share one even sequence of uniform elements, independent of those of other pixels."""
 
 import numpy as np
 import pytest

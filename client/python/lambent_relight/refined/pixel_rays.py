@@ -8,6 +8,7 @@ square. Source: Sobol 1967, with the direction numbers of Joe and Kuo 2008; Owen
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,11 +73,14 @@ class PixelRays:
         """Return runs of whole pixels, with about `most_points` points or fewer each, and their rays."""
         begins = np.diff(self.first // max(most_points, 1), prepend=-1) != 0
         ends = [*self.first[begins], len(self.pixel)]
-        runs = [slice(int(start), int(end)) for start, end in zip(ends[:-1], ends[1:], strict=True)]
+        runs = [slice(int(start), int(end)) for start, end in pairwise(ends)]
         return [(run, PixelRays(self.pixel[run] - self.pixel[run.start], self.share[run])) for run in runs]
 
     def uniforms(self, per_point: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return uniforms in [0, 1), [point * per_point, 3]: consecutive elements of each pixel's sequence."""
+        """Return elements of the pixels' sequences, consecutive ones for every point, [point * per_point, 3].
+
+        Each is uniform in [0, 1), and sequences are independent of one another.
+        """
         # Compiled code takes a second to import, which programs that only look at bundles do not pay.
         from lambent_relight.refined import sequence_kernels as kernels
 

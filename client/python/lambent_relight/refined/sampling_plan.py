@@ -12,7 +12,7 @@ from lambent_relight.refined.shading import Light, Radiance, Scene, outgoing_rad
 MAX_FACTOR = 64
 """A picture that is still noisier than requested is returned after this many times `spp` directions."""
 GROWTH = 3
-"""A round has at most this many times the directions spent before it: one by one they say how many it takes."""
+"""Largest ratio of a round to all before it, which say how much is needed, and a short one says little."""
 _NEXT_ROUND = 1_000_003
 
 

@@ -186,8 +186,8 @@ def _one_pass(
     arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
     bouncing = np.zeros_like(arriving) if adapted is None else adapted.radiance
     if indirect and adapted is None:
-        # Below `FOLLOWED`, a hit of opacity a is followed with probability a / FOLLOWED at weight FOLLOWED, which
-        # has the mean of following all at weight a.
+        # Below `FOLLOWED`, a hit of opacity a is followed with probability a / FOLLOWED, at weight FOLLOWED:
+        # the mean is that of following all at weight a.
         hit = np.flatnonzero(FOLLOWED * rng.random(len(active)) < seen.opacity[:, 0])
         position = origin[hit] + seen.distance[hit] * direction[hit]
         if scene.hits is not None:
