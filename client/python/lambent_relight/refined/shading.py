@@ -176,7 +176,7 @@ def _one_pass(
 
     count = len(points.position)
     u = pixels.uniforms(per_pass, rng)
-    drawn = draw_directions(points, light.sampler, u, strategy_shares(points.materials))
+    drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
     active = drawn.active
     owner = active // per_pass
     normal, direction = points.normal[owner], drawn.omega_i[active]
@@ -217,7 +217,7 @@ def hit_radiance(
     if len(position) == 0:
         return np.zeros((0, 3), np.float32)
     points = surface_at(position, omega_o, scene)
-    drawn = draw_directions(points, light.sampler, u, strategy_shares(points.materials))
+    drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
     weight = drawn.weight
     active = drawn.active
     origin = position[active] + np.float32(scene.origin_offset) * points.normal[active]
