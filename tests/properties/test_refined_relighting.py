@@ -12,6 +12,7 @@ from lambent_relight.cameras import Camera, look_at
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, environment_from_array
+from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
 from lambent_relight.renderer import Renderer
@@ -72,6 +73,11 @@ def surface_points(scene: AnalyticScene, position, viewer, count: int) -> Surfac
         omega_o.astype(np.float32),
         materials_from_roughness(albedo, roughness, metalness),
     )
+
+
+def fours(count: int) -> PixelRays:
+    """Return `count` pixels of four rays that weigh alike."""
+    return PixelRays.of(np.repeat(np.arange(count), 4), np.ones((4 * count, 1)))
 
 
 def relit(
@@ -177,24 +183,43 @@ def test_relighting_is_linear_in_the_light(caches):
     assert_mean(difference, np.zeros(3))
 
 
-def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches):
+@pytest.mark.parametrize(("rays", "num_samples"), [(1, 16), (4, 4)])
+def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches, rays, num_samples):
     scene, environment = SHADED, sky()
     count = 5000
-    points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), count)
+    pixels = fours(count) if rays == 4 else PixelRays.alone(count)
+    points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), rays * count)
     radiance = outgoing_radiance(
         points,
         Scene(caches(scene), scene.origin_offset, MaterialEdit()),
         Light(environment, LightSampler(environment)),
-        num_samples=16,
+        num_samples=num_samples,
         seed=1,
         indirect=True,
+        pixels=pixels,
     )
-    assert radiance.num_samples == 16
-    total = (radiance.direct + radiance.indirect).astype(np.float64)
+    assert radiance.num_samples == num_samples
+    total = pixels.mean(radiance.direct + radiance.indirect)
     deviations = (total - total.mean(axis=0)) ** 2
     assert_mean(
         deviations * count / (count - 1) - radiance.standard_error.astype(np.float64) ** 2, np.zeros(3)
     )
+
+
+def test_rays_of_a_pixel_are_quieter_together_and_no_less_by_themselves(caches):
+    environment, count = sky(), 400
+    points = surface_points(CORNER, (0.5, 0.0, 0.0), (2.0, 1.0, 1.5), 4 * count)
+    scene = Scene(caches(CORNER), CORNER.origin_offset, MaterialEdit())
+    light, pixels = Light(environment, LightSampler(environment)), fours(count)
+    spread, single = {}, {}
+    for name, rays in (("shared", pixels), ("own", PixelRays.alone(4 * count))):
+        found = outgoing_radiance(points, scene, light, num_samples=16, seed=2, indirect=False, pixels=rays)
+        total = (found.direct + found.indirect).astype(np.float64)
+        spread[name] = pixels.mean(total).var(axis=0)
+        single[name] = total.reshape(count, 4, 3)[:, 0].var(axis=0)
+    # The F-test's 1e-4 quantile for two variances of 400 samples is 0.69.
+    assert (spread["shared"] < 0.69 * spread["own"]).all()
+    assert (single["shared"] < single["own"] / 0.69).all()
 
 
 class Veil:
@@ -235,9 +260,14 @@ def test_a_half_transparent_hit_shades_and_blocks_by_its_opacity():
     for opacity in (0.4, 0.8):
         radiance = veiled(opacity, seed=2)[1]
         np.testing.assert_allclose(radiance.direct, (1 - opacity) * clear.direct, rtol=1e-5)
-    thin, thick = (veiled(o, seed=s)[1].indirect.astype(np.float64) for o, s in ((0.4, 3), (0.8, 4)))
+    # Of the thinnest, not every hit is followed.
+    opacities = (0.1, 0.4, 0.8)
+    thinnest, thin, thick = (
+        veiled(o, seed=s)[1].indirect.astype(np.float64) for s, o in enumerate(opacities, start=3)
+    )
     # What a hit adds is proportional to opacity times the visibility of the hit, which is 1 - opacity.
     assert_mean(thin / (0.4 * 0.6) - thick / (0.8 * 0.2), np.zeros(3))
+    assert_mean(thin / (0.4 * 0.6) - thinnest / (0.1 * 0.9), np.zeros(3))
     assert thin.mean() > 0.0
 
 

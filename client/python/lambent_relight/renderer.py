@@ -26,6 +26,7 @@ from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, as_environment
 from lambent_relight.errors import SettingError
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene
@@ -229,14 +230,15 @@ class Renderer:
             materials_from_roughness(albedo, roughness, seen.metalness),
         )
         scene, bounces = self._scene(environment, edit, settings)
-        radiance = estimated(points, scene, light, settings, progress)
+        pixels = PixelRays.of(view.pixel, seen.opacity)
+        radiance = estimated(points, pixels, scene, light, settings, progress)
         coverage, distance = view.coverage(), view.mean(seen.distance)
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
         specular = view.mean(radiance.specular)
         return RelitPicture(
             rgb=direct + bounced,
             opacity=coverage,
-            standard_error=view.error_of_mean(radiance.standard_error),
+            standard_error=view.picture(radiance.standard_error),
             direct=direct,
             indirect=bounced,
             diffuse=direct + bounced - specular,

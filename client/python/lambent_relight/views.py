@@ -42,10 +42,11 @@ class View:
         total = self._sum(self.hits.opacity)
         return self._sum(values * self.hits.opacity) / np.maximum(total, 1e-12)
 
-    def error_of_mean(self, errors: Rows) -> Rows:
-        """Return the standard error of `mean` for rays with independent standard errors [ray, n]."""
-        total = self._sum(self.hits.opacity)
-        return np.sqrt(self._sum((errors * self.hits.opacity) ** 2)) / np.maximum(total, 1e-12)
+    def picture(self, values: Rows) -> Rows:
+        """Return `values` [pixel, n] of the pixels that rays hit, in their order, [height, width, n]."""
+        image = np.zeros((self.camera.height * self.camera.width, values.shape[1]), np.float32)
+        image[np.unique(self.pixel)] = values
+        return image.reshape(self.camera.height, self.camera.width, -1)
 
     def _sum(self, values: Rows) -> Rows:
         size = self.camera.height * self.camera.width

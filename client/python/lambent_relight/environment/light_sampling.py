@@ -55,7 +55,7 @@ class LightSampler:
         cell_mass = np.bincount(cell.ravel(), mass.ravel(), num_cells)
         solid_angles = pixel_solid_angles(height, width)
         inside = mass / (np.maximum(cell_mass, 1e-300)[cell] * solid_angles[:, None])
-        table = _lobe_table(cell_mass, _cell_directions(cell, solid_angles, num_cells))
+        table, means = _lobe_table(cell_mass, _cell_directions(cell, solid_angles, num_cells))
         self.table = Table(
             pmf=table.astype(np.float32),
             cell_ends=(np.cumsum(table, axis=1) + np.arange(len(table))[:, None]).ravel(),
@@ -64,6 +64,7 @@ class LightSampler:
             order=order,
             cell_of_pixel=cell.ravel(),
             inside=inside.ravel(),
+            means=means,
             height=height,
             width=width,
             angle=math.radians(environment.rotate_deg),
@@ -81,6 +82,17 @@ class LightSampler:
         out = np.empty((len(axis), 3), np.float32)
         uniforms = (np.ascontiguousarray(u, np.float64) for u in (u1, u2))
         kernels.sample(self.table, *uniforms, *_lobes(axis, lobe), out)
+        return out
+
+    def mean(self, axis: Array, lobe: NDArray[np.integer] | int) -> NDArray[np.float64]:
+        """Return the mean of the map under lobes about `axis` [n, 3], nearly: [n], 1/sr.
+
+        Radiance, the sum of its channels, over its integral: 1 / (4 pi) where the light is even.
+        """
+        from lambent_relight.environment import light_sampling_kernels as kernels
+
+        out = np.empty(len(axis))
+        kernels.means(self.table, *_lobes(axis, lobe), out)
         return out
 
     def pdf(self, directions: Array, axis: Array, lobe: NDArray[np.integer] | int) -> NDArray[np.float32]:
@@ -143,18 +155,29 @@ def _cell_directions(
     return np.stack(sums, axis=-1) / total[:, None]
 
 
-def _lobe_table(cell_mass: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the probability of every cell for every lobe and axis, [lobe * axes, cell]."""
+def _lobe_table(
+    cell_mass: NDArray[np.float64], directions: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the probability of every cell for every lobe and axis, [lobe * axes, cell].
+
+    The second result is the mean of the map under each of these lobes, [lobe * axes]; see `Table.means`.
+    """
     cosine = _bin_axes() @ directions.T
     tables = [np.maximum(cosine + 0.1, 0.0)]
     tables += [np.exp(_SHARPNESS_TIMES_ALPHA_SQUARED / alpha**2 * (cosine - 1.0)) for alpha in LOBE_ALPHAS]
+    # Integrals of the lobes over the sphere.
+    sizes = [np.pi * 1.1**2]
+    for alpha in LOBE_ALPHAS:
+        sharpness = _SHARPNESS_TIMES_ALPHA_SQUARED / alpha**2
+        sizes.append(2.0 * np.pi * (1.0 - math.exp(-2.0 * sharpness)) / sharpness)
+    means = np.concatenate([(lobe @ cell_mass) / size for lobe, size in zip(tables, sizes, strict=True)])
     rows = []
     for lobe in tables:
         # A floor keeps every lit cell possible, wherever the axis is inside its bin.
         # The last term is for maps of a few pixels, whose cells may all lie outside a narrow lobe.
         weight = cell_mass * (lobe + _FLOOR_SHARE * lobe.mean(axis=1, keepdims=True) + 1e-12)
         rows.append(weight / weight.sum(axis=1, keepdims=True))
-    return np.concatenate(rows)
+    return np.concatenate(rows), means
 
 
 def _bin_axes() -> NDArray[np.float64]:

@@ -29,6 +29,8 @@ class Table(NamedTuple):
     cell_of_pixel: NDArray[np.int64]
     inside: NDArray[np.float64]
     """Density of a pixel's directions inside its cell, 1/sr, [pixel]."""
+    means: NDArray[np.float64]
+    """Mean of the map under the lobe of a row, 1/sr: radiance over the map's integral, [row]."""
     height: int
     width: int
     angle: float
@@ -111,6 +113,13 @@ def sample(table, u1, u2, axes, lobes, out):
     for n in range(len(axes)):
         row = row_of(table, lobes[n], axes[n, 0], axes[n, 1], axes[n, 2])
         out[n, 0], out[n, 1], out[n, 2] = direction_in(table, row, u1[n], u2[n])
+
+
+@compiled(fastmath=False)
+def means(table, axes, lobes, out):
+    """Write the means of the map under lobes [n] about `axes` [n, 3] to `out` [n]."""
+    for n in range(len(axes)):
+        out[n] = table.means[row_of(table, lobes[n], axes[n, 0], axes[n, 1], axes[n, 2])]
 
 
 @compiled(fastmath=False)

@@ -12,11 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import DIELECTRIC_F0, Materials
-from lambent_relight.directions import Array
-from lambent_relight.environment.light_sampling import LightSampler, lobe_of_alpha
+from lambent_relight.directions import Array, dot
+from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
 
-LIGHT_SHARE = 0.6
-"""Share of each lobe's directions that is drawn in proportion to the light as well."""
+DIFFUSE_LIGHT_SHARE = 0.8
+"""Share of the diffuse lobe's directions that is drawn in proportion to the light as well."""
+SPECULAR_LIGHT_SHARE = 0.3
+"""The same of the specular lobe, whose own density is the better guide the narrower it is."""
+WIDE_LOBES_GRAZE_LESS = 3.0
+"""Found by experiment, as both shares are: docs/benchmarks/asset.md."""
 
 
 @dataclass(frozen=True)
@@ -54,30 +58,34 @@ class LightDirections:
         return self.diffuse + self.specular
 
 
-def strategy_shares(materials: Materials) -> NDArray[np.float32]:
+def strategy_shares(points: SurfacePoints, light: LightSampler) -> NDArray[np.float32]:
     """Return the probability of every strategy, [point, 4], rows sum to one.
 
-    The lobes share the directions by their reflectance, with a tenth at least for the specular one.
+    The lobes share the directions by what they reflect of `light` if nothing is in its way: reflectance times
+    the light's mean under the lobe. The specular one has a tenth at least, and 0.95 at most.
     """
-    albedo = (materials.albedo @ np.full((3, 1), 1 / 3, materials.albedo.dtype))[:, 0]
-    metalness = materials.metalness[:, 0]
-    specular = metalness * albedo + (1.0 - metalness) * DIELECTRIC_F0
-    diffuse = (1.0 - metalness) * albedo
-    share = np.clip(specular / np.maximum(specular + diffuse, 1e-6), 0.1, 0.95)
-    lit, unlit = np.float32(LIGHT_SHARE), np.float32(1.0 - LIGHT_SHARE)
-    return np.stack([lit * (1.0 - share), unlit * (1.0 - share), unlit * share, lit * share], axis=-1)
-
-
-def whole_shares(shares: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Return `shares` [point, 4] rounded so that `count` directions of a point divide without rest.
-
-    A fixed number of directions for every strategy has less variance than a random one. Of three or more,
-    at least one goes to a strategy that reaches every direction; fewer are left to chance.
-    """
-    if count < 3:
-        return shares
-    ends = np.round(np.cumsum(shares, axis=-1) * count)
-    return (np.diff(ends, axis=-1, prepend=0.0) / count).astype(np.float32)
+    materials, normal = points.materials, points.normal
+    cosine = dot(normal, points.omega_o)
+    albedo = materials.albedo.mean(axis=-1, keepdims=True)
+    f0 = materials.metalness * albedo + (1.0 - materials.metalness) * DIELECTRIC_F0
+    # Schlick's term at the mirror direction, less for wide lobes, which have few microfacets at that angle.
+    grazing = (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5 / (1.0 + WIDE_LOBES_GRAZE_LESS * materials.alpha)
+    reflected = (cosine > 0.0) * (f0 + (1.0 - f0) * grazing)
+    specular = reflected[:, 0] * light.mean(
+        2.0 * cosine * normal - points.omega_o, lobe_of_alpha(materials.alpha)
+    )
+    diffuse = ((1.0 - materials.metalness) * albedo)[:, 0] * light.mean(normal, COSINE_LOBE)
+    share = np.clip(specular / np.maximum(specular + diffuse, 1e-9), 0.1, 0.95)
+    diffuse_lit, specular_lit = DIFFUSE_LIGHT_SHARE, SPECULAR_LIGHT_SHARE
+    return np.stack(
+        [
+            diffuse_lit * (1.0 - share),
+            (1.0 - diffuse_lit) * (1.0 - share),
+            (1.0 - specular_lit) * share,
+            specular_lit * share,
+        ],
+        axis=-1,
+    ).astype(np.float32)
 
 
 def draw_directions(

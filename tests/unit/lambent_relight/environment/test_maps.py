@@ -193,6 +193,23 @@ def test_a_black_map_is_sampled_evenly_instead_of_dividing_by_zero():
     assert_mean(1.0 / sampler.pdf(directions, axes, 1), np.full(1, 4.0 * np.pi), expected_error=1e-3)
 
 
+@pytest.mark.parametrize("lobe", range(5))
+def test_the_mean_under_a_lobe_is_that_of_the_map(lobe):
+    axis = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-0.6, 0.0, 0.8]])
+    even = LightSampler(environment_from_array(np.full((64, 128, 3), 7.0)))
+    np.testing.assert_allclose(even.mean(axis, lobe), 1.0 / (4.0 * np.pi), rtol=0.05)
+    # Light from one half of the sphere: all of it, half of it, and none.
+    half = environment_from_array(np.ones((64, 128, 1)) * (np.arange(64) < 32)[:, None, None] * np.ones(3))
+    above, aside, below = LightSampler(half).mean(np.array([[0, 0, 1.0], [1.0, 0, 0], [0, 0, -1.0]]), lobe)
+    assert above > aside > below
+    if lobe:
+        sharpness = 0.84 / LOBE_ALPHAS[lobe - 1] ** 2
+        share = 1.0 / (1.0 + np.exp(-sharpness))
+        np.testing.assert_allclose(
+            [above, below], np.array([share, 1.0 - share]) / (2.0 * np.pi), rtol=0.1, atol=2e-3
+        )
+
+
 def test_the_lobe_of_a_width_is_the_nearest_one():
     widths = np.array([[1.0], [0.6], [0.45], [0.2], [0.13], [0.01]])
     assert lobe_of_alpha(widths).tolist() == [1, 2, 2, 3, 4, 4]
