@@ -202,10 +202,12 @@ def test_the_extras_raw_and_rembg_add_to_capture_without_torch(install, tmp_path
     (photographs / "a.dng").write_bytes(b"no raw file")
     assert "scene.raw_not_installed" not in capture.lambent("check", photographs, code=4)
     write_ball_photographs(tmp_path / "ball")
-    masks = ("masks", tmp_path / "ball", "--segmenter", "rembg", "-o", tmp_path / "cut")
+    network = tmp_path / "u2net.onnx"
+    network.write_bytes(b"no network")
+    masks = ("masks", tmp_path / "ball", "--segmenter", f"rembg={network}", "-o", tmp_path / "cut")
     assert "lambent[rembg]" in capture.lambent(*masks, code=2)
     capture.add("rembg")
-    assert "config.segmenter_model" in capture.lambent(*masks, code=2)
+    assert "is no network that rembg can run" in capture.lambent(*masks, code=2)
     assert not capture.has("torch")
 
 
