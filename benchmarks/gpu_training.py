@@ -17,7 +17,7 @@ from lambent_worker.run.prepare import device_for, open_task
 from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks.training import new_model, read_scene
 
-from benchmarks.long_curve import STAGES, Checkpoint, Keeper, copy_checkpoint, kept_checkpoints
+from benchmarks.long_curve import TRAINING_STAGES, Checkpoint, Keeper, copy_checkpoint, kept_checkpoints
 from benchmarks.reference_scores import figures_of
 from benchmarks.time_to_quality import quality
 
@@ -63,7 +63,7 @@ def training(
     with Sitting(run, kept, every, began + TRAINED_SHARE * seconds) as reporter:
         device = device_for(run, device)
         try:
-            run_pipeline(spec, run, device, reporter, (*PREPARATION, *STAGES))
+            run_pipeline(spec, run, device, reporter, (*PREPARATION, *TRAINING_STAGES))
             keep_ends(run, kept)
             reporter.ends_at = began + seconds
             request = EvaluationRequest(num_views=views, num_repeats=1, environments=environments)
@@ -85,7 +85,7 @@ def training(
 
 def keep_ends(run: Path, kept: Path) -> None:
     """Keep the end of each stage, however close the checkpoint before it is."""
-    for stage in STAGES:
+    for stage in TRAINING_STAGES:
         ended = max((run / stage).glob("step_*"))
         target = kept / f"{stage}_{ended.name.removeprefix('step_')}"
         if not target.is_dir():
@@ -127,13 +127,13 @@ def curve(
             psnr, normals = quality(model, scene, views)
             known[checkpoint.name] = mark(checkpoint) | {"psnr": psnr, "normals": normals}
             write_json(path, known)
-    return sorted(known.values(), key=lambda one: (STAGES.index(one["stage"]), one["step"]))
+    return sorted(known.values(), key=lambda one: (TRAINING_STAGES.index(one["stage"]), one["step"]))
 
 
 def mark(checkpoint: Checkpoint) -> dict[str, Any]:
     """Return stage, step and training seconds of the stage."""
     return {
-        "stage": STAGES[checkpoint.stage],
+        "stage": TRAINING_STAGES[checkpoint.stage],
         "step": checkpoint.step,
         "seconds": round(checkpoint.seconds, 1),
     }

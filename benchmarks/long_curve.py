@@ -32,7 +32,8 @@ from benchmarks.reference_scores import FIGURES, figures_of
 
 QUICK = "{sample} --environments {maps} --preset tiny --points 2 --views 1 --directions 16"
 
-STAGES = ("cache", "joint", "polish")
+TRAINING_STAGES = ("cache", "joint")
+STAGES = (*TRAINING_STAGES, "polish")
 OF_CACHE = ("cache novel views [dB]", "normals, inside mask [deg]")
 """Figures that mean something before materials are trained."""
 COLUMNS = ("stage", "step", "stage seconds", "seconds", *FIGURES)
@@ -103,7 +104,7 @@ def train(spec: RunSpec, out: Path, arguments: argparse.Namespace) -> None:
     """Train as far as materials go, keeping checkpoints on the way."""
     steps = {"cache": spec.config.stage_one.num_steps, "joint": spec.config.stage_two.num_steps}
     every = {stage: max(1, round(0.99 * count / arguments.points)) for stage, count in steps.items()}
-    stages = STAGES if spec.config.polish == "on" else STAGES[:-1]
+    stages = STAGES if spec.config.polish == "on" else TRAINING_STAGES
     with Keeper(out / "run", out / "kept", every) as reporter:
         device = device_for(out / "run", arguments.device)
         run_pipeline(spec, out / "run", device, reporter, (*PREPARATION, *stages))

@@ -89,7 +89,8 @@ def test_the_browser_refines_what_python_does(page, data, backend, state, edit, 
     assert 0.8 < np.sqrt((z**2).mean()) < 1.25
     assert np.abs(z).max() < 7.0
     assert np.abs(mean_z).max() < 4.5
-    assert 0.7 < errors[0].mean() / errors[1].mean() < 1.4
+    # The browser does not share a sequence among the rays of a pixel as Python does.
+    assert 0.7 < errors[0].mean() / errors[1].mean() < 3.0
     # Parts have no errors of their own: other seeds move the bounces by 1 % and visibility by 2 %.
     shares = [part[whole].sum() / reference.sum() for part in (found["indirectRgb"], wanted.indirect)]
     assert shares[1] > 0.2

@@ -4,15 +4,16 @@ import re
 from pathlib import Path
 
 import lambent_worker
+from lambent_relight import asset
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
 AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark|render|bake"
-FILES = {"run.json", "scene.json", "benchmark.json"}
+FILES = {"run.json", "scene.json", "scene.xml", "benchmark.json"}
 
 
 def codes_in_sources():
-    folder = Path(lambent_worker.__path__[0])
-    text = "\n".join(path.read_text(encoding="utf-8") for path in folder.rglob("*.py"))
+    folders = (Path(lambent_worker.__path__[0]), Path(asset.__path__[0]))
+    text = "\n".join(path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py"))
     return set(re.findall(rf'"((?:{AREAS})\.[a-z_]+)"', text)) - FILES
 
 

@@ -92,9 +92,9 @@ def test_an_archive_that_climbs_out_is_refused_with_its_code(client, tmp_path):
 
 def test_a_wrong_field_is_pointed_at(client, scene):
     with pytest.raises(RefusedError) as caught:
-        client.submit(scene.id, seed=-1)
+        client.submit(scene.id, labels={"a": "b" * 10_000})
     assert caught.value.status == 422
-    assert any("seed" in error.pointer for error in caught.value.errors)
+    assert any("labels" in error.pointer for error in caught.value.errors)
     assert caught.value.request_id
 
 

@@ -148,10 +148,11 @@ def test_the_bare_wheel_is_a_client_and_says_what_else_to_install(install):
         "client": (
             ("relight", "b", "--env", "m", "-o", "o"),
             ("turntable", "b", "--env", "m", "-o", "o.webp"),
+            ("export", "b", "-o", "o", "--glb"),
         ),
         "capture": (("check", "d"), ("poses", "d", "-o", "s"), ("masks", "d", "-o", "s")),
         "server": (("serve",), ("keys", "list")),
-        "worker": (("train", "d", "-o", "r"), ("evaluate", "r", "d", "-o", "e"), ("export", "r", "-o", "b")),
+        "worker": (("train", "d", "-o", "r"), ("evaluate", "r", "d", "-o", "e")),
         "server,worker": (("demo",),),
     }
     for extra, commands in wanted.items():

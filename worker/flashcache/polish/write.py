@@ -29,7 +29,7 @@ class Lesson:
 
 
 FIRST = Lesson(300, 150, 1e-2, 4e-3)
-AGAIN = Lesson(100, 60, 4e-3, 2e-3)
+AGAIN = Lesson(100, 60, 1e-2, 4e-3)
 """Of networks that have learned nearly the same before."""
 FINAL_RATE = 0.03
 MOST_REST = 0.25
