@@ -13,7 +13,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 
-.PHONY: help setup pages wheel demo test mutants check fix bench bench-compare bench-quick schema clean
+.PHONY: help setup pages wheel demo test test-extras mutants check fix bench bench-compare bench-quick schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -66,6 +66,9 @@ demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and r
 test: export OMP_NUM_THREADS ?= 1
 test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on two cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+
+test-extras: $(VENV)/.installed ## Install the wheel into empty environments with each extra (5 minutes)
+	LAMBENT_TEST_EXTRAS=1 $(BIN)/pytest -q tests/integration/test_wheel_extras.py
 
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
 	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)

@@ -30,6 +30,10 @@ CONSTRAINTS = ROOT / "constraints.txt"
 CARD = "--grey-card=r_0.png:1,1,20,20"
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+takes_minutes = pytest.mark.skipif(
+    os.environ.get("CI") != "true" and "LAMBENT_TEST_EXTRAS" not in os.environ,
+    reason="installs large packages, which takes minutes: make test-extras",
+)
 
 
 def without_ours(**changes: str) -> dict[str, str]:
@@ -162,6 +166,7 @@ def test_the_bare_wheel_is_a_client_and_says_what_else_to_install(install):
     assert "pip install 'lambent[client]'" in imported
 
 
+@takes_minutes
 def test_the_extra_client_relights_a_bundle_and_film_and_viewer_add_to_it(install, bundle, light, tmp_path):
     client = install("client")
     assert not client.has("torch")
@@ -196,6 +201,7 @@ def test_the_extra_capture_does_a_photographers_work_without_torch(install, tmp_
     assert json.loads((tmp_path / "run" / "run.json").read_text())["config"] is None
 
 
+@takes_minutes
 def test_the_extras_raw_and_rembg_add_to_capture_without_torch(install, tmp_path):
     capture = install("raw")
     photographs = tmp_path / "photographs"
@@ -230,6 +236,7 @@ def test_the_extra_server_serves_the_bare_client_inside(install):
         assert serving.wait(timeout=60) == 0
 
 
+@takes_minutes
 def test_the_extra_worker_plans_a_training_and_usd_adds_to_it(install, tmp_path):
     worker = install("worker", with_torch=True)
     scene = write_blender(tmp_path / "scene")
