@@ -8,11 +8,16 @@ import sys
 
 import pytest
 import typer
+from flashcache.config import with_overrides
 from flashcache.errors import ConfigError, TrainingError
+from flashcache.presets import quick
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.commands import check as check_cli
 from lambent_worker.commands import training as cli
 from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
+from lambent_worker.run import pipeline
+from lambent_worker.run.prepare import preparation_of
+from lambent_worker.run.spec import keep_run
 from support.captures import write_tensoir
 from typer.testing import CliRunner
 
@@ -143,3 +148,18 @@ def test_loading_the_commands_imports_no_torch():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_photographs_that_are_only_prepared_are_trained_with_the_options_preset_on_resume(
+    tmp_path, monkeypatch
+):
+    scene, run = write_tensoir(tmp_path / "scene"), tmp_path / "run"
+    keep_run(run, preparation_of(scene, run), "cpu")
+    begun = []
+    monkeypatch.setattr(pipeline, "run_pipeline", lambda spec, *rest: begun.append(spec))
+    options = ("--preset", "quick", "--set", "stage_one.num_steps=7")
+    result = call(cli.train, scene, "-o", run, "--resume", "--json", *options)
+    assert result.exit_code == 0, result.output
+    (spec,) = begun
+    assert spec.preset == "quick"
+    assert spec.config == with_overrides(quick(), {"stage_one.num_steps": "7"})
