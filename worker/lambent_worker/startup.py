@@ -10,6 +10,7 @@ import sys
 from lambent_compute.threads import available_threads
 
 _PR_SET_PDEATHSIG = 1
+_PARENT = "LAMBENT_PARENT_PID"
 _ALLOCATOR = {
     "MALLOC_MMAP_MAX_": (-4, 0),
     "MALLOC_TRIM_THRESHOLD_": (-1, 512 * 1024 * 1024),
@@ -39,10 +40,19 @@ def cores_in_use() -> int:
     return int(given) if given.isdecimal() and int(given) else share
 
 
+def with_parent() -> dict[str, str]:
+    """Return this process's environment for a child that calls `end_with_parent`."""
+    return os.environ | {_PARENT: str(os.getpid())}
+
+
 def end_with_parent(number: int) -> None:
-    """Let this process get a signal when the one that started it is gone (Linux)."""
+    """Let this process get a signal when the one that started it is gone (Linux).
+
+    A process takes a second or more to come here. Its parent may be gone by then, and the process that
+    inherited it looks like a parent: the true one is told by `with_parent`.
+    """
     if sys.platform.startswith("linux"):
-        parent = os.getppid()
+        parent = int(os.environ.pop(_PARENT, os.getppid()))
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
         if os.getppid() != parent:
             os.kill(os.getpid(), number)

@@ -1,6 +1,7 @@
 """How many cores a process uses."""
 
 import os
+import signal
 import subprocess
 import sys
 
@@ -38,3 +39,28 @@ def test_processes_that_are_started_keep_freed_memory_too():
     program = "import os, lambent_worker.startup as s; s.prepare(); print(os.getenv('MALLOC_MMAP_MAX_'))"
     found = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert found.stdout.strip() == "0"
+
+
+CHILD = """
+import os, signal, sys
+from lambent_worker.startup import end_with_parent
+end_with_parent(signal.SIGKILL)
+print(sys.argv[1], os.environ.get("LAMBENT_PARENT_PID"))
+"""
+PARENT = f"""
+import subprocess, sys
+from lambent_worker.startup import with_parent
+subprocess.run([sys.executable, "-c", {CHILD!r}, "alive"], env=with_parent(), check=True)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="signals at a parent's death are Linux's")
+def test_a_process_ends_if_its_parent_is_gone_before_it_is_ready():
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    orphan = [sys.executable, "-c", CHILD, "alive"]
+    late = subprocess.run(orphan, env=os.environ | {"LAMBENT_PARENT_PID": str(gone.pid)}, check=False)
+    assert late.returncode == -signal.SIGKILL
+    # With its parent there it goes on, and its own children are not told of a grandparent.
+    done = subprocess.run([sys.executable, "-c", PARENT], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["alive", "None"]

@@ -16,6 +16,7 @@ from lambent_proto.v1 import worker_pb2
 
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_worker.startup import with_parent
 
 FIRST_HEARTBEAT_S = 1.0
 
@@ -28,7 +29,7 @@ def supervise(child_command: Sequence[str]) -> int:
     identity = Identity.from_environment()
     connection = Connection(identity)
     oom_kills = count_oom_kills()
-    child = subprocess.Popen(list(child_command), stdin=subprocess.DEVNULL)
+    child = subprocess.Popen(list(child_command), stdin=subprocess.DEVNULL, env=with_parent())
 
     def pass_on(number: int, _frame: FrameType | None) -> None:
         connection.ending.set()
