@@ -160,9 +160,7 @@ def polish(
         values, findings, factor = values | settled.values, settled.findings, settled.factor
     if share < 1.0 or factor is not None:
         light = sky if learned or factor is not None else None
-        # A card may change albedo by far, which is learned afresh.
-        before = written if factor is None else None
-        written = _written(model, elements, reflectance, light, generator, factor, before)
+        written = _written(model, elements, reflectance, light, generator, factor, written)
     values["metal_share"] = float((reflectance.metalness > 0.5).float().mean())
     confidence = confidence_of(seen, tables, sky, reflectance, neighbours)
     model.load_state_dict(written.model.state_dict())
@@ -195,14 +193,14 @@ def _written(
 ) -> _Written:
     """Return a copy of the model that has learned materials and normals of elements, and the light `sky`.
 
-    Networks go on from `before`, whose materials are nearly these: they learn the difference in less time.
+    Normals go on from `before`, which are nearly these, and take less time.
     """
     polished = copy.deepcopy(model)
-    learned, normal, lesson = None, elements.normal, FIRST
+    normal, lesson = elements.normal, FIRST
     if before is not None:
-        learned, normal, lesson = before.model.materials, before.normal, AGAIN
+        normal, lesson = before.normal, AGAIN
         polished.nerf.normals.load_state_dict(before.model.nerf.normals.state_dict())
-    write_materials(polished, elements, reflectance, generator, factor, learned)
+    write_materials(polished, elements, reflectance, generator, factor)
     changed = (reflectance.normal * normal).sum(dim=-1) < SAME_NORMAL
     write_normals(polished, elements, reflectance.normal, changed, generator, lesson)
     if sky is not None:

@@ -1,6 +1,5 @@
 """The polished values as networks: material field and normals learn what elements hold."""
 
-import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -20,17 +19,15 @@ BATCH = 8192
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """How long networks learn."""
+    """How long normals are taught."""
 
-    material_steps: int
-    normal_steps: int
-    material_rate: float
-    normal_rate: float
+    steps: int
+    rate: float
 
 
-FIRST = Lesson(300, 150, 1e-2, 4e-3)
-AGAIN = Lesson(100, 60, 1e-2, 4e-3)
-"""Of networks that have learned nearly the same before."""
+MATERIAL_STEPS, MATERIAL_RATE = 300, 1e-2
+FIRST, AGAIN = Lesson(150, 4e-3), Lesson(60, 4e-3)
+"""The second where nearly the same normals were learned before."""
 FINAL_RATE = 0.03
 MOST_REST = 0.25
 """Largest share of a batch for what no element covers."""
@@ -44,17 +41,14 @@ def write_materials(
     found: Reflectance,
     generator: torch.Generator,
     factor: Float[Tensor, "3"] | None = None,
-    before: MaterialField | None = None,
 ) -> None:
     """Replace the material field by one that is taught `found` at the observed points.
 
-    It begins with `before`, which has learned nearly the same, or afresh: what the trained one holds beyond
-    the elements' values is grain. Where opaque pixels are no observations, it is taught what the trained one
-    has there, with its albedo times `factor`.
+    It begins afresh: what the trained one holds beyond the elements' values is grain. Where opaque pixels are
+    no observations, it is taught what the trained one has there, with its albedo times `factor`.
     """
     device = elements.positions.device
-    lesson = FIRST if before is None else AGAIN
-    field = _fresh_field(model, generator).to(device) if before is None else copy.deepcopy(before)
+    field = _fresh_field(model, generator).to(device)
     element = elements.element
     wanted = (found.albedo[element] * elements.detail).clamp(0.004, 0.996).pow(GAMMA)
     alpha = found.alpha.clamp(1e-3, 0.996)[element, None].sqrt()
@@ -83,7 +77,7 @@ def write_materials(
         values = (materials.albedo.pow(GAMMA), materials.alpha.sqrt(), materials.metalness)
         return torch.stack([(a - b).abs().mean() for a, b in zip(values, targets, strict=True)]).sum()
 
-    _learn(field, loss, lesson.material_steps, lesson.material_rate)
+    _learn(field, loss, MATERIAL_STEPS, MATERIAL_RATE)
     model.materials.load_state_dict(field.state_dict())
 
 
@@ -110,7 +104,7 @@ def write_normals(
     half = BATCH // 2 if len(others) else BATCH
 
     def teaching() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        for _ in range(lesson.normal_steps):
+        for _ in range(lesson.steps):
             drawn = moved[torch.randint(len(moved), (half,), generator=generator, device=device)]
             places, target = _places(elements, drawn, generator), normal[elements.element[drawn]]
             if len(others):
@@ -129,7 +123,7 @@ def write_normals(
         places, hidden, target = next(remaining)
         return (1.0 - dot(field(places, hidden), target)).mean()
 
-    _learn(field, loss, lesson.normal_steps, lesson.normal_rate)
+    _learn(field, loss, lesson.steps, lesson.rate)
 
 
 def _places(
