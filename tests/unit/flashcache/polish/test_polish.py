@@ -250,11 +250,9 @@ def only_reflections(picture):
 
 
 def learn_little(monkeypatch):
-    for module in (write, whole):
-        for name in ("FIRST", "AGAIN"):
-            monkeypatch.setattr(
-                module, name, replace(getattr(write, name), material_steps=10, normal_steps=10)
-            )
+    monkeypatch.setattr(write, "MATERIAL_STEPS", 10)
+    for name in ("FIRST", "AGAIN"):
+        monkeypatch.setattr(whole, name, replace(getattr(write, name), steps=10))
 
 
 @pytest.mark.parametrize("change", [all_clipped, black, only_reflections])
@@ -303,7 +301,7 @@ def test_what_rendered_pixels_ask_for_is_what_the_networks_learn(scene, model, m
     assert radiance.shape == (8, 3)
     with torch.no_grad():
         learned = polished.materials(places).albedo
-    # The largest change that pixels may ask for is learned whole, though networks go on from the fit.
+    # The largest change that pixels may ask for is learned whole.
     assert float((learned / fitted).median()) == pytest.approx(1.0 / MOST, rel=0.03)
 
 
