@@ -3,10 +3,9 @@
     python -m benchmarks long_curve SUITE/cowcrate --environments SUITE/envmaps/high_res -o OUT
 
 Keeps about `--points` checkpoints of each stage, and the polished model where the preset has a polish, then
-evaluates each with `lambent evaluate` and
-`tests/references/evaluate.py` on `--views` test views, one repeat, 64 directions per pixel. Time is training
-time alone: evaluation comes after. Writes OUT/curve.csv and OUT/curve.png. Stopped anywhere, it goes on when
-called again with the same arguments.
+evaluates each with `lambent evaluate` and `tests/references/evaluate.py` on `--views` test views, one repeat,
+64 directions per pixel. Time is training time alone: evaluation comes after. Writes OUT/curve.csv and
+OUT/curve.png. Stopped anywhere, it goes on when called again with the same arguments.
 """
 
 import argparse

@@ -20,7 +20,7 @@ from flashcache.polish.incoming import BELOW, SIDE, incoming_tables
 from flashcache.polish.known_light import KnownLightVerdict
 from flashcache.polish.light import Reflectance
 from flashcache.polish.neighbours import Neighbours
-from flashcache.polish.normals import plane_normals
+from flashcache.polish.normals import plane_normals, tilted
 from flashcache.polish.polish import LEAST_ELEMENTS, NUM_PARTS, polish
 from support import lit_sphere
 from support.sphere_model import RADIUS, sphere_model
@@ -200,6 +200,23 @@ def test_noise_of_renderings_is_no_error_of_the_model(scene, model, monkeypatch)
     shown = [gate_of._shown(noisy(None, None, None, repeat, seed=7)) for repeat in range(2)]
     one = (shown[0] - gate_of._shown(pixels.at(index).colour)).square().mean()
     assert float(found.mean()) < 0.3 * float(one)
+
+
+def test_a_second_writing_keeps_the_normals_of_the_first(model, elements):
+    turned = Reflectance(
+        torch.full((len(elements), 3), 0.5),
+        torch.full((len(elements),), 0.3),
+        torch.zeros(len(elements)),
+        tilted(elements.normal, torch.tensor([[0.3, 0.0]]).expand(len(elements), 2)),
+    )
+    generator = torch.Generator().manual_seed(0)
+    first = whole._written(model, elements, turned, None, generator)
+    darker = replace(turned, albedo=0.6 * turned.albedo)
+    second = whole._written(model, elements, darker, None, generator, before=first)
+    states = [each.nerf.normals.state_dict() for each in (model, first.model, second.model)]
+    for name, learned in states[1].items():
+        assert torch.equal(states[2][name], learned), name
+    assert any(not torch.equal(states[0][name], learned) for name, learned in states[1].items())
 
 
 def test_a_mean_of_two_reflectances_has_each_at_its_end():

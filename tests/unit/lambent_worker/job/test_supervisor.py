@@ -1,6 +1,7 @@
 """A supervisor waits for a server that is away, and not for one that will not come back."""
 
 import json
+import os
 import shutil
 import signal
 import sys
@@ -33,3 +34,19 @@ def test_a_run_without_a_server_ends_with_its_folder_or_its_time(
     if not folder_stays:
         shutil.rmtree(tmp_path / "job_x")
     assert supervisor.supervise([sys.executable, "-S", "-c", f"import time; time.sleep({sleep_s})"]) == code
+
+
+def test_the_run_process_is_told_whose_child_it_is(monkeypatch):
+    """A child that starts after its parent's death has to notice; the signal comes too late for that."""
+    started = []
+
+    def popen(command, **options):
+        started.append(options["env"])
+        raise OSError("only the environment is looked at")
+
+    run = {"job_id": "job_x", "run": 1, "address": "unix:/nowhere", "token": "x", "memory_bytes": 0}
+    monkeypatch.setenv("LAMBENT_RUN", json.dumps(run | {"work_dir": "/nowhere", "give_up_after_s": 1.0}))
+    monkeypatch.setattr(supervisor.subprocess, "Popen", popen)
+    with pytest.raises(OSError, match="environment"):
+        supervisor.supervise([sys.executable])
+    assert started[0]["LAMBENT_PARENT_PID"] == str(os.getpid())
