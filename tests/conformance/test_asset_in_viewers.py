@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flashcache.config import ExportConfig
+from lambent_relight.asset.draco import DRACO, glb_with_draco
 from lambent_relight.asset.glb import glb_with_textures
 from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise, rasterise_uv
@@ -46,7 +47,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("assets")
     # Positions as colours: the colour that a viewer shows is the position of its lookup.
     textures = coloured(SURFACE, linear_from_srgb(PLACES))
-    (folder / "box.glb").write_bytes(write_glb(SURFACE, textures, unit="unknown"))
+    box = write_glb(SURFACE, textures, unit="unknown")
+    (folder / "box.glb").write_bytes(box)
+    (folder / "box_draco.glb").write_bytes(glb_with_draco(box))
     model = sphere_model()
     surface = build_surface(model, ExportConfig(mesh_resolution=24, max_faces=600, atlas_size=64))
     textures = bake_materials(model, surface, np.ones(len(surface.texel_index), np.float32))
@@ -54,6 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "ball.glb").write_bytes(ball)
     packed = glb_with_textures(ball, textured_mesh_from_glb(ball), webp=True)
     (folder / "ball_webp.glb").write_bytes(packed)
+    (folder / "ball_draco.glb").write_bytes(glb_with_draco(packed))
     return folder
 
 
@@ -83,17 +87,47 @@ def expected(camera, values: np.ndarray) -> np.ndarray:
     return picture[inside(camera)]
 
 
-@pytest.mark.parametrize("name", ["box.glb", "ball.glb", "ball_webp.glb"])
-def test_the_khronos_validator_finds_nothing(folder: Path, name: str):
+def validated(path: Path) -> dict:
+    """Return the report of the Khronos validator about a file."""
     if shutil.which("node") is None or not (WEB / "node_modules" / "gltf-validator").is_dir():
         pytest.skip("needs node and the web tool chain")
-    command = ["node", "scripts/validate_gltf.mjs", str(folder / name)]
+    command = ["node", "scripts/validate_gltf.mjs", str(path)]
     done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads(done.stdout)
-    assert done.returncode == 0
+    assert report["info"]["hasTextures"]
+    return report
+
+
+@pytest.mark.parametrize("name", ["box.glb", "ball.glb", "ball_webp.glb"])
+def test_the_khronos_validator_finds_nothing(folder: Path, name: str):
+    report = validated(folder / name)
     assert report["issues"]["messages"] == []
     assert report["info"]["totalVertexCount"] > 0
-    assert report["info"]["hasTextures"]
+
+
+@pytest.mark.parametrize("name", ["box_draco.glb", "ball_draco.glb"])
+def test_the_khronos_validator_only_says_that_it_does_not_know_draco(folder: Path, name: str):
+    report = validated(folder / name)
+    found = {message["code"]: message["message"] for message in report["issues"]["messages"]}
+    # The packed mesh is a buffer view that only the extension refers to.
+    assert set(found) == {"UNSUPPORTED_EXTENSION", "UNUSED_OBJECT"}
+    assert DRACO in found["UNSUPPORTED_EXTENSION"]
+    assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0
+
+
+def test_three_js_shows_a_packed_mesh_as_it_shows_the_plain_one(page: ThreePage):
+    camera = CAMERAS[0]
+    plain = {kind: page.draw(kind, camera) for kind in ("colour", "normal")}
+    try:
+        assert page.load("box_draco.glb") == len(SURFACE.faces)
+        packed = {kind: page.draw(kind, camera) for kind in ("colour", "normal")}
+    finally:
+        page.load("box.glb")
+    for kind, picture in plain.items():
+        difference = np.abs(packed[kind].astype(int) - picture)[inside(camera)]
+        assert difference.max() <= 3, kind
+        assert difference.mean() < 0.5, kind
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.name)

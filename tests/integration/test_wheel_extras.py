@@ -237,7 +237,7 @@ def test_the_extra_server_serves_the_bare_client_inside(install):
 
 
 @takes_minutes
-def test_the_extra_worker_plans_a_training_and_usd_adds_to_it(install, tmp_path):
+def test_the_extra_worker_plans_a_training_and_usd_and_draco_add_to_it(install, tmp_path):
     worker = install("worker", with_torch=True)
     scene = write_blender(tmp_path / "scene")
     plan = worker.lambent("train", scene, "--preset", "tiny", "--dry-run", "-o", tmp_path / "run")
@@ -245,3 +245,5 @@ def test_the_extra_worker_plans_a_training_and_usd_adds_to_it(install, tmp_path)
     assert "can be used" in worker.lambent("check", scene)
     worker.add("usd")
     assert worker.python("import lambent_worker.bundle.usd; from pxr import Usd, UsdUtils").returncode == 0
+    worker.add("draco")
+    assert worker.python("from lambent_relight.asset import draco; draco._library()").returncode == 0

@@ -32,6 +32,13 @@ def export(
     webp: Annotated[
         bool, typer.Option("--webp", help="WebP textures in the GLB; readers need EXT_texture_webp.")
     ] = False,
+    draco: Annotated[
+        bool,
+        typer.Option(
+            "--draco",
+            help="Pack the GLB's mesh; readers need KHR_draco_mesh_compression; needs lambent[draco].",
+        ),
+    ] = False,
     env: Annotated[
         Path | None,
         typer.Option(metavar="MAP", help="Light of the Mitsuba scene; by default the recovered one."),
@@ -47,7 +54,9 @@ def export(
     wanted = {"glb": glb, "usdz": usdz, "obj": obj, "mitsuba": mitsuba}
     formats = [name for name, asked in wanted.items() if asked]
     _check_options(
-        {"--webp": (webp, "glb"), "--env": (env is not None, "mitsuba")}, formats, for_bundle=tier or weights
+        {"--webp": (webp, "glb"), "--draco": (draco, "glb"), "--env": (env is not None, "mitsuba")},
+        formats,
+        for_bundle=tier or weights,
     )
     if not formats:
         _export_bundle(source, output_folder, tier=tier, weights=weights, as_json=as_json)
@@ -65,6 +74,7 @@ def export(
             formats,
             environment=light.environment if light is not None else None,
             webp=webp,
+            draco=draco,
         )
     output = Output(as_json)
     for note in light.notes(str(env)) if light is not None else ():

@@ -36,7 +36,7 @@ def glb_with_textures(data: bytes, mesh: TexturedMesh, *, webp: bool = False) ->
             texture["extensions"] = {WEBP: {"source": texture.pop("source")}}
     if webp:
         document["extensionsUsed"] = document["extensionsRequired"] = [WEBP]
-    return _packed(document, payload, files)
+    return packed_glb(document, payload, files)
 
 
 def _webp(png: bytes) -> bytes:
@@ -46,7 +46,7 @@ def _webp(png: bytes) -> bytes:
     return file.getvalue()
 
 
-def _packed(document: dict[str, Any], payload: bytes, files: Mapping[int, bytes]) -> bytes:
+def packed_glb(document: dict[str, Any], payload: bytes, files: Mapping[int, bytes]) -> bytes:
     """Return a GLB whose buffer views hold what they held in `payload`, or what `files` has for them."""
     packed = bytearray()
     for number, view in enumerate(document["bufferViews"]):

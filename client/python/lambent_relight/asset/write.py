@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
+from lambent_relight.asset.draco import glb_with_draco
 from lambent_relight.asset.glb import glb_with_textures
 from lambent_relight.asset.mitsuba import write_mitsuba
 from lambent_relight.asset.obj import write_obj
@@ -26,14 +27,15 @@ def write_formats(
     *,
     environment: Environment | None = None,
     webp: bool = False,
+    draco: bool = False,
 ) -> list[Path]:
     """Write the asset of `bundle` into `folder` and return the main file of each of `formats`.
 
     glb: asset.glb; usdz: asset.usdz; obj: obj/asset.obj; mitsuba: mitsuba/scene.xml, lit by `environment`,
     by default the one recovered for the first training light. Albedo is multiplied by the bundle's
-    `albedo_scale_rgb` as when it is rendered. `webp` is for the GLB. Files of those names are replaced, each
-    by a whole one. Raises BundleError for a mesh without textures, ExportError where a format needs what is
-    not there.
+    `albedo_scale_rgb` as when it is rendered. `webp` (textures) and `draco` (mesh) are for the GLB. Files
+    of those names are replaced, each by a whole one. Raises BundleError for a mesh without textures,
+    ExportError where a format needs what is not there.
     """
     if unknown := set(formats) - set(FORMATS):
         raise ExportError(
@@ -47,7 +49,8 @@ def write_formats(
     with tempfile.TemporaryDirectory(prefix=".partial-", dir=folder) as name:
         partial = Path(name)
         if "glb" in formats:
-            (partial / "asset.glb").write_bytes(glb_with_textures(data, mesh, webp=webp))
+            glb = glb_with_textures(data, mesh, webp=webp)
+            (partial / "asset.glb").write_bytes(glb_with_draco(glb) if draco else glb)
             written.append(folder / "asset.glb")
         if "usdz" in formats:
             write_usdz(partial / "asset.usdz", mesh)

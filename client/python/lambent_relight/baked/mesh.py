@@ -19,7 +19,7 @@ from lambent_relight.errors import BundleError
 MESH_PATH = "mesh/asset.glb"
 _MAX_BYTES = 512 << 20
 _TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,6 +61,7 @@ def test_a_mitsuba_scene_takes_another_light_in_its_own_layout(bundle, tmp_path)
     [
         ([], "export.no_format"),
         (["--webp"], "cli.bad_choice"),
+        (["--obj", "--draco"], "cli.bad_choice"),
         (["--glb", "--env", "sky.exr"], "cli.bad_choice"),
         (["--glb", "--tier", "lite"], "cli.bad_choice"),
         (["--mitsuba", "--env-axes", "nothing", "--env", "sky.exr"], "cli.bad_choice"),

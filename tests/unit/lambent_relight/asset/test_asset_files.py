@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+import sys
 from dataclasses import replace
 from xml.dom import minidom
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from lambent_relight import BundleError, load_bundle
+from lambent_relight.asset.draco import DRACO, NORMAL_BITS, POSITION_BITS, glb_with_draco
 from lambent_relight.asset.glb import WEBP, glb_with_textures
 from lambent_relight.asset.mitsuba import ENVIRONMENT_TO_WORLD
 from lambent_relight.asset.textured_mesh import (
@@ -23,6 +25,7 @@ from lambent_relight.baked.mesh import glb_chunks, mesh_from_glb
 from lambent_relight.directions import uv_of_directions
 from lambent_relight.errors import ExportError
 from lambent_relight.images import linear_from_srgb
+from lambent_worker.bundle.atlas import tangents
 from lambent_worker.bundle.glb import write_glb
 from PIL import Image
 from support.asset_bundle import painted, write_asset_bundle
@@ -154,6 +157,71 @@ def test_webp_is_required_and_loses_nothing():
     np.testing.assert_array_equal(packed, pixels_of(mesh.packed_png))
     np.testing.assert_array_equal(normal, pixels_of(mesh.normal_png))
     np.testing.assert_array_equal(mesh_from_glb(data).vertices, BOX.vertices)
+
+
+def corner_rows(points, uv, normals, tangents, faces):
+    """Return what every corner of every triangle holds, [triangle, corner, 12], in an order of its own."""
+    rows = np.concatenate([points, uv, normals, tangents], axis=1)[faces]
+    # Triangles are told apart by their middles, their corners by their places; 1e-3 is far above rounding.
+    rows = np.stack([row[np.lexsort(np.round(row[:, 2::-1].T, 3))] for row in rows])
+    return rows[np.lexsort(np.round(rows.mean(axis=1)[:, 2::-1].T, 3))]
+
+
+def test_another_library_unpacks_draco_to_the_same_corners():
+    draco = pytest.importorskip("DracoPy", reason="needs the extra `draco`")
+    data = glb_with_draco(DATA)
+    document, payload = glb_chunks(data)
+    assert document["extensionsRequired"] == document["extensionsUsed"] == [DRACO]
+    (primitive,) = document["meshes"][0]["primitives"]
+    packed = primitive["extensions"][DRACO]
+    view = document["bufferViews"][packed["bufferView"]]
+    mesh = draco.decode(payload[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+    found = {attribute["unique_id"]: attribute["data"] for attribute in mesh.attributes}
+    names = ("POSITION", "TEXCOORD_0", "NORMAL", "TANGENT")
+    arrays = [found[packed["attributes"][name]] for name in names]
+    for name, values in zip(names, arrays, strict=True):
+        accessor = document["accessors"][primitive["attributes"][name]]
+        assert accessor["count"] == len(values)
+        assert accessor["type"] == f"VEC{values.shape[1]}"
+        assert "bufferView" not in accessor
+    assert document["accessors"][primitive["indices"]]["count"] == mesh.faces.size == BOX.faces.size
+    frame = tangents(BOX.vertices, BOX.faces, BOX.uv, BOX.normals)
+    wanted = corner_rows(BOX.vertices, BOX.uv, BOX.normals, frame, BOX.faces)
+    error = np.abs(corner_rows(*arrays, mesh.faces) - wanted).max(axis=(0, 1))
+    step = np.ptp(BOX.vertices, axis=0).max() / (2**POSITION_BITS - 1)
+    assert error[:3].max() <= 0.51 * step
+    assert error[3:5].max() <= 2.0**-16
+    assert error[5:8].max() <= 4.0 * 2.0**-NORMAL_BITS
+    np.testing.assert_array_equal(error[8:], 0.0)
+
+
+def test_draco_and_webp_go_together_and_textures_stay(bundle, tmp_path):
+    pytest.importorskip("DracoPy", reason="needs the extra `draco`")
+    (plain,) = write_formats(load_bundle(bundle), tmp_path / "plain", ["glb"], webp=True)
+    (path,) = write_formats(load_bundle(bundle), tmp_path / "packed", ["glb"], webp=True, draco=True)
+    document, payload = glb_chunks(path.read_bytes())
+    assert document["extensionsRequired"] == [WEBP, DRACO]
+    before, content = glb_chunks(plain.read_bytes())
+    for image, old in zip(document["images"], before["images"], strict=True):
+        one, other = document["bufferViews"][image["bufferView"]], before["bufferViews"][old["bufferView"]]
+        assert (
+            payload[one["byteOffset"] : one["byteOffset"] + one["byteLength"]]
+            == content[other["byteOffset"] : other["byteOffset"] + other["byteLength"]]
+        )
+    assert path.stat().st_size < plain.stat().st_size
+
+
+def test_without_dracopy_the_option_says_what_to_install(bundle, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    with pytest.raises(ExportError, match=r"export\.draco_missing.*lambent\[draco\]"):
+        write_formats(load_bundle(bundle), tmp_path / "out", ["glb"], draco=True)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_mesh_that_draco_does_not_take_is_refused():
+    pytest.importorskip("DracoPy", reason="needs the extra `draco`")
+    with pytest.raises(BundleError, match=r"bundle\.mesh_invalid.*Draco"):
+        glb_with_draco(changed(lambda d: d["meshes"][0]["primitives"][0]["attributes"].pop("TEXCOORD_0")))
 
 
 def test_another_library_reads_the_obj_with_y_up_and_its_textures(written):

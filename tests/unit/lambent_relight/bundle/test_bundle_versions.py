@@ -4,12 +4,16 @@
 again: a minor version that changes what a reader needs adds one (docs/reference/bundle-format.md, Versions).
 """
 
+import hashlib
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from lambent_relight import Renderer, environment_from_array, load_bundle
+from lambent_relight import BundleError, Renderer, load_bundle
+from lambent_worker.bundle.manifest import SCHEMA_VERSION
+from support.golden_bundle import SPP, golden_light
 
 FOLDER = Path(__file__).parents[3] / "golden" / "bundles"
 PICTURES = [
@@ -21,13 +25,6 @@ LARGEST_RMS = {"preview": 2e-3, "baked": 2e-3, "refined": 0.03}
 """Linear radiance, of a light of about 0.7; refined pictures have noise."""
 
 
-def light():
-    """Return a map that is red in the east and blue above."""
-    row, column = np.mgrid[0:8, 0:16]
-    east = np.cos(2.0 * np.pi * (column - 7.5) / 16.0)
-    return environment_from_array(np.stack([0.6 + 0.5 * east, 0.5 + 0.0 * east, 1.0 - row / 8.0], axis=-1))
-
-
 @pytest.mark.parametrize(("name", "quality"), PICTURES)
 def test_a_bundle_of_an_earlier_version_gives_the_pictures_it_gave(name, quality):
     golden = json.loads((FOLDER / f"{name}.json").read_text())
@@ -35,14 +32,128 @@ def test_a_bundle_of_an_earlier_version_gives_the_pictures_it_gave(name, quality
     assert bundle.manifest.schema_version == golden["schema_version"]
     (camera,) = bundle.cameras()
     renderer = Renderer(bundle, num_threads=1, reader="onnx")
-    picture = renderer.render(camera, light(), quality=quality, spp=256, antialias=1)
+    picture = renderer.render(camera, golden_light(), quality=quality, spp=SPP, antialias=1)
     expected = np.array(golden["rgb"][quality])
-    assert 0.05 < expected.mean() < 1.0
+    assert 0.05 < expected[picture.opacity[..., 0] > 0.5].mean() < 1.0
     difference = picture.rgb * picture.opacity - expected
     assert np.sqrt(np.mean(difference**2)) < LARGEST_RMS[quality]
-    np.testing.assert_allclose(picture.opacity[..., 0], golden["opacity"], atol=1e-3)
+    opacity = golden["opacity"]
+    expected = opacity[quality] if isinstance(opacity, dict) else opacity
+    np.testing.assert_allclose(picture.opacity[..., 0], expected, atol=1e-3)
 
 
-def test_there_is_a_bundle_of_every_version_that_changed_what_a_reader_needs():
+def test_there_is_a_bundle_of_every_version_before_the_writers():
     versions = {json.loads(path.read_text())["schema_version"] for path in FOLDER.glob("*.json")}
-    assert {"1.0", "1.1"} <= versions
+    latest = int(SCHEMA_VERSION.removeprefix("1."))
+    assert {f"1.{minor}" for minor in range(latest)} <= versions
+
+
+def test_the_bundles_of_1_2_have_what_that_version_added():
+    full, lite = (load_bundle(FOLDER / f"{name}.relight.zip") for name in ("ball_1.2", "ball_1.2_lite"))
+    assert {tensor.dtype for tensor in full.manifest.tensors} == {"float16", "float32"}
+    assert any(graph.rounding for graph in full.manifest.graphs)
+    assert not lite.has_networks
+    assert not lite.manifest.tensors
+
+
+def copied(name, folder, change):
+    """Return a copy of a golden bundle as a folder, after `change(folder)`."""
+    with zipfile.ZipFile(FOLDER / f"{name}.relight.zip") as archive:
+        archive.extractall(folder)
+    change(folder)
+    return folder
+
+
+def with_version(version):
+    def change(folder):
+        manifest = json.loads((folder / "manifest.json").read_text())
+        manifest["schema_version"] = version
+        manifest["something_new"] = {"size": 4}
+        manifest["atlas"]["something_new"] = [1, 2]
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+
+    return change
+
+
+@pytest.mark.parametrize("name", ["ball_1.2", "ball_1.2_lite"])
+def test_a_bundle_of_a_newer_minor_version_is_rendered_without_what_is_unknown(name, tmp_path):
+    bundle = load_bundle(copied(name, tmp_path / "newer", with_version("1.9")))
+    (camera,) = bundle.cameras()
+    picture = Renderer(bundle, num_threads=1, reader="onnx").render(
+        camera, golden_light(), quality="baked", antialias=1
+    )
+    expected = np.array(json.loads((FOLDER / f"{name}.json").read_text())["rgb"]["baked"])
+    assert np.sqrt(np.mean((picture.rgb * picture.opacity - expected) ** 2)) < LARGEST_RMS["baked"]
+
+
+def test_a_bundle_of_a_newer_major_version_is_refused_in_plain_words(tmp_path):
+    folder = copied("ball_1.2", tmp_path / "newer", with_version("2.0"))
+    message = r"bundle\.version_unknown: schema_version is '2\.0'.*update lambent"
+    with pytest.raises(BundleError, match=message):
+        load_bundle(folder)
+
+
+def cut_short(path):
+    def change(folder):
+        data = (folder / path).read_bytes()
+        (folder / path).write_bytes(data[: len(data) // 2])
+
+    return change
+
+
+def swapped(first, second):
+    def change(folder):
+        one, other = (folder / first).read_bytes(), (folder / second).read_bytes()
+        (folder / first).write_bytes(other)
+        (folder / second).write_bytes(one)
+
+    return change
+
+
+def one_bit_of_a_texture(folder):
+    """Turn one bit in the middle of the normal map, which lies at the end of the mesh file."""
+    data = bytearray((folder / "mesh" / "asset.glb").read_bytes())
+    data[-200] ^= 1
+    (folder / "mesh" / "asset.glb").write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("path", "change"),
+    [
+        ("mesh/asset.glb", cut_short("mesh/asset.glb")),
+        ("mesh/asset.glb", one_bit_of_a_texture),
+        ("transport/direct_sh7.bin", cut_short("transport/direct_sh7.bin")),
+        (
+            "transport/direct_sh7.bin",
+            swapped("transport/direct_sh7.bin", "transport/visibility_sh4.bin"),
+        ),
+        ("env/trained_a_night.exr", swapped("env/trained_day.exr", "env/trained_a_night.exr")),
+        ("models/weights.bin", cut_short("models/weights.bin")),
+    ],
+)
+def test_a_file_that_is_cut_short_changed_or_swapped_is_named(path, change, tmp_path):
+    folder = copied("ball_1.2", tmp_path / "spoiled", change)
+    message = rf'bundle\.digest_mismatch: "{path}" is not the file the manifest describes; fetch'
+    with pytest.raises(BundleError, match=message):
+        load_bundle(folder)
+
+
+def test_an_archive_that_ends_early_is_refused(tmp_path):
+    data = (FOLDER / "ball_1.2.relight.zip").read_bytes()
+    (tmp_path / "half.zip").write_bytes(data[: len(data) // 2])
+    with pytest.raises(BundleError, match=r"bundle\.archive_damaged"):
+        load_bundle(tmp_path / "half.zip")
+
+
+DIGESTS = {
+    "ball_1.2": "cb3eeb9f188c5428",
+    "ball_1.2_lite": "b598ed6c7ce4066d",
+    "boxes_1.0": "8cc661fee5444f72",
+    "boxes_1.1": "8242e28ee4aac0d9",
+}
+
+
+@pytest.mark.parametrize("name", DIGESTS)
+def test_no_golden_bundle_was_written_again(name):
+    data = (FOLDER / f"{name}.relight.zip").read_bytes()
+    assert hashlib.sha256(data).hexdigest()[:16] == DIGESTS[name]

@@ -1,0 +1,94 @@
+"""Writes a golden bundle of the version that the exporter writes now, and the pictures that it gives.
+
+    python -m support.golden_bundle FOLDER NAME [lite]
+
+A finished one goes into `tests/golden/bundles` and is never written again. `ball` of version 1.2 was made so,
+`boxes` of 1.0 and 1.1 by `support.baked_bundle`, whose graphs trace boxes exactly.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from flashcache.physical.model import InverseModel
+from lambent_relight import Environment, Renderer, environment_from_array, load_bundle
+from lambent_relight.cameras import Camera, cameras_json, look_at
+from lambent_worker.bundle.manifest import write_manifest
+from lambent_worker.run.tasks import export
+from support.small_export import LIGHTS, small_context
+from support.sphere_model import sphere_model
+
+SPP = 256
+CAMERA = Camera(
+    name="golden",
+    width=16,
+    height=12,
+    focal_x=20.0,
+    focal_y=20.0,
+    centre_x=8.0,
+    centre_y=6.0,
+    camera_to_world=look_at((2.0, 1.2, 0.9), (0.0, 0.0, 0.0)),
+)
+
+
+def golden_light() -> Environment:
+    """Return the map of all golden pictures: red in the east, blue above."""
+    row, column = np.mgrid[0:8, 0:16]
+    east = np.cos(2.0 * np.pi * (column - 7.5) / 16.0)
+    return environment_from_array(np.stack([0.6 + 0.5 * east, 0.5 + 0.0 * east, 1.0 - row / 8.0], axis=-1))
+
+
+def _lit_ball() -> InverseModel:
+    """Return a ball that little stands around: most light arrives."""
+    model = sphere_model(lights=LIGHTS)
+    with torch.no_grad():
+        # The last output is the logit of a secondary ray's opacity.
+        model.fast.distance_head.bias[-1] -= 4.5
+    return model
+
+
+def write_golden(folder: Path, name: str, *, lite: bool) -> None:
+    """Export a small ball into `folder`/NAME.relight.zip and draw NAME.json from it."""
+    with pytest.MonkeyPatch.context() as patched:
+        (folder / "made").mkdir(parents=True)
+        context = small_context(folder / "made", _lit_ball(), patched)
+        tier = {"transport_tier": "lite", "weights": "none"} if lite else {}
+        config = context.spec.config
+        config = replace(config, export=replace(config.export, judge_samples=0, **tier))
+        export.run(replace(context, spec=replace(context.spec, config=config)))
+    made = load_bundle(context.folder)
+    for picture in (context.folder / "preview").iterdir():
+        picture.unlink()
+    (context.folder / "cameras.json").write_text(cameras_json([CAMERA]))
+    files = [path.relative_to(context.folder).as_posix() for path in sorted(context.folder.rglob("*.*"))]
+    del made.manifest.files[:]
+    write_manifest(context.folder, made.manifest, [path for path in files if path != "manifest.json"])
+    with zipfile.ZipFile(folder / f"{name}.relight.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(path for path in context.folder.rglob("*") if path.is_file()):
+            entry = zipfile.ZipInfo(path.relative_to(context.folder).as_posix())
+            archive.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)
+    renderer = Renderer(load_bundle(folder / f"{name}.relight.zip"), num_threads=1, reader="onnx")
+    pictures = {}
+    for quality in ("preview", "baked") if lite else ("preview", "baked", "refined"):
+        # Noise of the stored picture adds to that of a test, so that it has less.
+        samples = 64 * SPP if quality == "refined" else SPP
+        pictures[quality] = renderer.render(CAMERA, golden_light(), quality=quality, spp=samples, antialias=1)
+    stored = {
+        "schema_version": made.manifest.schema_version,
+        "rgb": {
+            key: np.round(picture.rgb * picture.opacity, 5).tolist() for key, picture in pictures.items()
+        },
+        "opacity": {key: np.round(picture.opacity[..., 0], 4).tolist() for key, picture in pictures.items()},
+    }
+    (folder / f"{name}.json").write_text(json.dumps(stored, separators=(",", ":")) + "\n")
+
+
+if __name__ == "__main__":
+    write_golden(Path(sys.argv[1]), sys.argv[2], lite=sys.argv[3:] == ["lite"])
