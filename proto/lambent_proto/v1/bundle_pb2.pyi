@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class BundleManifest(_message.Message):
-    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "atlas", "transport")
+    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "atlas", "transport", "given_mesh")
     class MetricsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -36,6 +36,7 @@ class BundleManifest(_message.Message):
     UNCERTAINTY_FIELD_NUMBER: _ClassVar[int]
     ATLAS_FIELD_NUMBER: _ClassVar[int]
     TRANSPORT_FIELD_NUMBER: _ClassVar[int]
+    GIVEN_MESH_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     scene_id: str
     name: str
@@ -56,7 +57,20 @@ class BundleManifest(_message.Message):
     uncertainty: Uncertainty
     atlas: Atlas
     transport: Transport
-    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., atlas: _Optional[_Union[Atlas, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ...) -> None: ...
+    given_mesh: GivenMesh
+    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., atlas: _Optional[_Union[Atlas, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ..., given_mesh: _Optional[_Union[GivenMesh, _Mapping]] = ...) -> None: ...
+
+class GivenMesh(_message.Message):
+    __slots__ = ("name", "sha256", "kept_uv", "share_from_model")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    KEPT_UV_FIELD_NUMBER: _ClassVar[int]
+    SHARE_FROM_MODEL_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    sha256: str
+    kept_uv: bool
+    share_from_model: float
+    def __init__(self, name: _Optional[str] = ..., sha256: _Optional[str] = ..., kept_uv: _Optional[bool] = ..., share_from_model: _Optional[float] = ...) -> None: ...
 
 class Generator(_message.Message):
     __slots__ = ("name", "version", "git_revision", "train_step")

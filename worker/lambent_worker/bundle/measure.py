@@ -75,6 +75,12 @@ def _measure_view(
     }
 
 
+def write_photographs(views: tuple[View, ...], light: str, folder: Path) -> None:
+    """Write the photographs of the views that `measure` shows, in one light, to `folder`."""
+    for view in evenly_spaced(views, SHOWN_VIEWS):
+        (folder / f"photo_{view.name}.png").write_bytes(_photograph(view.images[light]))
+
+
 def _photograph(image: Float[ndarray, "height width 4"]) -> bytes:
     """Return a photograph for comparison in viewers: PNG, sRGB over white."""
     shown = figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))

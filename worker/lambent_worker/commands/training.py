@@ -172,6 +172,10 @@ def export(
     weights: Annotated[
         str, typer.Option(help="fp16, fp32, none, or auto: fp16 unless that moves the answers.")
     ] = "",
+    mesh: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.glb", help="Put an edited mesh in place of the trained surface."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write the relightable bundle of a trained run into a folder of its own."""
@@ -179,10 +183,19 @@ def export(
 
     prepare()
     from lambent_worker.console_reporter import ConsoleReporter
+    from lambent_worker.run.edited import export_edited
     from lambent_worker.run.prepare import export_run
 
+    if mesh is not None and weights not in ("", "none"):
+        raise UsageError(
+            "mesh_file.no_networks",
+            f"--mesh with --weights {weights}: networks know only the trained shape; leave --weights out",
+        )
     with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
-        export_run(run_dir, out, reporter, tier=tier, weights=weights)
+        if mesh is None:
+            export_run(run_dir, out, reporter, tier=tier, weights=weights)
+        else:
+            export_edited(run_dir, out, mesh, reporter, tier=tier)
     if not as_json:
         typer.echo(f"bundle: {out}")
 

@@ -48,6 +48,14 @@ def export(
     weights: Annotated[
         str, typer.Option(help="Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers.")
     ] = "",
+    mesh: Annotated[
+        Path | None,
+        typer.Option(
+            "--mesh",
+            metavar="FILE.glb",
+            help="Of a run's bundle: an edited mesh in place of the trained surface.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
@@ -56,10 +64,10 @@ def export(
     _check_options(
         {"--webp": (webp, "glb"), "--draco": (draco, "glb"), "--env": (env is not None, "mitsuba")},
         formats,
-        for_bundle=tier or weights,
+        for_bundle=bool(tier or weights or mesh),
     )
     if not formats:
-        _export_bundle(source, output_folder, tier=tier, weights=weights, as_json=as_json)
+        _export_bundle(source, output_folder, tier=tier, weights=weights, mesh=mesh, as_json=as_json)
         return
     # These take a moment to import, which the export of a bundle does not pay.
     from lambent_relight.asset.write import write_formats
@@ -82,7 +90,7 @@ def export(
     output.result("\n".join(str(path) for path in written), {"files": [str(path) for path in written]})
 
 
-def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, for_bundle: str) -> None:
+def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, for_bundle: bool) -> None:
     """Raise `cli.bad_choice` for an option without the format that it belongs to."""
     for option, (given, name) in needs.items():
         if given and name not in formats:
@@ -90,7 +98,7 @@ def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, fo
     if formats and for_bundle:
         raise UsageProblemError(
             "cli.bad_choice",
-            f"--tier and --weights with --{formats[0]}",
+            f"--tier, --weights and --mesh with --{formats[0]}",
             "they are for a bundle: export that first, without formats, and then its asset",
         )
 
@@ -108,7 +116,9 @@ def _bundle_of(source: Path) -> Path:
     return source / "bundle"
 
 
-def _export_bundle(source: Path, output_folder: Path, *, tier: str, weights: str, as_json: bool) -> None:
+def _export_bundle(
+    source: Path, output_folder: Path, *, tier: str, weights: str, mesh: Path | None, as_json: bool
+) -> None:
     """Let the worker's command write the bundle of a run."""
     if (source / "manifest.json").is_file() or source.suffix == ".zip":
         raise UsageProblemError(
@@ -125,4 +135,4 @@ def _export_bundle(source: Path, output_folder: Path, *, tier: str, weights: str
             "the export of a bundle needs the worker, which is not installed",
             "pip install 'lambent[worker]'",
         ) from error
-    command(run_dir=source, out=output_folder, tier=tier, weights=weights, as_json=as_json)
+    command(run_dir=source, out=output_folder, tier=tier, weights=weights, mesh=mesh, as_json=as_json)

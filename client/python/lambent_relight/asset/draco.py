@@ -8,6 +8,7 @@ import struct
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent_relight.asset.glb import packed_glb
 from lambent_relight.baked.mesh import glb_accessor, glb_chunks
@@ -91,6 +92,29 @@ def glb_with_draco(data: bytes) -> bytes:
     for key in ("extensionsUsed", "extensionsRequired"):
         document[key] = [*document.get(key, ()), DRACO]
     return packed_glb(document, payload, _without_plain_mesh(document, packed))
+
+
+def unpacked(
+    document: dict[str, Any], payload: bytes, primitive: dict[str, Any]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Return the attributes of a packed primitive by name, and the indices of its triangles' corners.
+
+    Raises ExportError `export.draco_missing` where the package DracoPy is missing, and KeyError, TypeError or
+    ValueError for a primitive that cannot be unpacked.
+    """
+    packed = primitive["extensions"][DRACO]
+    view = document["bufferViews"][packed["bufferView"]]
+    start, size = view.get("byteOffset", 0), view["byteLength"]
+    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+        raise ValueError("a packed mesh leaves the file")
+    library = _library()
+    try:
+        found = library.decode(bytes(payload[start : start + size]))
+    except library.FileTypeException as error:
+        raise ValueError("a packed mesh is no Draco data") from error
+    arrays = {attribute["unique_id"]: np.asarray(attribute["data"]) for attribute in found.attributes}
+    named = {name: arrays[number] for name, number in packed["attributes"].items()}
+    return named, np.asarray(found.faces, np.int64).reshape(-1)
 
 
 def _without_plain_mesh(document: dict[str, Any], packed: bytes) -> dict[int, bytes]:

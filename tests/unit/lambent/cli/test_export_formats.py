@@ -64,6 +64,7 @@ def test_a_mitsuba_scene_takes_another_light_in_its_own_layout(bundle, tmp_path)
         (["--obj", "--draco"], "cli.bad_choice"),
         (["--glb", "--env", "sky.exr"], "cli.bad_choice"),
         (["--glb", "--tier", "lite"], "cli.bad_choice"),
+        (["--glb", "--mesh", "edited.glb"], "cli.bad_choice"),
         (["--mitsuba", "--env-axes", "nothing", "--env", "sky.exr"], "cli.bad_choice"),
     ],
 )
@@ -84,6 +85,7 @@ def test_without_formats_the_worker_writes_the_bundle_of_a_run(monkeypatch, tmp_
         "out": tmp_path / "b",
         "tier": "lite",
         "weights": "",
+        "mesh": None,
         "as_json": False,
     }
 

@@ -70,7 +70,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
         name=scene.name,
         preset=context.spec.config.preset,
         scene_id=scene_hash(context.spec.scene),
-        train_step=_train_step(context),
+        train_step=train_step(context),
     )
     manifest.train_lights.extend(light_names(model.domain.lights))
 
@@ -200,7 +200,7 @@ def _advance(context: TaskContext, done: int) -> None:
     context.stop_if_asked()
 
 
-def _train_step(context: TaskContext) -> int:
+def train_step(context: TaskContext) -> int:
     """Return the number of stage two's steps behind the exported model."""
     folder = latest_checkpoint(task_folder(context.run_dir, "joint"))
     return int(read_record(folder / "state.json").get("step", 0)) if folder is not None else 0

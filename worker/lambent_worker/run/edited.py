@@ -1,0 +1,174 @@
+"""The bundle of a trained run with an edited mesh: materials, shadows and light transport of that mesh."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from lambent_proto.v1 import bundle_pb2
+from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.cameras import cameras_json
+from lambent_relight.environment.maps import write_environment
+
+from lambent_worker.bundle.glb import check_glb, write_glb
+from lambent_worker.bundle.manifest import new_manifest, write_manifest
+from lambent_worker.bundle.measure import relight_camera, write_photographs
+from lambent_worker.bundle.mesh import Corner, occupied_box
+from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size, texel_size
+from lambent_worker.bundle.transport_files import write_relight_graph
+from lambent_worker.bundle.usd import write_usdz
+from lambent_worker.edited.bake import TriangleRays, occlusion_of, write_given_transport
+from lambent_worker.edited.glb_file import GivenMesh, read_glb
+from lambent_worker.edited.surface import GivenSurface, check_place, given_surface
+from lambent_worker.errors import UsageError
+from lambent_worker.files import file_sha256
+from lambent_worker.reporter import Reporter
+from lambent_worker.run.context import TaskContext
+from lambent_worker.run.folder import locked, require_done
+from lambent_worker.run.hashes import last_training_task, scene_hash
+from lambent_worker.run.prepare import open_task
+from lambent_worker.run.tasks.export import at_reference, light_names, train_step
+from lambent_worker.run.tasks.training import load_final, read_scene
+
+NUM_PARTS = 5
+
+
+def export_edited(run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, tier: str = "") -> None:
+    """Write a bundle of the run in `run_dir` whose surface is the mesh in the GLB file `mesh`, to `out`.
+
+    The bundle has no networks, which know only the shape that was trained: refined pictures are refused. Its
+    `tier`, "full" or "lite", is by default the run's. The run and its own bundle stay as they are. Raises
+    `UsageError` where the run is not trained to its end, `out` exists, or the file cannot be used.
+    """
+    from flashcache.config import with_overrides
+
+    given = read_glb(mesh)
+    context = open_task(run_dir, "export", reporter)
+    require_done(run_dir, last_training_task(context.spec.config))
+    if out.exists():
+        raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
+    if not tier and context.spec.config.export.transport_tier == "none":
+        tier = "full"
+    settings = {"export.transport_tier": tier} if tier else {}
+    spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
+    if spec.config.export.transport_tier == "none":
+        raise UsageError(
+            "mesh_file.no_transport",
+            "a bundle with a given mesh needs baked transport; use --tier full or lite",
+        )
+    partial = out.with_name(out.name + ".partial")
+    with locked(run_dir):
+        shutil.rmtree(partial, ignore_errors=True)
+        try:
+            _write(replace(context, spec=spec), given, mesh, partial)
+            load_bundle(partial)
+            partial.rename(out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> None:
+    """Fill `folder` with everything that such a bundle has."""
+    settings = context.spec.config.export
+    for name in ("models", "mesh", "env", "preview"):
+        (folder / name).mkdir(parents=True)
+    scene = read_scene(context)
+    model = at_reference(load_final(context, scene).eval())
+    box = occupied_box(model)
+    check_place(given, box, mesh.name)
+    views = scene.test or scene.train
+    _advance(context, 1)
+
+    made = given_surface(
+        model, given, settings, box=box, pixel_size=pixel_size((*scene.train, *scene.test), box)
+    )
+    manifest = new_manifest(
+        model,
+        _box_of(given),
+        name=scene.name,
+        preset=context.spec.config.preset,
+        scene_id=scene_hash(context.spec.scene),
+        train_step=train_step(context),
+    )
+    manifest.train_lights.extend(light_names(model.domain.lights))
+    manifest.given_mesh.name = mesh.name
+    manifest.given_mesh.sha256 = file_sha256(mesh)
+    manifest.given_mesh.kept_uv = made.kept_uv
+    manifest.given_mesh.share_from_model = made.from_model
+    _say(context, given, made)
+    _advance(context, 2)
+    rays = TriangleRays(made.surface)
+    _write_mesh(context, made, rays, manifest, folder)
+    _advance(context, 3)
+    write_given_transport(
+        made.surface,
+        made.reflectors,
+        rays,
+        manifest,
+        folder,
+        tier=settings.transport_tier,
+        store=folder.with_name(folder.name + ".rays"),
+        advance=lambda share: context.stop_if_asked(),
+    )
+    shutil.rmtree(folder.with_name(folder.name + ".rays"), ignore_errors=True)
+    write_relight_graph(manifest, folder, seed=context.spec.seed)
+    _advance(context, 4)
+    (folder / "cameras.json").write_text(
+        cameras_json([relight_camera(view.name, view.camera) for view in views]), encoding="utf-8"
+    )
+    for index, light in enumerate(manifest.train_lights):
+        image = model.environment.image(settings.environment_height, index).detach().cpu().numpy()
+        write_environment(folder / "env" / f"trained_{light}.exr", image)
+    write_photographs(views, scene.lights[0], folder / "preview")
+    files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    write_manifest(folder, manifest, sorted(files))
+    _advance(context, NUM_PARTS)
+
+
+def _write_mesh(
+    context: TaskContext,
+    made: GivenSurface,
+    rays: TriangleRays,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+) -> None:
+    settings, surface = context.spec.config.export, made.surface
+    occlusion = occlusion_of(
+        surface, rays, num_points=settings.occlusion_points, num_rays=settings.occlusion_rays
+    )
+    textures = made.textures(occlusion)
+    asset = write_glb(surface, textures, unit=manifest.world.unit)
+    check_glb(asset, surface)
+    (folder / ASSET_PATH).write_bytes(asset)
+    if settings.usdz:
+        write_usdz(folder / USDZ_PATH, surface, textures)
+    manifest.atlas.size = surface.size
+    manifest.atlas.num_texels = len(surface.texel_index)
+    manifest.atlas.texel_size = texel_size(surface)
+    manifest.metrics["mesh_faces"] = len(surface.faces)
+    manifest.metrics["mesh_vertices"] = len(surface.vertices)
+
+
+def _say(context: TaskContext, given: GivenMesh, made: GivenSurface) -> None:
+    """Log what was taken over and what was not."""
+    context.reporter.log(
+        "mesh.read",
+        faces=len(given.faces),
+        parts=len(given.maps),
+        kept_uv=made.kept_uv,
+        share_from_model=round(made.from_model, 4),
+    )
+    if given.ignored:
+        context.reporter.log("mesh.ignored", what=", ".join(given.ignored))
+
+
+def _box_of(given: GivenMesh) -> tuple[Corner, Corner]:
+    """Return the mesh's box, a hundredth of its diagonal wider, so that a flat mesh has one with a volume."""
+    low, high = (values(axis=0).astype(float) for values in (given.vertices.min, given.vertices.max))
+    margin = 0.01 * float(((high - low) ** 2).sum()) ** 0.5
+    first, second = (low - margin).tolist(), (high + margin).tolist()
+    return (first[0], first[1], first[2]), (second[0], second[1], second[2])
+
+
+def _advance(context: TaskContext, done: int) -> None:
+    context.progress(done, NUM_PARTS)
+    context.stop_if_asked()
