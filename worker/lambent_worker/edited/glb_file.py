@@ -81,11 +81,14 @@ def read_glb(path: Path) -> GivenMesh:
     try:
         document, payload = glb_chunks(data)
         _check_extensions(path, document)
-        parts = [
-            part
-            for node, matrix in _nodes(document)
-            for part in _parts(path, document, payload, node, matrix)
-        ]
+        # Numbers beyond the range of floats become infinite, and are refused as such.
+        with np.errstate(all="ignore"):
+            parts = [
+                part
+                for node, matrix in _nodes(document)
+                for part in _parts(path, document, payload, node, matrix)
+            ]
+            return _joined(path, parts, _ignored(document))
     except ExportError as error:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
     except _DAMAGED as error:
@@ -95,7 +98,6 @@ def read_glb(path: Path) -> GivenMesh:
             f"is no whole GLB ({type(error).__name__}: {str(error)[:100]})",
             'export it again as "glTF Binary (.glb)", with everything inside the file',
         ) from error
-    return _joined(path, parts, _ignored(document))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -102,7 +102,9 @@ def given_surface(
 
     Raises WorkerError `export.atlas` where it cannot be unwrapped.
     """
-    normals = _normals(given)
+    geometric = _geometric_normals(given)
+    missing = np.linalg.norm(given.normals, axis=1, keepdims=True) < 0.5
+    normals = np.where(missing, geometric, given.normals)
     charts, kept = _charts(given, config.atlas_size)
     vertices, uv = given.vertices[charts.source], charts.uv
     found = rasterise_uv(uv, charts.faces, config.atlas_size)
@@ -117,7 +119,8 @@ def given_surface(
     reflectors, shading = _from_maps(given, look, part, plain)
     bare = np.array([maps is None for maps in given.maps])[part]
     if bare.any():
-        _fill_from_model(model, reflectors, shading, bare, positions, plain, cell)
+        outwards = unit(interpolate(found, charts.faces, geometric[charts.source])).astype(np.float32)
+        _fill_from_model(model, reflectors, shading, bare, positions, outwards, cell)
     facing = unit(_face_normals(vertices, charts.faces)[found.face[found.covered]]).astype(np.float32)
     surface = AtlasSurface(
         vertices=vertices,
@@ -132,12 +135,11 @@ def given_surface(
     return GivenSurface(surface, reflectors, kept, float(bare.mean()))
 
 
-def _normals(given: GivenMesh) -> NDArray[np.float32]:
-    """Return the file's normals, and angle-weighted ones where it has none."""
-    missing = np.linalg.norm(given.normals, axis=1) < 0.5
-    if not missing.any():
-        return given.normals
-    return np.where(missing[:, None], angle_weighted_normals(given.vertices, given.faces), given.normals)
+def _geometric_normals(given: GivenMesh) -> NDArray[np.float32]:
+    """Return the normals of the triangles as means at the vertices; vertices at one place have one normal."""
+    places, number = np.unique(given.vertices, axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    return angle_weighted_normals(places, number[given.faces].astype(np.int32))[number]
 
 
 def _charts(given: GivenMesh, size: int) -> tuple[Unwrapped, bool]:
@@ -200,12 +202,12 @@ def _fill_from_model(
     shading: NDArray[np.float32],
     bare: NDArray[np.bool_],
     positions: NDArray[np.float32],
-    plain: NDArray[np.float32],
+    outwards: NDArray[np.float32],
     cell: float,
 ) -> None:
     """Write the model's materials and normals into the rows `bare`, from the nearest matter."""
-    places = settled(model, positions[bare], plain[bare], cell)
-    shading[bare] = upright(learned_normals(model, places), plain[bare])
+    places = settled(model, positions[bare], outwards[bare], cell)
+    shading[bare] = upright(learned_normals(model, places), outwards[bare])
     device = next(model.parameters()).device
     rows = np.flatnonzero(bare)
     for start in range(0, len(rows), CHUNK_POINTS):

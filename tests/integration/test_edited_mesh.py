@@ -1,0 +1,151 @@
+"""lambent export RUN --mesh: from a file that Blender wrote to a bundle that clients open and relight."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from lambent_relight import Renderer, UnsupportedQuality, load_bundle
+from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
+from lambent_relight.cameras import turntable
+from lambent_relight.environment.maps import environment_from_array
+from lambent_worker.edited.glb_file import read_glb
+from lambent_worker.errors import Stopped, UsageError
+from lambent_worker.run import edited
+from lambent_worker.run.tasks import export
+from support.given_glb import glb_file
+from support.small_export import LIGHTS, Listener, small_context
+from support.sphere_model import sphere_model
+
+EDITED = Path(__file__).parents[1] / "data" / "edited"
+CAMERA = turntable(1, radius=3.0, width=32, height=32)[0]
+LIGHT = environment_from_array(np.broadcast_to(np.float32([0.9, 1.0, 1.1]), (8, 16, 3)))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return sphere_model(lights=LIGHTS)
+
+
+@pytest.fixture
+def context(tmp_path, model, monkeypatch):
+    """Return a context whose run is trained to its end, as the command finds it."""
+    made = small_context(tmp_path, model, monkeypatch)
+    config = replace(made.spec.config, export=replace(made.spec.config.export, judge_samples=0))
+    made = replace(made, spec=replace(made.spec, config=config))
+    monkeypatch.setattr(edited, "read_scene", export.read_scene)
+    monkeypatch.setattr(edited, "load_final", export.load_final)
+    monkeypatch.setattr(edited, "open_task", lambda run_dir, task, reporter: replace(made, reporter=reporter))
+    monkeypatch.setattr(edited, "require_done", lambda run_dir, task: "hash")
+    return made
+
+
+def digests(folder):
+    return {
+        path.relative_to(folder): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+def test_a_mesh_from_blender_becomes_a_bundle_that_is_relit(context, tmp_path):
+    before = digests(context.run_dir)
+    reporter = Listener()
+    out = tmp_path / "edited.relight"
+    edited.export_edited(context.run_dir, out, EDITED / "ball_edited.glb", reporter)
+    bundle = load_bundle(out)
+    manifest = bundle.manifest
+    assert manifest.schema_version == "1.3"
+    assert (manifest.given_mesh.name, manifest.given_mesh.kept_uv) == ("ball_edited.glb", True)
+    data = (EDITED / "ball_edited.glb").read_bytes()
+    assert manifest.given_mesh.sha256 == hashlib.sha256(data).hexdigest()
+    assert manifest.given_mesh.share_from_model == 0.0
+    assert list(manifest.train_lights) == ["day", "a_night"]
+    assert {file.role for file in manifest.files} == {
+        "mesh",
+        "transport",
+        "graph",
+        "environment",
+        "cameras",
+        "preview",
+    }
+    np.testing.assert_allclose(list(manifest.bounds.maximum), [0.55, 0.65, 0.4], atol=0.04)
+    renderer = Renderer(bundle, num_threads=1)
+    picture = renderer.render(CAMERA, LIGHT, quality="baked", antialias=1)
+    covered = picture.opacity[..., 0] > 0.5
+    assert 60 < covered.sum() < 200
+    assert 0.05 < picture.rgb[covered].mean() < 1.0
+    with pytest.raises(UnsupportedQuality, match=r"relight\.networks_missing"):
+        renderer.render(CAMERA, LIGHT, quality="refined")
+    assert reporter.events["mesh.read"]["parts"] == 1
+    assert "mesh.ignored" not in reporter.events
+    assert reporter.fractions[-1] == 1.0
+    assert digests(context.run_dir) == before, "the run stays as it was"
+    assert not list(tmp_path.glob("*.partial*"))
+
+
+def test_our_own_file_put_back_is_the_same_asset(context, tmp_path):
+    export.run(context)
+    before = textured_mesh_from_glb((context.folder / "mesh" / "asset.glb").read_bytes())
+    edited.export_edited(
+        context.run_dir, tmp_path / "same", context.folder / "mesh" / "asset.glb", Listener(), tier="lite"
+    )
+    bundle = load_bundle(tmp_path / "same")
+    after = textured_mesh_from_glb(bundle.read("mesh/asset.glb", 1 << 30))
+    np.testing.assert_allclose(after.vertices, before.vertices, atol=1e-6)
+    np.testing.assert_array_equal(after.uv, before.uv)
+    np.testing.assert_array_equal(after.faces, before.faces)
+    for name in ("base_colour_png", "packed_png"):
+        pair = [pixels_of(getattr(mesh, name)).astype(int) for mesh in (before, after)]
+        # Occlusion is that of the triangles now, and not the untrained fast cache's.
+        rows = slice(0, 3) if name == "base_colour_png" else slice(1, 3)
+        assert np.abs(pair[0] - pair[1])[..., rows].max() <= 1, name
+    assert "transport/shadow_bits.bin" not in {file.path for file in bundle.manifest.files}
+
+
+def test_what_the_bundle_does_not_hold_is_logged(context, tmp_path):
+    def change(writer):
+        number = writer.material({})
+        writer.document["materials"][number]["emissiveFactor"] = [1.0, 1.0, 1.0]
+        writer.mesh(material=number)
+
+    reporter = Listener()
+    path = glb_file(tmp_path / "lamp.glb", change)
+    edited.export_edited(context.run_dir, tmp_path / "b", path, reporter)
+    assert reporter.events["mesh.ignored"] == {"what": "emission"}
+    assert len(read_glb(path).faces) == 2
+
+
+def test_a_file_that_cannot_be_used_leaves_nothing_behind(context, tmp_path):
+    path = glb_file(tmp_path / "far.glb", lambda w: w.mesh(node={"translation": [50.0, 0.0, 0.0]}))
+    with pytest.raises(UsageError, match=r"mesh_file\.place"):
+        edited.export_edited(context.run_dir, tmp_path / "b", path, Listener())
+    (tmp_path / "exists").mkdir()
+    with pytest.raises(UsageError, match=r"export\.exists"):
+        edited.export_edited(context.run_dir, tmp_path / "exists", EDITED / "ball_edited.glb", Listener())
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] != ".") == [
+        "exists",
+        "far.glb",
+        "run",
+        "scene",
+    ]
+
+
+def test_it_stops_when_it_is_asked_to(context, tmp_path):
+    reporter = Listener()
+    reporter.stop = True
+    with pytest.raises(Stopped):
+        edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", reporter)
+    assert not (tmp_path / "b").exists()
+    assert not list(tmp_path.glob("*.partial*"))
+
+
+@pytest.mark.parametrize("weights", ["fp16", "fp32", "auto"])
+def test_networks_with_a_given_mesh_are_refused(tmp_path, weights, capsys):
+    from lambent_worker.commands.training import export as command
+
+    with pytest.raises(typer.Exit):
+        command(tmp_path, tmp_path / "b", weights=weights, mesh=EDITED / "ball_edited.glb")
+    assert "mesh_file.no_networks" in capsys.readouterr().err
