@@ -1,6 +1,7 @@
 """A textured mesh as a USDZ file, for programs that read USD and not glTF. Needs the extra [usd].
 
-UsdPreviewSurface, z up as the world is. USD counts texture rows from the bottom, so v is turned.
+UsdPreviewSurface. The stage is y up, as ARKit requires; points stay in the world's axes (z up), and the root turns
+them, as the node of the GLB does. USD counts texture rows from the bottom, so v is turned.
 Source: OpenUSD, UsdPreviewSurface specification 2.6; USDZ file format specification.
 """
 
@@ -62,9 +63,11 @@ def _usd() -> Any:
 
 def _write_stage(usd: Any, path: Path, surface: TexturedMesh) -> None:
     stage = usd.Usd.Stage.CreateNew(str(path))
-    usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.z)
+    usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.y)
     usd.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
     root = usd.UsdGeom.Xform.Define(stage, "/asset")
+    # A quarter turn about x brings +z to +y.
+    root.AddRotateXOp().Set(-90.0)
     stage.SetDefaultPrim(root.GetPrim())
     mesh = usd.UsdGeom.Mesh.Define(stage, "/asset/mesh")
     vec3 = usd.Vt.Vec3fArray.FromNumpy

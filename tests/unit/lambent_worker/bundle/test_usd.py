@@ -30,10 +30,14 @@ def stage(path):
 def test_axes_and_unit_are_stated(stage):
     from pxr import UsdGeom
 
-    assert UsdGeom.GetStageUpAxis(stage) == "Z"
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     bounds = UsdGeom.BBoxCache(0.0, ["default"]).ComputeWorldBound(stage.GetDefaultPrim())
-    assert np.allclose(bounds.ComputeAlignedRange().GetSize(), SIZES)
+    assert np.allclose(bounds.ComputeAlignedRange().GetSize(), SIZES[[0, 2, 1]])
+    turn = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/asset/mesh"))
+    # Row vectors: our +z becomes +y, and our +y becomes -z, as in the GLB.
+    assert np.allclose(np.array([0.0, 0.0, 1.0, 1.0]) @ np.array(turn), [0.0, 1.0, 0.0, 1.0], atol=1e-6)
+    assert np.allclose(np.array([0.0, 1.0, 0.0, 1.0]) @ np.array(turn), [0.0, 0.0, -1.0, 1.0], atol=1e-6)
 
 
 def test_the_mesh_and_its_texture_coordinates_survive_with_v_upwards(stage):
