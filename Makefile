@@ -13,7 +13,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 
-.PHONY: help setup pages wheel demo test test-extras mutants check fix bench bench-compare bench-quick schema clean
+.PHONY: help setup pages wheel demo test test-extras test-programs mutants check fix bench bench-compare bench-quick schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -69,6 +69,9 @@ test: $(VENV)/.installed $(BUILT) ## Run all tests (at most 15 minutes on two co
 
 test-extras: $(VENV)/.installed ## Install the wheel into empty environments with each extra (5 minutes)
 	LAMBENT_TEST_EXTRAS=1 $(BIN)/pytest -q tests/integration/test_wheel_extras.py
+
+test-programs: $(VENV)/.installed ## Draw our exports with Blender and Mitsuba, and check USDZ by ARKit's rules (2 minutes, and 400 MB the first time)
+	LAMBENT_PROGRAMS=$(abspath build/programs) $(BIN)/pytest -q -s tests/conformance/test_other_programs.py
 
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
 	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)

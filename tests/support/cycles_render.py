@@ -1,6 +1,6 @@
 """Run by an interpreter that has bpy: opens a bundle with our import script, and renders it with Cycles.
 
-    python cycles_render.py SCRIPT BUNDLE ENVIRONMENT VIEW SAMPLES OUTPUT.exr
+python cycles_render.py SCRIPT BUNDLE ENVIRONMENT VIEW SAMPLES OUTPUT.exr
 """
 
 import runpy
