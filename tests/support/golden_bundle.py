@@ -18,14 +18,14 @@ import numpy as np
 import pytest
 import torch
 from flashcache.physical.model import InverseModel
-from lambent_relight import Environment, Renderer, environment_from_array, load_bundle
+from lambent_relight import Renderer, load_bundle
 from lambent_relight.cameras import Camera, cameras_json, look_at
 from lambent_worker.bundle.manifest import write_manifest
 from lambent_worker.run.tasks import export
+from support.golden_light import SPP, golden_light
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import sphere_model
 
-SPP = 256
 CAMERA = Camera(
     name="golden",
     width=16,
@@ -36,13 +36,6 @@ CAMERA = Camera(
     centre_y=6.0,
     camera_to_world=look_at((2.0, 1.2, 0.9), (0.0, 0.0, 0.0)),
 )
-
-
-def golden_light() -> Environment:
-    """Return the map of all golden pictures: red in the east, blue above."""
-    row, column = np.mgrid[0:8, 0:16]
-    east = np.cos(2.0 * np.pi * (column - 7.5) / 16.0)
-    return environment_from_array(np.stack([0.6 + 0.5 * east, 0.5 + 0.0 * east, 1.0 - row / 8.0], axis=-1))
 
 
 def _lit_ball() -> InverseModel:

@@ -1,13 +1,14 @@
 """Python fixtures of the web viewer's browser tests: a bundle, maps, and the expected pictures.
 
 Run as a program with a folder; writes there
-    bundle/, bundle.relight.zip, spots.exr, sunset.hdr, expected.json
+    bundle/, bundle.relight.zip, spots.exr, sunset.hdr, expected.json, golden/, golden.exr, golden.json
 expected.json lists pictures: map, rotation, camera, material edit, and a file of RGBA bytes of `baked`.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import zipfile
 from pathlib import Path
@@ -20,13 +21,15 @@ from lambent_relight.cameras import Camera, turntable
 from lambent_relight.directions import pixel_directions
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import write_environment
-from lambent_relight.images import encode_png
+from lambent_relight.images import encode_png, srgb_from_linear
 from lambent_relight.renderer import Renderer
 from PIL import Image
 from support.analytic_bundle import write_manifest
 from support.analytic_scene import AnalyticScene, Box, Surface
 from support.baked_bundle import write_baked_bundle
+from support.golden_light import golden_light
 
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundles"
 SIDE = 256
 SCENE = AnalyticScene(
     (
@@ -99,6 +102,37 @@ def write_fixture(folder: Path) -> None:
         for path in sorted(p for p in bundle.rglob("*") if p.is_file()):
             archive.write(path, path.relative_to(bundle).as_posix())
     (folder / "expected.json").write_text(json.dumps(pictures), encoding="utf-8")
+    _write_golden(folder)
+
+
+def _write_golden(folder: Path) -> None:
+    """Copy the golden bundles with baked transport, with their light and the pictures that were stored with them.
+
+    golden.json names, for each, the file, its camera, and RGBA bytes of the `baked` picture.
+    """
+    (folder / "golden").mkdir()
+    write_environment(folder / "golden.exr", golden_light().radiance, half=False)
+    listed = []
+    for path in sorted(GOLDEN.glob("*.json")):
+        stored = json.loads(path.read_text())
+        if "baked" not in stored["rgb"]:
+            continue
+        name = path.name.removesuffix(".json")
+        shutil.copy(path.with_name(f"{name}.relight.zip"), folder / "golden")
+        opacity = stored["opacity"]
+        opacity = np.array(opacity["baked"] if isinstance(opacity, dict) else opacity)[..., None]
+        straight = np.array(stored["rgb"]["baked"]) / np.maximum(opacity, 1e-3)
+        values = np.concatenate([srgb_from_linear(np.clip(straight, 0.0, 1.0)), opacity], axis=-1)
+        (folder / "golden" / f"{name}.rgba").write_bytes(np.round(255.0 * values).astype(np.uint8).tobytes())
+        (camera,) = load_bundle(folder / "golden" / f"{name}.relight.zip").cameras()
+        listed.append(
+            {
+                "bundle": f"golden/{name}.relight.zip",
+                "picture": f"golden/{name}.rgba",
+                "camera": camera_of(camera),
+            }
+        )
+    (folder / "golden.json").write_text(json.dumps(listed), encoding="utf-8")
 
 
 def _add_photograph(bundle: Path, name: str, picture: Path) -> None:

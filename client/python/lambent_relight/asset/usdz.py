@@ -1,7 +1,7 @@
 """A textured mesh as a USDZ file, for programs that read USD and not glTF. Needs the extra [usd].
 
-UsdPreviewSurface. The stage is y up, as ARKit requires; points stay in the world's axes (z up), and the root turns
-them, as the node of the GLB does. USD counts texture rows from the bottom, so v is turned.
+UsdPreviewSurface. The stage is y up, as ARKit requires; points stay in the world's axes (z up), and the root
+turns them, as the node of the GLB does. USD counts texture rows from the bottom, so v is turned.
 Source: OpenUSD, UsdPreviewSurface specification 2.6; USDZ file format specification.
 """
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from lambent_relight import BundleError, Renderer, load_bundle
 from lambent_worker.bundle.manifest import SCHEMA_VERSION
-from support.golden_bundle import SPP, golden_light
+from support.golden_light import SPP, golden_light
 
 FOLDER = Path(__file__).parents[3] / "golden" / "bundles"
 PICTURES = [
