@@ -71,7 +71,7 @@ test-extras: $(VENV)/.installed ## Install the wheel into empty environments wit
 	LAMBENT_TEST_EXTRAS=1 $(BIN)/pytest -q tests/integration/test_wheel_extras.py
 
 test-programs: $(VENV)/.installed ## Draw our exports with Blender and Mitsuba, and check USDZ by ARKit's rules (2 minutes, and 400 MB the first time)
-	LAMBENT_PROGRAMS=$(abspath build/programs) $(BIN)/pytest -q -s tests/conformance/test_other_programs.py
+	LAMBENT_PROGRAMS=$(abspath build/programs) $(BIN)/pytest -q -s tests/conformance/test_other_programs.py tests/conformance/test_ktx2_textures.py
 
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
 	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)

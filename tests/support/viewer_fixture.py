@@ -106,7 +106,7 @@ def write_fixture(folder: Path) -> None:
 
 
 def _write_golden(folder: Path) -> None:
-    """Copy the golden bundles with baked transport, with their light and the pictures that were stored with them.
+    """Copy the golden bundles with baked transport, their light, and the pictures that were stored with them.
 
     golden.json names, for each, the file, its camera, and RGBA bytes of the `baked` picture.
     """

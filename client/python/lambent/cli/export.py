@@ -32,6 +32,13 @@ def export(
     webp: Annotated[
         bool, typer.Option("--webp", help="WebP textures in the GLB; readers need EXT_texture_webp.")
     ] = False,
+    ktx2: Annotated[
+        bool,
+        typer.Option(
+            "--ktx2",
+            help="KTX 2 textures in the GLB; readers need KHR_texture_basisu; needs the program basisu.",
+        ),
+    ] = False,
     draco: Annotated[
         bool,
         typer.Option(
@@ -62,10 +69,17 @@ def export(
     wanted = {"glb": glb, "usdz": usdz, "obj": obj, "mitsuba": mitsuba}
     formats = [name for name, asked in wanted.items() if asked]
     _check_options(
-        {"--webp": (webp, "glb"), "--draco": (draco, "glb"), "--env": (env is not None, "mitsuba")},
+        {
+            "--webp": (webp, "glb"),
+            "--ktx2": (ktx2, "glb"),
+            "--draco": (draco, "glb"),
+            "--env": (env is not None, "mitsuba"),
+        },
         formats,
         for_bundle=bool(tier or weights or mesh),
     )
+    if webp and ktx2:
+        raise UsageProblemError("cli.bad_choice", "--webp with --ktx2", "textures are one of the two")
     if not formats:
         _export_bundle(source, output_folder, tier=tier, weights=weights, mesh=mesh, as_json=as_json)
         return
@@ -82,6 +96,7 @@ def export(
             formats,
             environment=light.environment if light is not None else None,
             webp=webp,
+            ktx2=ktx2,
             draco=draco,
         )
     output = Output(as_json)

@@ -1,4 +1,4 @@
-"""The GLB of an asset with other textures than the bundle's: absolute albedo, or WebP.
+"""The GLB of an asset with other textures than the bundle's: absolute albedo, WebP, or KTX 2.
 
 Everything but the images stays as the bundle has it. Source: glTF 2.0 specification, section 4 (GLB);
 EXT_texture_webp.
@@ -12,6 +12,7 @@ from typing import Any
 
 from PIL import Image
 
+from lambent_relight.asset.ktx2 import KTX2, MIME, ktx2_of
 from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
 from lambent_relight.baked.mesh import glb_chunks
 from lambent_relight.errors import BundleError
@@ -19,23 +20,25 @@ from lambent_relight.errors import BundleError
 WEBP = "EXT_texture_webp"
 
 
-def glb_with_textures(data: bytes, mesh: TexturedMesh, *, webp: bool = False) -> bytes:
+def glb_with_textures(data: bytes, mesh: TexturedMesh, *, webp: bool = False, ktx2: bool = False) -> bytes:
     """Return the GLB `data` of a bundle with the textures of `mesh`, which was read from it.
 
-    With `webp` they are lossless WebP, and there is no PNG to fall back to: readers need EXT_texture_webp.
-    Raises BundleError `bundle.mesh_invalid` for a file with parts that leave it.
+    With `webp` they are lossless WebP, with `ktx2` KTX 2 files, one of the two, and there is no PNG to fall
+    back to: readers need EXT_texture_webp or KHR_texture_basisu. Raises BundleError `bundle.mesh_invalid` for
+    a file with parts that leave it, and ExportError as `ktx2_of` does.
     """
     document, payload = glb_chunks(data)
     pictures = (mesh.base_colour_png, mesh.packed_png, mesh.normal_png)
+    extension, mime = (WEBP, "image/webp") if webp else (KTX2, MIME)
     files = {}
-    for texture, png in zip(textures_of(document), pictures, strict=True):
+    for number, (texture, png) in enumerate(zip(textures_of(document), pictures, strict=True)):
         image = document["images"][texture["source"]]
-        files[image["bufferView"]] = _webp(png) if webp else png
-        if webp:
-            image["mimeType"] = "image/webp"
-            texture["extensions"] = {WEBP: {"source": texture.pop("source")}}
-    if webp:
-        document["extensionsUsed"] = document["extensionsRequired"] = [WEBP]
+        files[image["bufferView"]] = _webp(png) if webp else ktx2_of(png, srgb=number == 0) if ktx2 else png
+        if webp or ktx2:
+            image["mimeType"] = mime
+            texture["extensions"] = {extension: {"source": texture.pop("source")}}
+    if webp or ktx2:
+        document["extensionsUsed"] = document["extensionsRequired"] = [extension]
     return packed_glb(document, payload, files)
 
 

@@ -27,14 +27,15 @@ def write_formats(
     *,
     environment: Environment | None = None,
     webp: bool = False,
+    ktx2: bool = False,
     draco: bool = False,
 ) -> list[Path]:
     """Write the asset of `bundle` into `folder` and return the main file of each of `formats`.
 
     glb: asset.glb; usdz: asset.usdz; obj: obj/asset.obj; mitsuba: mitsuba/scene.xml, lit by `environment`,
     by default the one recovered for the first training light. Albedo is multiplied by the bundle's
-    `albedo_scale_rgb` as when it is rendered. `webp` (textures) and `draco` (mesh) are for the GLB. Files
-    of those names are replaced, each by a whole one. Raises BundleError for a mesh without textures,
+    `albedo_scale_rgb` as when it is rendered. `webp` or `ktx2` (textures) and `draco` (mesh) are for the GLB.
+    Files of those names are replaced, each by a whole one. Raises BundleError for a mesh without textures,
     ExportError where a format needs what is not there.
     """
     if unknown := set(formats) - set(FORMATS):
@@ -49,7 +50,7 @@ def write_formats(
     with tempfile.TemporaryDirectory(prefix=".partial-", dir=folder) as name:
         partial = Path(name)
         if "glb" in formats:
-            glb = glb_with_textures(data, mesh, webp=webp)
+            glb = glb_with_textures(data, mesh, webp=webp, ktx2=ktx2)
             (partial / "asset.glb").write_bytes(glb_with_draco(glb) if draco else glb)
             written.append(folder / "asset.glb")
         if "usdz" in formats:

@@ -62,6 +62,8 @@ def test_a_mitsuba_scene_takes_another_light_in_its_own_layout(bundle, tmp_path)
         ([], "export.no_format"),
         (["--webp"], "cli.bad_choice"),
         (["--obj", "--draco"], "cli.bad_choice"),
+        (["--obj", "--ktx2"], "cli.bad_choice"),
+        (["--glb", "--ktx2", "--webp"], "cli.bad_choice"),
         (["--glb", "--env", "sky.exr"], "cli.bad_choice"),
         (["--glb", "--tier", "lite"], "cli.bad_choice"),
         (["--glb", "--mesh", "edited.glb"], "cli.bad_choice"),
