@@ -1,0 +1,1 @@
+"""Exact rays against a triangle mesh: the first face that a ray meets."""
