@@ -21,6 +21,11 @@ def _whole(value: Any) -> Any:
 WHOLE = BeforeValidator(_whole)
 
 
+def _word(value: Any) -> Any:
+    """Return a whole number as a word: `bounces=3` is "3"."""
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
 def safe_name(name: str) -> str:
     """Return `name` converted into a single path part that is valid on every system."""
     return re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:64] or "_"
@@ -40,7 +45,11 @@ Angle = Annotated[float, Field(ge=-36000.0, le=36000.0)]
 Side = Annotated[int, Field(ge=0, le=16384), WHOLE]
 Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
-Bounces = Literal["auto", "adapted", "transport", "one"]
+Bounces = Annotated[
+    Literal["auto", "adapted", "transport", "one", "1", "2", "3", "4", "5", "6", "7", "8"],
+    BeforeValidator(_word),
+]
+Occlusion = Literal["auto", "mesh", "cache"]
 ToneMapping = Literal["linear", "neutral", "aces", "agx"]
 Axes = Literal["blender", "threejs", "mitsuba", "skylibs"]
 Pass = Literal[
@@ -143,7 +152,13 @@ class RenderSettings(Wanted):
     indirect: bool = True
     """Whether indirect light is included."""
     bounces: Bounces = "auto"
-    """Source of indirect light in refined pictures; auto: an adapted cache, else baked transport."""
+    """Source of indirect light in refined pictures (auto: an adapted cache, else baked transport), or how
+    often light may be reflected, as random paths: 1 is direct light alone."""
+    occlusion: Occlusion = "auto"
+    """What is in the way of light in refined pictures: the mesh or the fast cache; auto: the mesh where the
+    bundle has baked transport, but with an adapted cache what that cache sees."""
+    denoise: bool = False
+    """Smooth what noise is left in a refined picture, guided by albedo and normals: to look at, not to measure."""
     seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
     """Seed of every random number."""
     background: Literal["transparent", "environment", "white"] = "transparent"

@@ -47,6 +47,8 @@ def expected(data: Path, camera: Camera, edit: MaterialEdit, rotate_deg: float) 
         seed=7,
         antialias=2,
         bounces="transport",
+        # The browser still asks the fast cache what is in the way.
+        occlusion="cache",
         edit=edit,
     )
 

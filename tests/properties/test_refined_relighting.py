@@ -15,6 +15,7 @@ from lambent_relight.environment.maps import Environment, environment_from_array
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.surroundings import CacheSurroundings
 from lambent_relight.renderer import Renderer
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Box, Plane, Sphere, Surface
@@ -86,7 +87,7 @@ def relit(
     """Return independent estimates [count, 3] of the light that leaves `position` towards `viewer`."""
     radiance = outgoing_radiance(
         surface_points(scene, position, viewer, count),
-        Scene(open_caches(scene), scene.origin_offset, MaterialEdit()),
+        Scene(CacheSurroundings(open_caches(scene), scene.origin_offset, MaterialEdit())),
         Light(environment, LightSampler(environment)),
         num_samples=num_samples,
         seed=seed,
@@ -191,7 +192,7 @@ def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches, ray
     points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), rays * count)
     radiance = outgoing_radiance(
         points,
-        Scene(caches(scene), scene.origin_offset, MaterialEdit()),
+        Scene(CacheSurroundings(caches(scene), scene.origin_offset, MaterialEdit())),
         Light(environment, LightSampler(environment)),
         num_samples=num_samples,
         seed=1,
@@ -209,7 +210,7 @@ def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches, ray
 def test_rays_of_a_pixel_are_quieter_together_and_no_less_by_themselves(caches):
     environment, count = sky(), 400
     points = surface_points(CORNER, (0.5, 0.0, 0.0), (2.0, 1.0, 1.5), 4 * count)
-    scene = Scene(caches(CORNER), CORNER.origin_offset, MaterialEdit())
+    scene = Scene(CacheSurroundings(caches(CORNER), CORNER.origin_offset, MaterialEdit()))
     light, pixels = Light(environment, LightSampler(environment)), fours(count)
     spread, single = {}, {}
     for name, rays in (("shared", pixels), ("own", PixelRays.alone(4 * count))):
@@ -250,7 +251,7 @@ def veiled(opacity: float, *, seed: int, count: int = 3000):
     veil = Veil(opacity)
     points = surface_points(SHADED, (0.0, 0.0, 0.0), (1.0, -2.0, 1.5), count)
     light = Light(even_sky(), LightSampler(even_sky()))
-    scene = Scene(veil, 0.0, MaterialEdit())
+    scene = Scene(CacheSurroundings(veil, 0.0, MaterialEdit()))
     return veil, outgoing_radiance(points, scene, light, num_samples=4, seed=seed, indirect=True)
 
 
@@ -349,7 +350,10 @@ def test_pictures_are_the_same_for_any_number_of_threads(caches, monkeypatch):
     results = [
         outgoing_radiance(
             points,
-            Scene(caches(SHADED), SHADED.origin_offset, MaterialEdit(), num_threads=num_threads),
+            Scene(
+                CacheSurroundings(caches(SHADED), SHADED.origin_offset, MaterialEdit()),
+                num_threads=num_threads,
+            ),
             Light(environment, LightSampler(environment)),
             num_samples=16,
             seed=3,

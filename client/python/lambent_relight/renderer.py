@@ -30,6 +30,7 @@ from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene
+from lambent_relight.refined.surroundings import CacheSurroundings, MeshSurroundings, Surroundings
 from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
 
@@ -186,16 +187,26 @@ class Renderer:
             # Compiled code is called by the threads that do everything else; onnxruntime has its own.
             caches, num_threads = caches.in_callers_thread(), caches.num_threads
             adapted = caches.adapted
-        offset = self.bundle.manifest.secondary_rays.origin_offset
-        plain = Scene(caches, offset, edit, num_threads=num_threads)
+        has_transport = self.bundle.manifest.HasField("transport")
+        if settings.occlusion == "mesh" or (settings.occlusion == "auto" and has_transport):
+            around: Surroundings = MeshSurroundings(self.baked().traced, edit)
+        else:
+            around = CacheSurroundings(caches, self.bundle.manifest.secondary_rays.origin_offset, edit)
+        plain = Scene(around, num_threads=num_threads)
+        bounces = settings.bounces
+        if bounces.isdecimal():
+            return replace(plain, most_bounces=int(bounces)), bounces if settings.indirect else ""
         if not settings.indirect:
             return plain, ""
-        if settings.bounces in ("auto", "adapted"):
-            insists = settings.bounces == "adapted"
+        if bounces in ("auto", "adapted"):
+            insists = bounces == "adapted"
             light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
             if light is not None:
+                # The adapted cache's opacities belong to its radiance, and to its own start of rays.
+                offset = self.bundle.manifest.secondary_rays.origin_offset
+                around = CacheSurroundings(caches, offset, edit)
                 adapted = functools.partial(adapted, light.name)
-                return replace(plain, adapted=adapted), f"adapted:{light.name}"
+                return Scene(around, adapted, num_threads=num_threads), f"adapted:{light.name}"
             if insists:
                 found = why_not or "the bundle has no adapted caches"
                 advice = "run lambent bake-light for this light, or leave the bounces to auto"
@@ -203,11 +214,14 @@ class Renderer:
             if why_not and why_not != self._told:
                 _LOG.warning("no adapted fast cache fits this picture: %s", why_not)
                 self._told = why_not
-        if settings.bounces == "one":
-            return plain, "one"
-        if self.bundle.manifest.HasField("transport"):
-            return replace(plain, hits=self.baked().hits(environment, edit)), "transport"
-        if settings.bounces == "transport":
+        if bounces == "one":
+            return replace(plain, most_bounces=2), "one"
+        if has_transport:
+            hits = self.baked().hits(environment, edit)
+            if isinstance(around, MeshSurroundings):
+                return replace(plain, around=replace(around, texels=hits.at_texels)), "transport"
+            return replace(plain, around=replace(around, hits=hits)), "transport"
+        if bounces == "transport":
             self.baked()
         return plain, "one"
 
@@ -223,13 +237,17 @@ class Renderer:
         view = self.view(camera, settings.antialias)
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
+        scene, bounces = self._scene(environment, edit, settings)
+        if isinstance(scene.around, MeshSurroundings):
+            position = scene.around.traced.settled(view.origin, view.direction, seen.distance)
+        else:
+            position = view.origin + seen.distance * view.direction
         points = SurfacePoints(
-            view.origin + seen.distance * view.direction,
+            position,
             seen.normal,
             -view.direction,
             materials_from_roughness(albedo, roughness, seen.metalness),
         )
-        scene, bounces = self._scene(environment, edit, settings)
         pixels = PixelRays.of(view.pixel, seen.opacity)
         radiance = estimated(points, pixels, scene, light, settings, progress)
         coverage, distance = view.coverage(), view.mean(seen.distance)

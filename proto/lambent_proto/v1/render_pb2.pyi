@@ -105,7 +105,7 @@ class RenderCamera(_message.Message):
     def __init__(self, name: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., focal_x: _Optional[float] = ..., focal_y: _Optional[float] = ..., centre_x: _Optional[float] = ..., centre_y: _Optional[float] = ..., camera_to_world: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class RenderQuality(_message.Message):
-    __slots__ = ("name", "quality", "spp", "until_stderr", "antialias", "indirect", "seed", "background", "exposure_ev", "bounces", "tone_mapping")
+    __slots__ = ("name", "quality", "spp", "until_stderr", "antialias", "indirect", "seed", "background", "exposure_ev", "bounces", "tone_mapping", "occlusion", "denoise")
     NAME_FIELD_NUMBER: _ClassVar[int]
     QUALITY_FIELD_NUMBER: _ClassVar[int]
     SPP_FIELD_NUMBER: _ClassVar[int]
@@ -117,6 +117,8 @@ class RenderQuality(_message.Message):
     EXPOSURE_EV_FIELD_NUMBER: _ClassVar[int]
     BOUNCES_FIELD_NUMBER: _ClassVar[int]
     TONE_MAPPING_FIELD_NUMBER: _ClassVar[int]
+    OCCLUSION_FIELD_NUMBER: _ClassVar[int]
+    DENOISE_FIELD_NUMBER: _ClassVar[int]
     name: str
     quality: str
     spp: int
@@ -128,7 +130,9 @@ class RenderQuality(_message.Message):
     exposure_ev: float
     bounces: str
     tone_mapping: str
-    def __init__(self, name: _Optional[str] = ..., quality: _Optional[str] = ..., spp: _Optional[int] = ..., until_stderr: _Optional[float] = ..., antialias: _Optional[int] = ..., indirect: _Optional[bool] = ..., seed: _Optional[int] = ..., background: _Optional[str] = ..., exposure_ev: _Optional[float] = ..., bounces: _Optional[str] = ..., tone_mapping: _Optional[str] = ...) -> None: ...
+    occlusion: str
+    denoise: bool
+    def __init__(self, name: _Optional[str] = ..., quality: _Optional[str] = ..., spp: _Optional[int] = ..., until_stderr: _Optional[float] = ..., antialias: _Optional[int] = ..., indirect: _Optional[bool] = ..., seed: _Optional[int] = ..., background: _Optional[str] = ..., exposure_ev: _Optional[float] = ..., bounces: _Optional[str] = ..., tone_mapping: _Optional[str] = ..., occlusion: _Optional[str] = ..., denoise: _Optional[bool] = ...) -> None: ...
 
 class RenderOutput(_message.Message):
     __slots__ = ("files", "passes", "half", "path")

@@ -43,8 +43,8 @@ class TransportConfig:
 
     tier: str = "full"
     """"full" or "lite"; everything in a lite bundle is a part of the full one."""
-    num_bounces: int = 4
-    """Maximum number of bounces between surfaces."""
+    num_bounces: int = 32
+    """Maximum number of bounces between surfaces; fewer once another adds next to nothing."""
     rays: RayConfig = field(default_factory=RayConfig)
 
     def __post_init__(self) -> None:

@@ -22,6 +22,9 @@ from lambent_worker.bundle.transport_specular import mirrored_light
 _LEAST_BLOCKED = 0.05
 """Share of the hemisphere that is taken to surround a hit point at least."""
 
+_CONVERGED = 1e-3
+"""Iteration ends when mean indirect light grows by less than this share."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reflectors:
@@ -96,11 +99,14 @@ def indirect_transfer(
     diffuse = (reflectors.diffuse() / np.pi).astype(np.float32)
     result = np.zeros((direct.shape[1], len(coarse), 3), np.float32)
     for _ in range(num_bounces):
+        before = result[0].mean(dtype=np.float64)
         for channel in range(3):
             arriving = result[:, :, channel].T[parent]
             total = gather @ (diffuse[:, channel : channel + 1] * (direct + arriving))
             total += mirrored[:, :, channel] + surrounded[channel] @ arriving
             result[:, :, channel] = total.T
+        if abs(result[0].mean(dtype=np.float64) - before) <= _CONVERGED * before:
+            break
     return result
 
 

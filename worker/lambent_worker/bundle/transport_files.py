@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime
-import torch
 from flashcache.export.onnx import WeightFile
 from flashcache.export.relight_graph import relight, relight_graph
-from flashcache.physical.model import InverseModel
 from jaxtyping import Float
+from lambent_compute.threads import available_threads
 from lambent_proto.v1 import bundle_pb2
+from lambent_relight.baked.raster import interpolate, rasterise_uv
 from lambent_relight.baked.transport import transport_files
 from lambent_relight.bundle.graphs import SurfaceCaches
-from lambent_relight.fused.reader import FusedCaches
+from lambent_relight.refined.surroundings import MESH_OFFSET
+from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy import ndarray
 
 from lambent_worker.bundle.graphs import PARITY_ROWS
@@ -27,11 +28,8 @@ from lambent_worker.bundle.transport_bounce import Reflectors
 from lambent_worker.bundle.transport_rays import SecondaryRays
 from lambent_worker.errors import WorkerError
 
-_RAYS_ON_DEVICE = 1 << 18
-
 
 def write_transport(
-    model: InverseModel,
     caches: SurfaceCaches,
     surface: AtlasSurface,
     manifest: bundle_pb2.BundleManifest,
@@ -43,31 +41,29 @@ def write_transport(
 ) -> None:
     """Bake the transport of `surface` into `folder`/transport and describe it in `manifest`.
 
-    Rays are answered by `caches`, or by the model itself where it lies on a graphics card. Finished ones
-    lie in `store` until the bake is done. `advance` is called with the finished share and may raise to stop.
+    Materials are those of `caches`; rays are traced against the mesh. Finished ones lie in `store` until the
+    bake is done. `advance` is called with the finished share and may raise to stop.
     """
     found = caches.material(surface.positions)
     reflectors = Reflectors(found.albedo, found.perceptual_roughness, found.metalness)
     covered = BakedSurface(
-        surface.size, surface.texel_index, surface.positions, surface.texel_normals.astype(np.float32)
+        surface.size, surface.texel_index, mesh_positions(surface), surface.texel_normals.astype(np.float32)
     )
+    rays = MeshRays(surface.vertices, surface.faces)
     digest = hashlib.sha256(repr(config.rays).encode())
     for array in (covered.positions, covered.normals):
         digest.update(np.ascontiguousarray(array).tobytes())
-    digest.update((folder / "models" / "weights.bin").read_bytes())
-    num_threads = 1
-    if isinstance(caches, FusedCaches) and next(model.parameters()).device.type == "cpu":
-        # Compiled code is called by the threads that do everything else of a chunk.
-        caches, num_threads = caches.in_callers_thread(), caches.num_threads
+    for array in (surface.vertices, surface.faces):
+        digest.update(np.ascontiguousarray(array).tobytes())
     transport, figures = bake_transport(
         covered,
         reflectors,
-        secondary_rays(model, caches),
-        origin_offset=model.limits.origin_offset,
+        mesh_rays(rays),
+        origin_offset=MESH_OFFSET * rays.size,
         config=config,
         store=store / digest.hexdigest()[:16],
         advance=advance,
-        num_threads=num_threads,
+        num_threads=available_threads(),
     )
     (folder / "transport").mkdir(exist_ok=True)
     for path, data in transport_files(transport, manifest, tier=config.tier).items():
@@ -76,34 +72,23 @@ def write_transport(
     shutil.rmtree(store, ignore_errors=True)
 
 
-def secondary_rays(model: InverseModel, caches: SurfaceCaches) -> SecondaryRays:
-    """Return the fastest evaluation of secondary rays on the model's device."""
-    device = next(model.parameters()).device
-    if device.type == "cpu":
+def mesh_positions(surface: AtlasSurface) -> Float[ndarray, "texels 3"]:
+    """Return the places of the covered texels on the mesh itself, scene units."""
+    found = rasterise_uv(surface.uv, surface.faces, surface.size)
+    return interpolate(found, surface.faces, surface.vertices)
 
-        def compiled(
-            origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
-        ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
-            hits = caches.secondary(origin, direction)
-            return hits.opacity, hits.distance
 
-        return compiled
+def mesh_rays(rays: MeshRays) -> SecondaryRays:
+    """Return what rays meet on a mesh, as opacity, 0 or 1, and distance, 0 where the ray is free."""
 
-    @torch.no_grad()
-    def on_device(
+    def traced(
         origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
     ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
-        parts = []
-        for start in range(0, len(origin), _RAYS_ON_DEVICE):
-            rows = slice(start, start + _RAYS_ON_DEVICE)
-            rays = [torch.from_numpy(np.ascontiguousarray(a[rows])).to(device) for a in (origin, direction)]
-            light = torch.zeros(len(rays[0]), dtype=torch.long, device=device)
-            answer = model.fast(*rays, light)
-            parts.append(torch.stack([answer.opacity, answer.distance], dim=-1))
-        values = torch.cat(parts).float().cpu().numpy()
-        return values[:, :1], values[:, 1:]
+        hits = rays(origin, direction)
+        distance = np.where(hits.blocked, hits.distance, np.float32(0.0))
+        return hits.blocked[:, None].astype(np.float32), distance[:, None]
 
-    return on_device
+    return traced
 
 
 def write_relight_graph(manifest: bundle_pb2.BundleManifest, folder: Path, *, seed: int) -> ParityResult:

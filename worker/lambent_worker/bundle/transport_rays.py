@@ -1,10 +1,9 @@
-"""Visibility around every texel, from rays of the fast cache in stratified directions.
+"""Visibility around every texel, from rays in stratified directions against the mesh.
 
 Every texel uses the directions of one of 16 sets that are above its horizon. All sets are the same 256 evenly
 distributed directions, each jittered within its own cell of the sphere, so that neighbouring texels sample
 between each other's directions. Half of the directions are traced first; a texel with nearly uniform results
 is settled, and takes each other direction from its nearest neighbour. Only the rest trace the second half.
-Source: supplement 2.1 (the fast cache's opacity).
 """
 
 from collections.abc import Callable
@@ -26,7 +25,7 @@ NOT_STORED = -1.0
 
 
 class SecondaryRays(Protocol):
-    """The fast cache: rays [ray, 3] to opacity and distance [ray, 1] each."""
+    """What is in the way: rays [ray, 3] to opacity and distance [ray, 1] each."""
 
     def __call__(
         self, origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
@@ -46,6 +45,10 @@ class RayConfig:
     """Rays with more opacity than this light the texel by what they hit."""
     jitter: float = 0.9
     """Largest jitter of a direction, as a share of the radius of its cell."""
+
+
+MESH_RAYS = RayConfig(settled=0.0)
+"""Rays against a mesh cost so little that none is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

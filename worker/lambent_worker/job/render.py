@@ -104,7 +104,7 @@ def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
         identifier = light.pop("environment_id")
         light["map"] = str(maps.get(identifier, inputs / "environments" / identifier))
     document["qualities"] = [
-        _without_empty(entry, "bounces", "tone_mapping") for entry in document["qualities"]
+        _without_empty(entry, "bounces", "tone_mapping", "occlusion") for entry in document["qualities"]
     ]
     document["output"] = _without_empty(document.get("output", {}), "path")
     document["cameras"] = [

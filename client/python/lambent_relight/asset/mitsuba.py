@@ -1,8 +1,8 @@
 """A bundle's asset as a scene of Mitsuba 3: mesh, `principled` material, environment and cameras.
 
 The scene keeps the world's axes (z up). Mitsuba's cameras look along +z with x to the left, ours along -z
-with x to the right. Its environment maps are y up; `ENVIRONMENT_TO_WORLD` turns them so that a map in our
-layout needs no change. Source: Mitsuba 3 documentation (envmap, perspective, principled, normalmap).
+with x to the right. Its environment maps are y up; `ENVIRONMENT_TO_WORLD` turns them, and their rows lie
+elsewhere (`_in_mitsubas_rows`). Source: Mitsuba 3 documentation (envmap, perspective, principled, normalmap).
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,8 @@ from lambent_relight.environment.maps import Environment, write_environment
 
 ENVIRONMENT_TO_WORLD = ((0, 0, 1, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 0, 1))
 """World directions of Mitsuba's: its +y is our +z, and its -z, the left edge of a map, our -x."""
+_LEAST_ROWS = 512
+"""Rows of an exported map at least."""
 _SCENE = """\
 <!-- mitsuba scene.xml; other light and quality: mitsuba -D environment=sky.exr -D spp=1024 scene.xml
      The map is laid out as in Lambent and Blender: +x in the centre, +z up. Sensors are its cameras. -->
@@ -99,12 +101,28 @@ def write_mitsuba(
     (folder / "metalness.png").write_bytes(png_of(packed[..., 2]))
     (folder / "normal.png").write_bytes(png_of(_unmirrored_normals(mesh)))
     (folder / "asset.ply").write_bytes(_ply(mesh))
-    write_environment(folder / "environment.exr", environment.radiance, half=False)
+    write_environment(folder / "environment.exr", _in_mitsubas_rows(environment.radiance), half=False)
     reach = float(np.linalg.norm(mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)))
     sensors = "\n".join(_sensor(camera, number, mesh, reach) for number, camera in enumerate(cameras))
     to_world = _turn_about_z(environment.rotate_deg) @ np.array(ENVIRONMENT_TO_WORLD, np.float64)
     text = _SCENE.format(environment_to_world=_numbers(to_world), sensors=sensors)
     (folder / "scene.xml").write_text(text, encoding="utf-8")
+
+
+def _in_mitsubas_rows(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a map [height, width, 3] with its rows where Mitsuba looks for them.
+
+    Mitsuba's first and last row lie on the poles, ours half a row away from them: in a map of 16 rows light
+    would come from up to 6 degrees beside its place. Small maps get more rows, so that what lies between two
+    is as we mean it.
+    """
+    height = len(radiance)
+    rows = height * max(1, -(-_LEAST_ROWS // height)) + 1
+    place = np.clip(np.linspace(0.0, height, rows) - 0.5, 0.0, height - 1.0)
+    above = np.minimum(place.astype(np.int64), max(height - 2, 0))
+    below = np.minimum(above + 1, height - 1)
+    share = (place - above)[:, None, None]
+    return (radiance[above] * (1.0 - share) + radiance[below] * share).astype(np.float32)
 
 
 def _unmirrored_normals(mesh: TexturedMesh) -> NDArray[np.float64]:

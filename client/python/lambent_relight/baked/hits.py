@@ -4,6 +4,8 @@ The diffuse part comes from the irradiance of the nearest texel, the specular pa
 `lambent_relight.baked.shading`. Source: docs/reference/conventions.md (relighting).
 """
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +26,11 @@ class HitFinder:
         """Sort the texels of `scene` in space."""
         self.scene = scene
         self.lit = lit_texels(scene)
-        self.nearest = NearestPoint(texel_positions(scene.mesh, scene.transport))
+
+    @cached_property
+    def nearest(self) -> NearestPoint:
+        """Finds the texel nearest to a point."""
+        return NearestPoint(texel_positions(self.scene.mesh, self.scene.transport))
 
 
 class BakedHits:
@@ -46,8 +52,11 @@ class BakedHits:
 
     def __call__(self, position: NDArray[np.float32], omega_o: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the radiance from points [n, 3] towards `omega_o` [n, 3]."""
+        return self.at_texels(self._finder.nearest(position), omega_o)
+
+    def at_texels(self, texel: NDArray[np.integer], omega_o: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the radiance from the middle of texels [n] towards `omega_o` [n, 3]."""
         scene = self._finder.scene
-        texel = self._finder.nearest(position)
         normal = scene.normal[texel]
         cosine = dot(normal, omega_o)
         mirror = (2.0 * cosine * normal - omega_o).astype(np.float32)

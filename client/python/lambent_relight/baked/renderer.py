@@ -16,6 +16,7 @@ from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.surroundings import TracedSurface
 
 _KEPT_PIXELS = 2_000_000
 """Maximum number of pixels in cached views; about 400 bytes each."""
@@ -37,6 +38,7 @@ class BakedRenderer:
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
         self._known: _Prepared | None = None
         self._finder: HitFinder | None = None
+        self._traced: TracedSurface | None = None
         self._lights: list[tuple[Environment, int, BakedLight]] = []
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
@@ -80,6 +82,13 @@ class BakedRenderer:
             self._lights = [*self._lights[1 - _KEPT_LIGHTS :], known]
         turn = environment.rotate_deg - known[0].rotate_deg
         return known[2].rotated(turn) if turn else known[2]
+
+    @property
+    def traced(self) -> TracedSurface:
+        """The mesh, prepared for rays when first asked for."""
+        if self._traced is None:
+            self._traced = TracedSurface(self.scene)
+        return self._traced
 
     def hits(self, environment: Environment, edit: MaterialEdit) -> BakedHits:
         """Return the radiance of hit points in refined relighting under `environment`."""

@@ -4,10 +4,10 @@ Outgoing radiance of a visible point x under a new light L:
 
     L_o = integral of f(omega_i) [(1 - a) L(omega_i) + a L_hit] cos d omega_i,
 
-with a the fast cache's opacity along omega_i. L_hit is what the hit point, at the fast cache's distance,
-sends back: from a fast cache that was adapted to L (a L_hit at once), or from baked transport
-(`lambent_relight.baked.hits`), all bounces included, or what it reflects straight from L, with its own
-material (both lobes) and its own fast-cache visibility. The estimate is unbiased but for the errors of these.
+with a the opacity of what is in the way (`lambent_relight.refined.surroundings`): the mesh, or the fast
+cache. L_hit is what the hit point sends back: from a fast cache that was adapted to L (a L_hit at once), or
+from baked transport (`lambent_relight.baked.hits`), all bounces included, or what a random path from there
+finds after a limited number of reflections. The estimate is unbiased but for the errors of these.
 Source: paper Eq. 1 with the visibility of supplement 2.1; docs/reference/conventions.md.
 """
 
@@ -20,14 +20,13 @@ import numpy as np
 from lambent_compute.threads import in_order
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import cosine_pdf, materials_from_roughness
-from lambent_relight.bundle.graphs import AdaptedHits, SurfaceCaches
-from lambent_relight.directions import normalise
-from lambent_relight.edits import MaterialEdit
+from lambent_relight.brdf import cosine_pdf
+from lambent_relight.bundle.graphs import AdaptedHits
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares
+from lambent_relight.refined.surroundings import Met, Surroundings
 
 RAYS_PER_CHUNK = 1 << 16
 """Maximum number of secondary rays in memory, or a pixel's more."""
@@ -50,15 +49,12 @@ class Light:
 class Scene:
     """The object that is lit."""
 
-    caches: SurfaceCaches
-    origin_offset: float
-    """Secondary rays start this far along the normal, scene units."""
-    edit: MaterialEdit
-    """Changes to the bundle's material."""
-    hits: Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]] | None = None
-    """Radiance of points [n, 3] towards directions [n, 3]; None: traced once more, see `hit_radiance`."""
+    around: Surroundings
+    """What secondary rays meet."""
     adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
-    """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `hits`."""
+    """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `around`."""
+    most_bounces: int = 0
+    """Reflections of light on its way to the eye, as random paths; 0: all that `around` knows, else two."""
     num_threads: int = 1
     """Threads that may call these functions at once."""
 
@@ -180,20 +176,21 @@ def _one_pass(
     active = drawn.active
     owner = active // per_pass
     normal, direction = points.normal[owner], drawn.omega_i[active]
-    origin = points.position[owner] + np.float32(scene.origin_offset) * normal
+    origin = points.position[owner] + np.float32(scene.around.origin_offset) * normal
     adapted = scene.adapted(origin, direction) if indirect and scene.adapted is not None else None
-    seen = scene.caches.secondary(origin, direction) if adapted is None else adapted
+    seen = scene.around.meet(origin, direction) if adapted is None else Met(adapted.opacity, adapted.distance)
     arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
     bouncing = np.zeros_like(arriving) if adapted is None else adapted.radiance
     if indirect and adapted is None:
         # Below `FOLLOWED`, a hit of opacity a is followed with probability a / FOLLOWED, at weight FOLLOWED:
         # the mean is that of following all at weight a.
         hit = np.flatnonzero(FOLLOWED * rng.random(len(active)) < seen.opacity[:, 0])
-        position = origin[hit] + seen.distance[hit] * direction[hit]
-        if scene.hits is not None:
-            bouncing[hit] = scene.hits(position, -direction[hit])
+        if scene.most_bounces == 0 and scene.around.has_radiance:
+            position = origin[hit] + seen.distance[hit] * direction[hit]
+            bouncing[hit] = scene.around.radiance(seen[hit], position, -direction[hit])
         else:
-            bouncing[hit] = hit_radiance(position, -direction[hit], scene, light, rng.random((len(hit), 3)))
+            left = (scene.most_bounces or 2) - 1
+            bouncing[hit] = _path_radiance(seen[hit], origin[hit], direction[hit], scene, light, rng, left)
         bouncing[hit] *= np.maximum(seen.opacity[hit], np.float32(FOLLOWED))
     cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
     result = np.zeros((4, count, 3))
@@ -203,34 +200,36 @@ def _one_pass(
     return result.astype(np.float32)
 
 
-def hit_radiance(
-    position: NDArray[np.float32],
-    omega_o: NDArray[np.float32],
+def _path_radiance(
+    met: Met,
+    origin: NDArray[np.float32],
+    direction: NDArray[np.float32],
     scene: Scene,
     light: Light,
-    u: NDArray[np.float64],
+    rng: np.random.Generator,
+    most_bounces: int,
 ) -> NDArray[np.float32]:
-    """Return an unbiased estimate of the direct light that hit points reflect, [point, 3].
+    """Return unbiased estimates of what comes back along rays that met something, [ray, 3].
 
-    One direction per point, drawn with the uniforms `u` [point, 3].
+    A path goes on from each hit in one direction, and is followed with the probability of its opacity: light
+    that reaches the hits after at most `most_bounces` reflections, theirs included.
     """
-    if len(position) == 0:
-        return np.zeros((0, 3), np.float32)
-    points = surface_at(position, omega_o, scene)
-    drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
-    weight = drawn.weight
+    if most_bounces < 1 or len(origin) == 0:
+        return np.zeros((len(origin), 3), np.float32)
+    points = scene.around.surface(met, origin + met.distance * direction, -direction)
+    drawn = draw_directions(
+        points, light.sampler, rng.random((len(origin), 3)), strategy_shares(points, light.sampler)
+    )
     active = drawn.active
-    origin = position[active] + np.float32(scene.origin_offset) * points.normal[active]
-    direction = drawn.omega_i[active]
-    visibility = 1.0 - scene.caches.secondary(origin, direction).opacity
-    radiance = np.zeros_like(weight)
-    radiance[active] = weight[active] * visibility * light.environment.lookup(direction)
+    start = points.position[active] + np.float32(scene.around.origin_offset) * points.normal[active]
+    onwards = drawn.omega_i[active]
+    seen = scene.around.meet(start, onwards)
+    arriving = (1.0 - seen.opacity) * light.environment.lookup(onwards)
+    if most_bounces > 1:
+        hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
+        arriving[hit] += _path_radiance(
+            seen[hit], start[hit], onwards[hit], scene, light, rng, most_bounces - 1
+        )
+    radiance = np.zeros((len(origin), 3), np.float32)
+    radiance[active] = drawn.weight[active] * arriving
     return radiance
-
-
-def surface_at(position: NDArray[np.float32], omega_o: NDArray[np.float32], scene: Scene) -> SurfacePoints:
-    """Return the surface at points [point, 3], with the edit applied."""
-    found = scene.caches.material(position)
-    albedo, roughness = scene.edit.apply(found.albedo, found.perceptual_roughness)
-    materials = materials_from_roughness(albedo, roughness, found.metalness)
-    return SurfacePoints(position, normalise(found.normal), omega_o, materials)

@@ -949,11 +949,18 @@ export interface components {
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
-             * @description Source of indirect light in refined pictures; auto: an adapted cache, else baked transport.
+             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport), or how
+             *     often light may be reflected, as random paths: 1 is direct light alone.
              * @default auto
              * @enum {string}
              */
-            bounces: "auto" | "adapted" | "transport" | "one";
+            bounces: "auto" | "adapted" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
+            /**
+             * Denoise
+             * @description Smooth what noise is left in a refined picture, guided by albedo and normals: to look at, not to measure.
+             * @default false
+             */
+            denoise: boolean;
             /**
              * Exposure Ev
              * @description Brighten the PNG by this many stops; the EXR stays as it is.
@@ -971,6 +978,14 @@ export interface components {
              * @description Default: the quality itself.
              */
             name?: string | null;
+            /**
+             * Occlusion
+             * @description What is in the way of light in refined pictures: the mesh or the fast cache; auto: the mesh where the
+             *     bundle has baked transport, but with an adapted cache what that cache sees.
+             * @default auto
+             * @enum {string}
+             */
+            occlusion: "auto" | "mesh" | "cache";
             /**
              * Quality
              * @description Baked transport (immediate, without noise) or Monte Carlo.

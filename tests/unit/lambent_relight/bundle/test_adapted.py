@@ -17,6 +17,7 @@ from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.fused.reader import FusedCaches
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.surroundings import CacheSurroundings
 from lambent_worker.light_bake.adapted_bundle import write_adapted
 from support.network_bundle import write_network_bundle
 from support.sphere_model import sphere_model
@@ -159,7 +160,7 @@ def test_matter_as_bright_as_the_sky_behind_it_does_not_show():
         return AdaptedHits(opacity=opacity, distance=opacity, radiance=np.float32(0.7) * opacity.repeat(3, 1))
 
     light = Light(sky, LightSampler(sky))
-    empty = Scene(Nothing(), 0.01, MaterialEdit())
+    empty = Scene(CacheSurroundings(Nothing(), 0.01, MaterialEdit()))
     arguments = {"num_samples": 16, "seed": 3, "indirect": True}
     bare = outgoing_radiance(points, empty, light, **arguments)
     hidden = outgoing_radiance(points, replace(empty, adapted=fog), light, **arguments)

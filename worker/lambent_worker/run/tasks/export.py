@@ -22,6 +22,7 @@ from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.surface_files import write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
+from lambent_worker.bundle.transport_rays import MESH_RAYS
 from lambent_worker.bundle.transport_files import write_relight_graph, write_transport
 from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.uncertainty import write_uncertainty
@@ -93,12 +94,11 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     _advance(context, 4)
     if settings.transport_tier != "none":
         write_transport(
-            model,
             caches,
             surface,
             manifest,
             folder,
-            TransportConfig(tier=settings.transport_tier),
+            TransportConfig(tier=settings.transport_tier, rays=MESH_RAYS),
             store=context.folder.with_name(context.folder.name + ".rays"),
             advance=lambda share: context.stop_if_asked(),
         )
