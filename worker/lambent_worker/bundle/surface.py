@@ -21,8 +21,9 @@ from lambent_worker.bundle.mesh import (
     data_resolution,
     extract_mesh,
     occupied_box,
-    simplified,
 )
+from lambent_worker.bundle.mesh_decimation import TOLERANCE_CELLS, adapted
+from lambent_worker.bundle.mesh_settling import settled_mesh
 from lambent_worker.errors import WorkerError
 
 OUTSIDE_CELLS, INSIDE_CELLS = 1.5, 2.5
@@ -69,7 +70,8 @@ def build_surface(
     """
     low, high = box or occupied_box(model)
     resolution = data_resolution(model, low, high, pixel_size=pixel_size, limit=config.mesh_resolution)
-    mesh = simplified(extract_mesh(model, low, high, resolution), config.max_faces)
+    fine = settled_mesh(model, extract_mesh(model, low, high, resolution))
+    mesh, _ = adapted(fine, config.max_faces, TOLERANCE_CELLS * fine.cell)
     charts = unwrap(mesh, config.atlas_size)
     vertices = mesh.vertices[charts.source]
     plain = angle_weighted_normals(mesh.vertices, mesh.faces)
