@@ -254,6 +254,12 @@ def piece_of_face(num_vertices: int, faces: NDArray[np.integer]) -> NDArray[np.i
     return piece[faces[:, 0]]
 
 
+def edges_of(faces: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return the edges of triangles [edge, 2], each once, its smaller vertex first."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.unique(np.sort(edges, axis=1), axis=0)
+
+
 def compact(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.floating], NDArray[np.integer]]:

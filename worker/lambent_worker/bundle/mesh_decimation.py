@@ -7,9 +7,9 @@ from scipy.spatial import cKDTree
 
 from lambent_worker.bundle.mesh import Mesh, compact
 
-TOLERANCE_CELLS = 0.1
+TOLERANCE_CELLS = 0.3
 """Distance of the fine mesh from the simplified one that is accepted, in cells. A cell is no smaller than half a
-pixel of the photographs."""
+pixel of the photographs; noise of the density is about as large."""
 TOLERATED_SHARE = 0.99
 """Share of the fine mesh's vertices that keep the tolerance."""
 NUM_CHECKED = 20_000
@@ -26,7 +26,8 @@ SEED = 0
 def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     """Return the mesh simplified to about `max_faces` triangles or fewer.
 
-    Quadric error collapse; triangles without area are dropped.
+    Quadric error collapse; triangles without area are dropped, and pairs of triangles with the same corners,
+    to which a thin fold collapses.
     """
     vertices, faces = mesh.vertices, mesh.faces
     if len(faces) > max_faces:
@@ -35,8 +36,14 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
         )
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    vertices, faces = compact(vertices, faces[area > 1e-6 * mesh.cell**2])
+    vertices, faces = compact(vertices, without_folded_pairs(faces[area > 1e-6 * mesh.cell**2]))
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell)
+
+
+def without_folded_pairs(faces: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return `faces` without those that share all three corners with another."""
+    _, same, counts = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
+    return faces[counts[same.reshape(-1)] == 1]
 
 
 def adapted(mesh: Mesh, max_faces: int, tolerance: float) -> tuple[Mesh, float]:
