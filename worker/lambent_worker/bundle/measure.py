@@ -8,10 +8,11 @@ from flashcache.data.scene import Camera, View
 from flashcache.evaluation.views import render_gbuffer
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
-from lambent_relight import cameras as relight_cameras
 from lambent_relight.bundle.graphs import SurfaceCaches
 from numpy import ndarray
 
+from lambent_worker.bundle.cameras import relight_camera
+from lambent_worker.bundle.mesh_depth import NUM_VIEWS, depth_agreement
 from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.surface_files import silhouette_iou
 from lambent_worker.report import figures
@@ -26,12 +27,6 @@ SOLID = 0.9
 """Pixels of at least this opacity take part in the comparison of distances."""
 
 
-def relight_camera(name: str, camera: Camera) -> relight_cameras.Camera:
-    """Return a camera as clients read it."""
-    values = {field.name: getattr(camera, field.name) for field in dataclasses.fields(camera)}
-    return relight_cameras.Camera(name=name, **values)
-
-
 def measure(
     model: InverseModel,
     caches: SurfaceCaches,
@@ -44,11 +39,20 @@ def measure(
 
     `psnr_views` compares the cache's picture with the photograph, sRGB over white. `gbuffer_opacity_error`
     and `gbuffer_distance_error` (scene units, median) compare the exported surface, as `caches` read it,
-    with the traced one, whose samples are placed by proposal networks.
+    with the traced one, whose samples are placed by proposal networks. `mesh_depth_*_pixels` are those of
+    `DepthAgreement`, over more views; absent where no view shows mesh and volume.
     """
     shown = evenly_spaced(views, SHOWN_VIEWS)
     found = [_measure_view(model, caches, surface, view, light, folder) for view in shown]
-    return {name: float(np.mean([values[name] for values in found])) for name in found[0]}
+    means = {name: float(np.mean([values[name] for values in found])) for name in found[0]}
+    depth = depth_agreement(model, surface.vertices, surface.faces, evenly_spaced(views, NUM_VIEWS))
+    if depth is None:
+        return means
+    return means | {
+        "mesh_depth_median_pixels": depth.median,
+        "mesh_depth_p95_pixels": depth.p95,
+        "mesh_depth_worst_view_p95_pixels": depth.worst_p95,
+    }
 
 
 def _measure_view(

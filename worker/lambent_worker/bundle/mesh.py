@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import fast_simplification
 import numpy as np
 import torch
 from flashcache.evaluation.threads import on_all_cores
@@ -40,7 +39,12 @@ FLOATER_AREA = 0.01
 FLOATER_VOLUME = FLOATER_AREA**1.5
 """The same, as a share of the largest piece's volume."""
 CHUNK_POINTS = 65536
-
+SURVEY_STRIDE = 4
+"""Cells of the mesh across a cell of the search for the surface, of which only the surroundings are looked at."""
+SLAB = 16
+"""Layers of cells at which density is evaluated at a time."""
+MOST_CELLS = 2**27
+"""Most cells of the grid around the surface; half a gigabyte of numbers."""
 
 SEEN_FROM = 14
 """Viewpoints around the object; a piece visible from none of them is inside."""
@@ -97,33 +101,57 @@ def extract_mesh(model: InverseModel, box_min: Corner, box_max: Corner, resoluti
     Floaters, and pieces that are not visible from outside, are left out. Raises WorkerError when there is no
     surface.
     """
-    low, high = np.array(box_min), np.array(box_max)
-    depth, cell = _depth_grid(model, low, high, resolution)
-    level = _level(depth, SURFACE_DEPTH)
-    # The logarithm of density is what the network gives, and nearly linear across a surface; opacity jumps.
-    field = np.log((depth / level).clip(1.0 / DEPTH_RANGE, DEPTH_RANGE))
-    # Empty space around the grid closes the surface where matter touches the box.
-    field = np.pad(field, 1, constant_values=-math.log(DEPTH_RANGE))
-    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent")
+    low = np.array(box_min)
+    field, near, cell = field_near_surface(model, low, np.array(box_max), resolution)
+    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent", mask=near)
+    del field, near
     vertices, faces = without_hidden(*_without_floaters(vertices, faces))
     vertices = (low + (vertices - 0.5) * cell).astype(np.float32)
     return Mesh(vertices, faces.astype(np.int32), cell)
 
 
-def simplified(mesh: Mesh, max_faces: int) -> Mesh:
-    """Return the mesh simplified to about `max_faces` triangles or fewer.
+def field_near_surface(
+    model: InverseModel, low: NDArray[np.float64], high: NDArray[np.float64], resolution: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
+    """Return the field whose zero is the surface, where it is known, and the width of its cells.
 
-    Quadric error collapse; triangles without area are dropped.
+    The field [x, y, z] is the logarithm of optical depth over that of the surface, within that of
+    `DEPTH_RANGE`, at the centres of cubic cells with one layer of empty ones around them. Density is
+    evaluated near the surface only, of which a search with cells `SURVEY_STRIDE` times as wide finds the
+    surroundings; elsewhere the field has the search's sign. The grid is coarser than asked where it would
+    have more than `MOST_CELLS`. Raises WorkerError where there is no matter.
     """
-    vertices, faces = mesh.vertices, mesh.faces
-    if len(faces) > max_faces:
-        vertices, faces = fast_simplification.simplify(
-            np.ascontiguousarray(vertices), np.ascontiguousarray(faces), target_count=max_faces
-        )
-    a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    vertices, faces = _compact(vertices, faces[area > 1e-6 * mesh.cell**2])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell)
+    sides = high - low
+    finest = float((np.prod(sides) / MOST_CELLS) ** (1.0 / 3.0) / sides.max())
+    resolution = min(resolution, int(1.0 / finest))
+    cell = float(sides.max()) / resolution
+    counts = np.maximum(1, np.ceil(sides / cell - 1e-6).astype(int))
+    stride = SURVEY_STRIDE if resolution >= SURVEY_STRIDE * SURVEY_CELLS // 2 else 1
+    coarse_counts = -(-counts // stride)
+    coarse = _depth_at_centres(model, low, cell * stride, -(-counts // stride)) / stride
+    level = _level(coarse, SURFACE_DEPTH)
+    cube = np.ones((3, 3, 3))
+    deep = ndimage.binary_erosion(coarse > level, cube, iterations=2)
+    around = ndimage.binary_dilation(coarse > level / DEPTH_RANGE, cube) & ~deep
+    wider = ndimage.binary_dilation(around, cube)
+    most = np.float32(math.log(DEPTH_RANGE))
+    # Empty space around the grid closes the surface where matter touches the box.
+    field, near, drawn = (np.zeros(counts + 2, kind) for kind in (np.float32, bool, bool))
+    field -= most
+    inside = np.s_[1:-1, 1:-1, 1:-1]
+    for target, values in ((field, deep), (near, around), (drawn, wider)):
+        for row in range(counts[0]):
+            plane = values[row // stride].repeat(stride, 0).repeat(stride, 1)[: counts[1], : counts[2]]
+            target[inside][row][plane] = most if target is field else True
+    for slab in range(0, counts[0] + 2, SLAB):
+        places = np.argwhere(near[slab : slab + SLAB]) + [slab - 1, -1, -1]
+        if len(places):
+            depth = _depth_at(model, ((places + 0.5) * cell + low).astype(np.float32), cell)
+            field[slab : slab + SLAB][near[slab : slab + SLAB]] = depth
+    level = _level(field[near], SURFACE_DEPTH)
+    # The logarithm of density is what the network gives, and nearly linear across a surface; opacity jumps.
+    field[near] = np.log((field[near] / level).clip(1.0 / DEPTH_RANGE, DEPTH_RANGE))
+    return field, np.pad(drawn[inside], 1, mode="edge"), cell
 
 
 def _level(depth: NDArray[np.float32], wanted: float) -> float:
@@ -141,45 +169,54 @@ def _level(depth: NDArray[np.float32], wanted: float) -> float:
     return level
 
 
-@torch.no_grad()
 def _depth_grid(
     model: InverseModel, low: NDArray[np.float64], high: NDArray[np.float64], resolution: int
 ) -> tuple[NDArray[np.float32], float]:
     """Return the optical depth of one cell's width at the centres of cubic cells, and that width."""
     cell = float((high - low).max()) / resolution
     counts = np.maximum(1, np.ceil((high - low) / cell - 1e-6).astype(int))
+    return _depth_at_centres(model, low, cell, counts), cell
+
+
+def _depth_at_centres(
+    model: InverseModel, low: NDArray[np.float64], cell: float, counts: NDArray[np.integer]
+) -> NDArray[np.float32]:
     axes = [low[k] + (np.arange(counts[k]) + 0.5) * cell for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+    return _depth_at(model, points, cell).reshape(counts)
+
+
+def _depth_at(model: InverseModel, points: NDArray[np.float32], width: float) -> NDArray[np.float32]:
+    """Return the optical depth of `width` scene units of the matter at each point."""
     device = next(model.parameters()).device
 
     def depth(chunk: NDArray[np.float32]) -> torch.Tensor:
-        return cell * model.nerf.density.density(torch.from_numpy(chunk).to(device)).cpu()
+        return width * model.nerf.density.density(torch.from_numpy(chunk).to(device)).cpu()
 
-    parts = on_all_cores(depth, _chunks(points), device)
-    return torch.cat(parts).numpy().reshape(counts), cell
+    return torch.cat(on_all_cores(depth, _chunks(points), device)).numpy()
 
 
 def _without_floaters(
     vertices: NDArray[np.float32], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.integer]]:
     """Return the triangles of the large connected pieces, and the vertices they use."""
-    piece = _piece_of_face(len(vertices), faces)
+    piece = piece_of_face(len(vertices), faces)
     sizes = np.bincount(piece)
-    return _compact(vertices, faces[sizes[piece] >= FLOATER_AREA * sizes.max()])
+    return compact(vertices, faces[sizes[piece] >= FLOATER_AREA * sizes.max()])
 
 
 def without_hidden(
     vertices: NDArray[np.float32], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.integer]]:
     """Return the triangles of the connected pieces that are visible from outside."""
-    piece = _piece_of_face(len(vertices), faces)
+    piece = piece_of_face(len(vertices), faces)
     seen = np.zeros(piece.max() + 1, bool)
     for camera in _around(vertices):
         if seen[piece].all():
             break
         found = rasterise(vertices, faces, camera)
         seen[piece[found.face[found.covered]]] = True
-    return _compact(vertices, faces[seen[piece]])
+    return compact(vertices, faces[seen[piece]])
 
 
 def _around(points: NDArray[np.floating]) -> list[Camera]:
@@ -207,7 +244,7 @@ def _around(points: NDArray[np.floating]) -> list[Camera]:
     return cameras
 
 
-def _piece_of_face(num_vertices: int, faces: NDArray[np.integer]) -> NDArray[np.integer]:
+def piece_of_face(num_vertices: int, faces: NDArray[np.integer]) -> NDArray[np.integer]:
     """Return the connected piece each triangle belongs to."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     joined = sparse.coo_array(
@@ -217,7 +254,13 @@ def _piece_of_face(num_vertices: int, faces: NDArray[np.integer]) -> NDArray[np.
     return piece[faces[:, 0]]
 
 
-def _compact(
+def edges_of(faces: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return the edges of triangles [edge, 2], each once, its smaller vertex first."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.unique(np.sort(edges, axis=1), axis=0)
+
+
+def compact(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
     """Return the triangles with the vertices they use and no others."""

@@ -5,24 +5,20 @@ so that materials and rays of a bake belong to the trained surface.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from flashcache.config import ExportConfig
+from flashcache.data.scene import View
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.physical.model import InverseModel
 from lambent_relight.baked.raster import interpolate, rasterise_uv
 from numpy.typing import NDArray
 
 from lambent_worker.bundle.atlas import angle_weighted_normals, unit, unwrap
-from lambent_worker.bundle.mesh import (
-    Corner,
-    data_resolution,
-    extract_mesh,
-    occupied_box,
-    simplified,
-)
+from lambent_worker.bundle.mesh import Corner, occupied_box
+from lambent_worker.bundle.mesh_shape import build_shape
 from lambent_worker.errors import WorkerError
 
 OUTSIDE_CELLS, INSIDE_CELLS = 1.5, 2.5
@@ -53,6 +49,10 @@ class AtlasSurface:
     """Of covered texels, on the trained surface."""
     texel_normals: NDArray[np.float32]
     """Of covered texels, unit, outwards."""
+    unseen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    """Of covered texels, whether no photograph shows them; empty where that is not known."""
+    mesh_error: float = 0.0
+    """Distance of the mesh from that before triangles were saved (`mesh_decimation.adapted`), scene units."""
 
 
 def build_surface(
@@ -61,27 +61,34 @@ def build_surface(
     *,
     box: tuple[Corner, Corner] | None = None,
     pixel_size: float = 0.0,
+    views: tuple[View, ...] = (),
 ) -> AtlasSurface:
     """Return the surface of `model` with an atlas of `config.atlas_size` texels a side.
 
     `box` is where to look, by default the box around all matter; `pixel_size` is what a pixel of the
-    photographs covers at the object (scene units, 0: unknown). Raises WorkerError where there is no surface.
+    photographs covers at the object (scene units, 0: unknown); `views` are the photographs of the training.
+    What none of them shows is smooth: it has the mesh's places and normals, not those of the density. Raises
+    WorkerError where there is no surface.
     """
-    low, high = box or occupied_box(model)
-    resolution = data_resolution(model, low, high, pixel_size=pixel_size, limit=config.mesh_resolution)
-    mesh = simplified(extract_mesh(model, low, high, resolution), config.max_faces)
+    shape = build_shape(model, config, box or occupied_box(model), pixel_size=pixel_size, views=views)
+    mesh = shape.mesh
     charts = unwrap(mesh, config.atlas_size)
     vertices = mesh.vertices[charts.source]
     plain = angle_weighted_normals(mesh.vertices, mesh.faces)
     # Copies of a vertex on both sides of a seam must have one normal, or the seam shows.
     on_surface = settled(model, mesh.vertices, plain, mesh.cell)
-    normals = upright(learned_normals(model, on_surface), plain)[charts.source]
+    normals = upright(learned_normals(model, on_surface), plain)
+    normals = np.where(shape.unseen[:, None], plain, normals)[charts.source]
     found = rasterise_uv(charts.uv, charts.faces, config.atlas_size)
     index = np.flatnonzero(found.covered).astype(np.int32)
     if not len(index):
         raise WorkerError("export.atlas", "no texel is covered by the surface; raise export.atlas_size")
     outwards = unit(interpolate(found, charts.faces, plain[charts.source]))
-    positions = settled(model, interpolate(found, charts.faces, vertices), outwards, mesh.cell)
+    on_mesh = interpolate(found, charts.faces, vertices)
+    unknown = shape.unseen[charts.source].astype(np.float32)[:, None]
+    unseen = interpolate(found, charts.faces, unknown)[:, 0] > 0.5
+    positions = np.where(unseen[:, None], on_mesh, settled(model, on_mesh, outwards, mesh.cell))
+    learned = upright(learned_normals(model, positions), outwards)
     return AtlasSurface(
         vertices=vertices,
         faces=charts.faces,
@@ -90,7 +97,9 @@ def build_surface(
         size=config.atlas_size,
         texel_index=index,
         positions=positions,
-        texel_normals=upright(learned_normals(model, positions), outwards),
+        texel_normals=np.where(unseen[:, None], outwards, learned),
+        unseen=unseen,
+        mesh_error=shape.error,
     )
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.mesh import Corner
+from lambent_worker.bundle.mesh_health import mesh_health
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_occlusion import bake_occlusion
 from lambent_worker.bundle.textures import bake_materials
@@ -64,6 +65,10 @@ def write_asset(
     manifest.atlas.texel_size = texel_size(surface)
     manifest.metrics["mesh_faces"] = len(surface.faces)
     manifest.metrics["mesh_vertices"] = len(surface.vertices)
+    health = mesh_health(surface.vertices, surface.faces)
+    manifest.metrics["mesh_boundary_edges"] = health.boundary_edges
+    manifest.metrics["mesh_non_manifold_edges"] = health.non_manifold_edges
+    manifest.metrics["mesh_pieces"] = health.pieces
     return surface
 
 

@@ -10,9 +10,9 @@ from lambent_worker.bundle.mesh import (
     data_resolution,
     extract_mesh,
     occupied_box,
-    simplified,
     without_hidden,
 )
+from lambent_worker.bundle.mesh_decimation import simplified
 from lambent_worker.errors import WorkerError
 from support.sphere_model import BOUND, RADIUS, sphere_model
 

@@ -14,10 +14,11 @@ from lambent_proto.v1 import bundle_pb2
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
 
+from lambent_worker.bundle.cameras import relight_camera
 from lambent_worker.bundle.graphs import remove_networks, write_graphs
 from lambent_worker.bundle.half_tables import MOST_ROUNDING, fits_half, with_half_tables
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
-from lambent_worker.bundle.measure import measure, relight_camera
+from lambent_worker.bundle.measure import measure
 from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.surface_files import write_asset, written_caches
