@@ -19,7 +19,7 @@ from lambent_relight.baked.mesh import glb_accessor, glb_chunks
 from lambent_relight.errors import ExportError
 from numpy.typing import NDArray
 
-from lambent_worker.edited.maps import Maps, maps_of
+from lambent_worker.edited.glb_maps import Maps, maps_of
 from lambent_worker.errors import UsageError
 
 MAX_BYTES = 1 << 30

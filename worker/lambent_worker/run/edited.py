@@ -16,9 +16,9 @@ from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size, texel_size
 from lambent_worker.bundle.transport_files import write_relight_graph
 from lambent_worker.bundle.usd import write_usdz
-from lambent_worker.edited.bake import TriangleRays, occlusion_of, write_given_transport
+from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
+from lambent_worker.edited.edited_surface import GivenSurface, check_place, given_surface
 from lambent_worker.edited.glb_file import GivenMesh, read_glb
-from lambent_worker.edited.surface import GivenSurface, check_place, given_surface
 from lambent_worker.errors import UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.reporter import Reporter
