@@ -7,7 +7,7 @@ import lambent_worker
 from lambent_relight import asset
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
-AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark|render|bake"
+AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark|render|bake|mesh_file"
 FILES = {"run.json", "scene.json", "scene.xml", "benchmark.json"}
 
 

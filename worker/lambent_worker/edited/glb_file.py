@@ -19,7 +19,7 @@ from lambent_relight.baked.mesh import glb_accessor, glb_chunks
 from lambent_relight.errors import ExportError
 from numpy.typing import NDArray
 
-from lambent_worker.edited.maps import Maps, maps_of
+from lambent_worker.edited.glb_maps import Maps, maps_of
 from lambent_worker.errors import UsageError
 
 MAX_BYTES = 1 << 30
@@ -71,12 +71,12 @@ def read_glb(path: Path) -> GivenMesh:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise _refused(
-                "too_large", path, f"is above {MAX_BYTES >> 30} GiB", "reduce its mesh or textures"
+                "mesh_file.too_large", path, f"is above {MAX_BYTES >> 30} GiB", "reduce its mesh or textures"
             )
         data = path.read_bytes()
     except OSError as error:
         raise _refused(
-            "unreadable", path, f"cannot be opened ({error.strerror})", "check the path"
+            "mesh_file.unreadable", path, f"cannot be opened ({error.strerror})", "check the path"
         ) from error
     try:
         document, payload = glb_chunks(data)
@@ -93,7 +93,7 @@ def read_glb(path: Path) -> GivenMesh:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
     except _DAMAGED as error:
         raise _refused(
-            "unreadable",
+            "mesh_file.unreadable",
             path,
             f"is no whole GLB ({type(error).__name__}: {str(error)[:100]})",
             'export it again as "glTF Binary (.glb)", with everything inside the file',
@@ -113,7 +113,7 @@ def _check_extensions(path: Path, document: dict[str, Any]) -> None:
     unknown = sorted(set(document.get("extensionsRequired", ())) - _UNDERSTOOD)
     if unknown:
         raise _refused(
-            "unsupported",
+            "mesh_file.unsupported",
             path,
             f"needs the glTF extensions {', '.join(unknown)[:200]}",
             "export it without them: no quantization, no meshopt, no KTX2 textures",
@@ -164,7 +164,7 @@ def _parts(
     """Yield the primitives of a node's mesh."""
     if "skin" in node:
         raise _refused(
-            "unsupported",
+            "mesh_file.unsupported",
             path,
             "has a mesh with an armature (skin)",
             "apply the armature modifier, and export without skinning",
@@ -172,7 +172,7 @@ def _parts(
     for primitive in document["meshes"][node["mesh"]]["primitives"]:
         if primitive.get("targets"):
             raise _refused(
-                "unsupported",
+                "mesh_file.unsupported",
                 path,
                 "has a mesh with shape keys (morph targets)",
                 "apply them, and export again",
@@ -180,7 +180,7 @@ def _parts(
         mode = primitive.get("mode", _TRIANGLES)
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             raise _refused(
-                "no_triangles",
+                "mesh_file.no_triangles",
                 path,
                 f"has {_SHAPES.get(mode, 'something')} where triangles are expected",
                 "leave loose edges and points out of the export, and triangulate the rest",
@@ -259,7 +259,7 @@ def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
 def _joined(path: Path, parts: list[_Part], ignored: tuple[str, ...]) -> GivenMesh:
     parts = [part for part in parts if len(part.faces)]
     if not parts:
-        raise _refused("empty", path, "has no triangles", "select the object, and export again")
+        raise _refused("mesh_file.empty", path, "has no triangles", "select the object, and export again")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts]).astype(np.float32)
     normals = np.concatenate([part.normals for part in parts]).astype(np.float32)
@@ -277,17 +277,22 @@ def _joined(path: Path, parts: list[_Part], ignored: tuple[str, ...]) -> GivenMe
         bad = int((~np.isfinite(values[used]).all(axis=1)).sum())
         if bad:
             raise _refused(
-                "not_finite", path, f"has {bad} vertices whose {name} are not numbers", "repair the mesh"
+                "mesh_file.not_finite",
+                path,
+                f"has {bad} vertices whose {name} are not numbers",
+                "repair the mesh",
             )
     a, b, c = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     extent = float(np.linalg.norm(np.ptp(vertices[used], axis=0)))
     kept = area > 1e-14 * extent * extent
     if not kept.any():
-        raise _refused("empty", path, "has no triangles with an area", "select the object, and export again")
+        raise _refused(
+            "mesh_file.empty", path, "has no triangles with an area", "select the object, and export again"
+        )
     if int(kept.sum()) > MAX_FACES:
         raise _refused(
-            "too_large", path, f"has {int(kept.sum())} triangles", f"decimate it below {MAX_FACES}"
+            "mesh_file.too_large", path, f"has {int(kept.sum())} triangles", f"decimate it below {MAX_FACES}"
         )
     order, again = np.unique(faces[kept], return_inverse=True)
     return GivenMesh(
@@ -317,4 +322,4 @@ def _ignored(document: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _refused(code: str, path: Path, what: str, advice: str) -> UsageError:
-    return UsageError(f"mesh_file.{code}", f'"{path.name}" {what}; {advice}')
+    return UsageError(code, f'"{path.name}" {what}; {advice}')

@@ -16,9 +16,9 @@ from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size, texel_size
 from lambent_worker.bundle.transport_files import write_relight_graph
 from lambent_worker.bundle.usd import write_usdz
-from lambent_worker.edited.bake import TriangleRays, occlusion_of, write_given_transport
+from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
+from lambent_worker.edited.edited_surface import GivenSurface, check_place, given_surface
 from lambent_worker.edited.glb_file import GivenMesh, read_glb
-from lambent_worker.edited.surface import GivenSurface, check_place, given_surface
 from lambent_worker.errors import UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.reporter import Reporter
@@ -39,8 +39,6 @@ def export_edited(run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, t
     `tier`, "full" or "lite", is by default the run's. The run and its own bundle stay as they are. Raises
     `UsageError` where the run is not trained to its end, `out` exists, or the file cannot be used.
     """
-    from flashcache.config import with_overrides
-
     given = read_glb(mesh)
     context = open_task(run_dir, "export", reporter)
     require_done(run_dir, last_training_task(context.spec.config))
@@ -48,8 +46,9 @@ def export_edited(run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, t
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
     if not tier and context.spec.config.export.transport_tier == "none":
         tier = "full"
-    settings = {"export.transport_tier": tier} if tier else {}
-    spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
+    config = context.spec.config
+    chosen = replace(config.export, transport_tier=tier or config.export.transport_tier)
+    spec = replace(context.spec, config=replace(config, export=chosen))
     if spec.config.export.transport_tier == "none":
         raise UsageError(
             "mesh_file.no_transport",

@@ -12,9 +12,9 @@ from lambent_worker.bundle.glb import write_glb
 from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.surface import build_surface
 from lambent_worker.bundle.textures import bake_materials
-from lambent_worker.edited.bake import TriangleRays, occlusion_of
+from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of
+from lambent_worker.edited.edited_surface import _charts, check_place, given_surface
 from lambent_worker.edited.glb_file import read_glb
-from lambent_worker.edited.surface import _charts, check_place, given_surface
 from lambent_worker.errors import UsageError
 from scipy.spatial import cKDTree
 from support.given_glb import GlbWriter, glb_file, y_up

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from lambent_relight.images import linear_from_srgb
 from lambent_worker.edited.glb_file import read_glb
-from lambent_worker.edited.maps import LEAST_ROUGHNESS, sampled
+from lambent_worker.edited.glb_maps import LEAST_ROUGHNESS, sampled
 from support.given_glb import GlbWriter, glb_file
 
 RNG = np.random.default_rng(3)

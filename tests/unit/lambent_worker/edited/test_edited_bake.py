@@ -4,7 +4,7 @@ import numpy as np
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.transport import transport_files
 from lambent_worker.bundle.surface import AtlasSurface
-from lambent_worker.edited.bake import TriangleRays, occlusion_of, write_given_transport
+from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
 from support.analytic_scene import AnalyticScene, Box, NumpyOps, Surface
 from support.baked_bundle import SLAB, baked_transport, quads_of
 from support.quad_surface import surface_of
