@@ -31,9 +31,7 @@ _MATT = """<bsdf type="diffuse"><texture type="bitmap" name="reflectance">
   <string name="wrap_mode" value="clamp"/></texture></bsdf>"""
 
 
-def mitsuba_pictures(
-    mi: Any, scene: Path, count: int, spp: int, *, matt: bool
-) -> list[NDArray[np.float64]]:
+def mitsuba_pictures(mi: Any, scene: Path, count: int, spp: int, *, matt: bool) -> list[NDArray[np.float64]]:
     """Return Mitsuba's pictures of the first `count` cameras of an exported scene, RGBA; `matt`: see above."""
     text = scene.read_text(encoding="utf-8")
     if matt:

@@ -28,10 +28,7 @@ def noise(
     way = {"spp": arguments.samples, "occlusion": arguments.occlusion, "edit": edit}
     renderer.render(camera, light, **way)
     began = time.process_time()
-    pictures = [
-        renderer.render(camera, light, seed=1000 + seed, **way)
-        for seed in range(arguments.seeds)
-    ]
+    pictures = [renderer.render(camera, light, seed=1000 + seed, **way) for seed in range(arguments.seeds)]
     seconds = (time.process_time() - began) / arguments.seeds
     inside = pictures[0].coverage[..., 0] > 0.9
     rgb = np.stack([picture.rgb[inside] for picture in pictures])

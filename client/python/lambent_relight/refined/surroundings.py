@@ -126,9 +126,7 @@ class TracedSurface:
         texel[hit] = self.scene.texels_at(uv)
         return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
 
-    def settled(
-        self, origin: Rows, direction: Rows, distance: Rows
-    ) -> tuple[Rows, NDArray[np.uint8] | None]:
+    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> tuple[Rows, NDArray[np.uint8] | None]:
         """Return the points [ray, 3] of camera rays at `distance` [ray, 1], on the mesh where it is near.
 
         The second result are the shadow bits there (all set where the mesh is not near), if there are any.

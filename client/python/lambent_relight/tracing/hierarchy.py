@@ -48,7 +48,11 @@ def build_hierarchy(vertices: NDArray[np.floating], faces: NDArray[np.integer]) 
     first = corners[order, 0]
     edges = np.concatenate([first, corners[order, 1] - first, corners[order, 2] - first], axis=1)
     return Hierarchy(
-        node_boxes[:used].copy(), children[:used].copy(), counts[:used].copy(), np.ascontiguousarray(edges), order
+        node_boxes[:used].copy(),
+        children[:used].copy(),
+        counts[:used].copy(),
+        np.ascontiguousarray(edges),
+        order,
     )
 
 
