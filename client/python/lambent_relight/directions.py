@@ -70,16 +70,3 @@ def frame_axes(normal: Array) -> tuple[Array, Array]:
     up = np.where(steep, np.array([0, 1, 0], normal.dtype), np.array([0, 0, 1], normal.dtype))
     tangent = normalise(np.cross(up, normal))
     return tangent, np.cross(normal, tangent)
-
-
-NUM_SHADOW_DIRECTIONS = 256
-"""Directions in which baked transport keeps whether a texel is in shadow."""
-
-
-def shadow_directions() -> NDArray[np.float64]:
-    """Return 256 even unit directions [j, 3]: z = 1 - (2j + 1) / 256, azimuth j pi (3 - sqrt 5)."""
-    j = np.arange(NUM_SHADOW_DIRECTIONS)
-    z = 1.0 - (2.0 * j + 1.0) / NUM_SHADOW_DIRECTIONS
-    azimuth = j * (np.pi * (3.0 - np.sqrt(5.0)))
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)

@@ -241,15 +241,14 @@ class Renderer:
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
         scene, bounces = self._scene(environment, edit, settings)
-        position, bits = view.origin + seen.distance * view.direction, None
+        position = view.origin + seen.distance * view.direction
         if isinstance(scene.around, MeshSurroundings):
-            position, bits = scene.around.traced.settled(view.origin, view.direction, seen.distance)
+            position = scene.around.traced.settled(view.origin, view.direction, seen.distance)
         points = SurfacePoints(
             position,
             seen.normal,
             -view.direction,
             materials_from_roughness(albedo, roughness, seen.metalness),
-            bits,
         )
         pixels = PixelRays.of(view.pixel, seen.opacity)
         radiance = estimated(points, pixels, scene, light, settings, progress)

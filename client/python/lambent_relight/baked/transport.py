@@ -15,13 +15,11 @@ from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.directions import NUM_SHADOW_DIRECTIONS, shadow_directions
 from lambent_relight.errors import BundleError
-
-__all__ = ["NUM_SHADOW_DIRECTIONS", "Transport", "shadow_directions"]
 
 Planes = NDArray[np.float32]
 
+NUM_SHADOW_DIRECTIONS = 256
 MAX_ATLAS_SIZE = 8192
 _MAX_BYTES = 512 << 20
 _TEXELS = "transport/texels.bin"
@@ -63,6 +61,15 @@ class Transport:
     def coarse_of_texel(self) -> NDArray[np.int32]:
         """The coarse texel (a block of 2 x 2) that every texel lies in, [texel]."""
         return coarse_blocks(self.size, self.texel_index)[1]
+
+
+def shadow_directions() -> NDArray[np.float64]:
+    """Return 256 even unit directions [j, 3]: z = 1 - (2j + 1) / 256, azimuth j pi (3 - sqrt 5)."""
+    j = np.arange(NUM_SHADOW_DIRECTIONS)
+    z = 1.0 - (2.0 * j + 1.0) / NUM_SHADOW_DIRECTIONS
+    azimuth = j * (np.pi * (3.0 - np.sqrt(5.0)))
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
 
 
 def coarse_blocks(size: int, texel_index: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.int32]]:

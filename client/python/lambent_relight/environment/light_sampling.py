@@ -17,8 +17,6 @@ from lambent_relight.directions import (
     dot,
     pixel_directions,
     pixel_solid_angles,
-    rotate_about_z,
-    shadow_directions,
 )
 from lambent_relight.environment.maps import Environment
 
@@ -57,9 +55,7 @@ class LightSampler:
         cell_mass = np.bincount(cell.ravel(), mass.ravel(), num_cells)
         solid_angles = pixel_solid_angles(height, width)
         inside = mass / (np.maximum(cell_mass, 1e-300)[cell] * solid_angles[:, None])
-        directions = _cell_directions(cell, solid_angles, num_cells)
-        table, means = _lobe_table(cell_mass, directions)
-        turned = rotate_about_z(directions, environment.rotate_deg)
+        table, means = _lobe_table(cell_mass, _cell_directions(cell, solid_angles, num_cells))
         self.table = Table(
             pmf=table.astype(np.float32),
             cell_ends=(np.cumsum(table, axis=1) + np.arange(len(table))[:, None]).ravel(),
@@ -69,7 +65,6 @@ class LightSampler:
             cell_of_pixel=cell.ravel(),
             inside=inside.ravel(),
             means=means,
-            shadow_direction=(turned @ shadow_directions().T).argmax(axis=1),
             height=height,
             width=width,
             angle=math.radians(environment.rotate_deg),

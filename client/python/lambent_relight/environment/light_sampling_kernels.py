@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 
 from lambent_relight.environment.light_sampling import AXES_SIDE
 
-HIDDEN = 0.25
-"""Share of its mass that a cell keeps where a texel's shadow bit says that it lies hidden: bits are of texels
-and of a few directions, and may be wrong. Found by experiment (docs/benchmarks/asset.md)."""
-
 
 class Table(NamedTuple):
     """A sampling table; rows are lobes about axes, columns are cells of the map."""
@@ -35,8 +31,6 @@ class Table(NamedTuple):
     """Density of a pixel's directions inside its cell, 1/sr, [pixel]."""
     means: NDArray[np.float64]
     """Mean of the map under the lobe of a row, 1/sr: radiance over the map's integral, [row]."""
-    shadow_direction: NDArray[np.int64]
-    """Number of the baked shadow direction nearest to a cell's middle, [cell]."""
     height: int
     width: int
     angle: float
@@ -79,44 +73,8 @@ def direction_in(table, row, u1, u2):
     cell = min(_first_above(table.cell_ends, begin, begin + num_cells, row + u1) - begin, num_cells - 1)
     mass = np.float64(table.pmf[row, cell])
     inside_cell = (row + u1 - (table.cell_ends[begin + cell] - mass)) / max(mass, 1e-30)
-    return _direction_in_cell(table, cell, min(max(inside_cell, 0.0), 1.0), u2)
+    inside_cell = min(max(inside_cell, 0.0), 1.0)
 
-
-@inlined(fastmath=False)
-def visible_cells(table, row, bits, ends):
-    """Write the cumulative masses of a row's cells, each by what `bits` say of its direction, to `ends` [cell].
-
-    `bits` [directions / 8] are those of a texel: cells that lie hidden have `HIDDEN` of their mass.
-    """
-    total = 0.0
-    for cell in range(len(ends)):
-        direction = table.shadow_direction[cell]
-        seen = (bits[direction >> 3] >> (direction & 7)) & 1
-        total += table.pmf[row, cell] * (1.0 if seen else HIDDEN)
-        ends[cell] = total
-
-
-@inlined(fastmath=False)
-def direction_in_visible(table, ends, u1, u2):
-    """Return a direction (x, y, z) of cells with cumulative masses `ends`, from uniforms in [0, 1)."""
-    num_cells = len(ends)
-    wanted = u1 * ends[num_cells - 1]
-    cell = min(_first_above(ends, 0, num_cells, wanted), num_cells - 1)
-    before = ends[cell - 1] if cell > 0 else 0.0
-    inside_cell = (wanted - before) / max(ends[cell] - before, 1e-300)
-    return _direction_in_cell(table, cell, min(max(inside_cell, 0.0), 1.0), u2)
-
-
-@inlined(fastmath=False)
-def density_in_visible(table, ends, pixel):
-    """Return the density of `direction_in_visible` at the directions of a pixel, 1/sr."""
-    cell = table.cell_of_pixel[pixel]
-    before = ends[cell - 1] if cell > 0 else 0.0
-    return (ends[cell] - before) / ends[len(ends) - 1] * table.inside[pixel]
-
-
-@inlined(fastmath=False)
-def _direction_in_cell(table, cell, inside_cell, u2):
     first, last, ends = table.cells[cell, 0], table.cells[cell, 1], table.ends
     start = ends[first - 1] if first > 0 else 0.0
     target = start + u2 * (ends[last] - start)

@@ -1,8 +1,7 @@
 """Directions of incoming light, drawn by multiple importance sampling.
 
 Each direction comes from one of four strategies: light times the cosine, the cosine alone, the GGX lobe
-alone, light times the mirror lobe; light is less likely where baked transport says that it is hidden. It is
-weighted by one over the density of their mixture: the balance
+alone, light times the mirror lobe. It is weighted by one over the density of their mixture: the balance
 heuristic. The strategies that ignore the light sample the reflections of other surfaces. Source: Veach,
 balance heuristic; supplement 2.7 (diffuse and specular halves).
 """
@@ -32,14 +31,11 @@ class SurfacePoints:
     normal: Array
     omega_o: Array
     materials: Materials
-    shadow_bits: NDArray[np.uint8] | None = None
-    """What baked transport says of the shadow directions, [point, directions / 8]; None: nothing."""
 
     def __getitem__(self, index: object) -> "SurfacePoints":
         """Return some of the points."""
-        bits = None if self.shadow_bits is None else self.shadow_bits[index]
         return SurfacePoints(
-            self.position[index], self.normal[index], self.omega_o[index], self.materials[index], bits
+            self.position[index], self.normal[index], self.omega_o[index], self.materials[index]
         )
 
 
@@ -110,9 +106,8 @@ def draw_directions(
     pdf = np.empty(len(u))
     uniforms = np.ascontiguousarray(u, np.float64)
     chances = np.ascontiguousarray(shares, np.float64)
-    bits = np.empty((0, 1), np.uint8) if points.shadow_bits is None else points.shadow_bits
     kernels.draw(
-        kernels.Points(*arrays, lobe_of_alpha(alpha), np.ascontiguousarray(bits)),
+        kernels.Points(*arrays, lobe_of_alpha(alpha)),
         light.table,
         uniforms,
         chances,

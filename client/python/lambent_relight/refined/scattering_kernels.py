@@ -14,12 +14,9 @@ from lambent_relight.brdf import DIELECTRIC_F0
 from lambent_relight.environment.light_sampling import COSINE_LOBE
 from lambent_relight.environment.light_sampling_kernels import (
     density_in,
-    density_in_visible,
     direction_in,
-    direction_in_visible,
     pixel_at,
     row_of,
-    visible_cells,
 )
 
 _FLOOR = 1.2e-7
@@ -36,8 +33,6 @@ class Points(NamedTuple):
     metalness: NDArray[np.float64]
     lobe: NDArray[np.int64]
     """Number of the light sampler's lobe that fits `alpha`, [point]."""
-    shadow_bits: NDArray[np.uint8]
-    """One bit for each shadow direction, [point, directions / 8]; no rows where nothing is known."""
 
 
 @inlined(fastmath=False)
@@ -74,9 +69,6 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
     """
     num_points = len(points.normal)
     per_point = len(u) // max(num_points, 1)
-    known = len(points.shadow_bits) > 0
-    num_cells = table.pmf.shape[1] if known else 1
-    seen_cosine, seen_mirror = np.empty(num_cells), np.empty(num_cells)
     for p in range(num_points):
         nx, ny, nz = points.normal[p, 0], points.normal[p, 1], points.normal[p, 2]
         ox, oy, oz = points.omega_o[p, 0], points.omega_o[p, 1], points.omega_o[p, 2]
@@ -86,16 +78,10 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
         mx, my, mz = 2.0 * n_dot_o * nx - ox, 2.0 * n_dot_o * ny - oy, 2.0 * n_dot_o * nz - oz
         lit_cosine = row_of(table, COSINE_LOBE, nx, ny, nz)
         lit_mirror = row_of(table, points.lobe[p], mx, my, mz)
-        if known:
-            visible_cells(table, lit_cosine, points.shadow_bits[p], seen_cosine)
-            visible_cells(table, lit_mirror, points.shadow_bits[p], seen_mirror)
         first, second, third = shares[p, 0], shares[p, 1], shares[p, 2]
         for r in range(p * per_point, (p + 1) * per_point):
             if u[r, 0] < first:
-                if known:
-                    x, y, z = direction_in_visible(table, seen_cosine, u[r, 1], u[r, 2])
-                else:
-                    x, y, z = direction_in(table, lit_cosine, u[r, 1], u[r, 2])
+                x, y, z = direction_in(table, lit_cosine, u[r, 1], u[r, 2])
             elif u[r, 0] < first + second:
                 radius, angle = math.sqrt(u[r, 1]), 2.0 * math.pi * u[r, 2]
                 a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u[r, 1])
@@ -108,8 +94,6 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
                 hx, hy, hz = a * tx + b * bx + c * nx, a * ty + b * by + c * ny, a * tz + b * bz + c * nz
                 twice = 2.0 * (ox * hx + oy * hy + oz * hz)
                 x, y, z = twice * hx - ox, twice * hy - oy, twice * hz - oz
-            elif known:
-                x, y, z = direction_in_visible(table, seen_mirror, u[r, 1], u[r, 2])
             else:
                 x, y, z = direction_in(table, lit_mirror, u[r, 1], u[r, 2])
             omega_i[r, 0], omega_i[r, 1], omega_i[r, 2] = x, y, z
@@ -127,14 +111,12 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
             o_dot_h = min(max(ox * hx + oy * hy + oz * hz, 0.0), 1.0)
             density = _ggx_density(n_dot_h, ax * ax + ay * ay + az * az, alpha)
             pixel = pixel_at(table, x, y, z)
-            if known:
-                lit = first * density_in_visible(table, seen_cosine, pixel)
-                lit += shares[p, 3] * density_in_visible(table, seen_mirror, pixel)
-            else:
-                lit = first * density_in(table, lit_cosine, pixel)
-                lit += shares[p, 3] * density_in(table, lit_mirror, pixel)
-            mixed = lit + second * n_dot_i / math.pi
-            mixed += third * density * n_dot_h / (4.0 * max(o_dot_h, _FLOOR))
+            mixed = (
+                first * density_in(table, lit_cosine, pixel)
+                + second * n_dot_i / math.pi
+                + third * density * n_dot_h / (4.0 * max(o_dot_h, _FLOOR))
+                + shares[p, 3] * density_in(table, lit_mirror, pixel)
+            )
             if mixed <= 0.0:
                 continue
             pdf[r] = mixed

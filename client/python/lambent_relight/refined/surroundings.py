@@ -126,18 +126,11 @@ class TracedSurface:
         texel[hit] = self.scene.texels_at(uv)
         return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
 
-    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> tuple[Rows, NDArray[np.uint8] | None]:
-        """Return the points [ray, 3] of camera rays at `distance` [ray, 1], on the mesh where it is near.
-
-        The second result are the shadow bits there (all set where the mesh is not near), if there are any.
-        """
-        found = self.meet(origin, direction)
-        near = np.abs(found.distance - distance) < SAME_SURFACE * self.rays.size
-        position = (origin + np.where(near, found.distance, distance) * direction).astype(np.float32)
-        bits = self.scene.transport.shadow_bits
-        if bits is None or found.texel is None:
-            return position, None
-        return position, np.where(near, bits[found.texel], np.uint8(255))
+    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Rows:
+        """Return the points [ray, 3] of camera rays at `distance` [ray, 1], on the mesh where it is near."""
+        found = self.rays(origin, direction).distance[:, None]
+        near = np.abs(found - distance) < SAME_SURFACE * self.rays.size
+        return (origin + np.where(near, found, distance) * direction).astype(np.float32)
 
 
 @dataclass(frozen=True)
