@@ -58,8 +58,8 @@ class Occlusion:
     opacity: UInt8[ndarray, "texels directions"]
     """Times 255."""
     distance: Float[ndarray, "coarse directions"]
-    """For the texels that stand for a coarse one, in the order of these, scene units; NOT_STORED where nothing
-    was traced or hit."""
+    """For the texels that stand for a coarse one, in the order of those, scene units; NOT_STORED where
+    nothing was traced or hit."""
     set_of_texel: Int[ndarray, " texels"]
     num_rays: int
 

@@ -35,7 +35,7 @@ class Hierarchy(NamedTuple):
 
 
 def build_hierarchy(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Hierarchy:
-    """Return the hierarchy of `faces` [face, 3] over `vertices` [vertex, 3]; there must be a face at least."""
+    """Return the hierarchy of `faces` [face, 3] over `vertices` [vertex, 3]; at least one face."""
     corners = np.ascontiguousarray(vertices, np.float32)[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
     margin = _GROWN * max(float(np.ptp(vertices, axis=0).max()), 1e-30)
