@@ -2,10 +2,10 @@
 
     python -m benchmarks energy BUNDLE --environments DIR [--scene SCENE] [--views 6] [--spp 256]
 
-Every row is a light and a region of the pictures: everything the object covers, what is open to the sky (more
-than 0.8 of the cosine-weighted hemisphere) and contacts (less than 0.4). A figure is the sum of linear
-radiance over the region, our picture's over Mitsuba's: 1 means that nothing is lost. *Direct diffuse* compares
-the diffuse lobe alone, without bounces, with a Lambertian material in Mitsuba: shadows and nothing else.
+Every row is a light and a region of the pictures: everything the object covers, what is open to the sky
+(more than 0.8 of the cosine-weighted hemisphere) and contacts (less than 0.4). A figure is the sum of linear
+radiance over the region, our picture's over Mitsuba's: 1 means that nothing is lost. *Direct diffuse* is
+the diffuse lobe alone, without bounces, against a Lambertian material in Mitsuba: shadows and nothing else.
 The last column is Mitsuba's own sum over that of the scene's true pictures, where there are any.
 """
 
@@ -31,10 +31,8 @@ _MATT = """<bsdf type="diffuse"><texture type="bitmap" name="reflectance">
   <string name="wrap_mode" value="clamp"/></texture></bsdf>"""
 
 
-def mitsuba_pictures(
-    mi: Any, scene: Path, count: int, spp: int, *, matt: bool
-) -> list[NDArray[np.float64]]:
-    """Return Mitsuba's pictures of the first `count` cameras of an exported scene, RGBA; `matt`: see above."""
+def mitsuba_pictures(mi: Any, scene: Path, count: int, spp: int, *, matt: bool) -> list[NDArray[np.float64]]:
+    """Return Mitsuba's pictures of the first `count` cameras of an exported scene, RGBA; `matt` as above."""
     text = scene.read_text(encoding="utf-8")
     if matt:
         text = re.sub(r'<bsdf type="principled">.*?</bsdf>', _MATT, text, flags=re.DOTALL)
@@ -67,7 +65,7 @@ def truth(folder: Path, camera: Camera, light: str) -> NDArray[np.float64] | Non
 def compared(
     bundle: Bundle, cameras: list[Camera], path: Path, arguments: argparse.Namespace, mi: Any
 ) -> list[list[float]]:
-    """Return a row per region: ratios of matt, refined and baked pictures to Mitsuba's, and its own to truth."""
+    """Return a row per region: ratios of matt, refined and baked pictures to Mitsuba's, and its to truth."""
     light = load_environment(path)
     with tempfile.TemporaryDirectory() as name:
         bundle_with = bundle_seen_by(bundle, cameras)

@@ -25,12 +25,10 @@ def noise(
     renderer: Renderer, camera: Camera, light: Environment, edit: MaterialEdit, arguments: argparse.Namespace
 ) -> list[float]:
     """Return variance of encoded colours, relative variance, stated by true variance, seconds per picture."""
-    renderer.render(camera, light, spp=arguments.samples, edit=edit)
+    way = {"spp": arguments.samples, "occlusion": arguments.occlusion, "edit": edit}
+    renderer.render(camera, light, **way)
     began = time.process_time()
-    pictures = [
-        renderer.render(camera, light, spp=arguments.samples, seed=1000 + seed, edit=edit)
-        for seed in range(arguments.seeds)
-    ]
+    pictures = [renderer.render(camera, light, seed=1000 + seed, **way) for seed in range(arguments.seeds)]
     seconds = (time.process_time() - began) / arguments.seeds
     inside = pictures[0].coverage[..., 0] > 0.9
     rgb = np.stack([picture.rgb[inside] for picture in pictures])
@@ -49,6 +47,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--side", type=int, default=48)
     parser.add_argument("--views", type=int, default=2)
+    parser.add_argument("--occlusion", choices=("auto", "mesh", "cache"), default="auto")
     parser.add_argument("--roughness", type=float, default=1.0, help="factor on the perceptual roughness")
 
 

@@ -158,7 +158,7 @@ class RenderSettings(Wanted):
     """What is in the way of light in refined pictures: the mesh or the fast cache; auto: the mesh where the
     bundle has baked transport, but with an adapted cache what that cache sees."""
     denoise: bool = False
-    """Smooth what noise is left in a refined picture, guided by albedo and normals: to look at, not to measure."""
+    """Smooth what noise is left in a refined picture, guided by albedo and normals; not for measuring."""
     seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
     """Seed of every random number."""
     background: Literal["transparent", "environment", "white"] = "transparent"

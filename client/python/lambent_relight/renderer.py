@@ -26,6 +26,7 @@ from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, as_environment
 from lambent_relight.errors import SettingError
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.denoising import denoised
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
@@ -150,6 +151,8 @@ class Renderer:
         seen_from, turned = _turned(camera, environment, rotate_deg, object_rotate_deg)
         if settings.quality == "refined":
             picture = self._refined(seen_from, turned, edit, settings, progress)
+            if settings.denoise:
+                picture = denoised(picture)
         else:
             picture = self.baked().render(
                 seen_from,
@@ -238,10 +241,9 @@ class Renderer:
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
         scene, bounces = self._scene(environment, edit, settings)
+        position = view.origin + seen.distance * view.direction
         if isinstance(scene.around, MeshSurroundings):
             position = scene.around.traced.settled(view.origin, view.direction, seen.distance)
-        else:
-            position = view.origin + seen.distance * view.direction
         points = SurfacePoints(
             position,
             seen.normal,

@@ -58,7 +58,8 @@ class Occlusion:
     opacity: UInt8[ndarray, "texels directions"]
     """Times 255."""
     distance: Float[ndarray, "coarse directions"]
-    """For the texels that stand for a coarse one, scene units; NOT_STORED where nothing was traced or hit."""
+    """For the texels that stand for a coarse one, in the order of those, scene units; NOT_STORED where
+    nothing was traced or hit."""
     set_of_texel: Int[ndarray, " texels"]
     num_rays: int
 
@@ -129,7 +130,9 @@ def cast(
                 distances.append(chunk["distance"])
                 num_rays += int(chunk["num_rays"])
             advance(min(1.0, (start + config.texels_per_chunk) / len(positions)))
-    return Occlusion(np.concatenate(opacities), np.concatenate(distances), set_of_texel, num_rays)
+    # They were kept in the order of the texels, in which a block that begins in its lower row comes late.
+    found = np.concatenate(distances)[np.argsort(np.argsort(coarse))]
+    return Occlusion(np.concatenate(opacities), found, set_of_texel, num_rays)
 
 
 def _cast_chunk(

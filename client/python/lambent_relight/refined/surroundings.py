@@ -166,5 +166,6 @@ class MeshSurroundings:
 
     def radiance(self, met: Met, position: Rows, omega_o: Rows) -> Rows:
         """Return what it sends towards `omega_o` [ray, 3], all bounces included."""
-        assert self.texels is not None and met.texel is not None
+        assert self.texels is not None
+        assert met.texel is not None
         return self.texels(met.texel, omega_o)

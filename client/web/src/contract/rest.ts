@@ -957,7 +957,7 @@ export interface components {
             bounces: "auto" | "adapted" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
             /**
              * Denoise
-             * @description Smooth what noise is left in a refined picture, guided by albedo and normals: to look at, not to measure.
+             * @description Smooth what noise is left in a refined picture, guided by albedo and normals; not for measuring.
              * @default false
              */
             denoise: boolean;

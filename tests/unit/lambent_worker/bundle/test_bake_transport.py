@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from lambent_relight.baked.transport import coarse_blocks
 from lambent_relight.environment import harmonics
-from lambent_worker.bundle.transport import TransportConfig, bake_transport
+from lambent_worker.bundle.transport import BakedSurface, TransportConfig, bake_transport
+from lambent_worker.bundle.transport_bounce import Reflectors
 from lambent_worker.bundle.transport_rays import RayConfig, cast, direction_sets
 from lambent_worker.errors import WorkerError
 from support.quad_surface import Quad, box_of_quads, surface_of, trace_quads
@@ -69,13 +71,24 @@ def test_the_bits_of_a_direction_say_where_its_light_is_hidden_lowest_bit_first(
     assert free[~hidden].mean() > 0.95
 
 
-def test_white_surfaces_in_uniform_light_send_as_much_as_they_get(tmp_path):
+@pytest.mark.parametrize("ragged", [False, True])
+def test_white_surfaces_in_uniform_light_send_as_much_as_they_get(tmp_path, ragged):
     white = {"albedo": (1.0, 1.0, 1.0)}
     quads = [
         Quad((-1, -1, 0), (2, 0, 0), (0, 2, 0), **white),
         Quad((-1, 1, 0), (2, 0, 0), (0, 0, 2), **white),
     ]
     surface, reflectors, _ = surface_of(quads, 12)
+    if ragged:
+        # Charts with a jagged edge: some blocks begin in their lower row, and come late among the texels.
+        row, column = np.divmod(surface.texel_index, surface.size)
+        kept = (row % 2 == 1) | (column % 8 < 4)
+        parts = (surface.texel_index[kept], surface.positions[kept], surface.normals[kept])
+        surface = BakedSurface(surface.size, *parts)
+        values = (reflectors.albedo, reflectors.perceptual_roughness, reflectors.metalness)
+        reflectors = Reflectors(*(value[kept] for value in values))
+        first = coarse_blocks(surface.size, surface.texel_index)[0]
+        assert (np.diff(first) < 0).any()
     transport, _ = bake_transport(
         surface,
         reflectors,
@@ -88,7 +101,7 @@ def test_white_surfaces_in_uniform_light_send_as_much_as_they_get(tmp_path):
     total = direct[:, None] + transport.indirect[0].T[transport.coarse_of_texel] * OPEN_SKY
     # The specular lobe of a rough dielectric (F0 0.04) adds a little; energy may not get lost.
     assert total.mean() == pytest.approx(np.pi, rel=0.03)
-    assert np.abs(total / np.pi - 1.0).max() < 0.12
+    assert np.abs(total / np.pi - 1.0).max() < (0.2 if ragged else 0.12)
 
 
 def test_a_closed_box_is_dark(tmp_path):

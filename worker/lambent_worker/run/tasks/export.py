@@ -23,9 +23,9 @@ from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.surface_files import write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
-from lambent_worker.bundle.transport_rays import MESH_RAYS
 from lambent_worker.bundle.transport_files import write_relight_graph, write_transport
 from lambent_worker.bundle.transport_quality import judge_qualities
+from lambent_worker.bundle.transport_rays import MESH_RAYS
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
 from lambent_worker.files import read_record
