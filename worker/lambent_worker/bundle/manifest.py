@@ -18,13 +18,14 @@ from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.parity import TOLERANCE, ParityResult
 from lambent_worker.messages import message_to_dict
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 
 # Media type and role by folder and suffix.
 _KINDS = {
     ("models", ".onnx"): ("application/octet-stream", "graph"),
     ("models", ".bin"): ("application/octet-stream", "weights"),
     ("mesh", ".glb"): ("model/gltf-binary", "mesh"),
+    ("mesh", ".png"): ("image/png", "mask"),
     ("mesh", ".usdz"): ("model/vnd.usdz+zip", "mesh"),
     ("transport", ".bin"): ("application/octet-stream", "transport"),
     ("env", ".exr"): ("image/x-exr", "environment"),
