@@ -8,8 +8,9 @@ from scipy.spatial import cKDTree
 from lambent_worker.bundle.mesh import Mesh, compact
 
 TOLERANCE_CELLS = 0.3
-"""Distance of the fine mesh from the simplified one that is accepted, in cells. A cell is no smaller than half a
-pixel of the photographs; noise of the density is about as large."""
+"""Distance of the fine mesh from the simplified one that is accepted, in cells.
+
+A cell is no smaller than half a pixel of the photographs; noise of the density is about as large."""
 TOLERATED_SHARE = 0.99
 """Share of the fine mesh's vertices that keep the tolerance."""
 NUM_CHECKED = 20_000

@@ -111,7 +111,9 @@ def export_run(
     """Write the bundle of a trained run to `out`, making it first if the run has none like it.
 
     `tier` is "full" or "lite" (which leaves the networks out unless `weights` says otherwise), `weights` as
-    in the settings, `faces` a number of triangles or "auto"; empty ones are the run's. Raises `UsageError` where the run is not trained to its end or
+    in the settings, `faces` a number of triangles or "auto"; empty ones are the run's.
+
+    Raises `UsageError` where the run is not trained to its end or
     `out` exists, `ConfigError` for unknown values.
     """
     from flashcache.config import with_overrides
