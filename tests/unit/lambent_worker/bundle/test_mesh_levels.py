@@ -1,5 +1,7 @@
 """Levels of detail of a ball."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from flashcache.config import ExportConfig
@@ -25,7 +27,7 @@ def test_each_level_has_about_half_of_the_triangles_of_the_one_before(surface):
     counts = [len(surface.faces), *(len(level.faces) for level in levels_of_detail(surface))]
     assert len(counts) >= 2
     assert counts[1] == pytest.approx(0.5 * counts[0], rel=0.05)
-    assert all(after <= 0.75 * before for before, after in zip(counts, counts[1:], strict=False))
+    assert all(after <= 0.75 * before for before, after in pairwise(counts))
 
 
 def test_a_level_has_the_same_charts_closed_along_their_borders(surface, level):
