@@ -96,6 +96,9 @@ def test_the_manifest_describes_the_bundle(exported, model):
     assert sha256(data).hexdigest() in {file.sha256 for file in manifest.files}
     assert set(manifest.metrics) == {
         *("psnr_views", "gbuffer_opacity_error", "gbuffer_distance_error", "mesh_faces", "mesh_vertices"),
+        *("mesh_boundary_edges", "mesh_non_manifold_edges", "mesh_pieces", "mesh_simplification_error"),
+        *("mesh_depth_median_pixels", "mesh_depth_p95_pixels", "mesh_depth_worst_view_p95_pixels"),
+        "mesh_unseen_share",
         *("mesh_silhouette_iou", "transport_rays_per_texel", "transport_blocked_share"),
         *(
             f"{quality}_{figure}_refined_{light}"

@@ -207,10 +207,12 @@ class ExportConfig:
 
     gbuffer_samples: int = 128
     """Uniform samples per primary ray in the gbuffer graph."""
-    mesh_resolution: int = 128
+    mesh_resolution: int = 512
     """Maximum number of cells along the longest side of the object's box."""
-    max_faces: int = 10_000
-    """Triangles of the simplified mesh."""
+    faces: int = 0
+    """Triangles of the simplified mesh; 0: as many as its shape needs, at most `max_faces`."""
+    max_faces: int = 50_000
+    """Most triangles where their number is not given; more take minutes to cut into charts."""
     atlas_size: int = 512
     """Texels along each side of the atlas of textures and light transport."""
     occlusion_points: int = 12_000
@@ -244,6 +246,8 @@ class ExportConfig:
             raise ConfigError(f"export.judge_samples must be 0 or at least 2, got {self.judge_samples}")
         if not 16 <= self.atlas_size <= 8192:
             raise ConfigError(f"export.atlas_size must lie in 16..8192 texels, got {self.atlas_size}")
+        if self.faces and not 16 <= self.faces <= 1_000_000:
+            raise ConfigError(f"export.faces must be 0 or lie in 16..1000000, got {self.faces}")
         for name, least in (("max_faces", 16), ("occlusion_points", 1), ("occlusion_rays", 1)):
             if getattr(self, name) < least:
                 raise ConfigError(f"export.{name} must be at least {least}, got {getattr(self, name)}")

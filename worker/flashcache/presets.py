@@ -218,9 +218,7 @@ def quick() -> Config:
             distil=DistilConfig(num_steps=80),
         ),
         evaluation=replace(base.evaluation, num_views=2, num_directions=32, uncertainty_points=100),
-        export=replace(
-            base.export, mesh_resolution=96, atlas_size=256, occlusion_points=5000, judge_samples=0
-        ),
+        export=replace(base.export, atlas_size=256, occlusion_points=5000, judge_samples=0),
     )
 
 

@@ -74,8 +74,6 @@ def paper_tensoir() -> Config:
         evaluation=EvaluationConfig(num_views=8, num_repeats=32),
         export=ExportConfig(
             gbuffer_samples=256,
-            mesh_resolution=256,
-            max_faces=40_000,
             atlas_size=1024,
             environment_height=128,
         ),

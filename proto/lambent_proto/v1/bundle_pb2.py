@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from lambent_proto.v1 import scene_pb2 as lambent__proto_dot_v1_dot_scene__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/bundle.proto\x12\x10lambent_proto.v1\x1a\x1clambent_proto/v1/scene.proto\"\xe3\x06\n\x0e\x42undleManifest\x12\x16\n\x0eschema_version\x18\x01 \x01(\t\x12\x10\n\x08scene_id\x18\x02 \x01(\t\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x12\n\ncreated_at\x18\x04 \x01(\t\x12.\n\tgenerator\x18\x05 \x01(\x0b\x32\x1b.lambent_proto.v1.Generator\x12\x0e\n\x06preset\x18\x06 \x01(\t\x12\x14\n\x0ctrain_lights\x18\x07 \x03(\t\x12&\n\x05world\x18\x08 \x01(\x0b\x32\x17.lambent_proto.v1.World\x12(\n\x06\x62ounds\x18\t \x01(\x0b\x32\x18.lambent_proto.v1.Bounds\x12\x30\n\x0cprimary_rays\x18\n \x01(\x0b\x32\x1a.lambent_proto.v1.RayRange\x12\x37\n\x0esecondary_rays\x18\x0b \x01(\x0b\x32\x1f.lambent_proto.v1.SecondaryRays\x12+\n\x05\x66iles\x18\x0c \x03(\x0b\x32\x1c.lambent_proto.v1.BundleFile\x12\'\n\x06graphs\x18\r \x03(\x0b\x32\x17.lambent_proto.v1.Graph\x12%\n\x05grids\x18\x0e \x03(\x0b\x32\x16.lambent_proto.v1.Grid\x12.\n\x07tensors\x18\x0f \x03(\x0b\x32\x1d.lambent_proto.v1.TensorEntry\x12\x18\n\x10\x61lbedo_scale_rgb\x18\x10 \x03(\x01\x12>\n\x07metrics\x18\x11 \x03(\x0b\x32-.lambent_proto.v1.BundleManifest.MetricsEntry\x12\x32\n\x0buncertainty\x18\x12 \x01(\x0b\x32\x1d.lambent_proto.v1.Uncertainty\x12&\n\x05\x61tlas\x18\x13 \x01(\x0b\x32\x17.lambent_proto.v1.Atlas\x12.\n\ttransport\x18\x14 \x01(\x0b\x32\x1b.lambent_proto.v1.Transport\x12/\n\ngiven_mesh\x18\x18 \x01(\x0b\x32\x1b.lambent_proto.v1.GivenMesh\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"T\n\tGivenMesh\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x0f\n\x07kept_uv\x18\x03 \x01(\x08\x12\x18\n\x10share_from_model\x18\x04 \x01(\x01\"T\n\tGenerator\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\t\x12\x14\n\x0cgit_revision\x18\x03 \x01(\t\x12\x12\n\ntrain_step\x18\x04 \x01(\r\"l\n\x05World\x12\x0f\n\x07up_axis\x18\x01 \x01(\t\x12\x12\n\nhandedness\x18\x02 \x01(\t\x12\x0c\n\x04unit\x18\x03 \x01(\t\x12\x1e\n\x16\x65nvironment_convention\x18\x04 \x01(\t\x12\x10\n\x08radiance\x18\x05 \x01(\t\"=\n\x05\x41tlas\x12\x0c\n\x04size\x18\x01 \x01(\r\x12\x12\n\nnum_texels\x18\x02 \x01(\r\x12\x12\n\ntexel_size\x18\x03 \x01(\x01\"A\n\rSecondaryRays\x12\x15\n\rorigin_offset\x18\x01 \x01(\x01\x12\x0c\n\x04near\x18\x02 \x01(\x01\x12\x0b\n\x03\x66\x61r\x18\x03 \x01(\x01\"`\n\nBundleFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x12\n\nsize_bytes\x18\x02 \x01(\x01\x12\x0e\n\x06sha256\x18\x03 \x01(\t\x12\x12\n\nmedia_type\x18\x04 \x01(\t\x12\x0c\n\x04role\x18\x05 \x01(\t\"\x8a\x01\n\x05Graph\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\r\n\x05light\x18\x03 \x01(\t\x12(\n\x06parity\x18\x04 \x01(\x0b\x32\x18.lambent_proto.v1.Parity\x12,\n\x08rounding\x18\x05 \x03(\x0b\x32\x1a.lambent_proto.v1.Rounding\"Y\n\x08Rounding\x12\x0e\n\x06output\x18\x01 \x01(\t\x12\x15\n\rmax_abs_error\x18\x02 \x01(\x01\x12\x11\n\trms_error\x18\x03 \x01(\x01\x12\x13\n\x0bnum_samples\x18\x04 \x01(\r\"T\n\x0bUncertainty\x12\x0c\n\x04path\x18\x01 \x01(\t\x12%\n\x03\x62ox\x18\x02 \x01(\x0b\x32\x18.lambent_proto.v1.Bounds\x12\x10\n\x08\x63hannels\x18\x03 \x03(\t\"\xbc\x01\n\tTransport\x12\x0c\n\x04tier\x18\x01 \x01(\t\x12\x0c\n\x04size\x18\x02 \x01(\r\x12\x12\n\nnum_texels\x18\x03 \x01(\r\x12\x13\n\x0btexels_path\x18\x04 \x01(\t\x12\x31\n\x06planes\x18\x05 \x03(\x0b\x32!.lambent_proto.v1.TransportPlanes\x12\x18\n\x10shadow_bits_path\x18\x06 \x01(\t\x12\x1d\n\x15num_shadow_directions\x18\x07 \x01(\r\"\x83\x01\n\x0fTransportPlanes\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\r\n\x05\x62\x61nds\x18\x03 \x01(\r\x12\x10\n\x08\x63hannels\x18\x04 \x01(\r\x12\x12\n\nnum_texels\x18\x05 \x01(\r\x12\x0e\n\x06scales\x18\x06 \x03(\x01\x12\x0f\n\x07offsets\x18\x07 \x03(\x01\"G\n\x06Parity\x12\x15\n\rmax_abs_error\x18\x01 \x01(\x01\x12\x11\n\ttolerance\x18\x02 \x01(\x01\x12\x13\n\x0bnum_samples\x18\x03 \x01(\r\"\x92\x01\n\x04Grid\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06tensor\x18\x02 \x01(\t\x12\x14\n\x0cnum_features\x18\x03 \x01(\r\x12\x13\n\x0bhalf_extent\x18\x04 \x01(\x01\x12\x14\n\x0coutput_scale\x18\x05 \x01(\x01\x12+\n\x06levels\x18\x06 \x03(\x0b\x32\x1b.lambent_proto.v1.GridLevel\"p\n\tGridLevel\x12\x12\n\nresolution\x18\x01 \x01(\r\x12\x11\n\tfirst_row\x18\x02 \x01(\r\x12\x10\n\x08num_rows\x18\x03 \x01(\r\x12\x14\n\x0cmultiplier_y\x18\x04 \x01(\r\x12\x14\n\x0cmultiplier_z\x18\x05 \x01(\r\"c\n\x0bTensorEntry\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05\x64type\x18\x02 \x01(\t\x12\r\n\x05shape\x18\x03 \x03(\r\x12\x14\n\x0coffset_bytes\x18\x04 \x01(\x01\x12\x12\n\nsize_bytes\x18\x05 \x01(\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/bundle.proto\x12\x10lambent_proto.v1\x1a\x1clambent_proto/v1/scene.proto\"\x95\x07\n\x0e\x42undleManifest\x12\x16\n\x0eschema_version\x18\x01 \x01(\t\x12\x10\n\x08scene_id\x18\x02 \x01(\t\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x12\n\ncreated_at\x18\x04 \x01(\t\x12.\n\tgenerator\x18\x05 \x01(\x0b\x32\x1b.lambent_proto.v1.Generator\x12\x0e\n\x06preset\x18\x06 \x01(\t\x12\x14\n\x0ctrain_lights\x18\x07 \x03(\t\x12&\n\x05world\x18\x08 \x01(\x0b\x32\x17.lambent_proto.v1.World\x12(\n\x06\x62ounds\x18\t \x01(\x0b\x32\x18.lambent_proto.v1.Bounds\x12\x30\n\x0cprimary_rays\x18\n \x01(\x0b\x32\x1a.lambent_proto.v1.RayRange\x12\x37\n\x0esecondary_rays\x18\x0b \x01(\x0b\x32\x1f.lambent_proto.v1.SecondaryRays\x12+\n\x05\x66iles\x18\x0c \x03(\x0b\x32\x1c.lambent_proto.v1.BundleFile\x12\'\n\x06graphs\x18\r \x03(\x0b\x32\x17.lambent_proto.v1.Graph\x12%\n\x05grids\x18\x0e \x03(\x0b\x32\x16.lambent_proto.v1.Grid\x12.\n\x07tensors\x18\x0f \x03(\x0b\x32\x1d.lambent_proto.v1.TensorEntry\x12\x18\n\x10\x61lbedo_scale_rgb\x18\x10 \x03(\x01\x12>\n\x07metrics\x18\x11 \x03(\x0b\x32-.lambent_proto.v1.BundleManifest.MetricsEntry\x12\x32\n\x0buncertainty\x18\x12 \x01(\x0b\x32\x1d.lambent_proto.v1.Uncertainty\x12&\n\x05\x61tlas\x18\x13 \x01(\x0b\x32\x17.lambent_proto.v1.Atlas\x12.\n\ttransport\x18\x14 \x01(\x0b\x32\x1b.lambent_proto.v1.Transport\x12\x30\n\x0bmesh_levels\x18\x15 \x03(\x0b\x32\x1b.lambent_proto.v1.MeshLevel\x12/\n\ngiven_mesh\x18\x18 \x01(\x0b\x32\x1b.lambent_proto.v1.GivenMesh\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"T\n\tGivenMesh\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x0f\n\x07kept_uv\x18\x03 \x01(\x08\x12\x18\n\x10share_from_model\x18\x04 \x01(\x01\"B\n\tMeshLevel\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x11\n\tnum_faces\x18\x02 \x01(\r\x12\x14\n\x0ctexture_size\x18\x03 \x01(\r\"T\n\tGenerator\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\t\x12\x14\n\x0cgit_revision\x18\x03 \x01(\t\x12\x12\n\ntrain_step\x18\x04 \x01(\r\"l\n\x05World\x12\x0f\n\x07up_axis\x18\x01 \x01(\t\x12\x12\n\nhandedness\x18\x02 \x01(\t\x12\x0c\n\x04unit\x18\x03 \x01(\t\x12\x1e\n\x16\x65nvironment_convention\x18\x04 \x01(\t\x12\x10\n\x08radiance\x18\x05 \x01(\t\"R\n\x05\x41tlas\x12\x0c\n\x04size\x18\x01 \x01(\r\x12\x12\n\nnum_texels\x18\x02 \x01(\r\x12\x12\n\ntexel_size\x18\x03 \x01(\x01\x12\x13\n\x0bunseen_path\x18\x04 \x01(\t\"A\n\rSecondaryRays\x12\x15\n\rorigin_offset\x18\x01 \x01(\x01\x12\x0c\n\x04near\x18\x02 \x01(\x01\x12\x0b\n\x03\x66\x61r\x18\x03 \x01(\x01\"`\n\nBundleFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x12\n\nsize_bytes\x18\x02 \x01(\x01\x12\x0e\n\x06sha256\x18\x03 \x01(\t\x12\x12\n\nmedia_type\x18\x04 \x01(\t\x12\x0c\n\x04role\x18\x05 \x01(\t\"\x8a\x01\n\x05Graph\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\r\n\x05light\x18\x03 \x01(\t\x12(\n\x06parity\x18\x04 \x01(\x0b\x32\x18.lambent_proto.v1.Parity\x12,\n\x08rounding\x18\x05 \x03(\x0b\x32\x1a.lambent_proto.v1.Rounding\"Y\n\x08Rounding\x12\x0e\n\x06output\x18\x01 \x01(\t\x12\x15\n\rmax_abs_error\x18\x02 \x01(\x01\x12\x11\n\trms_error\x18\x03 \x01(\x01\x12\x13\n\x0bnum_samples\x18\x04 \x01(\r\"T\n\x0bUncertainty\x12\x0c\n\x04path\x18\x01 \x01(\t\x12%\n\x03\x62ox\x18\x02 \x01(\x0b\x32\x18.lambent_proto.v1.Bounds\x12\x10\n\x08\x63hannels\x18\x03 \x03(\t\"\xbc\x01\n\tTransport\x12\x0c\n\x04tier\x18\x01 \x01(\t\x12\x0c\n\x04size\x18\x02 \x01(\r\x12\x12\n\nnum_texels\x18\x03 \x01(\r\x12\x13\n\x0btexels_path\x18\x04 \x01(\t\x12\x31\n\x06planes\x18\x05 \x03(\x0b\x32!.lambent_proto.v1.TransportPlanes\x12\x18\n\x10shadow_bits_path\x18\x06 \x01(\t\x12\x1d\n\x15num_shadow_directions\x18\x07 \x01(\r\"\x83\x01\n\x0fTransportPlanes\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\r\n\x05\x62\x61nds\x18\x03 \x01(\r\x12\x10\n\x08\x63hannels\x18\x04 \x01(\r\x12\x12\n\nnum_texels\x18\x05 \x01(\r\x12\x0e\n\x06scales\x18\x06 \x03(\x01\x12\x0f\n\x07offsets\x18\x07 \x03(\x01\"G\n\x06Parity\x12\x15\n\rmax_abs_error\x18\x01 \x01(\x01\x12\x11\n\ttolerance\x18\x02 \x01(\x01\x12\x13\n\x0bnum_samples\x18\x03 \x01(\r\"\x92\x01\n\x04Grid\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06tensor\x18\x02 \x01(\t\x12\x14\n\x0cnum_features\x18\x03 \x01(\r\x12\x13\n\x0bhalf_extent\x18\x04 \x01(\x01\x12\x14\n\x0coutput_scale\x18\x05 \x01(\x01\x12+\n\x06levels\x18\x06 \x03(\x0b\x32\x1b.lambent_proto.v1.GridLevel\"p\n\tGridLevel\x12\x12\n\nresolution\x18\x01 \x01(\r\x12\x11\n\tfirst_row\x18\x02 \x01(\r\x12\x10\n\x08num_rows\x18\x03 \x01(\r\x12\x14\n\x0cmultiplier_y\x18\x04 \x01(\r\x12\x14\n\x0cmultiplier_z\x18\x05 \x01(\r\"c\n\x0bTensorEntry\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05\x64type\x18\x02 \x01(\t\x12\r\n\x05shape\x18\x03 \x03(\r\x12\x14\n\x0coffset_bytes\x18\x04 \x01(\x01\x12\x12\n\nsize_bytes\x18\x05 \x01(\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,37 +35,39 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_BUNDLEMANIFEST_METRICSENTRY']._loaded_options = None
   _globals['_BUNDLEMANIFEST_METRICSENTRY']._serialized_options = b'8\001'
   _globals['_BUNDLEMANIFEST']._serialized_start=82
-  _globals['_BUNDLEMANIFEST']._serialized_end=949
-  _globals['_BUNDLEMANIFEST_METRICSENTRY']._serialized_start=903
-  _globals['_BUNDLEMANIFEST_METRICSENTRY']._serialized_end=949
-  _globals['_GIVENMESH']._serialized_start=951
-  _globals['_GIVENMESH']._serialized_end=1035
-  _globals['_GENERATOR']._serialized_start=1037
-  _globals['_GENERATOR']._serialized_end=1121
-  _globals['_WORLD']._serialized_start=1123
-  _globals['_WORLD']._serialized_end=1231
-  _globals['_ATLAS']._serialized_start=1233
-  _globals['_ATLAS']._serialized_end=1294
-  _globals['_SECONDARYRAYS']._serialized_start=1296
-  _globals['_SECONDARYRAYS']._serialized_end=1361
-  _globals['_BUNDLEFILE']._serialized_start=1363
-  _globals['_BUNDLEFILE']._serialized_end=1459
-  _globals['_GRAPH']._serialized_start=1462
-  _globals['_GRAPH']._serialized_end=1600
-  _globals['_ROUNDING']._serialized_start=1602
-  _globals['_ROUNDING']._serialized_end=1691
-  _globals['_UNCERTAINTY']._serialized_start=1693
-  _globals['_UNCERTAINTY']._serialized_end=1777
-  _globals['_TRANSPORT']._serialized_start=1780
-  _globals['_TRANSPORT']._serialized_end=1968
-  _globals['_TRANSPORTPLANES']._serialized_start=1971
-  _globals['_TRANSPORTPLANES']._serialized_end=2102
-  _globals['_PARITY']._serialized_start=2104
-  _globals['_PARITY']._serialized_end=2175
-  _globals['_GRID']._serialized_start=2178
-  _globals['_GRID']._serialized_end=2324
-  _globals['_GRIDLEVEL']._serialized_start=2326
-  _globals['_GRIDLEVEL']._serialized_end=2438
-  _globals['_TENSORENTRY']._serialized_start=2440
-  _globals['_TENSORENTRY']._serialized_end=2539
+  _globals['_BUNDLEMANIFEST']._serialized_end=999
+  _globals['_BUNDLEMANIFEST_METRICSENTRY']._serialized_start=953
+  _globals['_BUNDLEMANIFEST_METRICSENTRY']._serialized_end=999
+  _globals['_GIVENMESH']._serialized_start=1001
+  _globals['_GIVENMESH']._serialized_end=1085
+  _globals['_MESHLEVEL']._serialized_start=1087
+  _globals['_MESHLEVEL']._serialized_end=1153
+  _globals['_GENERATOR']._serialized_start=1155
+  _globals['_GENERATOR']._serialized_end=1239
+  _globals['_WORLD']._serialized_start=1241
+  _globals['_WORLD']._serialized_end=1349
+  _globals['_ATLAS']._serialized_start=1351
+  _globals['_ATLAS']._serialized_end=1433
+  _globals['_SECONDARYRAYS']._serialized_start=1435
+  _globals['_SECONDARYRAYS']._serialized_end=1500
+  _globals['_BUNDLEFILE']._serialized_start=1502
+  _globals['_BUNDLEFILE']._serialized_end=1598
+  _globals['_GRAPH']._serialized_start=1601
+  _globals['_GRAPH']._serialized_end=1739
+  _globals['_ROUNDING']._serialized_start=1741
+  _globals['_ROUNDING']._serialized_end=1830
+  _globals['_UNCERTAINTY']._serialized_start=1832
+  _globals['_UNCERTAINTY']._serialized_end=1916
+  _globals['_TRANSPORT']._serialized_start=1919
+  _globals['_TRANSPORT']._serialized_end=2107
+  _globals['_TRANSPORTPLANES']._serialized_start=2110
+  _globals['_TRANSPORTPLANES']._serialized_end=2241
+  _globals['_PARITY']._serialized_start=2243
+  _globals['_PARITY']._serialized_end=2314
+  _globals['_GRID']._serialized_start=2317
+  _globals['_GRID']._serialized_end=2463
+  _globals['_GRIDLEVEL']._serialized_start=2465
+  _globals['_GRIDLEVEL']._serialized_end=2577
+  _globals['_TENSORENTRY']._serialized_start=2579
+  _globals['_TENSORENTRY']._serialized_end=2678
 # @@protoc_insertion_point(module_scope)

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class BundleManifest(_message.Message):
-    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "atlas", "transport", "given_mesh")
+    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "atlas", "transport", "mesh_levels", "given_mesh")
     class MetricsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -36,6 +36,7 @@ class BundleManifest(_message.Message):
     UNCERTAINTY_FIELD_NUMBER: _ClassVar[int]
     ATLAS_FIELD_NUMBER: _ClassVar[int]
     TRANSPORT_FIELD_NUMBER: _ClassVar[int]
+    MESH_LEVELS_FIELD_NUMBER: _ClassVar[int]
     GIVEN_MESH_FIELD_NUMBER: _ClassVar[int]
     schema_version: str
     scene_id: str
@@ -57,8 +58,9 @@ class BundleManifest(_message.Message):
     uncertainty: Uncertainty
     atlas: Atlas
     transport: Transport
+    mesh_levels: _containers.RepeatedCompositeFieldContainer[MeshLevel]
     given_mesh: GivenMesh
-    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., atlas: _Optional[_Union[Atlas, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ..., given_mesh: _Optional[_Union[GivenMesh, _Mapping]] = ...) -> None: ...
+    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., atlas: _Optional[_Union[Atlas, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ..., mesh_levels: _Optional[_Iterable[_Union[MeshLevel, _Mapping]]] = ..., given_mesh: _Optional[_Union[GivenMesh, _Mapping]] = ...) -> None: ...
 
 class GivenMesh(_message.Message):
     __slots__ = ("name", "sha256", "kept_uv", "share_from_model")
@@ -71,6 +73,16 @@ class GivenMesh(_message.Message):
     kept_uv: bool
     share_from_model: float
     def __init__(self, name: _Optional[str] = ..., sha256: _Optional[str] = ..., kept_uv: _Optional[bool] = ..., share_from_model: _Optional[float] = ...) -> None: ...
+
+class MeshLevel(_message.Message):
+    __slots__ = ("path", "num_faces", "texture_size")
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    NUM_FACES_FIELD_NUMBER: _ClassVar[int]
+    TEXTURE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    path: str
+    num_faces: int
+    texture_size: int
+    def __init__(self, path: _Optional[str] = ..., num_faces: _Optional[int] = ..., texture_size: _Optional[int] = ...) -> None: ...
 
 class Generator(_message.Message):
     __slots__ = ("name", "version", "git_revision", "train_step")
@@ -99,14 +111,16 @@ class World(_message.Message):
     def __init__(self, up_axis: _Optional[str] = ..., handedness: _Optional[str] = ..., unit: _Optional[str] = ..., environment_convention: _Optional[str] = ..., radiance: _Optional[str] = ...) -> None: ...
 
 class Atlas(_message.Message):
-    __slots__ = ("size", "num_texels", "texel_size")
+    __slots__ = ("size", "num_texels", "texel_size", "unseen_path")
     SIZE_FIELD_NUMBER: _ClassVar[int]
     NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
     TEXEL_SIZE_FIELD_NUMBER: _ClassVar[int]
+    UNSEEN_PATH_FIELD_NUMBER: _ClassVar[int]
     size: int
     num_texels: int
     texel_size: float
-    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ...) -> None: ...
+    unseen_path: str
+    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ..., unseen_path: _Optional[str] = ...) -> None: ...
 
 class SecondaryRays(_message.Message):
     __slots__ = ("origin_offset", "near", "far")

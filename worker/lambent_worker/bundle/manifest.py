@@ -25,6 +25,7 @@ _KINDS = {
     ("models", ".onnx"): ("application/octet-stream", "graph"),
     ("models", ".bin"): ("application/octet-stream", "weights"),
     ("mesh", ".glb"): ("model/gltf-binary", "mesh"),
+    ("mesh", ".png"): ("image/png", "mask"),
     ("mesh", ".usdz"): ("model/vnd.usdz+zip", "mesh"),
     ("transport", ".bin"): ("application/octet-stream", "transport"),
     ("env", ".exr"): ("image/x-exr", "environment"),

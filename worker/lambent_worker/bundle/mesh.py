@@ -40,7 +40,7 @@ FLOATER_VOLUME = FLOATER_AREA**1.5
 """The same, as a share of the largest piece's volume."""
 CHUNK_POINTS = 65536
 SURVEY_STRIDE = 4
-"""Cells of the mesh across a cell of the search for the surface, of which only the surroundings are looked at."""
+"""Cells of the mesh across a cell of the search for the surface, around which density is evaluated."""
 SLAB = 16
 """Layers of cells at which density is evaluated at a time."""
 MOST_CELLS = 2**27
@@ -127,7 +127,6 @@ def field_near_surface(
     cell = float(sides.max()) / resolution
     counts = np.maximum(1, np.ceil(sides / cell - 1e-6).astype(int))
     stride = SURVEY_STRIDE if resolution >= SURVEY_STRIDE * SURVEY_CELLS // 2 else 1
-    coarse_counts = -(-counts // stride)
     coarse = _depth_at_centres(model, low, cell * stride, -(-counts // stride)) / stride
     level = _level(coarse, SURFACE_DEPTH)
     cube = np.ones((3, 3, 3))
@@ -144,7 +143,7 @@ def field_near_surface(
             plane = values[row // stride].repeat(stride, 0).repeat(stride, 1)[: counts[1], : counts[2]]
             target[inside][row][plane] = most if target is field else True
     for slab in range(0, counts[0] + 2, SLAB):
-        places = np.argwhere(near[slab : slab + SLAB]) + [slab - 1, -1, -1]
+        places = np.argwhere(near[slab : slab + SLAB]) + np.array([slab - 1, -1, -1])
         if len(places):
             depth = _depth_at(model, ((places + 0.5) * cell + low).astype(np.float32), cell)
             field[slab : slab + SLAB][near[slab : slab + SLAB]] = depth

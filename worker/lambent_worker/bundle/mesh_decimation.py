@@ -8,8 +8,9 @@ from scipy.spatial import cKDTree
 from lambent_worker.bundle.mesh import Mesh, compact
 
 TOLERANCE_CELLS = 0.3
-"""Distance of the fine mesh from the simplified one that is accepted, in cells. A cell is no smaller than half a
-pixel of the photographs; noise of the density is about as large."""
+"""Distance of the fine mesh from the simplified one that is accepted, in cells.
+
+A cell is no smaller than half a pixel of the photographs; noise of the density is about as large."""
 TOLERATED_SHARE = 0.99
 """Share of the fine mesh's vertices that keep the tolerance."""
 NUM_CHECKED = 20_000
@@ -53,17 +54,13 @@ def adapted(mesh: Mesh, max_faces: int, tolerance: float) -> tuple[Mesh, float]:
     lie, scene units; `tolerance` is what it may be. It is larger where `max_faces` are not enough.
     """
 
-    def tried(count: int) -> tuple[Mesh, float]:
-        found = simplified(mesh, count)
-        return found, _distance(mesh, found)
-
     most = min(max_faces, len(mesh.faces))
-    best, error = tried(most)
+    best, error = reduced(mesh, most)
     low, high = min(FEWEST_FACES, most), most
     # Distances fall with the number of triangles, nearly always; where they do not, more triangles are kept.
     while error <= tolerance and high > STEP * low:
         middle = int(np.sqrt(float(low) * high))
-        found, distance = tried(middle)
+        found, distance = reduced(mesh, middle)
         if distance <= tolerance:
             best, error, high = found, distance, middle
         else:
@@ -71,10 +68,13 @@ def adapted(mesh: Mesh, max_faces: int, tolerance: float) -> tuple[Mesh, float]:
     return best, error
 
 
-def _distance(mesh: Mesh, found: Mesh) -> float:
+def reduced(mesh: Mesh, num_faces: int) -> tuple[Mesh, float]:
+    """Return the mesh with about `num_faces` triangles, and its distance as in `adapted`."""
+    found = simplified(mesh, num_faces)
     random = np.random.default_rng(SEED)
     some = random.choice(len(mesh.vertices), min(NUM_CHECKED, len(mesh.vertices)), replace=False)
-    return float(np.quantile(distance_to_surface(mesh.vertices[some], found), TOLERATED_SHARE))
+    away = distance_to_surface(mesh.vertices[some], found)
+    return found, float(np.quantile(away, TOLERATED_SHARE))
 
 
 def distance_to_surface(points: NDArray[np.floating], mesh: Mesh) -> NDArray[np.float64]:
@@ -99,16 +99,16 @@ def _samples(
     random = np.random.default_rng(SEED)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     count = 4 * len(corners) + 4 * NUM_CHECKED
-    owner = np.repeat(np.arange(len(corners)), np.ceil(count * area / max(area.sum(), 1e-300)).astype(int) + 1)
+    owner = np.repeat(
+        np.arange(len(corners)), np.ceil(count * area / max(area.sum(), 1e-300)).astype(int) + 1
+    )
     u = random.random((len(owner), 2))
     u[u.sum(axis=1) > 1.0] = 1.0 - u[u.sum(axis=1) > 1.0]
     a, b, c = (corners[owner, k] for k in range(3))
     return a + u[:, :1] * (b - a) + u[:, 1:] * (c - a), owner
 
 
-def _distance_to_triangles(
-    points: NDArray[np.float64], corners: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _distance_to_triangles(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance of each point from its triangle [point, 3, 3]: from its plane, or its edges."""
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)

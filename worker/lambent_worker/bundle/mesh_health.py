@@ -29,7 +29,9 @@ def mesh_health(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> M
     """Return the edges and pieces of a mesh; vertices at the same place, as along seams, count as one."""
     _, same = np.unique(np.asarray(vertices, np.float32), axis=0, return_inverse=True)
     joined = same.reshape(-1)[faces].astype(np.int64)
-    joined = joined[(joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])]
+    joined = joined[
+        (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
+    ]
     if not len(joined):
         return MeshHealth(boundary_edges=0, non_manifold_edges=0, pieces=0)
     count = int(joined.max()) + 1

@@ -94,7 +94,10 @@ def own_matter(density: Float[Tensor, "rays samples"], num_above: int) -> Float[
 def depth_reached(
     depth: Float[Tensor, "rays samples"], below: Float[Tensor, " samples"], step: float
 ) -> Float[Tensor, " rays"]:
-    """Return the place at which the sum of `depth`, linear within a sample of width `step`, is the wanted one."""
+    """Return the place at which the sum of `depth` is the wanted one.
+
+    It grows linearly within a sample, whose width is `step`; `below` are their middles.
+    """
     total = depth.cumsum(dim=-1)
     whole = total[:, -1:]
     wanted = (0.5 * whole).clamp_max(END_DEPTH)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lambent_worker.bundle.mesh import Corner, Mesh, data_resolution, extract_mesh
-from lambent_worker.bundle.mesh_decimation import TOLERANCE_CELLS, adapted
+from lambent_worker.bundle.mesh_decimation import TOLERANCE_CELLS, adapted, reduced
 from lambent_worker.bundle.mesh_settling import settled_mesh
 from lambent_worker.bundle.mesh_unseen import closed_smoothly, unseen_vertices
 
@@ -36,7 +36,7 @@ def build_shape(
     pixel_size: float,
     views: tuple[View, ...],
 ) -> Shape:
-    """Return the mesh of the matter in `box` with at most `config.max_faces` triangles.
+    """Return the mesh of the matter in `box` with about `config.faces` triangles, or as many as it needs.
 
     `pixel_size` as in `data_resolution`; `views` are the photographs it was trained with. Without views, all
     counts as seen. Raises WorkerError where there is no surface.
@@ -44,9 +44,12 @@ def build_shape(
     low, high = box
     resolution = data_resolution(model, low, high, pixel_size=pixel_size, limit=config.mesh_resolution)
     fine = settled_mesh(model, extract_mesh(model, low, high, resolution))
-    mesh, error = adapted(fine, config.max_faces, TOLERANCE_CELLS * fine.cell)
+    if config.faces:
+        mesh, error = reduced(fine, config.faces)
+    else:
+        mesh, error = adapted(fine, config.max_faces, TOLERANCE_CELLS * fine.cell)
     mesh, unseen = closed_smoothly(mesh, unseen_vertices(mesh, views))
-    if unseen.any() and not unseen.all():
+    if not config.faces and unseen.any() and not unseen.all():
         fewer, more = adapted(mesh, config.max_faces, KEPT_CELLS * mesh.cell)
         _, nearest = cKDTree(mesh.vertices).query(fewer.vertices)
         mesh, unseen, error = fewer, unseen[nearest], error + more

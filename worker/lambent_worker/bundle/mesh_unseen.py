@@ -1,7 +1,7 @@
 """The part of a mesh that no photograph saw: which it is, and how it is closed smoothly.
 
-What the trained density has there was asked for by no picture: dents, humps and shards, often around the right
-place. They are evened out between the borders of what was seen.
+What the trained density has there was asked for by no picture: dents, humps and shards, often around the
+right place. They are evened out between the borders of what was seen.
 """
 
 import numpy as np
@@ -44,9 +44,10 @@ SEED = 0
 
 
 def unseen_vertices(mesh: Mesh, views: tuple[View, ...]) -> NDArray[np.bool_]:
-    """Return which vertices no view shows: hidden, turned away, outside of all pictures, or where these show nothing.
+    """Return which vertices no view shows.
 
-    Without views, all count as seen. Small gaps and islands are closed, for they are a matter of rounding.
+    They are hidden, turned away, outside of all pictures, or where pictures show nothing (alpha). Without
+    views, all count as seen. Small gaps and islands are closed, for they are a matter of rounding.
     """
     seen = np.zeros(len(mesh.vertices), bool)
     if not views:
@@ -104,9 +105,9 @@ def closed_smoothly(mesh: Mesh, unseen: NDArray[np.bool_]) -> tuple[Mesh, NDArra
     """Return the mesh with its unseen part evened out between the borders of what was seen, and that part.
 
     Pieces that were not seen at all are left out, unless nothing was. The seen vertices stay where they are.
-    Each pass solves (1 + s^2 L) x = x_0, L the graph's Laplacian and s the smoothing width in edges: structure
-    much smaller than s disappears, larger remains. What was behind a seen surface stays behind it: vertices that
-    come out there are put back and held, and the others are evened out between them again.
+    Each pass solves (1 + s^2 L) x = x_0, L the graph's Laplacian and s the smoothing width in edges: what is
+    much smaller than s disappears, what is larger remains. What was behind a seen surface stays behind it:
+    vertices that come out there are put back and held, and the others are evened out between them again.
     """
     if not unseen.any() or unseen.all():
         return mesh, unseen
@@ -123,9 +124,7 @@ def closed_smoothly(mesh: Mesh, unseen: NDArray[np.bool_]) -> tuple[Mesh, NDArra
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell), unseen
 
 
-def _smoothing(
-    vertices: NDArray[np.float64], faces: NDArray[np.integer], width: float
-) -> sparse.csr_array:
+def _smoothing(vertices: NDArray[np.float64], faces: NDArray[np.integer], width: float) -> sparse.csr_array:
     """Return 1 + s^2 L for a smoothing `width` in scene units."""
     edges = edges_of(faces)
     length = float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())

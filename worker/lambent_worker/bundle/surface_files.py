@@ -9,24 +9,27 @@ from flashcache.data.scene import View
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
-from lambent_relight.baked.raster import block_means, rasterise
+from lambent_relight.baked.raster import block_means, nearest_texel, rasterise
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.bundle.graphs import OnnxCaches, SurfaceCaches
 from lambent_relight.fused.reader import FusedCaches
 from lambent_relight.fused.weights import NotFused
 from numpy.typing import NDArray
+from PIL import Image
 
 from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.mesh_health import mesh_health
+from lambent_worker.bundle.mesh_levels import level_textures, levels_of_detail
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_occlusion import bake_occlusion
-from lambent_worker.bundle.textures import bake_materials
+from lambent_worker.bundle.textures import TextureSet, bake_materials
 from lambent_worker.bundle.usd import write_usdz
 
 ASSET_PATH = "mesh/asset.glb"
 USDZ_PATH = "mesh/asset.usdz"
+UNSEEN_PATH = "mesh/unseen.png"
 SUPERSAMPLING = 4
 """Samples of a silhouette along each side of a pixel."""
 
@@ -44,9 +47,10 @@ def write_asset(
     """Write mesh/asset.glb, and .usdz if requested, into `folder`, and return the surface.
 
     `caches` are `written_caches`; `views` are the photographs, whose pixels say how much detail there can be.
+    What no photograph shows is marked in mesh/unseen.png. Levels of detail are written beside the mesh.
     Raises WorkerError where there is no surface or the file is not read back as it was meant.
     """
-    surface = build_surface(model, config, box=box, pixel_size=pixel_size(views, box))
+    surface = build_surface(model, config, box=box, pixel_size=pixel_size(views, box), views=views)
     occlusion = bake_occlusion(
         surface,
         caches.secondary,
@@ -58,6 +62,8 @@ def write_asset(
     asset = write_glb(surface, textures, unit=manifest.world.unit)
     check_glb(asset, surface)
     (folder / ASSET_PATH).write_bytes(asset)
+    write_levels(surface, textures, manifest, folder)
+    write_unseen(surface, manifest, folder)
     if config.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)
     manifest.atlas.size = surface.size
@@ -65,11 +71,37 @@ def write_asset(
     manifest.atlas.texel_size = texel_size(surface)
     manifest.metrics["mesh_faces"] = len(surface.faces)
     manifest.metrics["mesh_vertices"] = len(surface.vertices)
+    manifest.metrics["mesh_simplification_error"] = surface.mesh_error
     health = mesh_health(surface.vertices, surface.faces)
     manifest.metrics["mesh_boundary_edges"] = health.boundary_edges
     manifest.metrics["mesh_non_manifold_edges"] = health.non_manifold_edges
     manifest.metrics["mesh_pieces"] = health.pieces
     return surface
+
+
+def write_levels(
+    surface: AtlasSurface, textures: TextureSet, manifest: bundle_pb2.BundleManifest, folder: Path
+) -> None:
+    """Write the levels of detail of `surface` as mesh/lod1.glb and so on, and list them."""
+    for number, level in enumerate(levels_of_detail(surface), 1):
+        path = f"mesh/lod{number}.glb"
+        small = level_textures(textures, level, 2**number)
+        (folder / path).write_bytes(write_glb(level, small, unit=manifest.world.unit))
+        manifest.mesh_levels.add(
+            path=path, num_faces=len(level.faces), texture_size=surface.size // 2**number
+        )
+
+
+def write_unseen(surface: AtlasSurface, manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
+    """Write the mask of texels that no photograph shows, if there are any, and state their share."""
+    if not len(surface.unseen):
+        return
+    manifest.metrics["mesh_unseen_share"] = float(surface.unseen.mean())
+    if not surface.unseen.any():
+        return
+    marked = surface.unseen[nearest_texel(surface.texel_index, surface.size)]
+    Image.fromarray(np.where(marked, 255, 0).astype(np.uint8)).save(folder / UNSEEN_PATH)
+    manifest.atlas.unseen_path = UNSEEN_PATH
 
 
 def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> SurfaceCaches:

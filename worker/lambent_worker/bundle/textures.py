@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_worker.bundle.atlas import tangents, unit
+from lambent_worker.bundle.mesh_unseen import plain_where_unseen
 from lambent_worker.bundle.surface import AtlasSurface
 
 Plane = NDArray[np.float32]
@@ -43,6 +44,11 @@ def bake_materials(model: InverseModel, surface: AtlasSurface, occlusion: NDArra
     """Return the textures of `surface` from the trained materials and the occlusion of covered texels."""
     owner = nearest_texel(surface.texel_index, surface.size)
     found = _materials(model, surface.positions)
+    if len(surface.unseen):
+        found = {
+            name: plain_where_unseen(values, surface.positions, surface.unseen)
+            for name, values in found.items()
+        }
     return TextureSet(
         albedo=found["albedo"][owner],
         perceptual_roughness=found["perceptual_roughness"][owner],

@@ -21,6 +21,7 @@ from numpy import ndarray
 
 from lambent_worker.bundle.graphs import PARITY_ROWS
 from lambent_worker.bundle.manifest import add_graph
+from lambent_worker.bundle.mesh_unseen import plain_where_unseen
 from lambent_worker.bundle.parity import TOLERANCE, ParityResult
 from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.transport import BakedSurface, TransportConfig, bake_transport
@@ -45,7 +46,11 @@ def write_transport(
     bake is done. `advance` is called with the finished share and may raise to stop.
     """
     found = caches.material(surface.positions)
-    reflectors = Reflectors(found.albedo, found.perceptual_roughness, found.metalness)
+    materials = [
+        plain_where_unseen(values, surface.positions, surface.unseen) if len(surface.unseen) else values
+        for values in (found.albedo, found.perceptual_roughness, found.metalness)
+    ]
+    reflectors = Reflectors(*materials)
     covered = BakedSurface(
         surface.size, surface.texel_index, mesh_positions(surface), surface.texel_normals.astype(np.float32)
     )

@@ -176,6 +176,9 @@ def export(
         Path | None,
         typer.Option(metavar="FILE.glb", help="Put an edited mesh in place of the trained surface."),
     ] = None,
+    faces: Annotated[
+        str, typer.Option(metavar="N|auto", help="Triangles of the mesh; auto: as many as it needs.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Write the relightable bundle of a trained run into a folder of its own."""
@@ -193,7 +196,7 @@ def export(
         )
     with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
         if mesh is None:
-            export_run(run_dir, out, reporter, tier=tier, weights=weights)
+            export_run(run_dir, out, reporter, tier=tier, weights=weights, faces=faces)
         else:
             export_edited(run_dir, out, mesh, reporter, tier=tier)
     if not as_json:

@@ -63,6 +63,10 @@ def export(
             help="Of a run's bundle: an edited mesh in place of the trained surface.",
         ),
     ] = None,
+    faces: Annotated[
+        str,
+        typer.Option(metavar="N|auto", help="Of a bundle: triangles of the mesh; auto: as many as it needs."),
+    ] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
@@ -76,12 +80,13 @@ def export(
             "--env": (env is not None, "mitsuba"),
         },
         formats,
-        for_bundle=bool(tier or weights or mesh),
+        for_bundle=bool(tier or weights or mesh or faces),
     )
     if webp and ktx2:
         raise UsageProblemError("cli.bad_choice", "--webp with --ktx2", "textures are one of the two")
     if not formats:
-        _export_bundle(source, output_folder, tier=tier, weights=weights, mesh=mesh, as_json=as_json)
+        settings = {"tier": tier, "weights": weights, "faces": faces}
+        _export_bundle(source, output_folder, mesh=mesh, as_json=as_json, **settings)
         return
     # These take a moment to import, which the export of a bundle does not pay.
     from lambent_relight.asset.write import write_formats
@@ -113,7 +118,7 @@ def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, fo
     if formats and for_bundle:
         raise UsageProblemError(
             "cli.bad_choice",
-            f"--tier, --weights and --mesh with --{formats[0]}",
+            f"--tier, --weights, --mesh and --faces with --{formats[0]}",
             "they are for a bundle: export that first, without formats, and then its asset",
         )
 
@@ -132,7 +137,7 @@ def _bundle_of(source: Path) -> Path:
 
 
 def _export_bundle(
-    source: Path, output_folder: Path, *, tier: str, weights: str, mesh: Path | None, as_json: bool
+    source: Path, output_folder: Path, *, mesh: Path | None, as_json: bool, **settings: str
 ) -> None:
     """Let the worker's command write the bundle of a run."""
     if (source / "manifest.json").is_file() or source.suffix == ".zip":
@@ -150,4 +155,4 @@ def _export_bundle(
             "the export of a bundle needs the worker, which is not installed",
             "pip install 'lambent[worker]'",
         ) from error
-    command(run_dir=source, out=output_folder, tier=tier, weights=weights, mesh=mesh, as_json=as_json)
+    command(run_dir=source, out=output_folder, mesh=mesh, as_json=as_json, **settings)

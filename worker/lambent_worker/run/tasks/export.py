@@ -89,9 +89,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     trained = model
     model = _write_networks(context, at_reference(model), rule, manifest, folder, compared)
     caches = written_caches(manifest, folder)
-    surface = write_asset(
-        model, caches, settings, manifest, folder, box=box, views=(*scene.train, *scene.test)
-    )
+    surface = write_asset(model, caches, settings, manifest, folder, box=box, views=scene.train or scene.test)
     _advance(context, 4)
     if settings.transport_tier != "none":
         write_transport(
