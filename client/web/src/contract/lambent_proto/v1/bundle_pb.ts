@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/bundle.proto.
  */
 export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKyBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSJgoFYXRsYXMYEyABKAsyFy5sYW1iZW50X3Byb3RvLnYxLkF0bGFzEi4KCXRyYW5zcG9ydBgUIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0Gi4KDE1ldHJpY3NFbnRyeRILCgNrZXkYASABKAkSDQoFdmFsdWUYAiABKAE6AjgBIlQKCUdlbmVyYXRvchIMCgRuYW1lGAEgASgJEg8KB3ZlcnNpb24YAiABKAkSFAoMZ2l0X3JldmlzaW9uGAMgASgJEhIKCnRyYWluX3N0ZXAYBCABKA0ibAoFV29ybGQSDwoHdXBfYXhpcxgBIAEoCRISCgpoYW5kZWRuZXNzGAIgASgJEgwKBHVuaXQYAyABKAkSHgoWZW52aXJvbm1lbnRfY29udmVudGlvbhgEIAEoCRIQCghyYWRpYW5jZRgFIAEoCSI9CgVBdGxhcxIMCgRzaXplGAEgASgNEhIKCm51bV90ZXhlbHMYAiABKA0SEgoKdGV4ZWxfc2l6ZRgDIAEoASJBCg1TZWNvbmRhcnlSYXlzEhUKDW9yaWdpbl9vZmZzZXQYASABKAESDAoEbmVhchgCIAEoARILCgNmYXIYAyABKAEiYAoKQnVuZGxlRmlsZRIMCgRwYXRoGAEgASgJEhIKCnNpemVfYnl0ZXMYAiABKAESDgoGc2hhMjU2GAMgASgJEhIKCm1lZGlhX3R5cGUYBCABKAkSDAoEcm9sZRgFIAEoCSKKAQoFR3JhcGgSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWxpZ2h0GAMgASgJEigKBnBhcml0eRgEIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuUGFyaXR5EiwKCHJvdW5kaW5nGAUgAygLMhoubGFtYmVudF9wcm90by52MS5Sb3VuZGluZyJZCghSb3VuZGluZxIOCgZvdXRwdXQYASABKAkSFQoNbWF4X2Fic19lcnJvchgCIAEoARIRCglybXNfZXJyb3IYAyABKAESEwoLbnVtX3NhbXBsZXMYBCABKA0iVAoLVW5jZXJ0YWludHkSDAoEcGF0aBgBIAEoCRIlCgNib3gYAiABKAsyGC5sYW1iZW50X3Byb3RvLnYxLkJvdW5kcxIQCghjaGFubmVscxgDIAMoCSK8AQoJVHJhbnNwb3J0EgwKBHRpZXIYASABKAkSDAoEc2l6ZRgCIAEoDRISCgpudW1fdGV4ZWxzGAMgASgNEhMKC3RleGVsc19wYXRoGAQgASgJEjEKBnBsYW5lcxgFIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0UGxhbmVzEhgKEHNoYWRvd19iaXRzX3BhdGgYBiABKAkSHQoVbnVtX3NoYWRvd19kaXJlY3Rpb25zGAcgASgNIoMBCg9UcmFuc3BvcnRQbGFuZXMSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWJhbmRzGAMgASgNEhAKCGNoYW5uZWxzGAQgASgNEhIKCm51bV90ZXhlbHMYBSABKA0SDgoGc2NhbGVzGAYgAygBEg8KB29mZnNldHMYByADKAEiRwoGUGFyaXR5EhUKDW1heF9hYnNfZXJyb3IYASABKAESEQoJdG9sZXJhbmNlGAIgASgBEhMKC251bV9zYW1wbGVzGAMgASgNIpIBCgRHcmlkEgwKBG5hbWUYASABKAkSDgoGdGVuc29yGAIgASgJEhQKDG51bV9mZWF0dXJlcxgDIAEoDRITCgtoYWxmX2V4dGVudBgEIAEoARIUCgxvdXRwdXRfc2NhbGUYBSABKAESKwoGbGV2ZWxzGAYgAygLMhsubGFtYmVudF9wcm90by52MS5HcmlkTGV2ZWwicAoJR3JpZExldmVsEhIKCnJlc29sdXRpb24YASABKA0SEQoJZmlyc3Rfcm93GAIgASgNEhAKCG51bV9yb3dzGAMgASgNEhQKDG11bHRpcGxpZXJfeRgEIAEoDRIUCgxtdWx0aXBsaWVyX3oYBSABKA0iYwoLVGVuc29yRW50cnkSDAoEbmFtZRgBIAEoCRINCgVkdHlwZRgCIAEoCRINCgVzaGFwZRgDIAMoDRIUCgxvZmZzZXRfYnl0ZXMYBCABKAESEgoKc2l6ZV9ieXRlcxgFIAEoAWIGcHJvdG8z", [file_lambent_proto_v1_scene]);
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSLkBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSJgoFYXRsYXMYEyABKAsyFy5sYW1iZW50X3Byb3RvLnYxLkF0bGFzEi4KCXRyYW5zcG9ydBgUIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0EjAKC21lc2hfbGV2ZWxzGBUgAygLMhsubGFtYmVudF9wcm90by52MS5NZXNoTGV2ZWwaLgoMTWV0cmljc0VudHJ5EgsKA2tleRgBIAEoCRINCgV2YWx1ZRgCIAEoAToCOAEiQgoJTWVzaExldmVsEgwKBHBhdGgYASABKAkSEQoJbnVtX2ZhY2VzGAIgASgNEhQKDHRleHR1cmVfc2l6ZRgDIAEoDSJUCglHZW5lcmF0b3ISDAoEbmFtZRgBIAEoCRIPCgd2ZXJzaW9uGAIgASgJEhQKDGdpdF9yZXZpc2lvbhgDIAEoCRISCgp0cmFpbl9zdGVwGAQgASgNImwKBVdvcmxkEg8KB3VwX2F4aXMYASABKAkSEgoKaGFuZGVkbmVzcxgCIAEoCRIMCgR1bml0GAMgASgJEh4KFmVudmlyb25tZW50X2NvbnZlbnRpb24YBCABKAkSEAoIcmFkaWFuY2UYBSABKAkiUgoFQXRsYXMSDAoEc2l6ZRgBIAEoDRISCgpudW1fdGV4ZWxzGAIgASgNEhIKCnRleGVsX3NpemUYAyABKAESEwoLdW5zZWVuX3BhdGgYBCABKAkiQQoNU2Vjb25kYXJ5UmF5cxIVCg1vcmlnaW5fb2Zmc2V0GAEgASgBEgwKBG5lYXIYAiABKAESCwoDZmFyGAMgASgBImAKCkJ1bmRsZUZpbGUSDAoEcGF0aBgBIAEoCRISCgpzaXplX2J5dGVzGAIgASgBEg4KBnNoYTI1NhgDIAEoCRISCgptZWRpYV90eXBlGAQgASgJEgwKBHJvbGUYBSABKAkiigEKBUdyYXBoEgwKBG5hbWUYASABKAkSDAoEcGF0aBgCIAEoCRINCgVsaWdodBgDIAEoCRIoCgZwYXJpdHkYBCABKAsyGC5sYW1iZW50X3Byb3RvLnYxLlBhcml0eRIsCghyb3VuZGluZxgFIAMoCzIaLmxhbWJlbnRfcHJvdG8udjEuUm91bmRpbmciWQoIUm91bmRpbmcSDgoGb3V0cHV0GAEgASgJEhUKDW1heF9hYnNfZXJyb3IYAiABKAESEQoJcm1zX2Vycm9yGAMgASgBEhMKC251bV9zYW1wbGVzGAQgASgNIlQKC1VuY2VydGFpbnR5EgwKBHBhdGgYASABKAkSJQoDYm94GAIgASgLMhgubGFtYmVudF9wcm90by52MS5Cb3VuZHMSEAoIY2hhbm5lbHMYAyADKAkivAEKCVRyYW5zcG9ydBIMCgR0aWVyGAEgASgJEgwKBHNpemUYAiABKA0SEgoKbnVtX3RleGVscxgDIAEoDRITCgt0ZXhlbHNfcGF0aBgEIAEoCRIxCgZwbGFuZXMYBSADKAsyIS5sYW1iZW50X3Byb3RvLnYxLlRyYW5zcG9ydFBsYW5lcxIYChBzaGFkb3dfYml0c19wYXRoGAYgASgJEh0KFW51bV9zaGFkb3dfZGlyZWN0aW9ucxgHIAEoDSKDAQoPVHJhbnNwb3J0UGxhbmVzEgwKBG5hbWUYASABKAkSDAoEcGF0aBgCIAEoCRINCgViYW5kcxgDIAEoDRIQCghjaGFubmVscxgEIAEoDRISCgpudW1fdGV4ZWxzGAUgASgNEg4KBnNjYWxlcxgGIAMoARIPCgdvZmZzZXRzGAcgAygBIkcKBlBhcml0eRIVCg1tYXhfYWJzX2Vycm9yGAEgASgBEhEKCXRvbGVyYW5jZRgCIAEoARITCgtudW1fc2FtcGxlcxgDIAEoDSKSAQoER3JpZBIMCgRuYW1lGAEgASgJEg4KBnRlbnNvchgCIAEoCRIUCgxudW1fZmVhdHVyZXMYAyABKA0SEwoLaGFsZl9leHRlbnQYBCABKAESFAoMb3V0cHV0X3NjYWxlGAUgASgBEisKBmxldmVscxgGIAMoCzIbLmxhbWJlbnRfcHJvdG8udjEuR3JpZExldmVsInAKCUdyaWRMZXZlbBISCgpyZXNvbHV0aW9uGAEgASgNEhEKCWZpcnN0X3JvdxgCIAEoDRIQCghudW1fcm93cxgDIAEoDRIUCgxtdWx0aXBsaWVyX3kYBCABKA0SFAoMbXVsdGlwbGllcl96GAUgASgNImMKC1RlbnNvckVudHJ5EgwKBG5hbWUYASABKAkSDQoFZHR5cGUYAiABKAkSDQoFc2hhcGUYAyADKA0SFAoMb2Zmc2V0X2J5dGVzGAQgASgBEhIKCnNpemVfYnl0ZXMYBSABKAFiBnByb3RvMw", [file_lambent_proto_v1_scene]);
 
 /**
  * manifest.json of a bundle.
@@ -143,6 +143,13 @@ export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
    * @generated from field: lambent_proto.v1.Transport transport = 20;
    */
   transport?: Transport | undefined;
+
+  /**
+   * Coarser versions of mesh/asset.glb, finest first, with its atlas; absent in bundles before 1.3.
+   *
+   * @generated from field: repeated lambent_proto.v1.MeshLevel mesh_levels = 21;
+   */
+  meshLevels: MeshLevel[];
 };
 
 /**
@@ -151,6 +158,37 @@ export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
  */
 export const BundleManifestSchema: GenMessage<BundleManifest> = /*@__PURE__*/
   messageDesc(file_lambent_proto_v1_bundle, 0);
+
+/**
+ * A version of the mesh with fewer triangles and smaller textures.
+ *
+ * @generated from message lambent_proto.v1.MeshLevel
+ */
+export type MeshLevel = Message<"lambent_proto.v1.MeshLevel"> & {
+  /**
+   * @generated from field: string path = 1;
+   */
+  path: string;
+
+  /**
+   * @generated from field: uint32 num_faces = 2;
+   */
+  numFaces: number;
+
+  /**
+   * Texels along each side of its textures.
+   *
+   * @generated from field: uint32 texture_size = 3;
+   */
+  textureSize: number;
+};
+
+/**
+ * Describes the message lambent_proto.v1.MeshLevel.
+ * Use `create(MeshLevelSchema)` to create a new message.
+ */
+export const MeshLevelSchema: GenMessage<MeshLevel> = /*@__PURE__*/
+  messageDesc(file_lambent_proto_v1_bundle, 1);
 
 /**
  * @generated from message lambent_proto.v1.Generator
@@ -182,7 +220,7 @@ export type Generator = Message<"lambent_proto.v1.Generator"> & {
  * Use `create(GeneratorSchema)` to create a new message.
  */
 export const GeneratorSchema: GenMessage<Generator> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 1);
+  messageDesc(file_lambent_proto_v1_bundle, 2);
 
 /**
  * @generated from message lambent_proto.v1.World
@@ -227,7 +265,7 @@ export type World = Message<"lambent_proto.v1.World"> & {
  * Use `create(WorldSchema)` to create a new message.
  */
 export const WorldSchema: GenMessage<World> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 2);
+  messageDesc(file_lambent_proto_v1_bundle, 3);
 
 /**
  * The square texture atlas of the mesh: u to the right, v down from the top row.
@@ -255,6 +293,13 @@ export type Atlas = Message<"lambent_proto.v1.Atlas"> & {
    * @generated from field: double texel_size = 3;
    */
   texelSize: number;
+
+  /**
+   * PNG file, grey: 255 where no photograph shows the surface. Empty if all was seen, and before 1.3.
+   *
+   * @generated from field: string unseen_path = 4;
+   */
+  unseenPath: string;
 };
 
 /**
@@ -262,7 +307,7 @@ export type Atlas = Message<"lambent_proto.v1.Atlas"> & {
  * Use `create(AtlasSchema)` to create a new message.
  */
 export const AtlasSchema: GenMessage<Atlas> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 3);
+  messageDesc(file_lambent_proto_v1_bundle, 4);
 
 /**
  * How secondary rays for visibility, distance and radiance start at a surface point.
@@ -293,7 +338,7 @@ export type SecondaryRays = Message<"lambent_proto.v1.SecondaryRays"> & {
  * Use `create(SecondaryRaysSchema)` to create a new message.
  */
 export const SecondaryRaysSchema: GenMessage<SecondaryRays> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 4);
+  messageDesc(file_lambent_proto_v1_bundle, 5);
 
 /**
  * @generated from message lambent_proto.v1.BundleFile
@@ -334,7 +379,7 @@ export type BundleFile = Message<"lambent_proto.v1.BundleFile"> & {
  * Use `create(BundleFileSchema)` to create a new message.
  */
 export const BundleFileSchema: GenMessage<BundleFile> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 5);
+  messageDesc(file_lambent_proto_v1_bundle, 6);
 
 /**
  * @generated from message lambent_proto.v1.Graph
@@ -379,7 +424,7 @@ export type Graph = Message<"lambent_proto.v1.Graph"> & {
  * Use `create(GraphSchema)` to create a new message.
  */
 export const GraphSchema: GenMessage<Graph> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 6);
+  messageDesc(file_lambent_proto_v1_bundle, 7);
 
 /**
  * Difference between float16 tables and the trained model: absolute below 1, relative above.
@@ -415,7 +460,7 @@ export type Rounding = Message<"lambent_proto.v1.Rounding"> & {
  * Use `create(RoundingSchema)` to create a new message.
  */
 export const RoundingSchema: GenMessage<Rounding> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 7);
+  messageDesc(file_lambent_proto_v1_bundle, 8);
 
 /**
  * A grid of cell values over a box: value (i, j, k) belongs to the centre of a cell.
@@ -450,7 +495,7 @@ export type Uncertainty = Message<"lambent_proto.v1.Uncertainty"> & {
  * Use `create(UncertaintySchema)` to create a new message.
  */
 export const UncertaintySchema: GenMessage<Uncertainty> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 8);
+  messageDesc(file_lambent_proto_v1_bundle, 9);
 
 /**
  * Baked light transport per texel (docs/reference/bundle-format.md).
@@ -509,7 +554,7 @@ export type Transport = Message<"lambent_proto.v1.Transport"> & {
  * Use `create(TransportSchema)` to create a new message.
  */
 export const TransportSchema: GenMessage<Transport> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 9);
+  messageDesc(file_lambent_proto_v1_bundle, 10);
 
 /**
  * Planes of texels, one signed byte each: value = offset + scale * byte.
@@ -562,7 +607,7 @@ export type TransportPlanes = Message<"lambent_proto.v1.TransportPlanes"> & {
  * Use `create(TransportPlanesSchema)` to create a new message.
  */
 export const TransportPlanesSchema: GenMessage<TransportPlanes> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 10);
+  messageDesc(file_lambent_proto_v1_bundle, 11);
 
 /**
  * @generated from message lambent_proto.v1.Parity
@@ -589,7 +634,7 @@ export type Parity = Message<"lambent_proto.v1.Parity"> & {
  * Use `create(ParitySchema)` to create a new message.
  */
 export const ParitySchema: GenMessage<Parity> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 11);
+  messageDesc(file_lambent_proto_v1_bundle, 12);
 
 /**
  * A multi-resolution feature grid with the additive lattice hash.
@@ -637,7 +682,7 @@ export type Grid = Message<"lambent_proto.v1.Grid"> & {
  * Use `create(GridSchema)` to create a new message.
  */
 export const GridSchema: GenMessage<Grid> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 12);
+  messageDesc(file_lambent_proto_v1_bundle, 13);
 
 /**
  * @generated from message lambent_proto.v1.GridLevel
@@ -678,7 +723,7 @@ export type GridLevel = Message<"lambent_proto.v1.GridLevel"> & {
  * Use `create(GridLevelSchema)` to create a new message.
  */
 export const GridLevelSchema: GenMessage<GridLevel> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 13);
+  messageDesc(file_lambent_proto_v1_bundle, 14);
 
 /**
  * @generated from message lambent_proto.v1.TensorEntry
@@ -717,5 +762,5 @@ export type TensorEntry = Message<"lambent_proto.v1.TensorEntry"> & {
  * Use `create(TensorEntrySchema)` to create a new message.
  */
 export const TensorEntrySchema: GenMessage<TensorEntry> = /*@__PURE__*/
-  messageDesc(file_lambent_proto_v1_bundle, 14);
+  messageDesc(file_lambent_proto_v1_bundle, 15);
 
