@@ -219,7 +219,7 @@ def quick() -> Config:
         ),
         evaluation=replace(base.evaluation, num_views=2, num_directions=32, uncertainty_points=100),
         export=replace(
-            base.export, mesh_resolution=96, atlas_size=256, occlusion_points=5000, judge_samples=0
+            base.export, mesh_resolution=96, transport_size=256, occlusion_points=5000, judge_samples=0
         ),
     )
 
@@ -295,7 +295,8 @@ def tiny() -> Config:
             gbuffer_samples=64,
             mesh_resolution=48,
             max_faces=2000,
-            atlas_size=128,
+            atlas_size=256,
+            transport_size=128,
             occlusion_points=2000,
             occlusion_rays=16,
             judge_samples=8,

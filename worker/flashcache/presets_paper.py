@@ -76,7 +76,7 @@ def paper_tensoir() -> Config:
             gbuffer_samples=256,
             mesh_resolution=256,
             max_faces=40_000,
-            atlas_size=1024,
+            transport_size=1024,
             environment_height=128,
         ),
     )

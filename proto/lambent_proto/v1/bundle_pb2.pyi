@@ -85,14 +85,18 @@ class World(_message.Message):
     def __init__(self, up_axis: _Optional[str] = ..., handedness: _Optional[str] = ..., unit: _Optional[str] = ..., environment_convention: _Optional[str] = ..., radiance: _Optional[str] = ...) -> None: ...
 
 class Atlas(_message.Message):
-    __slots__ = ("size", "num_texels", "texel_size")
+    __slots__ = ("size", "num_texels", "texel_size", "material_size", "albedo_source")
     SIZE_FIELD_NUMBER: _ClassVar[int]
     NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
     TEXEL_SIZE_FIELD_NUMBER: _ClassVar[int]
+    MATERIAL_SIZE_FIELD_NUMBER: _ClassVar[int]
+    ALBEDO_SOURCE_FIELD_NUMBER: _ClassVar[int]
     size: int
     num_texels: int
     texel_size: float
-    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ...) -> None: ...
+    material_size: int
+    albedo_source: str
+    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ..., material_size: _Optional[int] = ..., albedo_source: _Optional[str] = ...) -> None: ...
 
 class SecondaryRays(_message.Message):
     __slots__ = ("origin_offset", "near", "far")

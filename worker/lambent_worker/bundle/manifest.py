@@ -18,7 +18,7 @@ from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.parity import TOLERANCE, ParityResult
 from lambent_worker.messages import message_to_dict
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 
 # Media type and role by folder and suffix.
 _KINDS = {

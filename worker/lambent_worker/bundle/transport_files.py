@@ -13,7 +13,7 @@ from flashcache.export.relight_graph import relight, relight_graph
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.baked.transport import transport_files
+from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.bundle.graphs import SurfaceCaches
 from lambent_relight.fused.reader import FusedCaches
 from numpy import ndarray
@@ -30,18 +30,17 @@ from lambent_worker.errors import WorkerError
 _RAYS_ON_DEVICE = 1 << 18
 
 
-def write_transport(
+def baked_transport(
     model: InverseModel,
     caches: SurfaceCaches,
     surface: AtlasSurface,
-    manifest: bundle_pb2.BundleManifest,
     folder: Path,
     config: TransportConfig,
     *,
     store: Path,
     advance: Callable[[float], None],
-) -> None:
-    """Bake the transport of `surface` into `folder`/transport and describe it in `manifest`.
+) -> tuple[Transport, dict[str, float]]:
+    """Return the transport of `surface`, and metrics of the bake; the graphs lie in `folder`/models.
 
     Rays are answered by `caches`, or by the model itself where it lies on a graphics card. Finished ones
     lie in `store` until the bake is done. `advance` is called with the finished share and may raise to stop.
@@ -69,11 +68,17 @@ def write_transport(
         advance=advance,
         num_threads=num_threads,
     )
-    (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest, tier=config.tier).items():
-        (folder / path).write_bytes(data)
-    manifest.metrics.update(figures)
     shutil.rmtree(store, ignore_errors=True)
+    return transport, figures
+
+
+def write_transport(
+    transport: Transport, manifest: bundle_pb2.BundleManifest, folder: Path, *, tier: str
+) -> None:
+    """Write `transport` into `folder`/transport and describe it in `manifest`."""
+    (folder / "transport").mkdir(exist_ok=True)
+    for path, data in transport_files(transport, manifest, tier=tier).items():
+        (folder / path).write_bytes(data)
 
 
 def secondary_rays(model: InverseModel, caches: SurfaceCaches) -> SecondaryRays:

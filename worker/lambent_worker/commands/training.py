@@ -172,6 +172,13 @@ def export(
     weights: Annotated[
         str, typer.Option(help="fp16, fp32, none, or auto: fp16 unless that moves the answers.")
     ] = "",
+    atlas: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXELS",
+            help="Side of the albedo texture, or auto: as many texels as the photographs have pixels there.",
+        ),
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Write the relightable bundle of a trained run into a folder of its own."""
@@ -182,7 +189,7 @@ def export(
     from lambent_worker.run.prepare import export_run
 
     with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
-        export_run(run_dir, out, reporter, tier=tier, weights=weights)
+        export_run(run_dir, out, reporter, tier=tier, weights=weights, atlas=atlas)
     if not as_json:
         typer.echo(f"bundle: {out}")
 

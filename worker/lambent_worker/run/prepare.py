@@ -105,18 +105,21 @@ def check_device(device: str) -> None:
         )
 
 
-def export_run(run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", weights: str = "") -> None:
+def export_run(
+    run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", weights: str = "", atlas: str = ""
+) -> None:
     """Write the bundle of a trained run to `out`, making it first if the run has none like it.
 
     `tier` is "full" or "lite" (which leaves the networks out unless `weights` says otherwise), `weights` as
-    in the settings; empty ones are the run's. Raises `UsageError` where the run is not trained to its end or
-    `out` exists, `ConfigError` for unknown values.
+    in the settings, `atlas` the side of the albedo texture or "auto"; empty ones are the run's. Raises
+    `UsageError` where the run is not trained to its end or `out` exists, `ConfigError` for unknown values.
     """
     from flashcache.config import with_overrides
 
     context = open_task(run_dir, "export", reporter)
     previous = require_done(run_dir, last_training_task(context.spec.config))
     wanted = {"transport_tier": tier, "weights": weights or ("none" if tier == "lite" else "")}
+    wanted["atlas_size"] = "0" if atlas == "auto" else atlas
     settings = {f"export.{name}": value for name, value in wanted.items() if value}
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():

@@ -41,16 +41,25 @@ def export(
     weights: Annotated[
         str, typer.Option(help="Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers.")
     ] = "",
+    atlas: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXELS",
+            help="Of a bundle: side of the albedo texture, or auto: as fine as the photographs.",
+        ),
+    ] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
     wanted = {"glb": glb, "usdz": usdz, "obj": obj, "mitsuba": mitsuba}
     formats = [name for name, asked in wanted.items() if asked]
     _check_options(
-        {"--webp": (webp, "glb"), "--env": (env is not None, "mitsuba")}, formats, for_bundle=tier or weights
+        {"--webp": (webp, "glb"), "--env": (env is not None, "mitsuba")},
+        formats,
+        for_bundle=tier or weights or atlas,
     )
     if not formats:
-        _export_bundle(source, output_folder, tier=tier, weights=weights, as_json=as_json)
+        _export_bundle(source, output_folder, tier=tier, weights=weights, atlas=atlas, as_json=as_json)
         return
     # These take a moment to import, which the export of a bundle does not pay.
     from lambent_relight.asset.write import write_formats
@@ -80,7 +89,7 @@ def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, fo
     if formats and for_bundle:
         raise UsageProblemError(
             "cli.bad_choice",
-            f"--tier and --weights with --{formats[0]}",
+            f"--tier, --weights and --atlas with --{formats[0]}",
             "they are for a bundle: export that first, without formats, and then its asset",
         )
 
@@ -98,7 +107,7 @@ def _bundle_of(source: Path) -> Path:
     return source / "bundle"
 
 
-def _export_bundle(source: Path, output_folder: Path, *, tier: str, weights: str, as_json: bool) -> None:
+def _export_bundle(source: Path, output_folder: Path, *, as_json: bool, **settings: str) -> None:
     """Let the worker's command write the bundle of a run."""
     if (source / "manifest.json").is_file() or source.suffix == ".zip":
         raise UsageProblemError(
@@ -115,4 +124,4 @@ def _export_bundle(source: Path, output_folder: Path, *, tier: str, weights: str
             "the export of a bundle needs the worker, which is not installed",
             "pip install 'lambent[worker]'",
         ) from error
-    command(run_dir=source, out=output_folder, tier=tier, weights=weights, as_json=as_json)
+    command(run_dir=source, out=output_folder, as_json=as_json, **settings)
