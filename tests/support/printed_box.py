@@ -26,8 +26,8 @@ SUPERSAMPLED = 3
 
 
 def stripes(positions: np.ndarray) -> np.ndarray:
-    """Return slanted stripes of ink, a tenth of a unit wide."""
-    phase = positions @ np.float32([0.9, 0.5, 0.33]) * 5.0
+    """Return slanted stripes of ink, about a fifth of a unit wide."""
+    phase = positions @ np.float32([0.9, 0.5, 0.33]) * 2.5
     return np.where((phase % 1.0 < 0.5)[:, None], INK, PAPER)
 
 

@@ -34,6 +34,7 @@ from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
+    from lambent_relight.baked.mapped_surface import MappedSurface
     from lambent_relight.baked.renderer import BakedRenderer
     from lambent_relight.fused.reader import FusedCaches
 
@@ -86,7 +87,7 @@ class Renderer:
         """Return what `camera` sees; the last few cameras are remembered."""
         key = (camera.key(), antialias)
         if key not in self._views:
-            view = look(self.caches, camera, antialias)
+            view = self._textured(look(self.caches, camera, antialias), antialias)
             while (
                 self._views
                 and sum(v.num_rays for v in self._views.values()) + view.num_rays > self._kept_rays
@@ -94,6 +95,24 @@ class Renderer:
                 self._views.pop(next(iter(self._views)))
             self._views[key] = view
         return self._views[key]
+
+    def _textured(self, view: View, antialias: int) -> View:
+        """Return a view with the materials of the mesh's textures, where the bundle says to read them."""
+        if self._surface is None:
+            return view
+        camera = view.camera
+        fine = camera.resized(camera.width * antialias, camera.height * antialias)
+        return replace(view, hits=self._surface.materials_of(view.hits, fine, view.ray))
+
+    @functools.cached_property
+    def _surface(self) -> "MappedSurface | None":
+        """The mesh with the textures that all renderers read, if the bundle has them."""
+        # Compiled code takes a second to import, which older bundles do not pay.
+        if not self.bundle.manifest.atlas.albedo_source:
+            return None
+        from lambent_relight.baked.mapped_surface import mapped_surface
+
+        return mapped_surface(self.bundle)
 
     def _prepared(self, environment: Environment) -> Light:
         if self._light is None or self._light[0] is not environment:
@@ -171,7 +190,9 @@ class Renderer:
         from lambent_relight.baked.renderer import BakedRenderer
 
         if self._baked is None:
-            self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
+            self._baked = BakedRenderer(
+                self.bundle, self.caches, self._surface, kept_pixels=self._kept_rays * 2 // 3
+            )
         return self._baked
 
     def _scene(
