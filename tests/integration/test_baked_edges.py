@@ -27,7 +27,7 @@ def bundle(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scene(bundle):
-    return load_baked_scene(bundle, None)
+    return load_baked_scene(bundle)
 
 
 class Haze:
@@ -61,8 +61,7 @@ def test_steps_are_where_the_block_hides_the_slab_and_nowhere_else(scene):
 
 def test_a_slanted_plane_has_no_steps_however_flat_it_is_seen(tmp_path):
     scene = load_baked_scene(
-        load_bundle(write_baked_bundle(tmp_path / "slab", AnalyticScene((SLAB,)), side=8)),
-        None,
+        load_bundle(write_baked_bundle(tmp_path / "slab", AnalyticScene((SLAB,)), side=8))
     )
     middle = np.float64([0.0, 0.0, -0.4])
     for height in (0.15, 0.5, 2.0):

@@ -34,8 +34,8 @@ from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
-    from lambent_relight.baked.mapped_surface import MappedSurface
     from lambent_relight.baked.renderer import BakedRenderer
+    from lambent_relight.baked.surface_detail import SurfaceDetail
     from lambent_relight.fused.reader import FusedCaches
 
 Background = str | Colour
@@ -97,22 +97,23 @@ class Renderer:
         return self._views[key]
 
     def _textured(self, view: View, antialias: int) -> View:
-        """Return a view with the materials of the mesh's textures, where the bundle says to read them."""
-        if self._surface is None:
+        """Return a view with the detail of the mesh's textures, where the bundle has it."""
+        if self._detail is None:
             return view
         camera = view.camera
         fine = camera.resized(camera.width * antialias, camera.height * antialias)
-        return replace(view, hits=self._surface.materials_of(view.hits, fine, view.ray))
+        return replace(view, hits=self._detail.applied(view.hits, fine, view.ray))
 
     @functools.cached_property
-    def _surface(self) -> "MappedSurface | None":
-        """The mesh with the textures that all renderers read, if the bundle has them."""
-        # Compiled code takes a second to import, which older bundles do not pay.
-        if not self.bundle.manifest.atlas.albedo_source:
+    def _detail(self) -> "SurfaceDetail | None":
+        """The detail of the textures over the model's albedo, which baked transport has."""
+        manifest = self.bundle.manifest
+        if not (manifest.HasField("transport") and manifest.atlas.albedo_source == "photographs"):
             return None
-        from lambent_relight.baked.mapped_surface import mapped_surface
+        # Compiled code takes a second to import, which other bundles do not pay.
+        from lambent_relight.baked.surface_detail import SurfaceDetail
 
-        return mapped_surface(self.bundle)
+        return SurfaceDetail.of(self.baked().scene)
 
     def _prepared(self, environment: Environment) -> Light:
         if self._light is None or self._light[0] is not environment:
@@ -190,9 +191,7 @@ class Renderer:
         from lambent_relight.baked.renderer import BakedRenderer
 
         if self._baked is None:
-            self._baked = BakedRenderer(
-                self.bundle, self.caches, self._surface, kept_pixels=self._kept_rays * 2 // 3
-            )
+            self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
         return self._baked
 
     def _scene(

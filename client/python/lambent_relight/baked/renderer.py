@@ -7,7 +7,6 @@ import numpy as np
 from lambent_relight.baked.edges import with_soft_edges
 from lambent_relight.baked.hits import BakedHits, HitFinder
 from lambent_relight.baked.light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
-from lambent_relight.baked.mapped_surface import MappedSurface
 from lambent_relight.baked.scene import load_baked_scene
 from lambent_relight.baked.shading import Lobes, lobes_of, shade
 from lambent_relight.baked.view import BakedView, look_at_surface
@@ -27,20 +26,13 @@ _KEPT_LIGHTS = 3
 class BakedRenderer:
     """Renders from baked transport; with view and light cached, a picture costs a matrix product."""
 
-    def __init__(
-        self,
-        bundle: Bundle,
-        caches: SurfaceCaches,
-        surface: MappedSurface | None,
-        *,
-        kept_pixels: int = _KEPT_PIXELS,
-    ) -> None:
+    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_pixels: int = _KEPT_PIXELS) -> None:
         """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
 
-        `surface` is its `mapped_surface`. `kept_pixels` bounds the views that are remembered; the last one always is.
+        `kept_pixels` bounds the views that are remembered; the last one always is.
         """
         self._kept_pixels = kept_pixels
-        self.scene = load_baked_scene(bundle, surface)
+        self.scene = load_baked_scene(bundle)
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
         self._known: _Prepared | None = None

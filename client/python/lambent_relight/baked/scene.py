@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.baked.mapped_surface import MappedSurface
-from lambent_relight.baked.material_maps import MaterialMaps
-from lambent_relight.baked.mesh import AtlasMesh, read_mesh
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
+from lambent_relight.baked.material_maps import MaterialMaps, material_maps
+from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb, read_mesh
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
 from lambent_relight.baked.transport import Transport, read_transport
 from lambent_relight.bundle.bundle import Bundle
@@ -73,8 +73,8 @@ class BakedScene:
         return self.texel_plane[place[:, 1], place[:, 0]]
 
 
-def load_baked_scene(bundle: Bundle, surface: MappedSurface | None) -> BakedScene:
-    """Return the baked surface of a bundle whose `mapped_surface` is `surface`.
+def load_baked_scene(bundle: Bundle) -> BakedScene:
+    """Return the baked surface of a bundle.
 
     Raises UnsupportedQuality when the bundle has no transport, BundleError when its parts do not fit.
     """
@@ -85,9 +85,12 @@ def load_baked_scene(bundle: Bundle, surface: MappedSurface | None) -> BakedScen
             "this bundle has no baked light transport (it was exported before version 1.1)",
             'export it again, or use the quality "refined"',
         )
-    if surface is None:
+    atlas = bundle.manifest.atlas
+    if not atlas.albedo_source:
         return baked_scene(read_mesh(bundle), transport)
-    return baked_scene(surface.mesh, transport, surface.maps)
+    data = bundle.read(MESH_PATH, MAX_MESH_BYTES)
+    maps = material_maps(textured_mesh_from_glb(data), atlas.texel_size, transport.size)
+    return baked_scene(mesh_from_glb(data), transport, maps)
 
 
 def baked_scene(mesh: AtlasMesh, transport: Transport, maps: MaterialMaps | None = None) -> BakedScene:
