@@ -51,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "box.glb").write_bytes(box)
     (folder / "box_draco.glb").write_bytes(glb_with_draco(box))
     model = sphere_model()
-    surface = build_surface(model, ExportConfig(mesh_resolution=24, max_faces=600, atlas_size=64))
+    surface = build_surface(model, ExportConfig(mesh_resolution=24, max_faces=600, transport_size=64))
     textures = bake_materials(model, surface, np.ones(len(surface.texel_index), np.float32))
     ball = write_glb(surface, textures, unit="unknown")
     (folder / "ball.glb").write_bytes(ball)

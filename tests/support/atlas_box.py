@@ -45,6 +45,7 @@ def atlas_box(size: int = 64) -> AtlasSurface:
         texel_index=np.flatnonzero(found.covered).astype(np.int32),
         positions=interpolate(found, faces, vertices),
         texel_normals=interpolate(found, faces, normals),
+        cell=0.05,
     )
 
 

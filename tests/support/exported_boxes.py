@@ -51,6 +51,7 @@ def write_boxes(folder: Path, cameras: Sequence[Camera]) -> AtlasSurface:
         texel_index=baked.texel_index.astype(np.int32),
         positions=baked.positions.astype(np.float32),
         texel_normals=baked.normals.astype(np.float32),
+        cell=0.05,
     )
     owner = nearest_texel(surface.texel_index, surface.size)
     textures = TextureSet(

@@ -76,6 +76,10 @@ def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.Monke
     """Return a context whose run has `model` as its trained model, and whose bundle takes seconds."""
     monkeypatch.setattr(export, "read_scene", lambda context: scene())
     monkeypatch.setattr(export, "load_final", lambda context, scene: model)
+    views = scene().train
+    monkeypatch.setattr(
+        export, "photographs_of", lambda context, light: ([view.camera for view in views], lambda: views)
+    )
     monkeypatch.setattr(bundle_graphs, "PARITY_ROWS", 256)
     # A commit between two exports of a test would change the producer in every graph.
     monkeypatch.setattr(bundle_manifest, "git_revision", lambda: "0" * 40)
@@ -87,7 +91,8 @@ def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.Monke
             gbuffer_samples=32,
             mesh_resolution=24,
             max_faces=600,
-            atlas_size=64,
+            atlas_size=128,
+            transport_size=64,
             occlusion_points=200,
             occlusion_rays=4,
             environment_height=8,

@@ -213,8 +213,15 @@ class ExportConfig:
     """Triangles of the simplified mesh; 0: as many as its shape needs, at most `max_faces`."""
     max_faces: int = 50_000
     """Most triangles where their number is not given; more take minutes to cut into charts."""
-    atlas_size: int = 512
-    """Texels along each side of the atlas of textures and light transport."""
+    atlas_size: int = 0
+    """Texels along each side of the albedo texture, 16 to 8192; 0: as many as the photographs have pixels on
+    the surface, a power of two from 1024 to 8192."""
+    transport_size: int = 512
+    """Texels along each side of the same atlas for baked transport, roughness, metalness and normals, whose
+    detail is the model's; fewer where charts fill the atlas, so that files keep their size."""
+    albedo: typing.Literal["photographs", "model"] = "photographs"
+    """Where the albedo texture's detail is from: the photographs at their full size, or the trained materials
+    alone."""
     occlusion_points: int = 12_000
     """Maximum number of texels at which ambient occlusion is measured; others interpolate it."""
     occlusion_rays: int = 64
@@ -244,8 +251,12 @@ class ExportConfig:
             raise ConfigError("export.weights and export.transport_tier are both none: nothing is left")
         if self.judge_samples and self.judge_samples < 2:
             raise ConfigError(f"export.judge_samples must be 0 or at least 2, got {self.judge_samples}")
-        if not 16 <= self.atlas_size <= 8192:
-            raise ConfigError(f"export.atlas_size must lie in 16..8192 texels, got {self.atlas_size}")
+        if self.atlas_size and not 16 <= self.atlas_size <= 8192:
+            raise ConfigError(
+                f"export.atlas_size must lie in 16..8192 texels, or be 0, got {self.atlas_size}"
+            )
+        if not 16 <= self.transport_size <= 4096:
+            raise ConfigError(f"export.transport_size must lie in 16..4096 texels, got {self.transport_size}")
         if self.faces and not 16 <= self.faces <= 1_000_000:
             raise ConfigError(f"export.faces must be 0 or lie in 16..1000000, got {self.faces}")
         for name, least in (("max_faces", 16), ("occlusion_points", 1), ("occlusion_rays", 1)):

@@ -218,7 +218,7 @@ def quick() -> Config:
             distil=DistilConfig(num_steps=80),
         ),
         evaluation=replace(base.evaluation, num_views=2, num_directions=32, uncertainty_points=100),
-        export=replace(base.export, atlas_size=256, occlusion_points=5000, judge_samples=0),
+        export=replace(base.export, transport_size=256, occlusion_points=5000, judge_samples=0),
     )
 
 
@@ -293,7 +293,8 @@ def tiny() -> Config:
             gbuffer_samples=64,
             mesh_resolution=48,
             max_faces=2000,
-            atlas_size=128,
+            atlas_size=256,
+            transport_size=128,
             occlusion_points=2000,
             occlusion_rays=16,
             judge_samples=8,

@@ -74,7 +74,7 @@ def paper_tensoir() -> Config:
         evaluation=EvaluationConfig(num_views=8, num_repeats=32),
         export=ExportConfig(
             gbuffer_samples=256,
-            atlas_size=1024,
+            transport_size=1024,
             environment_height=128,
         ),
     )

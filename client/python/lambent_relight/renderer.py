@@ -37,6 +37,7 @@ from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
     from lambent_relight.baked.renderer import BakedRenderer
+    from lambent_relight.baked.surface_detail import SurfaceDetail
     from lambent_relight.fused.reader import FusedCaches
 
 Background = str | Colour
@@ -88,7 +89,7 @@ class Renderer:
         """Return what `camera` sees; the last few cameras are remembered."""
         key = (camera.key(), antialias)
         if key not in self._views:
-            view = look(self.caches, camera, antialias)
+            view = self._textured(look(self.caches, camera, antialias), antialias)
             while (
                 self._views
                 and sum(v.num_rays for v in self._views.values()) + view.num_rays > self._kept_rays
@@ -96,6 +97,25 @@ class Renderer:
                 self._views.pop(next(iter(self._views)))
             self._views[key] = view
         return self._views[key]
+
+    def _textured(self, view: View, antialias: int) -> View:
+        """Return a view with the detail of the mesh's textures, where the bundle has it."""
+        if self._detail is None:
+            return view
+        camera = view.camera
+        fine = camera.resized(camera.width * antialias, camera.height * antialias)
+        return replace(view, hits=self._detail.applied(view.hits, fine, view.ray))
+
+    @functools.cached_property
+    def _detail(self) -> "SurfaceDetail | None":
+        """The detail of the textures over the model's albedo, which baked transport has."""
+        manifest = self.bundle.manifest
+        if not (manifest.HasField("transport") and manifest.atlas.albedo_source == "photographs"):
+            return None
+        # Compiled code takes a second to import, which other bundles do not pay.
+        from lambent_relight.baked.surface_detail import SurfaceDetail
+
+        return SurfaceDetail.of(self.baked().scene)
 
     def _prepared(self, environment: Environment) -> Light:
         if self._light is None or self._light[0] is not environment:

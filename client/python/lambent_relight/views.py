@@ -24,6 +24,8 @@ class View:
     rays_per_pixel: int
     pixel: NDArray[np.intp]
     """Pixel of every ray, row * width + column, [ray]."""
+    ray: NDArray[np.intp]
+    """Number of every ray in the camera with a pixel for each of a pixel's rays, [ray]."""
     origin: Rows
     direction: Rows
     hits: PrimaryHits
@@ -59,7 +61,7 @@ def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
     """Return the view of `camera` with `antialias` x `antialias` rays for every relevant pixel."""
     origin, direction = camera.rays()
     hits = caches.gbuffer(origin, direction)
-    pixel = np.arange(len(origin))
+    pixel = sub_ray = np.arange(len(origin))
     if antialias > 1:
         covered = (hits.opacity[:, 0] > MIN_OPACITY).reshape(camera.height, camera.width)
         pixel, sub_ray = rays_of_pixels(np.flatnonzero(grown(covered)), camera, antialias)
@@ -68,7 +70,7 @@ def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
         hits = caches.gbuffer(origin, direction)
     seen = np.flatnonzero(hits.opacity[:, 0] > MIN_OPACITY)
     kept = PrimaryHits(**{field.name: getattr(hits, field.name)[seen] for field in fields(hits)})
-    return View(camera, antialias**2, pixel[seen], origin[seen], direction[seen], kept)
+    return View(camera, antialias**2, pixel[seen], sub_ray[seen], origin[seen], direction[seen], kept)
 
 
 def grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

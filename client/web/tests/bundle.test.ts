@@ -2,7 +2,7 @@ import { MapFault, mapTold } from "../src/light/fault.js";
 import { createHash } from "node:crypto";
 import { describe, expect, it } from "vitest";
 import { BundleFault, bundleTold } from "../src/bundle/fault.js";
-import { loadBundle } from "../src/bundle/load.js";
+import { type LoadedBundle, loadBundle } from "../src/bundle/load.js";
 import { checkPath, openBundle } from "../src/bundle/manifest.js";
 import { meshFromGlb } from "../src/bundle/mesh.js";
 import { sha256, sha256Hex } from "../src/bundle/sha256.js";
@@ -33,7 +33,13 @@ async function faultOf(work: Promise<unknown>): Promise<BundleFault> {
 async function open(bundle: TinyBundle, listed = true): Promise<unknown> {
   if (listed) listFiles(bundle);
   const archive = zipOf(allFiles(bundle));
-  return loadBundle({ kind: "archive", file: new Blob([archive]) }, () => {});
+  return loadBundle({ kind: "archive", file: new Blob([archive]) }, () => {}, decoded);
+}
+
+/** Stands for a decoder, which Node lacks: the "picture" is the file's last byte. */
+async function decoded(png: Uint8Array<ArrayBuffer>): Promise<ImageBitmap> {
+  if (png.length < 9) throw new Error("nothing to decode");
+  return { width: png.at(-1)! } as ImageBitmap;
 }
 
 describe("digests", () => {
@@ -58,9 +64,14 @@ describe("a bundle", () => {
     ] as const;
     for (const origin of origins) {
       const shares: number[] = [];
-      const bundle = await loadBundle(origin, (news) => {
-        if (news.kind === "progress") shares.push(news.readBytes / news.totalBytes);
-      });
+      const bundle = await loadBundle(
+        origin,
+        (news) => {
+          if (news.kind === "progress") shares.push(news.readBytes / news.totalBytes);
+        },
+        decoded,
+      );
+      expect(bundle.maps).toBe(null);
       expect(bundle.name).toBe("tiny");
       expect(shares.at(-1)).toBe(1);
       expect([...bundle.mesh.indices]).toEqual([0, 1, 2]);
@@ -73,6 +84,24 @@ describe("a bundle", () => {
       // Byte 16 of texel 1's 32 is the lowest byte of the second layer's first word.
       expect(shadowBits![4 * tableWidth + 4]! & 255).toBe((32 + 16) % 251);
     }
+  });
+
+  it("has the mesh's textures for materials where the manifest says so", async () => {
+    const png = (last: number): number[] => [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, last];
+    const textured = (baseColour: number[]): TinyBundle => {
+      const bundle = tinyBundle();
+      bundle.manifest.atlas = { size: 8, num_texels: 20, texel_size: 0.1, albedo_source: "photographs" };
+      bundle.files.set("mesh/asset.glb", triangleGlb(undefined, undefined, [baseColour, png(5)]));
+      return bundle;
+    };
+    const bundle = (await open(textured(png(7)))) as LoadedBundle;
+    expect([bundle.maps?.albedo.width, bundle.maps?.packed.width]).toEqual([7, 5]);
+    for (const picture of [[1, 2, 3], png(7).slice(0, 8)]) {
+      expect((await faultOf(open(textured(picture)))).code).toBe("bundle.mesh_invalid");
+    }
+    const without = textured(png(7));
+    without.files.set("mesh/asset.glb", triangleGlb());
+    expect((await faultOf(open(without))).code).toBe("bundle.mesh_invalid");
   });
 
   it("is refused with the reader's codes", async () => {
@@ -136,7 +165,7 @@ describe("an archive", () => {
       ["bundle.encrypted", zipOf(allFiles(tinyBundle()), { flags: 1 })],
     ];
     for (const [code, data] of cases) expect((await faultOf(openSource(origin(data)))).code).toBe(code);
-    const empty = await faultOf(loadBundle(origin(zipOf(new Map())), () => {}));
+    const empty = await faultOf(loadBundle(origin(zipOf(new Map())), () => {}, decoded));
     expect(empty.code).toBe("bundle.manifest_missing");
   });
 });

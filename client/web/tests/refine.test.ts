@@ -14,7 +14,7 @@ import { dielectricF0, Reflection } from "../src/refine/reflection.js";
 import { Scattering, strategyShares, wholeShares } from "../src/refine/scattering.js";
 import { brightness, SkyLight } from "../src/refine/skyLight.js";
 import { notRefining, statusText } from "../src/refine/status.js";
-import type { SurfacePoints } from "../src/refine/surfacePoints.js";
+import { type SurfacePoints, type SurfaceSamples, surfacePoints } from "../src/refine/surfacePoints.js";
 import type { Tracer } from "../src/refine/tracer.js";
 import { rotated, vector } from "../src/refine/vectors.js";
 
@@ -103,6 +103,50 @@ function evenTracer(opacity: number): Tracer {
     }),
   };
 }
+
+describe("points of a picture", () => {
+  const seen: SurfaceSamples = {
+    camera: {
+      ...{ width: 2, height: 2, focalX: 2, focalY: 2, centreX: 1, centreY: 1 },
+      cameraToWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 5, 0, 0, 0, 1],
+    },
+    samples: 1,
+    place: Uint32Array.of(0),
+    texel: Uint32Array.of(0),
+    distance: Float32Array.of(5),
+    material: null,
+  };
+  const texels = {
+    albedo: Float32Array.of(0.1, 0.2, 0.3),
+    perceptualRoughness: Float32Array.of(0.5),
+    metalness: Float32Array.of(0),
+    normal: Float32Array.of(0, 0, 1),
+  };
+  const edit = {
+    ...{ albedoGain: [1, 1, 2] as const, albedoScaleRgb: [1, 0.5, 1] },
+    ...{ roughnessScale: 0.5, metalnessShift: 0.1 },
+  };
+
+  it("have the material of their texel, as it is given", () => {
+    const points = surfacePoints(seen, texels, edit);
+    [...points.albedo].forEach((value, axis) => {
+      expect(value).toBeCloseTo([0.1, 0.2, 0.3][axis]!, 6);
+    });
+    expect(points.alpha[0]).toBeCloseTo(0.25, 6);
+    expect(points.metalness[0]).toBe(0);
+  });
+
+  it("or that of their sample, edited", () => {
+    // Albedo (1, 1/2, 1/4) in 16 bits, roughness 0.8 and metalness 0.6 in 8.
+    const words = [0xffff + 0x8000 * 0x10000, 0x4000 + 204 * 0x10000 + 153 * 0x1000000];
+    const points = surfacePoints({ ...seen, material: Uint32Array.from(words) }, texels, edit);
+    [...points.albedo].forEach((value, axis) => {
+      expect(value).toBeCloseTo([1, 0.25, 0.5][axis]!, 4);
+    });
+    expect(points.alpha[0]).toBeCloseTo(0.4 ** 2, 5);
+    expect(points.metalness[0]).toBeCloseTo(0.7, 5);
+  });
+});
 
 describe("random numbers", () => {
   it("are even, and another sequence for every point and pass", () => {

@@ -111,16 +111,20 @@ class World(_message.Message):
     def __init__(self, up_axis: _Optional[str] = ..., handedness: _Optional[str] = ..., unit: _Optional[str] = ..., environment_convention: _Optional[str] = ..., radiance: _Optional[str] = ...) -> None: ...
 
 class Atlas(_message.Message):
-    __slots__ = ("size", "num_texels", "texel_size", "unseen_path")
+    __slots__ = ("size", "num_texels", "texel_size", "material_size", "albedo_source", "unseen_path")
     SIZE_FIELD_NUMBER: _ClassVar[int]
     NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
     TEXEL_SIZE_FIELD_NUMBER: _ClassVar[int]
+    MATERIAL_SIZE_FIELD_NUMBER: _ClassVar[int]
+    ALBEDO_SOURCE_FIELD_NUMBER: _ClassVar[int]
     UNSEEN_PATH_FIELD_NUMBER: _ClassVar[int]
     size: int
     num_texels: int
     texel_size: float
+    material_size: int
+    albedo_source: str
     unseen_path: str
-    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ..., unseen_path: _Optional[str] = ...) -> None: ...
+    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ..., material_size: _Optional[int] = ..., albedo_source: _Optional[str] = ..., unseen_path: _Optional[str] = ...) -> None: ...
 
 class SecondaryRays(_message.Message):
     __slots__ = ("origin_offset", "near", "far")

@@ -1,5 +1,7 @@
 """A mesh cut into charts on a square atlas, with the tangents that normal maps refer to.
 
+One layout serves pictures of several sizes: textures as sharp as the photographs, and baked transport.
+
 u points right and v down from the atlas's top row, as in glTF. Tangent frames are those of MikkTSpace for
 the same mesh with v up, which is what glTF viewers expect: the bitangent points to falling v.
 """
@@ -13,11 +15,13 @@ from numpy.typing import NDArray
 from lambent_worker.bundle.mesh import Mesh
 from lambent_worker.errors import WorkerError
 
-PADDING = 3
-"""Texels between charts, before the atlas is scaled to its size."""
-MAX_COVERAGE = 0.515
-"""Share of the atlas that charts may cover. Baked transport takes 112 bytes for each covered texel, and how
-densely charts pack is chance (44 to 60 %): the bound keeps a full bundle of a 512 atlas below 25 MB."""
+PADDING = 2
+"""Texels between charts in the smallest picture of the layout: there the nearest texel is the chart's own."""
+COVERED_SHARE = 0.515
+"""Covered texels of baked transport, as a share of the square of `export.transport_size`. A covered texel
+takes 112 bytes, and how densely charts pack is chance: the bound keeps a full bundle at 512 below 25 MB."""
+SIZE_STEP = 16
+"""A quarter of such a size, which the second level of detail has, is still cut into blocks of 4 x 4."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,31 +34,40 @@ class Unwrapped:
     uv: NDArray[np.float32]
 
 
-def unwrap(mesh: Mesh, size: int, max_coverage: float = MAX_COVERAGE) -> Unwrapped:
-    """Return charts of `mesh` packed into a square of `size` texels; raises WorkerError where that fails.
+def unwrap(mesh: Mesh, size: int) -> Unwrapped:
+    """Return charts of `mesh` that fill a square, `PADDING` texels apart where it has `size` texels a side.
 
-    Charts that would cover more than `max_coverage` are scaled down, all by one factor, towards the corner
-    of the atlas; the rest stays empty.
+    Raises WorkerError where that fails.
     """
     atlas = xatlas.Atlas()
     atlas.add_mesh(
         np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
     )
     options = xatlas.PackOptions()
-    options.resolution, options.padding = size, PADDING
+    options.resolution, options.padding, options.bruteForce = size, PADDING, True
     atlas.generate(pack_options=options)
     if atlas.atlas_count != 1 or not atlas.chart_count:
         raise WorkerError(
             "export.atlas",
             f"the surface was cut into {atlas.chart_count} charts on {atlas.atlas_count} atlases, "
-            "expected one atlas; raise export.atlas_size or lower export.max_faces",
+            "expected one atlas; raise export.transport_size or lower export.max_faces",
         )
     source, faces, uv = atlas[0]
     # Coordinates come as shares of each side, of an atlas that need not be square.
     sides = np.array([atlas.width, atlas.height], np.float64)
     uv = (uv.astype(np.float64) * sides / sides.max()).clip(0.0, 1.0)
-    uv *= min(1.0, (max_coverage / max(covered_share(uv, faces), 1e-12)) ** 0.5)
     return Unwrapped(source.astype(np.int64), faces.astype(np.int32), uv.astype(np.float32))
+
+
+def size_within(charts: Unwrapped, size: int, share: float = COVERED_SHARE) -> int:
+    """Return the largest size, up to `size`, at which charts cover at most `share` of `size`^2 texels.
+
+    A smaller one is a multiple of `SIZE_STEP` where it is not less than that.
+    """
+    fits = int(size * (share / max(covered_share(charts.uv, charts.faces), 1e-12)) ** 0.5)
+    if fits >= size:
+        return size
+    return max(1, fits - fits % SIZE_STEP if fits >= SIZE_STEP else fits)
 
 
 def covered_share(uv: NDArray[np.floating], faces: NDArray[np.integer]) -> float:

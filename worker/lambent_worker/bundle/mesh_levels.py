@@ -81,7 +81,7 @@ def coarser(surface: AtlasSurface, num_faces: int) -> AtlasSurface:
 
 
 def level_textures(textures: TextureSet, level: AtlasSurface, factor: int) -> TextureSet:
-    """Return the textures of a level, means over `factor` x `factor` texels.
+    """Return the textures of a level, of whatever size, as means over `factor` x `factor` texels.
 
     Normals are expressed in the level's own frames before.
     """

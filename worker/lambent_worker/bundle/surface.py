@@ -1,5 +1,8 @@
 """The surface of a trained model as charts on an atlas: a position and a normal for every covered texel.
 
+The texels are those of baked transport and of what the model itself says, whose detail is coarser than the
+photographs'; textures from photographs have a finer picture of the same charts.
+
 The mesh has the atlas; texel positions are moved from it along the normal to the trained density,
 so that materials and rays of a bake belong to the trained surface.
 """
@@ -16,7 +19,7 @@ from flashcache.physical.model import InverseModel
 from lambent_relight.baked.raster import interpolate, rasterise_uv
 from numpy.typing import NDArray
 
-from lambent_worker.bundle.atlas import angle_weighted_normals, unit, unwrap
+from lambent_worker.bundle.atlas import angle_weighted_normals, size_within, unit, unwrap
 from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.mesh_shape import build_shape
 from lambent_worker.errors import WorkerError
@@ -42,17 +45,26 @@ class AtlasSurface:
     normals: NDArray[np.float32]
     """Unit, outwards, per vertex."""
     size: int
-    """Texels along each side of the atlas."""
+    """Texels along each side of the atlas at the model's resolution, which is the transport's."""
     texel_index: NDArray[np.int32]
     """Row-major place of each covered texel, ascending."""
     positions: NDArray[np.float32]
     """Of covered texels, on the trained surface."""
     texel_normals: NDArray[np.float32]
     """Of covered texels, unit, outwards."""
+    cell: float
+    """Width of the cells that the mesh was found with, scene units."""
     unseen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     """Of covered texels, whether no photograph shows them; empty where that is not known."""
     mesh_error: float = 0.0
     """Distance of the mesh from that before triangles were saved (`mesh_decimation.adapted`), scene units."""
+
+    @property
+    def texel_size(self) -> float:
+        """Return the root of the mean area of a covered texel on the surface, scene units."""
+        a, b, c = (self.vertices[self.faces[:, k]].astype(np.float64) for k in range(3))
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        return float(np.sqrt(area / len(self.texel_index)))
 
 
 def build_surface(
@@ -63,7 +75,7 @@ def build_surface(
     pixel_size: float = 0.0,
     views: tuple[View, ...] = (),
 ) -> AtlasSurface:
-    """Return the surface of `model` with an atlas of `config.atlas_size` texels a side.
+    """Return the surface of `model` with an atlas of at most `config.transport_size` texels a side.
 
     `box` is where to look, by default the box around all matter; `pixel_size` is what a pixel of the
     photographs covers at the object (scene units, 0: unknown); `views` are the photographs of the training.
@@ -72,17 +84,18 @@ def build_surface(
     """
     shape = build_shape(model, config, box or occupied_box(model), pixel_size=pixel_size, views=views)
     mesh = shape.mesh
-    charts = unwrap(mesh, config.atlas_size)
+    charts = unwrap(mesh, config.transport_size)
+    size = size_within(charts, config.transport_size)
     vertices = mesh.vertices[charts.source]
     plain = angle_weighted_normals(mesh.vertices, mesh.faces)
     # Copies of a vertex on both sides of a seam must have one normal, or the seam shows.
     on_surface = settled(model, mesh.vertices, plain, mesh.cell)
     normals = upright(learned_normals(model, on_surface), plain)
     normals = np.where(shape.unseen[:, None], plain, normals)[charts.source]
-    found = rasterise_uv(charts.uv, charts.faces, config.atlas_size)
+    found = rasterise_uv(charts.uv, charts.faces, size)
     index = np.flatnonzero(found.covered).astype(np.int32)
     if not len(index):
-        raise WorkerError("export.atlas", "no texel is covered by the surface; raise export.atlas_size")
+        raise WorkerError("export.atlas", "no texel is covered by the surface; raise export.transport_size")
     outwards = unit(interpolate(found, charts.faces, plain[charts.source]))
     on_mesh = interpolate(found, charts.faces, vertices)
     unknown = shape.unseen[charts.source].astype(np.float32)[:, None]
@@ -94,12 +107,13 @@ def build_surface(
         faces=charts.faces,
         uv=charts.uv,
         normals=normals,
-        size=config.atlas_size,
+        size=size,
         texel_index=index,
         positions=positions,
         texel_normals=np.where(unseen[:, None], outwards, learned),
         unseen=unseen,
         mesh_error=shape.error,
+        cell=mesh.cell,
     )
 
 

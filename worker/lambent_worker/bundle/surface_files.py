@@ -1,15 +1,16 @@
 """The asset of a bundle: a textured mesh of the trained model, written as glTF."""
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from flashcache.config import ExportConfig
-from flashcache.data.scene import View
+from flashcache.data.scene import Camera
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
-from lambent_relight.baked.raster import block_means, nearest_texel, rasterise
+from lambent_relight.baked.raster import block_means, nearest_texel, rasterise, rasterise_uv
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.bundle.graphs import OnnxCaches, SurfaceCaches
@@ -22,9 +23,9 @@ from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.mesh_health import mesh_health
 from lambent_worker.bundle.mesh_levels import level_textures, levels_of_detail
-from lambent_worker.bundle.surface import AtlasSurface, build_surface
+from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.surface_occlusion import bake_occlusion
-from lambent_worker.bundle.textures import TextureSet, bake_materials
+from lambent_worker.bundle.textures import Plane, TextureSet, bake_materials
 from lambent_worker.bundle.usd import write_usdz
 
 ASSET_PATH = "mesh/asset.glb"
@@ -37,20 +38,18 @@ SUPERSAMPLING = 4
 def write_asset(
     model: InverseModel,
     caches: SurfaceCaches,
+    surface: AtlasSurface,
+    albedo: Plane | None,
     config: ExportConfig,
     manifest: bundle_pb2.BundleManifest,
     folder: Path,
-    *,
-    box: tuple[Corner, Corner],
-    views: tuple[View, ...],
-) -> AtlasSurface:
-    """Write mesh/asset.glb, and .usdz if requested, into `folder`, and return the surface.
+) -> None:
+    """Write mesh/asset.glb, and .usdz if requested, into `folder`.
 
-    `caches` are `written_caches`; `views` are the photographs, whose pixels say how much detail there can be.
+    `caches` are `written_caches`; `albedo` is the texture made from the photographs, None for the model's.
     What no photograph shows is marked in mesh/unseen.png. Levels of detail are written beside the mesh.
-    Raises WorkerError where there is no surface or the file is not read back as it was meant.
+    Raises WorkerError where the file is not read back as it was meant.
     """
-    surface = build_surface(model, config, box=box, pixel_size=pixel_size(views, box), views=views)
     occlusion = bake_occlusion(
         surface,
         caches.secondary,
@@ -58,7 +57,7 @@ def write_asset(
         num_points=config.occlusion_points,
         num_rays=config.occlusion_rays,
     )
-    textures = bake_materials(model, surface, occlusion)
+    textures = bake_materials(model, surface, occlusion, albedo)
     asset = write_glb(surface, textures, unit=manifest.world.unit)
     check_glb(asset, surface)
     (folder / ASSET_PATH).write_bytes(asset)
@@ -66,9 +65,12 @@ def write_asset(
     write_unseen(surface, manifest, folder)
     if config.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)
-    manifest.atlas.size = surface.size
-    manifest.atlas.num_texels = len(surface.texel_index)
-    manifest.atlas.texel_size = texel_size(surface)
+    size = len(textures.albedo)
+    covered = rasterise_uv(surface.uv, surface.faces, size).covered
+    manifest.atlas.size, manifest.atlas.num_texels = size, int(covered.sum())
+    manifest.atlas.texel_size = surface.texel_size * surface.size / size
+    manifest.atlas.material_size = surface.size
+    manifest.atlas.albedo_source = "model" if albedo is None else "photographs"
     manifest.metrics["mesh_faces"] = len(surface.faces)
     manifest.metrics["mesh_vertices"] = len(surface.vertices)
     manifest.metrics["mesh_simplification_error"] = surface.mesh_error
@@ -76,7 +78,6 @@ def write_asset(
     manifest.metrics["mesh_boundary_edges"] = health.boundary_edges
     manifest.metrics["mesh_non_manifold_edges"] = health.non_manifold_edges
     manifest.metrics["mesh_pieces"] = health.pieces
-    return surface
 
 
 def write_levels(
@@ -87,9 +88,7 @@ def write_levels(
         path = f"mesh/lod{number}.glb"
         small = level_textures(textures, level, 2**number)
         (folder / path).write_bytes(write_glb(level, small, unit=manifest.world.unit))
-        manifest.mesh_levels.add(
-            path=path, num_faces=len(level.faces), texture_size=surface.size // 2**number
-        )
+        manifest.mesh_levels.add(path=path, num_faces=len(level.faces), texture_size=len(small.albedo))
 
 
 def write_unseen(surface: AtlasSurface, manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
@@ -118,21 +117,14 @@ def written_caches(manifest: bundle_pb2.BundleManifest, folder: Path) -> Surface
         return OnnxCaches(bundle)
 
 
-def pixel_size(views: tuple[View, ...], box: tuple[Corner, Corner]) -> float:
-    """Return the footprint of a pixel at the centre of `box`, scene units: median over views, else 0."""
+def pixel_size(cameras: Iterable[Camera], box: tuple[Corner, Corner]) -> float:
+    """Return the footprint of a pixel at the centre of `box`, scene units: median over cameras, else 0."""
     middle = 0.5 * (np.array(box[0]) + np.array(box[1]))
     sizes = [
-        float(np.linalg.norm(np.asarray(view.camera.camera_to_world)[:3, 3] - middle)) / view.camera.focal_x
-        for view in views
+        float(np.linalg.norm(np.asarray(camera.camera_to_world)[:3, 3] - middle)) / camera.focal_x
+        for camera in cameras
     ]
     return float(np.median(sizes)) if sizes else 0.0
-
-
-def texel_size(surface: AtlasSurface) -> float:
-    """Return the root of the mean area of a covered texel on the surface, scene units."""
-    a, b, c = (surface.vertices[surface.faces[:, k]].astype(np.float64) for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    return float(np.sqrt(area / len(surface.texel_index)))
 
 
 def silhouette_iou(

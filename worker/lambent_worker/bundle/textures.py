@@ -1,7 +1,8 @@
 """Material textures of an atlas, as planes of numbers and as the PNG files that glTF refers to.
 
 Planes are [size, size, n] float32, rows from the top, every texel filled: those outside charts repeat their
-nearest covered texel, so that filtering and small versions of a texture find no foreign colour.
+nearest covered texel, so that filtering and small versions of a texture find no foreign colour. The albedo
+may have a size of its own; the others have the surface's, which is as fine as the model.
 """
 
 import io
@@ -22,6 +23,7 @@ from lambent_worker.bundle.surface import AtlasSurface
 
 Plane = NDArray[np.float32]
 CHUNK_POINTS = 32768
+ROWS_AT_ONCE = 256
 LEAST_Z = 0.05
 """A normal of the normal map keeps this share of the vertex normal, so that no texel faces inwards."""
 
@@ -40,8 +42,16 @@ class TextureSet:
     """Unit, in the frame of the interpolated vertex tangents: x along u, y towards falling v, z outwards."""
 
 
-def bake_materials(model: InverseModel, surface: AtlasSurface, occlusion: NDArray[np.float32]) -> TextureSet:
-    """Return the textures of `surface` from the trained materials and the occlusion of covered texels."""
+def bake_materials(
+    model: InverseModel,
+    surface: AtlasSurface,
+    occlusion: NDArray[np.float32],
+    albedo: Plane | None = None,
+) -> TextureSet:
+    """Return the textures of `surface` from the trained materials and the occlusion of covered texels.
+
+    `albedo` is a texture of another size that takes the place of the model's.
+    """
     owner = nearest_texel(surface.texel_index, surface.size)
     found = _materials(model, surface.positions)
     if len(surface.unseen):
@@ -50,7 +60,7 @@ def bake_materials(model: InverseModel, surface: AtlasSurface, occlusion: NDArra
             for name, values in found.items()
         }
     return TextureSet(
-        albedo=found["albedo"][owner],
+        albedo=found["albedo"][owner] if albedo is None else albedo,
         perceptual_roughness=found["perceptual_roughness"][owner],
         metalness=found["metalness"][owner],
         occlusion=np.clip(occlusion, 0.0, 1.0).astype(np.float32).reshape(-1, 1)[owner],
@@ -97,22 +107,30 @@ def _materials(model: InverseModel, positions: NDArray[np.float32]) -> dict[str,
 
 def base_colour_png(textures: TextureSet) -> bytes:
     """Return the base colour, sRGB-encoded, as glTF wants it."""
-    return _png(srgb_from_linear(textures.albedo))
+    levels = np.empty(textures.albedo.shape, np.uint8)
+    for first in range(0, len(levels), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        levels[rows] = _levels(srgb_from_linear(textures.albedo[rows]))
+    return _png(levels)
 
 
 def occlusion_roughness_metalness_png(textures: TextureSet) -> bytes:
     """Return occlusion in red, perceptual roughness in green and metalness in blue, linear."""
     planes = [textures.occlusion, textures.perceptual_roughness, textures.metalness]
-    return _png(np.concatenate(planes, axis=-1))
+    return _png(_levels(np.concatenate(planes, axis=-1)))
 
 
 def normal_png(textures: TextureSet) -> bytes:
     """Return the tangent-space normals, -1..1 as 0..1, green towards the top of the texture."""
-    return _png(0.5 * textures.tangent_normal + 0.5)
+    return _png(_levels(0.5 * textures.tangent_normal + 0.5))
 
 
-def _png(values: NDArray[np.floating]) -> bytes:
-    image = Image.fromarray(np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8))
+def _levels(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
+
+
+def _png(levels: NDArray[np.uint8]) -> bytes:
+    image = Image.fromarray(levels)
     out = io.BytesIO()
     image.save(out, format="PNG")
     return out.getvalue()

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from lambent_compute.threads import available_threads
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.baked.raster import interpolate, rasterise_uv
-from lambent_relight.baked.transport import transport_files
+from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.bundle.graphs import SurfaceCaches
 from lambent_relight.refined.surroundings import MESH_OFFSET
 from lambent_relight.tracing.mesh_rays import MeshRays
@@ -30,17 +30,16 @@ from lambent_worker.bundle.transport_rays import SecondaryRays
 from lambent_worker.errors import WorkerError
 
 
-def write_transport(
+def baked_transport(
     caches: SurfaceCaches,
     surface: AtlasSurface,
-    manifest: bundle_pb2.BundleManifest,
     folder: Path,
     config: TransportConfig,
     *,
     store: Path,
     advance: Callable[[float], None],
-) -> None:
-    """Bake the transport of `surface` into `folder`/transport and describe it in `manifest`.
+) -> tuple[Transport, dict[str, float]]:
+    """Return the transport of `surface`, and metrics of the bake; the graphs lie in `folder`/models.
 
     Materials are those of `caches`; rays are traced against the mesh. Finished ones lie in `store` until the
     bake is done. `advance` is called with the finished share and may raise to stop.
@@ -70,11 +69,17 @@ def write_transport(
         advance=advance,
         num_threads=available_threads(),
     )
-    (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest, tier=config.tier).items():
-        (folder / path).write_bytes(data)
-    manifest.metrics.update(figures)
     shutil.rmtree(store, ignore_errors=True)
+    return transport, figures
+
+
+def write_transport(
+    transport: Transport, manifest: bundle_pb2.BundleManifest, folder: Path, *, tier: str
+) -> None:
+    """Write `transport` into `folder`/transport and describe it in `manifest`."""
+    (folder / "transport").mkdir(exist_ok=True)
+    for path, data in transport_files(transport, manifest, tier=tier).items():
+        (folder / path).write_bytes(data)
 
 
 def mesh_positions(surface: AtlasSurface) -> Float[ndarray, "texels 3"]:

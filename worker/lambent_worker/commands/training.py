@@ -179,6 +179,13 @@ def export(
     faces: Annotated[
         str, typer.Option(metavar="N|auto", help="Triangles of the mesh; auto: as many as it needs.")
     ] = "",
+    atlas: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXELS",
+            help="Side of the albedo texture, or auto: as many texels as the photographs have pixels there.",
+        ),
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Write the relightable bundle of a trained run into a folder of its own."""
@@ -196,7 +203,7 @@ def export(
         )
     with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
         if mesh is None:
-            export_run(run_dir, out, reporter, tier=tier, weights=weights, faces=faces)
+            export_run(run_dir, out, reporter, tier=tier, weights=weights, faces=faces, atlas=atlas)
         else:
             export_edited(run_dir, out, mesh, reporter, tier=tier)
     if not as_json:

@@ -13,7 +13,7 @@ from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import relight_camera, write_photographs
 from lambent_worker.bundle.mesh import Corner, occupied_box
-from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size, texel_size
+from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size
 from lambent_worker.bundle.transport_files import write_relight_graph
 from lambent_worker.bundle.usd import write_usdz
 from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
@@ -78,7 +78,11 @@ def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> 
     _advance(context, 1)
 
     made = given_surface(
-        model, given, settings, box=box, pixel_size=pixel_size((*scene.train, *scene.test), box)
+        model,
+        given,
+        settings,
+        box=box,
+        pixel_size=pixel_size((view.camera for view in (*scene.train, *scene.test)), box),
     )
     manifest = new_manifest(
         model,
@@ -140,9 +144,10 @@ def _write_mesh(
     (folder / ASSET_PATH).write_bytes(asset)
     if settings.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)
-    manifest.atlas.size = surface.size
+    manifest.atlas.size = manifest.atlas.material_size = surface.size
     manifest.atlas.num_texels = len(surface.texel_index)
-    manifest.atlas.texel_size = texel_size(surface)
+    manifest.atlas.texel_size = surface.texel_size
+    manifest.atlas.albedo_source = "file"
     manifest.metrics["mesh_faces"] = len(surface.faces)
     manifest.metrics["mesh_vertices"] = len(surface.vertices)
 

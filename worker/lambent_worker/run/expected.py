@@ -70,6 +70,6 @@ def _evaluation(config: "Config", cores: int) -> float:
 
 def _export(config: "Config", cores: int) -> float:
     settings = config.export
-    surface = 2e-6 * settings.mesh_resolution**3 + 2.5e-5 * settings.atlas_size**2
+    surface = 2e-6 * settings.mesh_resolution**3 + 2.5e-5 * settings.transport_size**2
     judged = 1e-6 * settings.judge_samples * config.max_side**2 * 4
     return 6.0 + (surface + judged) / min(cores, 4)

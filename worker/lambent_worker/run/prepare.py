@@ -106,15 +106,21 @@ def check_device(device: str) -> None:
 
 
 def export_run(
-    run_dir: Path, out: Path, reporter: Reporter, *, tier: str = "", weights: str = "", faces: str = ""
+    run_dir: Path,
+    out: Path,
+    reporter: Reporter,
+    *,
+    tier: str = "",
+    weights: str = "",
+    faces: str = "",
+    atlas: str = "",
 ) -> None:
     """Write the bundle of a trained run to `out`, making it first if the run has none like it.
 
     `tier` is "full" or "lite" (which leaves the networks out unless `weights` says otherwise), `weights` as
-    in the settings, `faces` a number of triangles or "auto"; empty ones are the run's.
-
-    Raises `UsageError` where the run is not trained to its end or
-    `out` exists, `ConfigError` for unknown values.
+    in the settings, `faces` a number of triangles or "auto", `atlas` the side of the albedo texture or
+    "auto"; empty ones are the run's. Raises `UsageError` where the run is not trained to its end or `out`
+    exists, `ConfigError` for unknown values.
     """
     from flashcache.config import with_overrides
 
@@ -122,6 +128,7 @@ def export_run(
     previous = require_done(run_dir, last_training_task(context.spec.config))
     wanted = {"transport_tier": tier, "weights": weights or ("none" if tier == "lite" else "")}
     wanted["faces"] = "0" if faces == "auto" else faces
+    wanted["atlas_size"] = "0" if atlas == "auto" else atlas
     settings = {f"export.{name}": value for name, value in wanted.items() if value}
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():

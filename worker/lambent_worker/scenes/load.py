@@ -1,6 +1,7 @@
 """Loads the pictures of a described capture into memory, reduced and in linear light."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -76,6 +77,27 @@ def load_scene(
         secondary=(manifest.secondary_rays.near, manifest.secondary_rays.far),
         contraction_radius=manifest.contraction_radius,
     )
+
+
+def full_size_views(folder: Path, manifest: scene_pb2.SceneManifest, light: str) -> Iterator[View]:
+    """Yield the training views under `light`, one at a time, with every pixel that their photographs have.
+
+    They are cut to the object, and otherwise as `load_scene` returns them. Raises `WorkerError` as it does.
+    """
+    manifest = select_lights(manifest, (light,))
+    world = world_matrix(manifest)
+    for frame in manifest.frames:
+        if frame.split == scene_pb2.SPLIT_TRAIN:
+            yield _load_view(
+                folder,
+                frame,
+                sys.maxsize,
+                world,
+                cut_out=is_cut_out(manifest, frame),
+                store=None,
+                turn=light_turn(manifest, frame),
+                upright=manifest.layout == photographs.NAME,
+            )
 
 
 def is_cut_out(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> bool:

@@ -67,6 +67,13 @@ def export(
         str,
         typer.Option(metavar="N|auto", help="Of a bundle: triangles of the mesh; auto: as many as it needs."),
     ] = "",
+    atlas: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXELS",
+            help="Of a bundle: side of the albedo texture, or auto: as fine as the photographs.",
+        ),
+    ] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
@@ -80,12 +87,12 @@ def export(
             "--env": (env is not None, "mitsuba"),
         },
         formats,
-        for_bundle=bool(tier or weights or mesh or faces),
+        for_bundle=bool(tier or weights or mesh or faces or atlas),
     )
     if webp and ktx2:
         raise UsageProblemError("cli.bad_choice", "--webp with --ktx2", "textures are one of the two")
     if not formats:
-        settings = {"tier": tier, "weights": weights, "faces": faces}
+        settings = {"tier": tier, "weights": weights, "faces": faces, "atlas": atlas}
         _export_bundle(source, output_folder, mesh=mesh, as_json=as_json, **settings)
         return
     # These take a moment to import, which the export of a bundle does not pay.
@@ -118,7 +125,7 @@ def _check_options(needs: dict[str, tuple[bool, str]], formats: list[str], *, fo
     if formats and for_bundle:
         raise UsageProblemError(
             "cli.bad_choice",
-            f"--tier, --weights, --mesh and --faces with --{formats[0]}",
+            f"--tier, --weights, --mesh, --faces and --atlas with --{formats[0]}",
             "they are for a bundle: export that first, without formats, and then its asset",
         )
 

@@ -17,7 +17,7 @@ from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.errors import BundleError
 
 MESH_PATH = "mesh/asset.glb"
-_MAX_BYTES = 512 << 20
+MAX_MESH_BYTES = 512 << 20
 _TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
@@ -35,7 +35,7 @@ class AtlasMesh:
 
 def read_mesh(bundle: Bundle) -> AtlasMesh:
     """Return the mesh of a bundle; raises BundleError `bundle.mesh_invalid` for one that cannot be used."""
-    return mesh_from_glb(bundle.read(MESH_PATH, _MAX_BYTES))
+    return mesh_from_glb(bundle.read(MESH_PATH, MAX_MESH_BYTES))
 
 
 def mesh_from_glb(data: bytes) -> AtlasMesh:

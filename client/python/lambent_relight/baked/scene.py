@@ -6,7 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.baked.mesh import AtlasMesh, read_mesh
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
+from lambent_relight.baked.material_maps import MaterialMaps, material_maps
+from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb, read_mesh
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
 from lambent_relight.baked.transport import Transport, read_transport
 from lambent_relight.bundle.bundle import Bundle
@@ -30,6 +32,8 @@ class BakedScene:
     perceptual_roughness: NDArray[np.float32]
     metalness: NDArray[np.float32]
     normal: NDArray[np.float32]
+    maps: MaterialMaps | None = None
+    """The mesh's textures, where they are finer than the texels' materials."""
 
     @cached_property
     def openness(self) -> NDArray[np.float32]:
@@ -51,6 +55,17 @@ class BakedScene:
         """The sky's visibility as harmonics, coefficients last, [texel, bands^2]."""
         return np.ascontiguousarray(self.transport.visibility.T)
 
+    def materials_at(
+        self, uv: NDArray[np.floating], texel: NDArray[np.integer], footprint: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Return albedo [n, 3], perceptual roughness and metalness [n, 1] at places `uv` [n, 2] of the atlas.
+
+        `texel` are `texels_at` these places; albedo is a mean over about `footprint` [n] scene units.
+        """
+        if self.maps is None:
+            return self.albedo[texel], self.perceptual_roughness[texel], self.metalness[texel]
+        return (self.maps.albedo_at(uv, footprint), *self.maps.roughness_and_metalness_at(uv))
+
     def texels_at(self, uv: NDArray[np.floating]) -> NDArray[np.int32]:
         """Return the number of the texel at places `uv` [n, 2] of the atlas."""
         size = self.transport.size
@@ -70,11 +85,16 @@ def load_baked_scene(bundle: Bundle) -> BakedScene:
             "this bundle has no baked light transport (it was exported before version 1.1)",
             'export it again, or use the quality "refined"',
         )
-    return baked_scene(read_mesh(bundle), transport)
+    atlas = bundle.manifest.atlas
+    if not atlas.albedo_source:
+        return baked_scene(read_mesh(bundle), transport)
+    data = bundle.read(MESH_PATH, MAX_MESH_BYTES)
+    maps = material_maps(textured_mesh_from_glb(data), atlas.texel_size, transport.size)
+    return baked_scene(mesh_from_glb(data), transport, maps)
 
 
-def baked_scene(mesh: AtlasMesh, transport: Transport) -> BakedScene:
-    """Return the surface of a mesh and the transport of its atlas."""
+def baked_scene(mesh: AtlasMesh, transport: Transport, maps: MaterialMaps | None = None) -> BakedScene:
+    """Return the surface of a mesh, the transport of its atlas, and its textures where they are read."""
     columns = np.ascontiguousarray(transport.material.T)
     return BakedScene(
         mesh=mesh,
@@ -84,6 +104,7 @@ def baked_scene(mesh: AtlasMesh, transport: Transport) -> BakedScene:
         perceptual_roughness=np.clip(columns[:, 3:4], 0.0, 1.0),
         metalness=np.clip(columns[:, 4:5], 0.0, 1.0),
         normal=normalise(columns[:, 5:8]),
+        maps=maps,
     )
 
 

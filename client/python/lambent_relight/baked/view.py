@@ -70,11 +70,13 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     fragments = rasterise(scene.mesh.vertices, scene.mesh.faces, fine)
     row, column = np.nonzero(fragments.covered)
     owner = (row // antialias).astype(np.int64) * camera.width + column // antialias
-    texel = scene.texels_at(interpolate(fragments, scene.mesh.faces, scene.mesh.uv))
+    uv = interpolate(fragments, scene.mesh.faces, scene.mesh.uv)
+    texel = scene.texels_at(uv)
     depth = fragments.depth[row, column]
     if antialias > 1:
         order = np.argsort(owner, kind="stable")
-        owner, texel, depth = owner[order], texel[order], depth[order]
+        owner, texel, depth, uv = owner[order], texel[order], depth[order], uv[order]
+    albedo, roughness, metalness = scene.materials_at(uv, texel, depth / np.float32(fine.focal_x))
     used, place = np.unique(texel, return_inverse=True)
     pixel, start = np.unique(owner, return_index=True)
     first = np.append(start, len(owner)).astype(np.int64)
@@ -91,9 +93,9 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
         distance=_means(depth[:, None], first),
         omega_o=omega_o,
         normal=turned_to(omega_o, normalise(_means(scene.normal[texel], first))),
-        albedo=_means(scene.albedo[texel], first),
-        perceptual_roughness=_means(scene.perceptual_roughness[texel], first),
-        metalness=_means(scene.metalness[texel], first),
+        albedo=_means(albedo, first),
+        perceptual_roughness=_means(roughness, first),
+        metalness=_means(metalness, first),
         visibility=_means(scene.visibility[texel], first),
         openness=_means(scene.openness[texel][:, None], first),
         surroundings=_means(scene.surroundings[texel][:, None], first),

@@ -2,9 +2,9 @@
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
-import { BundleFault } from "./fault.js";
+import { BundleFault, exportAgain } from "./fault.js";
 import { openBundle } from "./manifest.js";
-import { type AtlasMesh, boundsOf, meshFromGlb } from "./mesh.js";
+import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.js";
 import { type BundleOrigin, openSource } from "./source.js";
 import { type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
@@ -12,7 +12,18 @@ import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
 /** A file of the bundle, as it is. */
 export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };
 
-/** A bundle in memory; only typed arrays and plain values, so that a worker can send it. */
+/** The mesh's textures as pictures, rows from the top. */
+export type MaterialMaps = {
+  /** sRGB-encoded. */
+  readonly albedo: ImageBitmap;
+  /** Occlusion, perceptual roughness and metalness. */
+  readonly packed: ImageBitmap;
+};
+
+/** Decodes a PNG file, its levels as they are stored. */
+export type Decode = (png: Uint8Array<ArrayBuffer>) => Promise<ImageBitmap>;
+
+/** A bundle in memory; only typed arrays, pictures and plain values, so that a worker can send it. */
 export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "preset">> & {
   /** The mesh's box, scene units. */
   readonly boundsMin: readonly number[];
@@ -21,6 +32,8 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   readonly metrics: Readonly<Record<string, number>>;
   readonly trainLights: readonly string[];
   readonly mesh: AtlasMesh;
+  /** The materials that all renderers read; null for bundles before 1.3, whose transport has them. */
+  readonly maps: MaterialMaps | null;
   readonly transport: PackedTransport;
   readonly uncertainty: UncertaintyGrid | null;
   readonly cameras: readonly PhotoCamera[];
@@ -46,6 +59,7 @@ export type BundleNews =
 export async function loadBundle(
   origin: BundleOrigin,
   tell: (news: BundleNews) => void,
+  decode: Decode,
 ): Promise<LoadedBundle> {
   const { manifest, read } = await openBundle(await openSource(origin));
   const stated = manifest.transport;
@@ -88,9 +102,12 @@ export async function loadBundle(
   tell({ kind: "opened", bands, hasShadowBits: stated.shadowBitsPath !== "", lights });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
-  const [trainedMaps, mesh, transport, grid, cameras, previews] = await Promise.all([
+  const textured = (manifest.atlas?.albedoSource ?? "") !== "";
+  const [trainedMaps, [mesh, maps], transport, grid, cameras, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
-    counted("mesh/asset.glb").then(meshFromGlb),
+    counted("mesh/asset.glb").then(async (data) => {
+      return [meshFromGlb(data), textured ? await mapsOf(data, decode) : null] as const;
+    }),
     readTransport(stated, counted),
     uncertainty === undefined
       ? null
@@ -103,6 +120,25 @@ export async function loadBundle(
   const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
     ...{ name, sceneId, preset, albedoScaleRgb, metrics, trainLights },
-    ...{ ...boundsOf(mesh.positionsXyz), mesh, transport, uncertainty: grid, cameras, trainedMaps, previews },
+    ...{
+      ...boundsOf(mesh.positionsXyz),
+      mesh,
+      maps,
+      transport,
+      uncertainty: grid,
+      cameras,
+      trainedMaps,
+      previews,
+    },
   };
+}
+
+async function mapsOf(glb: Uint8Array<ArrayBuffer>, decode: Decode): Promise<MaterialMaps> {
+  const files = texturesFromGlb(glb);
+  try {
+    const [albedo, packed] = await Promise.all([decode(files.baseColour), decode(files.packed)]);
+    return { albedo, packed };
+  } catch {
+    throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb has a texture that cannot be decoded");
+  }
 }

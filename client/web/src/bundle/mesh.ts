@@ -13,6 +13,7 @@ export type AtlasMesh = {
 type Numbers = Uint8Array | Uint16Array | Uint32Array | Float32Array;
 type Json = { readonly [key: string]: unknown };
 
+const pngSignature = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
 const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3: 3 };
 const itemBytes: Readonly<Record<number, 1 | 2 | 4>> = { 5121: 1, 5123: 2, 5125: 4, 5126: 4 };
 
@@ -45,6 +46,36 @@ export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
     throw invalid("refers to vertices that are not there");
   }
   return { positionsXyz: new Float32Array(positions), uv, indices };
+}
+
+/** The PNG files of the mesh's textures. */
+export type TextureFiles = {
+  /** sRGB-encoded albedo. */
+  readonly baseColour: Uint8Array<ArrayBuffer>;
+  /** Occlusion, perceptual roughness and metalness. */
+  readonly packed: Uint8Array<ArrayBuffer>;
+};
+
+/** Return the textures of a binary glTF file; throws BundleFault where they are not there. */
+export function texturesFromGlb(data: Uint8Array<ArrayBuffer>): TextureFiles {
+  const { document, payload } = chunks(data);
+  const surface = object(object(list(document.materials)[0]).pbrMetallicRoughness);
+  const picture = (slot: unknown): Uint8Array<ArrayBuffer> => {
+    const texture = object(list(document.textures)[whole(object(slot).index)]);
+    const image = object(list(document.images)[whole(texture.source)]);
+    const view = object(list(document.bufferViews)[whole(image.bufferView)]);
+    const start = whole(view.byteOffset ?? 0);
+    const end = start + whole(view.byteLength);
+    if (end > payload.length) throw invalid("has a texture that leaves the file");
+    const png = payload.slice(start, end);
+    if (pngSignature.some((byte, index) => png[index] !== byte))
+      throw invalid("has a texture that is no PNG");
+    return png;
+  };
+  return {
+    baseColour: picture(surface.baseColorTexture),
+    packed: picture(surface.metallicRoughnessTexture),
+  };
 }
 
 /** Return the box around points. */

@@ -26,6 +26,8 @@ export type SurfaceSamples = {
   readonly texel: Uint32Array<ArrayBuffer>;
   /** From the camera, scene units. */
   readonly distance: Float32Array<ArrayBuffer>;
+  /** Pairs as the surface's shader packs albedo, roughness and metalness; null: those of the texels. */
+  readonly material: Uint32Array<ArrayBuffer> | null;
 };
 
 /** Changes to the bundle's material, with the bundle's own factor on albedo. */
@@ -72,8 +74,12 @@ export function edited(materials: TexelMaterials, edit: RefineEdit): TexelMateri
   };
 }
 
-/** Return the points of the samples of a picture. */
-export function surfacePoints(seen: SurfaceSamples, materials: TexelMaterials): SurfacePoints {
+/** Return the points of the samples of a picture; `materials` are those of the texels, with `edit` applied. */
+export function surfacePoints(
+  seen: SurfaceSamples,
+  materials: TexelMaterials,
+  edit: RefineEdit,
+): SurfacePoints {
   const { camera, samples, place, texel, distance } = seen;
   const count = place.length;
   const pose = camera.cameraToWorld;
@@ -108,8 +114,21 @@ export function surfacePoints(seen: SurfaceSamples, materials: TexelMaterials): 
     if (facing < 1e-3) turnTowards(points.normal, points.omegaO, index, facing);
     points.alpha[index] = alphaOf(materials.perceptualRoughness[number]!);
     points.metalness[index] = materials.metalness[number]!;
+    if (seen.material !== null) {
+      unpack(points, index, seen.material[2 * index]!, seen.material[2 * index + 1]!, edit);
+    }
   }
   return points;
+}
+
+/** Set the material of a point from the two words of its sample. */
+function unpack(points: SurfacePoints, index: number, low: number, high: number, edit: RefineEdit): void {
+  [low & 0xffff, low >>> 16, high & 0xffff].forEach((level, axis) => {
+    const gain = edit.albedoGain[axis]! * edit.albedoScaleRgb[axis]!;
+    points.albedo[3 * index + axis] = clip((level / 65535) * gain);
+  });
+  points.alpha[index] = alphaOf(clip((((high >>> 16) & 0xff) / 255) * edit.roughnessScale));
+  points.metalness[index] = clip((high >>> 24) / 255 + edit.metalnessShift);
 }
 
 /** A texel's normal may face away where the mesh does not: bring it to the edge of what is seen. */

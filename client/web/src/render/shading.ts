@@ -16,7 +16,7 @@ import { type StageLight, turnMatrix } from "./light.js";
 import { channels, type LightTurn, type Look, type Method, type ViewCamera } from "./looks.js";
 import type { BundleTextures } from "./textures.js";
 
-function fragment(bands: number, hasGrid: boolean): string {
+function fragment(bands: number, hasGrid: boolean, mapped: boolean): string {
   const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
   const layers = Math.ceil((bands * bands) / 4);
   return `${glsl.header}${glsl.tables}${glsl.environment}${glsl.splitSum}${glsl.glints}${glsl.freeShare(bands)}
@@ -63,16 +63,22 @@ void main() {
   for (int layer = 0; layer < ${layers}; layer++) open[layer] = vec4(0.0);
   bool lit = channel <= ${channels.indirect};
   for (int index = 0; index < samples * samples; index++) {
-    uvec2 found = texelFetch(seen, first + ivec2(index % samples, index / samples), 0).rg;
+    uvec4 found = texelFetch(seen, first + ivec2(index % samples, index / samples), 0);
     if (found.r == 0u) continue;
     ivec2 where = placeOf(found.r - 1u);
     count += 1.0;
     distance += uintBitsToFloat(found.g);
     vec4 low = materialOffsets[0] + materialScales[0] * vec4(texelFetch(material, ivec3(where, 0), 0));
     vec4 high = materialOffsets[1] + materialScales[1] * vec4(texelFetch(material, ivec3(where, 1), 0));
-    albedo += clamp(low.rgb, 0.0, 1.0);
+    ${
+      mapped
+        ? `albedo += vec3(unpackUnorm2x16(found.b), unpackUnorm2x16(found.a).x);
+    roughness += float((found.a >> 16) & 0xffu) / 255.0;
+    metalness += float(found.a >> 24) / 255.0;`
+        : `albedo += clamp(low.rgb, 0.0, 1.0);
     roughness += clamp(low.a, 0.0, 1.0);
-    metalness += clamp(high.x, 0.0, 1.0);
+    metalness += clamp(high.x, 0.0, 1.0);`
+    }
     normal += high.yzw / max(length(high.yzw), 1e-12);
     float constant = directConstant.x + directConstant.y * float(texelFetch(direct, ivec3(where, 0), 0).r);
     float free = clamp(constant / (0.5 * sqrt(pi)), 0.0, 1.0);
@@ -153,7 +159,9 @@ export class Shading {
   ) {
     const { transport } = textures;
     const grid = bundle.uncertainty;
-    this.material = screenProgram(fragment(transport.visibility.bands, grid !== null));
+    this.material = screenProgram(
+      fragment(transport.visibility.bands, grid !== null, textures.albedoMap !== null),
+    );
     setUniforms(this.material, {
       coarseOfTexel: textures.coarseOfTexel,
       material: textures.material,

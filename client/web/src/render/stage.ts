@@ -115,7 +115,7 @@ export class Stage {
 
   /** Show another bundle; lights go with the one before. Throws GraphicsFault where its tables do not fit. */
   setBundle(bundle: LoadedBundle): void {
-    const textures = new BundleTextures(bundle.transport, bundle.uncertainty);
+    const textures = new BundleTextures(bundle.transport, bundle.uncertainty, bundle.maps);
     const surface = new Surface(bundle.mesh, textures);
     const shading = new Shading(bundle, textures, this.#splitSum);
     const scene = new Scene();
@@ -220,6 +220,8 @@ export class Stage {
     this.#scenery?.passes.dispose();
     this.#scenery?.textures.dispose();
     this.#scenery = null;
+    this.#seen?.dispose();
+    this.#seen = null;
     this.#seenKey = "";
   }
 
@@ -321,7 +323,9 @@ export class Stage {
     const key = `${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
     const depthRange = this.#aim(camera, scenery.bundle);
-    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
+    const mapped = scenery.textures.albedoMap !== null;
+    const target = (width: number, height: number) => sampleTarget(width, height, mapped);
+    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, target);
     this.renderer.setRenderTarget(this.#seen);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();

@@ -9,6 +9,7 @@ import {
   NearestFilter,
   NoBlending,
   RawShaderMaterial,
+  RGBAIntegerFormat,
   RGIntegerFormat,
   UnsignedIntType,
   WebGLRenderTarget,
@@ -30,29 +31,44 @@ void main() {
   gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
 }`;
 
-// The number of the texel plus one, zero where nothing is; the bits of the distance.
-const fragment = `${glsl.header}
+// The number of the texel plus one, zero where nothing is; the bits of the distance. Where the mesh's textures
+// are the materials also these: 16 bits for each channel of linear albedo, 8 for roughness, 8 for metalness.
+const fragment = (mapped: boolean): string => `${glsl.header}
 in vec2 place;
 in vec3 world;
 out uvec4 result;
 uniform vec3 cameraPosition;
 uniform usampler2D texelPlane;
+${mapped ? "uniform sampler2D albedoMap;\nuniform sampler2D packedMap;\nuniform float lastLevel;" : ""}
+uvec2 material() {
+  ${
+    mapped
+      ? `vec2 size = vec2(textureSize(albedoMap, 0));
+  vec2 across = dFdx(place) * size, down = dFdy(place) * size;
+  float level = 0.5 * log2(max(max(dot(across, across), dot(down, down)), 1.0));
+  vec3 albedo = textureLod(albedoMap, place, min(level, lastLevel)).rgb;
+  vec2 rest = textureLod(packedMap, place, 0.0).gb;
+  uvec2 bytes = uvec2(round(clamp(rest, 0.0, 1.0) * 255.0));
+  return uvec2(packUnorm2x16(albedo.rg), (packUnorm2x16(vec2(albedo.b, 0.0)) & 0xffffu) | bytes.x << 16 | bytes.y << 24);`
+      : "return uvec2(0u);"
+  }
+}
 void main() {
   int size = textureSize(texelPlane, 0).x;
   ivec2 at = clamp(ivec2(place * float(size)), ivec2(0), ivec2(size - 1));
   uint texel = texelFetch(texelPlane, at, 0).r;
-  result = uvec4(texel + 1u, floatBitsToUint(length(cameraPosition - world)), 0u, 0u);
+  result = uvec4(texel + 1u, floatBitsToUint(length(cameraPosition - world)), material());
 }`;
 
-/** Return a target for samples. */
-export function sampleTarget(width: number, height: number): WebGLRenderTarget {
+/** Return a target for samples; `mapped` ones carry their material. */
+export function sampleTarget(width: number, height: number, mapped: boolean): WebGLRenderTarget {
   const target = new WebGLRenderTarget(width, height, {
-    format: RGIntegerFormat,
+    format: mapped ? RGBAIntegerFormat : RGIntegerFormat,
     type: UnsignedIntType,
     minFilter: NearestFilter,
     magFilter: NearestFilter,
   });
-  target.texture.internalFormat = "RG32UI";
+  target.texture.internalFormat = mapped ? "RGBA32UI" : "RG32UI";
   return target;
 }
 
@@ -68,8 +84,13 @@ export class Surface {
     const program = new RawShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: vertex,
-      fragmentShader: fragment,
-      uniforms: { texelPlane: { value: textures.texelPlane } },
+      fragmentShader: fragment(textures.albedoMap !== null),
+      uniforms: {
+        texelPlane: { value: textures.texelPlane },
+        albedoMap: { value: textures.albedoMap },
+        packedMap: { value: textures.packedMap },
+        lastLevel: { value: textures.lastLevel },
+      },
       side: DoubleSide,
       blending: NoBlending,
     });

@@ -8,15 +8,18 @@ import {
   FloatType,
   HalfFloatType,
   LinearFilter,
+  LinearMipmapLinearFilter,
   type PixelFormat,
   RedFormat,
   RedIntegerFormat,
   RGBAFormat,
   RGBAIntegerFormat,
   RGFormat,
+  SRGBColorSpace,
   Texture,
   UnsignedIntType,
 } from "three";
+import type { MaterialMaps } from "../bundle/load.js";
 import type { UncertaintyGrid } from "../bundle/uncertainty.js";
 import { type PackedTransport, type PlaneTable, tableRows, tableWidth } from "../bundle/transport.js";
 import { ggxBands, numLobeSteps } from "../engine/lobes.js";
@@ -52,10 +55,16 @@ export class BundleTextures {
   readonly shadowBits: DataArrayTexture | null = null;
   readonly lobeTable: DataTexture;
   readonly uncertainty: Data3DTexture | null = null;
+  /** The mesh's albedo, linear when it is looked up, with smaller versions. */
+  readonly albedoMap: Texture | null = null;
+  readonly packedMap: Texture | null = null;
+  /** The smallest version of the albedo whose charts lie apart. */
+  readonly lastLevel: number = 0;
 
   constructor(
     readonly transport: PackedTransport,
     grid: UncertaintyGrid | null,
+    maps: MaterialMaps | null,
   ) {
     this.direct = planes(transport.direct);
     this.visibility = planes(transport.visibility);
@@ -72,6 +81,14 @@ export class BundleTextures {
     }
     this.lobeTable = lobeTexture(transport.visibility.bands);
     if (grid !== null) this.uncertainty = gridTexture(grid);
+    if (maps !== null) {
+      this.albedoMap = pictureTexture(maps.albedo);
+      this.albedoMap.colorSpace = SRGBColorSpace;
+      this.albedoMap.generateMipmaps = true;
+      this.albedoMap.minFilter = LinearMipmapLinearFilter;
+      this.packedMap = pictureTexture(maps.packed);
+      this.lastLevel = Math.max(0, Math.floor(Math.log2(maps.albedo.width / transport.size)));
+    }
   }
 
   /** All of them. */
@@ -93,6 +110,16 @@ function lobeTexture(bands: number): DataTexture {
     data[4 * ((band >> 2) * numLobeSteps + step) + (band & 3)] = value;
   });
   return ready(new DataTexture(data, numLobeSteps, rows, RGBAFormat, FloatType), "RGBA32F");
+}
+
+function pictureTexture(picture: ImageBitmap): Texture {
+  const texture = new Texture(picture);
+  texture.flipY = false;
+  texture.generateMipmaps = false;
+  texture.minFilter = LinearFilter;
+  texture.magFilter = LinearFilter;
+  texture.needsUpdate = true;
+  return texture;
 }
 
 function gridTexture(grid: UncertaintyGrid): Data3DTexture {

@@ -18,25 +18,48 @@ function bytes(values: ArrayLike<number>): Bytes {
   return Uint8Array.from(values);
 }
 
-/** Return a GLB of one triangle. */
-export function triangleGlb(positions = [0, 0, 0, 1, 0, 0, 0, 1, 0], indices = [0, 1, 2]): Bytes {
-  const data = Buffer.concat([
+/** Return a GLB of one triangle; `pictures` are the files of its base colour, and of its other textures. */
+export function triangleGlb(
+  positions = [0, 0, 0, 1, 0, 0, 0, 1, 0],
+  indices = [0, 1, 2],
+  pictures: readonly number[][] = [],
+): Bytes {
+  const numbers = Buffer.concat([
     Buffer.from(new Float32Array(positions).buffer),
     Buffer.from(new Float32Array([0, 0, 1, 0, 0, 1]).buffer),
     Buffer.from(new Uint32Array(indices).buffer),
   ]);
+  const data = Buffer.concat([numbers, ...pictures.map((picture) => Buffer.from(picture))]);
   const views = [
     { buffer: 0, byteOffset: 0, byteLength: 36 },
     { buffer: 0, byteOffset: 36, byteLength: 24 },
     { buffer: 0, byteOffset: 60, byteLength: 12 },
+    ...pictures.map((picture, index) => ({
+      buffer: 0,
+      byteOffset: numbers.length + pictures.slice(0, index).flat().length,
+      byteLength: picture.length,
+    })),
   ];
+  const material = {
+    pbrMetallicRoughness: { baseColorTexture: { index: 0 }, metallicRoughnessTexture: { index: 1 } },
+  };
+  const textured = {
+    materials: [material],
+    textures: pictures.map((_, index) => ({ source: index })),
+    images: pictures.map((_, index) => ({ bufferView: 3 + index })),
+  };
   const accessors = [
     { bufferView: 0, componentType: 5126, count: 3, type: "VEC3" },
     { bufferView: 1, componentType: 5126, count: 3, type: "VEC2" },
     { bufferView: 2, componentType: 5125, count: indices.length, type: "SCALAR" },
   ];
   const primitives = [{ attributes: { POSITION: 0, TEXCOORD_0: 1 }, indices: 2 }];
-  let text = JSON.stringify({ meshes: [{ primitives }], bufferViews: views, accessors });
+  let text = JSON.stringify({
+    meshes: [{ primitives }],
+    bufferViews: views,
+    accessors,
+    ...(pictures.length > 0 ? textured : {}),
+  });
   text += " ".repeat((4 - (text.length % 4)) % 4);
   const head = Buffer.alloc(20);
   [0x46546c67, 2, 28 + text.length + data.length, text.length, 0x4e4f534a].forEach((word, index) => {

@@ -5,14 +5,18 @@ import pytest
 from lambent_relight.baked.raster import rasterise_uv
 from lambent_worker.bundle import atlas
 from lambent_worker.bundle.atlas import (
-    MAX_COVERAGE,
+    PADDING,
     angle_weighted_normals,
     covered_share,
+    SIZE_STEP,
+    size_within,
     tangents,
     unwrap,
 )
 from lambent_worker.bundle.mesh import Mesh
 from lambent_worker.errors import WorkerError
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 from support.atlas_box import atlas_box
 
@@ -40,17 +44,35 @@ def test_charts_lie_in_the_atlas_and_do_not_overlap(ball, charts):
     assert 0.35 < covered / 128**2 < 1.0
 
 
-def test_charts_that_pack_too_densely_shrink_until_they_cover_what_they_may(ball, charts):
-    dense = covered_share(charts.uv, charts.faces)
-    assert 0.3 < dense <= MAX_COVERAGE + 1e-6
-    small = unwrap(ball, 128, max_coverage=0.3)
-    assert covered_share(small.uv, small.faces) == pytest.approx(0.3, rel=1e-4)
-    covered = rasterise_uv(small.uv, small.faces, 128).covered
-    assert covered.mean() == pytest.approx(0.3, rel=0.05)
-    free = unwrap(ball, 128, max_coverage=1.0)
-    np.testing.assert_allclose(
-        free.uv * (0.3 / covered_share(free.uv, free.faces)) ** 0.5, small.uv, atol=1e-6
+def test_charts_fill_the_atlas_whatever_baked_transport_may_cover(charts):
+    share = covered_share(charts.uv, charts.faces)
+    # One side is used to its end, but for the padding.
+    assert charts.uv.max() > 1.0 - 2.0 * PADDING / 128
+    assert share > 0.45
+    size = size_within(charts, 128, share=0.3)
+    assert share * size**2 <= 0.3 * 128**2 < share * (size + SIZE_STEP) ** 2
+    covered = rasterise_uv(charts.uv, charts.faces, size).covered.sum()
+    assert covered == pytest.approx(0.3 * 128**2, rel=0.05)
+    # A share that charts do not reach leaves the size as it is.
+    assert size_within(charts, 128, share=1.0) == 128
+
+
+def test_charts_do_not_touch_at_the_size_of_transport(charts):
+    size = size_within(charts, 128, share=0.4)
+    found = rasterise_uv(charts.uv, charts.faces, size)
+    number = chart_numbers(charts)[found.face]
+    for down, across in ((0, 1), (1, 0), (1, 1)):
+        a, b = (number[: size - down, : size - across], number[down:, across:])
+        both = found.covered[: size - down, : size - across] & found.covered[down:, across:]
+        assert (a == b)[both].all()
+
+
+def chart_numbers(charts) -> np.ndarray:
+    """Return the chart of every face: faces that share a vertex, for vertices are split along seams."""
+    shared = sparse.coo_array(
+        (np.ones(charts.faces.size), (np.repeat(np.arange(len(charts.faces)), 3), charts.faces.ravel()))
     )
+    return connected_components(shared @ shared.T)[1]
 
 
 def test_the_split_mesh_is_the_same_surface(ball, charts):
@@ -111,6 +133,6 @@ def test_more_than_one_atlas_is_refused(ball, monkeypatch):
             return 2
 
     monkeypatch.setattr(atlas.xatlas, "Atlas", Two)
-    with pytest.raises(WorkerError, match=r"export\.atlas_size") as raised:
+    with pytest.raises(WorkerError, match=r"export\.transport_size") as raised:
         unwrap(ball, 64)
     assert raised.value.code == "export.atlas"

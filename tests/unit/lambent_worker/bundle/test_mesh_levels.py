@@ -15,7 +15,7 @@ from support.sphere_model import sphere_model
 
 @pytest.fixture(scope="module")
 def surface():
-    return build_surface(sphere_model(), ExportConfig(atlas_size=128))
+    return build_surface(sphere_model(), ExportConfig(transport_size=128))
 
 
 @pytest.fixture(scope="module")

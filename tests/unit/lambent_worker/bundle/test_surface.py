@@ -9,7 +9,7 @@ from flashcache.config import ExportConfig
 from lambent_worker.bundle.surface import build_surface, settled, upright
 from support.sphere_model import RADIUS, sphere_model
 
-CONFIG = ExportConfig(mesh_resolution=24, max_faces=600, atlas_size=64)
+CONFIG = ExportConfig(mesh_resolution=24, max_faces=600, transport_size=64)
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +75,6 @@ def test_learned_normals_that_point_inwards_are_leaned_outwards():
 
 
 def test_a_larger_atlas_has_more_texels(model, surface):
-    larger = build_surface(model, replace(CONFIG, atlas_size=128))
+    larger = build_surface(model, replace(CONFIG, transport_size=128))
     # Charts pack more densely where the space between them is a smaller share.
     assert 3.2 < len(larger.texel_index) / len(surface.texel_index) < 5.6

@@ -4,10 +4,10 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from flashcache.data.scene import Camera, View
+from flashcache.data.scene import Camera
 from lambent_relight.baked.raster import rasterise
 from lambent_relight.cameras import turntable
-from lambent_worker.bundle.surface_files import pixel_size, silhouette_iou, texel_size
+from lambent_worker.bundle.surface_files import pixel_size, silhouette_iou
 from support.atlas_box import SIZES, atlas_box
 
 BOX = atlas_box()
@@ -16,7 +16,7 @@ BOX = atlas_box()
 def test_a_texel_covers_the_surface_divided_by_their_number():
     a, b, c = SIZES
     area = 2.0 * (a * b + b * c + c * a)
-    assert texel_size(BOX) ** 2 * len(BOX.texel_index) == pytest.approx(area, rel=1e-5)
+    assert BOX.texel_size**2 * len(BOX.texel_index) == pytest.approx(area, rel=1e-5)
 
 
 def test_silhouettes_overlap_by_one_where_they_are_the_same_and_less_where_the_mesh_is_wrong():
@@ -31,6 +31,5 @@ def test_silhouettes_overlap_by_one_where_they_are_the_same_and_less_where_the_m
 def test_the_size_of_a_pixel_is_that_at_the_middle_of_the_object():
     (camera,) = turntable(1, radius=6.0, elevation_deg=0.0, width=100, height=100, field_of_view_deg=90.0)
     values = {field.name: getattr(camera, field.name) for field in fields(Camera)}
-    view = View(name="a", camera=Camera(**values), images={})
-    assert pixel_size((view,), ((-1.0,) * 3, (1.0,) * 3)) == pytest.approx(6.0 / 50.0)
+    assert pixel_size((Camera(**values),), ((-1.0,) * 3, (1.0,) * 3)) == pytest.approx(6.0 / 50.0)
     assert pixel_size((), ((-1.0,) * 3, (1.0,) * 3)) == 0.0

@@ -26,6 +26,7 @@ def atlas(side):
         texel_index=surface.texel_index,
         positions=surface.positions,
         texel_normals=surface.normals,
+        cell=0.05,
     )
     return made, reflectors
 

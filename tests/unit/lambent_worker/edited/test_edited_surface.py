@@ -21,7 +21,7 @@ from support.given_glb import GlbWriter, glb_file, y_up
 from support.sphere_model import RADIUS, sphere_model
 
 EDITED = Path(__file__).parents[3] / "data" / "edited"
-CONFIG = ExportConfig(mesh_resolution=24, max_faces=600, atlas_size=64)
+CONFIG = ExportConfig(mesh_resolution=24, max_faces=600, transport_size=64)
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +79,8 @@ def test_charts_that_overlap_are_unwrapped_and_colours_stay_on_their_places(mode
     places = quarter.uv * 2.0
     assert places.max() <= 1.0
     # Every texel has the colour of the file's picture at the file's coordinates.
-    charts, _ = _charts(quarter, CONFIG.atlas_size)
-    found = rasterise_uv(charts.uv, charts.faces, CONFIG.atlas_size)
+    charts, _ = _charts(quarter, CONFIG.transport_size)
+    found = rasterise_uv(charts.uv, charts.faces, CONFIG.transport_size)
     uv = interpolate(found, charts.faces, quarter.uv[charts.source])
     np.testing.assert_allclose(made.reflectors.albedo, quarter.maps[0].albedo_at(uv), atol=1e-6)
 
@@ -168,7 +168,7 @@ def test_a_flat_square_faces_where_its_triangles_do(model, box, tmp_path):
         made.surface.texel_normals, [[0.0, 0.0, 1.0]] * len(made.surface.positions), atol=1e-6
     )
     np.testing.assert_allclose(made.surface.positions[:, 2], 0.0, atol=1e-6)
-    assert len(made.surface.positions) == CONFIG.atlas_size**2
+    assert len(made.surface.positions) == CONFIG.transport_size**2
 
 
 def test_the_occlusion_of_a_ball_is_what_its_bent_normals_see_below_the_tangent_plane(model, own, box):

@@ -3,37 +3,50 @@
 import copy
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from flashcache.data.scene import Scene
+import numpy as np
+from flashcache.data.scene import Camera, Scene
 from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from flashcache.training.checkpoint import latest_checkpoint
-from lambent_proto.v1 import bundle_pb2
+from lambent_proto.v1 import bundle_pb2, scene_pb2
+from lambent_relight.baked.mesh import AtlasMesh
+from lambent_relight.baked.scene import baked_scene
+from lambent_relight.baked.transport import Transport
+from lambent_relight.bundle.graphs import SurfaceCaches
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
+from numpy.typing import NDArray
 
 from lambent_worker.bundle.cameras import relight_camera
 from lambent_worker.bundle.graphs import remove_networks, write_graphs
 from lambent_worker.bundle.half_tables import MOST_ROUNDING, fits_half, with_half_tables
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import measure
-from lambent_worker.bundle.mesh import occupied_box
+from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.parity import ParityResult
-from lambent_worker.bundle.surface_files import write_asset, written_caches
+from lambent_worker.bundle.photo_albedo import Photographs, albedo_texture, automatic_size
+from lambent_worker.bundle.surface import AtlasSurface, build_surface
+from lambent_worker.bundle.surface_files import pixel_size, write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
-from lambent_worker.bundle.transport_files import write_relight_graph, write_transport
+from lambent_worker.bundle.transport_files import (
+    baked_transport,
+    write_relight_graph,
+    write_transport,
+)
 from lambent_worker.bundle.transport_quality import judge_qualities
-from lambent_worker.bundle.transport_rays import MESH_RAYS
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
 from lambent_worker.files import read_record
+from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import scene_hash
 from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.uncertainty import uncertainty_of_run
+from lambent_worker.scenes.load import camera_of, full_size_views
 
 NUM_PARTS = 8
 FOLDERS = ("models", "mesh", "env", "preview")
@@ -89,28 +102,18 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     trained = model
     model = _write_networks(context, at_reference(model), rule, manifest, folder, compared)
     caches = written_caches(manifest, folder)
-    surface = write_asset(model, caches, settings, manifest, folder, box=box, views=scene.train or scene.test)
-    _advance(context, 4)
+    recovered = {
+        light: model.environment.image(settings.environment_height, index).detach().cpu().numpy()
+        for index, light in enumerate(manifest.train_lights)
+    }
+    surface = _write_surface(context, scene, model, caches, manifest, folder, recovered, box)
     if settings.transport_tier != "none":
-        write_transport(
-            caches,
-            surface,
-            manifest,
-            folder,
-            TransportConfig(tier=settings.transport_tier, rays=MESH_RAYS),
-            store=context.folder.with_name(context.folder.name + ".rays"),
-            advance=lambda share: context.stop_if_asked(),
-        )
         compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.spec.seed))
     _advance(context, 5)
 
     views = scene.test or scene.train
     cameras = [relight_camera(view.name, view.camera) for view in views]
     (folder / "cameras.json").write_text(cameras_json(cameras), encoding="utf-8")
-    recovered = {
-        light: model.environment.image(settings.environment_height, index).cpu().numpy()
-        for index, light in enumerate(manifest.train_lights)
-    }
     for light, image in recovered.items():
         write_environment(folder / "env" / f"trained_{light}.exr", image)
     _advance(context, 6)
@@ -140,6 +143,79 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     write_manifest(folder, manifest, sorted(files))
     _advance(context, NUM_PARTS)
     context.reporter.log("exported", **{name: round(value, 6) for name, value in manifest.metrics.items()})
+
+
+def _write_surface(
+    context: TaskContext,
+    scene: Scene,
+    model: InverseModel,
+    caches: SurfaceCaches,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    recovered: Mapping[str, NDArray[np.float32]],
+    box: tuple[Corner, Corner],
+) -> AtlasSurface:
+    """Write the transport, unless it is left out, and the mesh with its textures; return the surface.
+
+    Shading that baked transport predicts is what turns photographs into albedo, so it is baked in any case.
+    """
+    settings = context.spec.config.export
+    views = (*scene.train, *scene.test)
+    pixel = pixel_size((view.camera for view in views), box)
+    surface = build_surface(model, settings, box=box, pixel_size=pixel, views=scene.train or scene.test)
+    tier, albedo = settings.transport_tier, None
+    if tier != "none" or settings.albedo == "photographs":
+        transport, figures = baked_transport(
+            model,
+            caches,
+            surface,
+            folder,
+            TransportConfig(tier="lite" if tier == "none" else tier),
+            store=context.folder.with_name(context.folder.name + ".rays"),
+            advance=lambda share: context.stop_if_asked(),
+        )
+        if tier != "none":
+            write_transport(transport, manifest, folder, tier=tier)
+            manifest.metrics.update(figures)
+        _advance(context, 4)
+        if settings.albedo == "photographs":
+            light = scene.lights[0]
+            albedo, figures = _photographed_albedo(
+                context, surface, transport, light, recovered[manifest.train_lights[0]], box
+            )
+            manifest.metrics.update(figures)
+    write_asset(model, caches, surface, albedo, settings, manifest, folder)
+    return surface
+
+
+def _photographed_albedo(
+    context: TaskContext,
+    surface: AtlasSurface,
+    transport: Transport,
+    light: str,
+    radiance: NDArray[np.float32],
+    box: tuple[Corner, Corner],
+) -> tuple[NDArray[np.float32], dict[str, float]]:
+    """Return the albedo texture from the run's photographs under `light`, at their full size."""
+    cameras, photographs = photographs_of(context, light)
+    size = context.spec.config.export.atlas_size or automatic_size(surface, pixel_size(cameras, box))
+    return albedo_texture(
+        surface,
+        baked_scene(AtlasMesh(surface.vertices, surface.faces, surface.uv), transport),
+        size,
+        photographs,
+        light,
+        radiance,
+        context.stop_if_asked,
+    )
+
+
+def photographs_of(context: TaskContext, light: str) -> tuple[list[Camera], Photographs]:
+    """Return the cameras of the run's training photographs, and what opens these at their full size."""
+    manifest = read_manifest(context)
+    frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TRAIN]
+    cameras = [camera_of(frame) for frame in frames]
+    return cameras, lambda: full_size_views(context.spec.scene, manifest, light)
 
 
 def _write_networks(

@@ -1,0 +1,113 @@
+"""The textures of a bundle's mesh as materials at places of its atlas.
+
+They are finer than baked transport. A pixel that shows many texels takes a smaller version of the albedo,
+made by means over 2 x 2 texels in linear light; none is smaller than the atlas of transport, whose charts lie
+apart.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from lambent_compute.compiling import compiled
+from lambent_compute.threads import available_threads, for_each
+from numpy.typing import NDArray
+
+from lambent_relight.asset.textured_mesh import TexturedMesh, pixels_of
+from lambent_relight.images import linear_from_srgb, srgb_from_linear
+
+_PLACES_PER_TASK = 1 << 16
+_ROWS_AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialMaps:
+    """The textures that all renderers read; 8-bit, rows from the top."""
+
+    albedo: tuple[NDArray[np.uint8], ...]
+    """sRGB-encoded [size, size, 3], each half as large as the one before."""
+    packed: NDArray[np.uint8]
+    """Occlusion, perceptual roughness and metalness [size, size, 3]."""
+    texel_size: float
+    """Of the largest albedo texture on the surface, scene units."""
+
+    def albedo_at(self, uv: NDArray[np.floating], footprint: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return linear albedo at `uv` [n, 2] as a mean over about `footprint` [n] (scene units), [n, 3]."""
+        texels = np.asarray(footprint, np.float32) / np.float32(max(self.texel_size, 1e-12))
+        level = np.clip(np.round(np.log2(np.maximum(texels, 1.0))), 0, len(self.albedo) - 1).astype(np.int8)
+        places, result = np.asarray(uv, np.float32), np.empty((len(uv), 3), np.float32)
+        for number, picture in enumerate(self.albedo):
+            rows = np.flatnonzero(level == number)
+            if len(rows):
+                result[rows] = lookup(picture, places[rows], _linear_levels())
+        return result
+
+    def roughness_and_metalness_at(
+        self, uv: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return perceptual roughness and metalness at `uv` [n, 2], each [n, 1]."""
+        found = lookup(self.packed, np.asarray(uv, np.float32), np.arange(256, dtype=np.float32) / 255.0)
+        return found[:, 1:2], found[:, 2:3]
+
+
+def material_maps(mesh: TexturedMesh, texel_size: float, least_size: int) -> MaterialMaps:
+    """Return the maps of `mesh`, whose albedo has texels of `texel_size` scene units.
+
+    Its smaller versions have at least `least_size` texels a side.
+    """
+    levels = [pixels_of(mesh.base_colour_png)]
+    while min(levels[-1].shape[:2]) >= 2 * least_size and not any(side % 2 for side in levels[-1].shape[:2]):
+        levels.append(_halved(levels[-1]))
+    return MaterialMaps(tuple(levels), pixels_of(mesh.packed_png), texel_size)
+
+
+def lookup(
+    picture: NDArray[np.uint8], uv: NDArray[np.float32], values: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the decoded `picture` [height, width, n] at `uv` [count, 2], bilinear, as [count, n].
+
+    `values` [256] are what the 8-bit levels stand for. Beyond the outermost centres the outermost pixels go
+    on.
+    """
+    picture, uv = np.ascontiguousarray(picture), np.ascontiguousarray(uv)
+    out = np.empty((len(uv), picture.shape[2]), np.float32)
+
+    def fill(first: int) -> None:
+        part = slice(first, first + _PLACES_PER_TASK)
+        _lookup(picture, uv[part], values, out[part])
+
+    for_each(fill, range(0, len(uv), _PLACES_PER_TASK), available_threads())
+    return out
+
+
+@compiled()
+def _lookup(picture, uv, values, out):
+    height, width, channels = picture.shape
+    for k in range(uv.shape[0]):
+        x = min(max(uv[k, 0] * width - np.float32(0.5), np.float32(0.0)), np.float32(width - 1))
+        y = min(max(uv[k, 1] * height - np.float32(0.5), np.float32(0.0)), np.float32(height - 1))
+        left, top = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+        fx, fy = x - np.float32(left), y - np.float32(top)
+        for c in range(channels):
+            a, b = values[picture[top, left, c]], values[picture[top, right, c]]
+            upper = a + fx * (b - a)
+            a, b = values[picture[bottom, left, c]], values[picture[bottom, right, c]]
+            lower = a + fx * (b - a)
+            out[k, c] = upper + fy * (lower - upper)
+
+
+@cache
+def _linear_levels() -> NDArray[np.float32]:
+    return linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
+
+
+def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the picture at half its size, means in linear light."""
+    height, width = picture.shape[0] // 2, picture.shape[1] // 2
+    result = np.empty((height, width, picture.shape[2]), np.uint8)
+    for first in range(0, height, _ROWS_AT_ONCE):
+        rows = _linear_levels()[picture[2 * first : 2 * (first + _ROWS_AT_ONCE)]]
+        means = rows.reshape(-1, 2, width, 2, picture.shape[2]).mean(axis=(1, 3))
+        result[first : first + len(means)] = np.round(255.0 * srgb_from_linear(means))
+    return result
