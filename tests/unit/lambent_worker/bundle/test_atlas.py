@@ -6,9 +6,9 @@ from lambent_relight.baked.raster import rasterise_uv
 from lambent_worker.bundle import atlas
 from lambent_worker.bundle.atlas import (
     PADDING,
+    SIZE_STEP,
     angle_weighted_normals,
     covered_share,
-    SIZE_STEP,
     size_within,
     tangents,
     unwrap,
