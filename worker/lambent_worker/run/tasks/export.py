@@ -37,6 +37,7 @@ from lambent_worker.bundle.transport_files import (
     write_transport,
 )
 from lambent_worker.bundle.transport_quality import judge_qualities
+from lambent_worker.bundle.transport_rays import MESH_RAYS
 from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
 from lambent_worker.files import read_record
@@ -166,11 +167,10 @@ def _write_surface(
     tier, albedo = settings.transport_tier, None
     if tier != "none" or settings.albedo == "photographs":
         transport, figures = baked_transport(
-            model,
             caches,
             surface,
             folder,
-            TransportConfig(tier="lite" if tier == "none" else tier),
+            TransportConfig(tier="lite" if tier == "none" else tier, rays=MESH_RAYS),
             store=context.folder.with_name(context.folder.name + ".rays"),
             advance=lambda share: context.stop_if_asked(),
         )
