@@ -15,6 +15,7 @@ from lambent_proto.pictures import RenderSettings
 from numpy.typing import ArrayLike, NDArray
 
 from lambent_relight.arguments import array, colour, instance, number, refusal, whole
+from lambent_relight.baked.traced_surface import MeshSurroundings
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
@@ -31,7 +32,7 @@ from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene
-from lambent_relight.refined.surroundings import CacheSurroundings, MeshSurroundings, Surroundings
+from lambent_relight.refined.surroundings import CacheSurroundings, Surroundings
 from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
 

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from lambent_compute.threads import available_threads
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.baked.raster import interpolate, rasterise_uv
+from lambent_relight.baked.traced_surface import MESH_OFFSET
 from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.bundle.graphs import SurfaceCaches
-from lambent_relight.refined.surroundings import MESH_OFFSET
 from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy import ndarray
 

@@ -9,6 +9,7 @@ from lambent_relight.baked.hits import BakedHits, HitFinder
 from lambent_relight.baked.light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
 from lambent_relight.baked.scene import load_baked_scene
 from lambent_relight.baked.shading import Lobes, lobes_of, shade
+from lambent_relight.baked.traced_surface import TracedSurface
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import SurfaceCaches
@@ -16,7 +17,6 @@ from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
-from lambent_relight.refined.surroundings import TracedSurface
 
 _KEPT_PIXELS = 2_000_000
 """Maximum number of pixels in cached views; about 400 bytes each."""

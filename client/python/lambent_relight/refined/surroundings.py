@@ -1,12 +1,8 @@
-"""What secondary rays meet: the fast cache's answer, or the faces of the bundle's mesh.
-
-The fast cache's opacity is partial near the surface that a ray leaves: matter that is still a little
-transparent is in its own way. A mesh is met exactly, and not by rays that leave it.
-"""
+"""What secondary rays meet: the fast cache's answer, or that of something else (`baked.traced_surface`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +13,7 @@ from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.refined.scattering import SurfacePoints
 
-if TYPE_CHECKING:
-    from lambent_relight.baked.scene import BakedScene
-
 Rows = NDArray[np.float32]
-
-MESH_OFFSET = 1e-4
-"""Rays start this far above a mesh, as a share of its size: rounding is a hundredth of it."""
-SAME_SURFACE = 0.03
-"""As a share of the mesh's size: a camera ray that ends this near to the mesh ends on it."""
 
 
 @dataclass(frozen=True)
@@ -97,75 +85,3 @@ class CacheSurroundings:
         """Return what it sends towards `omega_o` [ray, 3]."""
         assert self.hits is not None, "there is no light of all bounces"
         return self.hits(position, omega_o)
-
-
-class TracedSurface:
-    """The mesh of a baked surface, the same for every light."""
-
-    def __init__(self, scene: "BakedScene") -> None:
-        """Prepare the mesh of `scene` for rays."""
-        # Compiled code takes a second to import, which programs that only look at bundles do not pay.
-        from lambent_relight.tracing.mesh_rays import MeshRays
-
-        mesh = scene.mesh
-        self.scene = scene
-        self.rays = MeshRays(mesh.vertices, mesh.faces)
-        self._uv = mesh.uv[mesh.faces]
-
-    @property
-    def origin_offset(self) -> float:
-        """How far above the surface rays start, scene units."""
-        return MESH_OFFSET * self.rays.size
-
-    def meet(self, origin: Rows, direction: Rows) -> Met:
-        """Return the faces that rays [ray, 3] meet, and the texels there."""
-        found = self.rays(origin, direction)
-        texel = np.zeros(len(origin), np.int32)
-        hit = np.flatnonzero(found.blocked)
-        uv = np.einsum("nc,nci->ni", found.weights[hit], self._uv[found.face[hit]])
-        texel[hit] = self.scene.texels_at(uv)
-        return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
-
-    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Rows:
-        """Return the points [ray, 3] of camera rays at `distance` [ray, 1], on the mesh where it is near."""
-        found = self.rays(origin, direction).distance[:, None]
-        near = np.abs(found - distance) < SAME_SURFACE * self.rays.size
-        return (origin + np.where(near, found, distance) * direction).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class MeshSurroundings:
-    """The bundle's mesh with the materials of its texels."""
-
-    traced: TracedSurface
-    edit: MaterialEdit
-    texels: Callable[[NDArray[np.int32], Rows], Rows] | None = None
-    """Radiance of texels [n] towards directions [n, 3]."""
-
-    @property
-    def origin_offset(self) -> float:
-        """Secondary rays start this far along the normal, scene units."""
-        return self.traced.origin_offset
-
-    @property
-    def has_radiance(self) -> bool:
-        """Whether the light of all bounces is known."""
-        return self.texels is not None
-
-    def meet(self, origin: Rows, direction: Rows) -> Met:
-        """Return what rays [ray, 3] from offset surface points meet."""
-        return self.traced.meet(origin, direction)
-
-    def surface(self, met: Met, position: Rows, omega_o: Rows) -> SurfacePoints:
-        """Return the surface that was met at `position` [ray, 3], edited."""
-        assert met.texel is not None
-        scene, texel = self.traced.scene, met.texel
-        albedo, roughness = self.edit.apply(scene.albedo[texel], scene.perceptual_roughness[texel])
-        materials = materials_from_roughness(albedo, roughness, scene.metalness[texel])
-        return SurfacePoints(position, scene.normal[texel], omega_o, materials)
-
-    def radiance(self, met: Met, position: Rows, omega_o: Rows) -> Rows:
-        """Return what it sends towards `omega_o` [ray, 3], all bounces included."""
-        assert self.texels is not None
-        assert met.texel is not None
-        return self.texels(met.texel, omega_o)
