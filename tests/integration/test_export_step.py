@@ -17,6 +17,7 @@ from lambent_relight.images import srgb_from_linear
 from lambent_worker.bundle.half_tables import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.run.tasks import export
+from PIL import Image
 from support.small_export import LIGHTS, scene, small_context
 from support.sphere_model import RADIUS, sphere_model
 from support.texture_lookup import sample_plane
@@ -79,6 +80,7 @@ def test_the_manifest_describes_the_bundle(exported, model):
         assert graph.parity.num_samples >= 250
     assert {file.role for file in manifest.files} == {
         *("graph", "weights", "mesh", "environment", "cameras", "preview", "uncertainty", "transport"),
+        "mask",
     }
     previews = {file.path for file in manifest.files if file.path.startswith("preview/")}
     views = {f"preview/{kind}test_00{number}.png" for kind in ("", "photo_") for number in (0, 1)}
@@ -109,6 +111,18 @@ def test_the_manifest_describes_the_bundle(exported, model):
     }
     assert manifest.metrics["mesh_silhouette_iou"] > 0.7
     assert manifest.atlas.size == 64
+    # The photographs of this capture are empty.
+    assert manifest.metrics["mesh_unseen_share"] == 1.0
+    with Image.open(exported.folder / manifest.atlas.unseen_path) as mask:
+        assert mask.mode == "L"
+        assert np.asarray(mask).shape == (64, 64)
+        assert (np.asarray(mask) == 255).all()
+    assert manifest.metrics["mesh_boundary_edges"] == manifest.metrics["mesh_non_manifold_edges"] == 0
+    assert manifest.mesh_levels[0].path == "mesh/lod1.glb"
+    level = trimesh.load_scene(exported.folder / "mesh" / "lod1.glb").to_mesh()
+    assert len(level.faces) == manifest.mesh_levels[0].num_faces < manifest.metrics["mesh_faces"]
+    assert level.visual.material.baseColorTexture.size == (32, 32)
+    assert manifest.mesh_levels[0].texture_size == 32
     assert 0.25 * 64**2 < manifest.atlas.num_texels < 64**2
 
 

@@ -79,7 +79,9 @@ def test_options_that_do_not_belong_together_are_refused(bundle, tmp_path, capsy
 def test_without_formats_the_worker_writes_the_bundle_of_a_run(monkeypatch, tmp_path):
     calls = []
     monkeypatch.setattr(EntryPoint, "load", lambda self: lambda **given: calls.append((self.name, given)))
-    assert app.run(["export", str(tmp_path), "-o", str(tmp_path / "b"), "--tier", "lite"]) == 0
+    assert (
+        app.run(["export", str(tmp_path), "-o", str(tmp_path / "b"), "--tier", "lite", "--faces", "900"]) == 0
+    )
     ((name, given),) = calls
     assert name == "export"
     assert given == {
@@ -88,6 +90,8 @@ def test_without_formats_the_worker_writes_the_bundle_of_a_run(monkeypatch, tmp_
         "tier": "lite",
         "weights": "",
         "mesh": None,
+        "faces": "900",
+        "atlas": "",
         "as_json": False,
     }
 

@@ -81,6 +81,20 @@ def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, monke
     assert not (tmp_path / "huge").exists()
 
 
+def test_the_number_of_triangles_of_an_export_is_given_or_found(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(prepare, "run_task", lambda context, inputs: asked.append(context.spec.config.export))
+    folder, reporter = finished_run(tmp_path), RecordingReporter()
+    for name, faces in (("few", "900"), ("needed", "auto")):
+        export_run(folder, tmp_path / name, reporter, faces=faces)
+    # The run's own setting is "auto", and its bundle is there.
+    assert [settings.faces for settings in asked] == [900]
+    assert (tmp_path / "needed" / "manifest.json").is_file()
+    for faces in ("some", "3", "2000000"):
+        with pytest.raises(ConfigError, match="faces"):
+            export_run(folder, tmp_path / "wrong", reporter, faces=faces)
+
+
 def test_an_existing_bundle_folder_is_not_overwritten(tmp_path):
     (tmp_path / "out").mkdir()
     with pytest.raises(UsageError, match=r"export\.exists"):

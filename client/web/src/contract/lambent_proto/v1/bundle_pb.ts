@@ -431,7 +431,7 @@ export type BundleFile = Message<"lambent_proto.v1.BundleFile"> & {
   mediaType: string;
 
   /**
-   * "graph", "weights", "mesh", "environment", "cameras", "preview", "report", "uncertainty".
+   * "graph", "weights", "mesh", "environment", "cameras", "preview", "report", "uncertainty", "mask".
    *
    * @generated from field: string role = 5;
    */
