@@ -97,6 +97,7 @@ def test_the_manifest_describes_the_bundle(exported, model):
     assert set(manifest.metrics) == {
         *("psnr_views", "gbuffer_opacity_error", "gbuffer_distance_error", "mesh_faces", "mesh_vertices"),
         *("mesh_silhouette_iou", "transport_rays_per_texel", "transport_blocked_share"),
+        *("texture_photograph_share", "texture_photographs"),
         *(
             f"{quality}_{figure}_refined_{light}"
             for quality in ("baked", "preview")
@@ -105,8 +106,12 @@ def test_the_manifest_describes_the_bundle(exported, model):
         ),
     }
     assert manifest.metrics["mesh_silhouette_iou"] > 0.7
-    assert manifest.atlas.size == 64
-    assert 0.25 * 64**2 < manifest.atlas.num_texels < 64**2
+    assert manifest.schema_version == "1.3"
+    atlas, size = manifest.atlas, manifest.transport.size
+    assert (atlas.size, atlas.material_size, atlas.albedo_source) == (128, size, "photographs")
+    assert 0.25 * 128**2 < atlas.num_texels < 128**2
+    assert 0.9 * 0.515 * 64**2 < manifest.transport.num_texels < 1.1 * 0.515 * 64**2 or size == 64
+    assert atlas.texel_size**2 * atlas.num_texels == pytest.approx(4.0 * np.pi * RADIUS**2, rel=0.3)
 
 
 def test_the_meshs_textures_are_the_models_materials_and_visibility(exported, model):
