@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
 from lambent_relight.baked.raster import interpolate, rasterise_uv
+from lambent_relight.baked.texture_lookup import bilinear
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 from benchmarks import printed_drum as drum
@@ -39,6 +40,8 @@ LENGTH = 0.8
 PER_PIXEL = 4
 """Steps of an edge profile per photograph pixel."""
 LEAST_TEXELS = 40
+LOOKED_UP = 4096
+"""Texels a side at whose centres textures are looked up at least."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,11 +65,14 @@ def detail_of(glb: bytes, side: int = 1600) -> Detail:
     """Return the figures of a bundle's mesh, for photographs of `side` pixels."""
     mesh = textured_mesh_from_glb(glb)
     albedo = linear_from_srgb(pixels_of(mesh.base_colour_png) / 255.0).astype(np.float32)
-    found = rasterise_uv(mesh.uv, mesh.faces, len(albedo))
+    # A small texture is looked up as a renderer does; one of `LOOKED_UP` texels at their centres.
+    size = max(len(albedo), LOOKED_UP)
+    found = rasterise_uv(mesh.uv, mesh.faces, size)
     positions = interpolate(found, mesh.faces, mesh.vertices)
-    values = albedo[found.covered]
-    wall = drum.on_wall(positions)
-    positions, values = positions[wall], values[wall]
+    row, column = np.nonzero(found.covered)
+    wall = np.flatnonzero(drum.on_wall(positions))
+    uv = (np.stack([column[wall], row[wall]], axis=-1) + 0.5) / size
+    positions, values = positions[wall], bilinear(albedo, uv)
     truth = drum.albedo_at(positions)
     scale = (truth * values).sum(axis=0) / np.maximum((values**2).sum(axis=0), 1e-12)
     encoded = [srgb_from_linear(np.clip(each, 0.0, 1.0)) for each in (values * scale, truth)]

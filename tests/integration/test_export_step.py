@@ -102,6 +102,7 @@ def test_the_manifest_describes_the_bundle(exported, model):
         *("mesh_depth_median_pixels", "mesh_depth_p95_pixels", "mesh_depth_worst_view_p95_pixels"),
         "mesh_unseen_share",
         *("mesh_silhouette_iou", "transport_rays_per_texel", "transport_blocked_share"),
+        *("texture_photograph_share", "texture_photographs"),
         *(
             f"{quality}_{figure}_refined_{light}"
             for quality in ("baked", "preview")
@@ -110,20 +111,24 @@ def test_the_manifest_describes_the_bundle(exported, model):
         ),
     }
     assert manifest.metrics["mesh_silhouette_iou"] > 0.7
-    assert manifest.atlas.size == 64
+    assert manifest.schema_version == "1.3"
+    atlas, size = manifest.atlas, manifest.transport.size
+    assert (atlas.size, atlas.material_size, atlas.albedo_source) == (128, size, "photographs")
+    assert 0.25 * 128**2 < atlas.num_texels < 128**2
+    assert 0.9 * 0.515 * 64**2 < manifest.transport.num_texels < 1.1 * 0.515 * 64**2 or size == 64
+    assert atlas.texel_size**2 * atlas.num_texels == pytest.approx(4.0 * np.pi * RADIUS**2, rel=0.3)
     # The photographs of this capture are empty.
     assert manifest.metrics["mesh_unseen_share"] == 1.0
     with Image.open(exported.folder / manifest.atlas.unseen_path) as mask:
         assert mask.mode == "L"
-        assert np.asarray(mask).shape == (64, 64)
+        assert np.asarray(mask).shape == (size, size)
         assert (np.asarray(mask) == 255).all()
     assert manifest.metrics["mesh_boundary_edges"] == manifest.metrics["mesh_non_manifold_edges"] == 0
     assert manifest.mesh_levels[0].path == "mesh/lod1.glb"
     level = trimesh.load_scene(exported.folder / "mesh" / "lod1.glb").to_mesh()
     assert len(level.faces) == manifest.mesh_levels[0].num_faces < manifest.metrics["mesh_faces"]
-    assert level.visual.material.baseColorTexture.size == (32, 32)
-    assert manifest.mesh_levels[0].texture_size == 32
-    assert 0.25 * 64**2 < manifest.atlas.num_texels < 64**2
+    assert level.visual.material.baseColorTexture.size == (64, 64)
+    assert manifest.mesh_levels[0].texture_size == 64
 
 
 def test_the_meshs_textures_are_the_models_materials_and_visibility(exported, model):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from flashcache.caches.fast_cache import LEAST_OPACITY
@@ -14,6 +15,7 @@ from lambent_relight.renderer import Renderer
 from lambent_worker.bundle import graphs
 from lambent_worker.errors import WorkerError
 from lambent_worker.run.tasks import export
+from support import small_export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import sphere_model
 
@@ -108,3 +110,24 @@ def test_a_lite_bundle_shows_baked_pictures_and_says_why_it_cannot_refine(tmp_pa
     with pytest.raises(UnsupportedQuality, match="networks") as raised:
         renderer.render(CAMERA, light)
     assert raised.value.code == "relight.networks_missing"
+
+
+def test_photographs_give_detail_without_baked_transport_in_the_bundle_too(tmp_path, model, monkeypatch):
+    bundle, _ = exported(tmp_path, model, monkeypatch, transport_tier="none")
+    assert not bundle.manifest.HasField("transport")
+    assert (bundle.manifest.atlas.size, bundle.manifest.atlas.albedo_source) == (128, "photographs")
+    light = environment_from_array(np.ones((8, 16, 3), np.float32))
+    assert Renderer(bundle).render(CAMERA, light, spp=4).opacity.max() > 0.9
+
+
+def test_materials_alone_make_the_texture_on_request(tmp_path, model, monkeypatch):
+    bundle, _ = exported(tmp_path, model, monkeypatch, transport_tier="none", albedo="model")
+    atlas = bundle.manifest.atlas
+    assert (atlas.size, atlas.albedo_source) == (atlas.material_size, "model")
+
+
+def test_photographs_that_were_trained_at_their_full_size_say_nothing_new(tmp_path, model, monkeypatch):
+    monkeypatch.setattr(small_export, "finer", lambda view: view)
+    bundle, events = exported(tmp_path, model, monkeypatch, transport_tier="none")
+    assert bundle.manifest.atlas.albedo_source == "model"
+    assert events["texture.nothing_finer"] == {"finer": 1.0}

@@ -72,11 +72,17 @@ def scene() -> Scene:
     )
 
 
+def finer(view: View) -> View:
+    """Return the photograph of `view` at twice its size."""
+    images = {light: np.repeat(np.repeat(image, 2, 0), 2, 1) for light, image in view.images.items()}
+    return replace(view, camera=view.camera.resized(2 * SIDE, 2 * SIDE), images=images)
+
+
 def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.MonkeyPatch) -> TaskContext:
     """Return a context whose run has `model` as its trained model, and whose bundle takes seconds."""
     monkeypatch.setattr(export, "read_scene", lambda context: scene())
     monkeypatch.setattr(export, "load_final", lambda context, scene: model)
-    views = scene().train
+    views = [finer(view) for view in scene().train]
     monkeypatch.setattr(
         export, "photographs_of", lambda context, light: ([view.camera for view in views], lambda: views)
     )

@@ -108,14 +108,22 @@ def albedo_texture(
     for view in photographs():
         photograph = Photograph(view, light)
         seen.append(observe(photograph, under.turned(photograph.turn), nodes, mesh, texel))
+        # Not to be in memory while the next one is read.
+        del view, photograph
         advance()
     choices = choose(nodes, seen, scene.albedo[nodes.texel])
     fine = fine_texels(surface, size)
     total, weight = np.zeros((len(fine.index), 3), np.float32), np.zeros(len(fine.index), np.float32)
-    for view, choice in zip(photographs(), choices, strict=True):
+    # No loop over the photographs by `zip`: it keeps the last one while it asks for the next.
+    opened = iter(photographs())
+    for choice in choices:
+        view = next(opened)
         if (choice.weight > LEAST_WEIGHT).any():
             photograph = Photograph(view, light)
-            add_detail(photograph, under.turned(photograph.turn), nodes, choice, fine, total, weight, texel)
+            lit = under.turned(photograph.turn)
+            add_detail(photograph, lit, nodes, choice, fine, total, weight, texel)
+            del photograph
+        del view
         advance()
     plane = scene.albedo[nearest_texel(surface.texel_index, surface.size)]
     for first in range(0, len(weight), 1 << 20):

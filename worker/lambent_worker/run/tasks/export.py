@@ -50,6 +50,8 @@ from lambent_worker.run.uncertainty import uncertainty_of_run
 from lambent_worker.scenes.load import camera_of, full_size_views
 
 NUM_PARTS = 8
+FINER = 1.25
+"""Photographs give the albedo texture detail if the trained ones were reduced by this factor at least."""
 FOLDERS = ("models", "mesh", "env", "preview")
 
 
@@ -179,9 +181,8 @@ def _write_surface(
             manifest.metrics.update(figures)
         _advance(context, 4)
         if settings.albedo == "photographs":
-            light = scene.lights[0]
             albedo, figures = _photographed_albedo(
-                context, surface, transport, light, recovered[manifest.train_lights[0]], box
+                context, scene, surface, transport, recovered[manifest.train_lights[0]], box
             )
             manifest.metrics.update(figures)
     write_asset(model, caches, surface, albedo, settings, manifest, folder)
@@ -190,14 +191,22 @@ def _write_surface(
 
 def _photographed_albedo(
     context: TaskContext,
+    scene: Scene,
     surface: AtlasSurface,
     transport: Transport,
-    light: str,
     radiance: NDArray[np.float32],
     box: tuple[Corner, Corner],
-) -> tuple[NDArray[np.float32], dict[str, float]]:
-    """Return the albedo texture from the run's photographs under `light`, at their full size."""
+) -> tuple[NDArray[np.float32] | None, dict[str, float]]:
+    """Return the albedo texture from the run's photographs under the first light, at their full size.
+
+    None where these are hardly finer than the ones that were trained on: they would say nothing new.
+    """
+    light = scene.lights[0]
     cameras, photographs = photographs_of(context, light)
+    finer = pixel_size((view.camera for view in scene.train), box) / max(pixel_size(cameras, box), 1e-12)
+    if finer < FINER:
+        context.reporter.log("texture.nothing_finer", finer=round(finer, 3))
+        return None, {}
     size = context.spec.config.export.atlas_size or automatic_size(surface, pixel_size(cameras, box))
     return albedo_texture(
         surface,
