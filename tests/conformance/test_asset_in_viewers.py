@@ -12,8 +12,8 @@ import pytest
 from flashcache.config import ExportConfig
 from lambent_relight.asset.draco import DRACO, glb_with_draco
 from lambent_relight.asset.glb import glb_with_textures
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise, rasterise_uv
-from lambent_relight.baked.textured_mesh import textured_mesh_from_glb
 from lambent_relight.cameras import turntable
 from lambent_relight.images import linear_from_srgb
 from lambent_worker.bundle.glb import write_glb

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import typer
 from lambent_relight import Renderer, UnsupportedQuality, load_bundle
-from lambent_relight.baked.textured_mesh import pixels_of, textured_mesh_from_glb
+from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
 from lambent_relight.cameras import turntable
 from lambent_relight.environment.maps import environment_from_array
 from lambent_worker.edited.glb_file import read_glb

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from lambent_relight.asset.textured_mesh import TexturedMesh
 from lambent_relight.asset.usdz import write_usdz as write_textured_mesh
-from lambent_relight.baked.textured_mesh import TexturedMesh
 from lambent_relight.errors import ExportError
 
 from lambent_worker.bundle import textures as baked

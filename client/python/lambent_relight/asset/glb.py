@@ -13,8 +13,8 @@ from typing import Any
 from PIL import Image
 
 from lambent_relight.asset.ktx2 import KTX2, MIME, ktx2_of
+from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
 from lambent_relight.baked.mesh import glb_chunks
-from lambent_relight.baked.textured_mesh import TexturedMesh, textures_of
 from lambent_relight.errors import BundleError
 
 WEBP = "EXT_texture_webp"

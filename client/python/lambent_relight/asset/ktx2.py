@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from lambent_relight.baked.textured_mesh import pixels_of
+from lambent_relight.asset.textured_mesh import pixels_of
 from lambent_relight.errors import ExportError
 
 KTX2 = "KHR_texture_basisu"

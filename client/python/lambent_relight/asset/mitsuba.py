@@ -12,8 +12,8 @@ import numpy as np
 from lambent_proto.pictures import safe_name
 from numpy.typing import NDArray
 
+from lambent_relight.asset.textured_mesh import TexturedMesh, pixels_of, png_of
 from lambent_relight.baked.raster import nearest_texel, rasterise_uv
-from lambent_relight.baked.textured_mesh import TexturedMesh, pixels_of, png_of
 from lambent_relight.cameras import Camera
 from lambent_relight.environment.maps import Environment, write_environment
 

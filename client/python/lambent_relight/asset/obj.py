@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lambent_relight.baked.textured_mesh import TexturedMesh, pixels_of, png_of
+from lambent_relight.asset.textured_mesh import TexturedMesh, pixels_of, png_of
 
 _MATERIAL = """\
 # Base colour in sRGB; roughness is perceptual, the square root of the GGX width.

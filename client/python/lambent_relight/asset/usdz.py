@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lambent_relight.baked.textured_mesh import TexturedMesh
+from lambent_relight.asset.textured_mesh import TexturedMesh
 from lambent_relight.errors import ExportError
 
 METRES_PER_UNIT = 1.0

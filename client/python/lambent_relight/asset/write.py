@@ -9,9 +9,9 @@ from lambent_relight.asset.draco import glb_with_draco
 from lambent_relight.asset.glb import glb_with_textures
 from lambent_relight.asset.mitsuba import write_mitsuba
 from lambent_relight.asset.obj import write_obj
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb, with_absolute_albedo
 from lambent_relight.asset.usdz import write_usdz
 from lambent_relight.baked.mesh import MESH_PATH
-from lambent_relight.baked.textured_mesh import textured_mesh_from_glb, with_absolute_albedo
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import ExportError

@@ -13,7 +13,7 @@ from lambent_compute.compiling import compiled
 from lambent_compute.threads import available_threads, for_each
 from numpy.typing import NDArray
 
-from lambent_relight.baked.textured_mesh import TexturedMesh, pixels_of
+from lambent_relight.asset.textured_mesh import TexturedMesh, pixels_of
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 _PLACES_PER_TASK = 1 << 16

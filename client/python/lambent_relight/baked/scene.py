@@ -6,10 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.material_maps import MaterialMaps, material_maps
 from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb, read_mesh
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
-from lambent_relight.baked.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.transport import Transport, read_transport
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.directions import normalise

@@ -15,14 +15,14 @@ from lambent_relight.asset.draco import DRACO, NORMAL_BITS, POSITION_BITS, glb_w
 from lambent_relight.asset.glb import WEBP, glb_with_textures
 from lambent_relight.asset.ktx2 import KTX2
 from lambent_relight.asset.mitsuba import ENVIRONMENT_TO_WORLD
-from lambent_relight.asset.write import write_formats
-from lambent_relight.baked.mesh import glb_chunks, mesh_from_glb
-from lambent_relight.baked.textured_mesh import (
+from lambent_relight.asset.textured_mesh import (
     pixels_of,
     png_of,
     textured_mesh_from_glb,
     with_absolute_albedo,
 )
+from lambent_relight.asset.write import write_formats
+from lambent_relight.baked.mesh import glb_chunks, mesh_from_glb
 from lambent_relight.directions import uv_of_directions
 from lambent_relight.errors import ExportError
 from lambent_relight.images import linear_from_srgb

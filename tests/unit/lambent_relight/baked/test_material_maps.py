@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.material_maps import material_maps
-from lambent_relight.baked.textured_mesh import textured_mesh_from_glb
 from lambent_worker.bundle.glb import write_glb
 from support.atlas_box import FACE_COLOURS, atlas_box, coloured
 from support.texture_lookup import sample_plane

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.material_maps import material_maps
 from lambent_relight.baked.raster import interpolate, rasterise
 from lambent_relight.baked.surface_detail import SurfaceDetail
-from lambent_relight.baked.textured_mesh import textured_mesh_from_glb
 from lambent_relight.bundle.graphs import PrimaryHits
 from lambent_relight.cameras import turntable
 from lambent_worker.bundle.glb import write_glb

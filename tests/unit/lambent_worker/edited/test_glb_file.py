@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from lambent_relight.asset.draco import glb_with_draco
-from lambent_relight.baked.textured_mesh import textured_mesh_from_glb
+from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_worker.bundle.glb import write_glb
 from lambent_worker.edited.glb_file import read_glb
 from lambent_worker.errors import UsageError
