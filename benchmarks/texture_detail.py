@@ -40,6 +40,8 @@ LENGTH = 0.8
 PER_PIXEL = 4
 """Steps of an edge profile per photograph pixel."""
 LEAST_TEXELS = 40
+OUTSIDE = 0.97
+"""Least distance of the wall from the axis, as a share of the radius."""
 LOOKED_UP = 4096
 """Texels a side at whose centres textures are looked up at least."""
 
@@ -70,7 +72,7 @@ def detail_of(glb: bytes, side: int = 1600) -> Detail:
     found = rasterise_uv(mesh.uv, mesh.faces, size)
     positions = interpolate(found, mesh.faces, mesh.vertices)
     row, column = np.nonzero(found.covered)
-    wall = np.flatnonzero(drum.on_wall(positions))
+    wall = np.flatnonzero(outside(positions))
     uv = (np.stack([column[wall], row[wall]], axis=-1) + 0.5) / size
     positions, values = positions[wall], bilinear(albedo, uv)
     truth = drum.albedo_at(positions)
@@ -88,6 +90,11 @@ def detail_of(glb: bytes, side: int = 1600) -> Detail:
         psnr=-10.0 * np.log10(error + 1e-12),
         scale=tuple(float(value) for value in scale),
     )
+
+
+def outside(positions: np.ndarray) -> np.ndarray:
+    """Return which positions belong to the wall as it is seen; a mesh may have sheets inside it."""
+    return drum.on_wall(positions) & (np.hypot(positions[:, 0], positions[:, 1]) > OUTSIDE * drum.RADIUS)
 
 
 def pixel_on_wall(side: int) -> float:

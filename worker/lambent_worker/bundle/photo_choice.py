@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from lambent_worker.bundle.photo_nodes import Nodes
 
-LEVELLED_OVER = 6
+LEVELLED_OVER = 20
 """Means over neighbours behind a photograph's level: broader changes of albedo are the model's."""
 _LEVEL_RANGE = (0.2, 5.0)
 """Factors of a photograph's level are limited to these."""

@@ -8,17 +8,15 @@ import io
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_relight.baked.mesh import glb_accessor, glb_chunks, mesh_from_glb
+from lambent_relight.baked.mesh_textures import pixels_of, texture_png, textures_of
 from lambent_relight.errors import BundleError
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
-
-_MAX_SIDE = 16384
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -51,7 +49,7 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
         document, payload = glb_chunks(data)
         attributes = document["meshes"][0]["primitives"][0]["attributes"]
         normals = glb_accessor(document, payload, attributes["NORMAL"], "VEC3")
-        pictures = [_png(document, payload, texture) for texture in textures_of(document)]
+        pictures = [texture_png(document, payload, texture) for texture in textures_of(document)]
     except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
         raise BundleError(
             "bundle.mesh_invalid",
@@ -74,20 +72,6 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
     )
 
 
-def textures_of(document: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the textures of a document: base colour; occlusion, roughness and metalness; normal.
-
-    Raises KeyError, IndexError, TypeError or ValueError where they are not there, or share a picture.
-    """
-    material = document["materials"][0]
-    surface = material["pbrMetallicRoughness"]
-    slots = (surface["baseColorTexture"], surface["metallicRoughnessTexture"], material["normalTexture"])
-    textures = [document["textures"][slot["index"]] for slot in slots]
-    if len({document["images"][texture["source"]]["bufferView"] for texture in textures}) < len(textures):
-        raise ValueError("two textures share a picture")
-    return textures
-
-
 def with_absolute_albedo(mesh: TexturedMesh, scale_rgb: Sequence[float]) -> TexturedMesh:
     """Return the mesh with its albedo times `scale_rgb`, clipped to [0, 1] as when it is rendered."""
     if np.allclose(scale_rgb, 1.0, atol=1e-6):
@@ -96,31 +80,8 @@ def with_absolute_albedo(mesh: TexturedMesh, scale_rgb: Sequence[float]) -> Text
     return replace(mesh, base_colour_png=png_of(srgb_from_linear(albedo)))
 
 
-def pixels_of(png: bytes) -> NDArray[np.uint8]:
-    """Return the 8-bit pixels [height, width, 3] of a PNG file."""
-    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
-        return np.asarray(image.convert("RGB"))
-
-
 def png_of(values: NDArray[np.floating]) -> bytes:
     """Return values in [0, 1], [height, width] or [height, width, 3], as an 8-bit PNG file."""
     file = io.BytesIO()
     Image.fromarray(np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)).save(file, format="PNG")
     return file.getvalue()
-
-
-def _png(document: dict[str, Any], payload: bytes, texture: dict[str, Any]) -> bytes:
-    """Return the PNG file of a texture; raises ValueError for one that is no PNG, or too large."""
-    view = document["bufferViews"][document["images"][texture["source"]]["bufferView"]]
-    start, size = view.get("byteOffset", 0), view["byteLength"]
-    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
-        raise ValueError("a texture leaves the file")
-    data = payload[start : start + size]
-    try:
-        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-            if max(image.size) > _MAX_SIDE:
-                raise ValueError(f"a texture of {image.size[0]} x {image.size[1]} pixels")
-            image.load()
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError("a texture is no PNG") from error
-    return data

@@ -13,7 +13,7 @@ from lambent_compute.compiling import compiled
 from lambent_compute.threads import available_threads, for_each
 from numpy.typing import NDArray
 
-from lambent_relight.asset.textured_mesh import TexturedMesh, pixels_of
+from lambent_relight.baked.mesh_textures import albedo_and_packed
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 _PLACES_PER_TASK = 1 << 16
@@ -50,15 +50,16 @@ class MaterialMaps:
         return found[:, 1:2], found[:, 2:3]
 
 
-def material_maps(mesh: TexturedMesh, texel_size: float, least_size: int) -> MaterialMaps:
-    """Return the maps of `mesh`, whose albedo has texels of `texel_size` scene units.
+def material_maps(glb: bytes, texel_size: float, least_size: int) -> MaterialMaps:
+    """Return the maps of a bundle's mesh, whose albedo has texels of `texel_size` scene units.
 
     Its smaller versions have at least `least_size` texels a side.
     """
-    levels = [pixels_of(mesh.base_colour_png)]
+    colour, packed = albedo_and_packed(glb)
+    levels = [colour]
     while min(levels[-1].shape[:2]) >= 2 * least_size and not any(side % 2 for side in levels[-1].shape[:2]):
         levels.append(_halved(levels[-1]))
-    return MaterialMaps(tuple(levels), pixels_of(mesh.packed_png), texel_size)
+    return MaterialMaps(tuple(levels), packed, texel_size)
 
 
 def lookup(

@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.material_maps import MaterialMaps, material_maps
 from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb, read_mesh
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
@@ -89,7 +88,7 @@ def load_baked_scene(bundle: Bundle) -> BakedScene:
     if not atlas.albedo_source:
         return baked_scene(read_mesh(bundle), transport)
     data = bundle.read(MESH_PATH, MAX_MESH_BYTES)
-    maps = material_maps(textured_mesh_from_glb(data), atlas.texel_size, transport.size)
+    maps = material_maps(data, atlas.texel_size, transport.size)
     return baked_scene(mesh_from_glb(data), transport, maps)
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.material_maps import material_maps
 from lambent_worker.bundle.glb import write_glb
 from support.atlas_box import FACE_COLOURS, atlas_box, coloured
@@ -14,7 +13,7 @@ TEXTURES = coloured(BOX)
 
 @pytest.fixture(scope="module")
 def mesh():
-    return textured_mesh_from_glb(write_glb(BOX, TEXTURES, unit="unknown"))
+    return write_glb(BOX, TEXTURES, unit="unknown")
 
 
 def test_maps_are_looked_up_in_linear_light(mesh):

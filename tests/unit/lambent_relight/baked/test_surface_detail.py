@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.material_maps import material_maps
 from lambent_relight.baked.raster import interpolate, rasterise
 from lambent_relight.baked.surface_detail import SurfaceDetail
@@ -29,7 +28,7 @@ def detail():
     plane = np.zeros((SIZE * SIZE, 3), np.float32)
     plane[fine.index] = stripes(fine.positions)
     textures = replace(textures, albedo=plane.reshape(SIZE, SIZE, 3))
-    mesh = textured_mesh_from_glb(write_glb(BOX, textures, unit="unknown"))
+    mesh = write_glb(BOX, textures, unit="unknown")
     maps = material_maps(mesh, BOX.texel_size * BOX.size / SIZE, BOX.size)
     return SurfaceDetail.of(replace(SCENE, maps=maps))
 
@@ -72,7 +71,7 @@ def test_hits_beside_the_mesh_stay_as_they_are(detail, seen):
 def test_a_texture_that_says_what_the_model_says_changes_nothing(seen):
     ray, _, hits = seen
     textures = coloured(BOX, np.broadcast_to(MODEL, (len(BOX.texel_index), 3)))
-    mesh = textured_mesh_from_glb(write_glb(BOX, textures, unit="unknown"))
+    mesh = write_glb(BOX, textures, unit="unknown")
     same = SurfaceDetail.of(replace(SCENE, maps=material_maps(mesh, BOX.texel_size, BOX.size)))
     np.testing.assert_allclose(same.applied(hits, CAMERA, ray).albedo, hits.albedo, rtol=0.02)
 

@@ -1,0 +1,71 @@
+"""The textures in a bundle's mesh/asset.glb.
+
+The file may come from an untrusted source, so everything in it is checked before use.
+"""
+
+import io
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lambent_relight.baked.mesh import glb_chunks
+from lambent_relight.errors import BundleError
+
+_MAX_SIDE = 16384
+
+
+def albedo_and_packed(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return the base colour (sRGB-encoded), and occlusion, roughness and metalness, of a GLB.
+
+    8-bit pixels [height, width, 3]. Raises BundleError `bundle.mesh_invalid` where they are not there.
+    """
+    try:
+        document, payload = glb_chunks(data)
+        colour, packed, _ = (texture_png(document, payload, each) for each in textures_of(document))
+    except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
+        raise BundleError(
+            "bundle.mesh_invalid",
+            f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",
+            "export the bundle again with `lambent export`",
+        ) from error
+    return pixels_of(colour), pixels_of(packed)
+
+
+def textures_of(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the textures of a document: base colour; occlusion, roughness and metalness; normal.
+
+    Raises KeyError, IndexError, TypeError or ValueError where they are not there, or share a picture.
+    """
+    material = document["materials"][0]
+    surface = material["pbrMetallicRoughness"]
+    slots = (surface["baseColorTexture"], surface["metallicRoughnessTexture"], material["normalTexture"])
+    textures = [document["textures"][slot["index"]] for slot in slots]
+    if len({document["images"][texture["source"]]["bufferView"] for texture in textures}) < len(textures):
+        raise ValueError("two textures share a picture")
+    return textures
+
+
+def pixels_of(png: bytes) -> NDArray[np.uint8]:
+    """Return the 8-bit pixels [height, width, 3] of a PNG file."""
+    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def texture_png(document: dict[str, Any], payload: bytes, texture: dict[str, Any]) -> bytes:
+    """Return the PNG file of a texture; raises ValueError for one that is no PNG, or too large."""
+    view = document["bufferViews"][document["images"][texture["source"]]["bufferView"]]
+    start, size = view.get("byteOffset", 0), view["byteLength"]
+    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+        raise ValueError("a texture leaves the file")
+    data = payload[start : start + size]
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            if max(image.size) > _MAX_SIDE:
+                raise ValueError(f"a texture of {image.size[0]} x {image.size[1]} pixels")
+            image.load()
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError("a texture is no PNG") from error
+    return data
