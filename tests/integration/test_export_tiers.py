@@ -131,3 +131,18 @@ def test_photographs_that_were_trained_at_their_full_size_say_nothing_new(tmp_pa
     bundle, events = exported(tmp_path, model, monkeypatch, transport_tier="none")
     assert bundle.manifest.atlas.albedo_source == "model"
     assert events["texture.nothing_finer"] == {"finer": 1.0}
+
+
+def test_a_mesh_with_open_edges_is_said_to_have_them(tmp_path, model, monkeypatch):
+    _, events = exported(tmp_path, model, monkeypatch, transport_tier="none", albedo="model")
+    assert "mesh.not_watertight" not in events
+    whole = export.build_surface
+
+    def with_a_hole(*args, **kwargs):
+        surface = whole(*args, **kwargs)
+        return replace(surface, faces=surface.faces[1:])
+
+    monkeypatch.setattr(export, "build_surface", with_a_hole)
+    (tmp_path / "open").mkdir()
+    _, events = exported(tmp_path / "open", model, monkeypatch, transport_tier="none", albedo="model")
+    assert events["mesh.not_watertight"] == {"boundary_edges": 3, "non_manifold_edges": 0}

@@ -186,6 +186,11 @@ def _write_surface(
             )
             manifest.metrics.update(figures)
     write_asset(model, caches, surface, albedo, settings, manifest, folder)
+    faults = {
+        name: int(manifest.metrics[f"mesh_{name}"]) for name in ("boundary_edges", "non_manifold_edges")
+    }
+    if any(faults.values()):
+        context.reporter.log("mesh.not_watertight", **faults)
     return surface
 
 
