@@ -12,7 +12,7 @@ from lambent_relight.directions import pixel_directions
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.errors import UnsupportedQuality
 from lambent_relight.renderer import Renderer
-from lambent_worker.bundle import graphs
+from lambent_worker.bundle import graphs, surface
 from lambent_worker.errors import WorkerError
 from lambent_worker.run.tasks import export
 from support import small_export
@@ -136,13 +136,13 @@ def test_photographs_that_were_trained_at_their_full_size_say_nothing_new(tmp_pa
 def test_a_mesh_with_open_edges_is_said_to_have_them(tmp_path, model, monkeypatch):
     _, events = exported(tmp_path, model, monkeypatch, transport_tier="none", albedo="model")
     assert "mesh.not_watertight" not in events
-    whole = export.build_surface
+    whole = surface.build_shape
 
     def with_a_hole(*args, **kwargs):
-        surface = whole(*args, **kwargs)
-        return replace(surface, faces=surface.faces[1:])
+        shape = whole(*args, **kwargs)
+        return replace(shape, mesh=replace(shape.mesh, faces=shape.mesh.faces[1:]))
 
-    monkeypatch.setattr(export, "build_surface", with_a_hole)
+    monkeypatch.setattr(surface, "build_shape", with_a_hole)
     (tmp_path / "open").mkdir()
     _, events = exported(tmp_path / "open", model, monkeypatch, transport_tier="none", albedo="model")
     assert events["mesh.not_watertight"] == {"boundary_edges": 3, "non_manifold_edges": 0}
