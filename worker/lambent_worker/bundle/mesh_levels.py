@@ -1,5 +1,6 @@
 """Levels of detail: the same atlas on fewer triangles, with smaller textures."""
 
+import logging
 from dataclasses import fields, replace
 
 import fast_simplification
@@ -18,6 +19,10 @@ FEWEST_FACES = 200
 """A level with fewer triangles than this is not made."""
 
 
+class LostVertexError(Exception):
+    """A coarser mesh has a vertex of which is not known what it stands for."""
+
+
 def levels_of_detail(surface: AtlasSurface) -> list[AtlasSurface]:
     """Return coarser versions of `surface`, each with about `SHARE` of the triangles of the one before.
 
@@ -31,7 +36,12 @@ def levels_of_detail(surface: AtlasSurface) -> list[AtlasSurface]:
         previous = levels[-1] if levels else surface
         if count < FEWEST_FACES:
             break
-        level = coarser(surface, int(count))
+        try:
+            level = coarser(surface, int(count))
+        except LostVertexError:
+            # A level is a convenience: the mesh does without.
+            logging.getLogger(__name__).warning("mesh.level_left_out: %d triangles", int(count))
+            break
         if len(level.faces) > 0.75 * len(previous.faces):
             break
         levels.append(level)
@@ -113,7 +123,7 @@ def _nearest_on_faces(
     order = np.lexsort((away, vertex))
     first = order[np.unique(vertex[order], return_index=True)[1]]
     if len(first) != len(vertices):
-        raise AssertionError("a vertex of a level stands for none of the mesh")
+        raise LostVertexError("a vertex of a level stands for none of the mesh")
     return face[first], weights[first]
 
 

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
 from lambent_relight.baked.raster import block_means, nearest_texel, rasterise, rasterise_uv
+from lambent_relight.baked.traced_surface import MESH_OFFSET
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.bundle.graphs import OnnxCaches, SurfaceCaches
+from lambent_relight.bundle.graphs import OnnxCaches, SecondaryHits, SurfaceCaches
 from lambent_relight.fused.reader import FusedCaches
 from lambent_relight.fused.weights import NotFused
+from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -24,8 +27,9 @@ from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.mesh_health import mesh_health
 from lambent_worker.bundle.mesh_levels import level_textures, levels_of_detail
 from lambent_worker.bundle.surface import AtlasSurface
-from lambent_worker.bundle.surface_occlusion import bake_occlusion
+from lambent_worker.bundle.surface_occlusion import Rows, bake_occlusion
 from lambent_worker.bundle.textures import Plane, TextureSet, bake_materials
+from lambent_worker.bundle.transport_files import mesh_positions, mesh_rays
 from lambent_worker.bundle.usd import write_usdz
 
 ASSET_PATH = "mesh/asset.glb"
@@ -37,7 +41,6 @@ SUPERSAMPLING = 4
 
 def write_asset(
     model: InverseModel,
-    caches: SurfaceCaches,
     surface: AtlasSurface,
     albedo: Plane | None,
     config: ExportConfig,
@@ -46,14 +49,20 @@ def write_asset(
 ) -> None:
     """Write mesh/asset.glb, and .usdz if requested, into `folder`.
 
-    `caches` are `written_caches`; `albedo` is the texture made from the photographs, None for the model's.
+    `albedo` is the texture made from the photographs, None for the model's.
     What no photograph shows is marked in mesh/unseen.png. Levels of detail are written beside the mesh.
     Raises WorkerError where the file is not read back as it was meant.
     """
+    rays = MeshRays(surface.vertices, surface.faces)
+
+    def met(origin: Rows, direction: Rows) -> SecondaryHits:
+        opacity, distance = mesh_rays(rays)(origin, direction)
+        return SecondaryHits(opacity=opacity, distance=distance)
+
     occlusion = bake_occlusion(
-        surface,
-        caches.secondary,
-        origin_offset=model.limits.origin_offset,
+        replace(surface, positions=mesh_positions(surface)),
+        met,
+        origin_offset=MESH_OFFSET * rays.size,
         num_points=config.occlusion_points,
         num_rays=config.occlusion_rays,
     )

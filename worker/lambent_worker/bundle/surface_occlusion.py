@@ -1,4 +1,4 @@
-"""Ambient occlusion of a surface from the fast cache's learned visibility."""
+"""Ambient occlusion of a surface from rays."""
 
 import math
 from collections.abc import Callable
@@ -31,8 +31,8 @@ def bake_occlusion(
     """Return for each covered texel the share of cosine-weighted directions in which it sees the open, 0..1.
 
     It is measured at `num_points` texels spread over the atlas and taken between them from neighbours in
-    space that face the same way. `secondary` evaluates rays like the trained model's secondary rays:
-    from `origin_offset` (scene units) above the surface.
+    space that face the same way. `secondary` says what rays meet that
+    begin `origin_offset` (scene units) above the surface.
     """
     count = len(surface.texel_index)
     chosen = _spread_out(surface, num_points)

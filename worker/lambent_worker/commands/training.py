@@ -201,6 +201,12 @@ def export(
             "mesh_file.no_networks",
             f"--mesh with --weights {weights}: networks know only the trained shape; leave --weights out",
         )
+    if mesh is not None and (faces or atlas):
+        raise UsageError(
+            "mesh_file.own_shape",
+            f"--mesh with --{'faces' if faces else 'atlas'}: triangles are the file's, and its maps get "
+            "the size of the run's transport (export.transport_size)",
+        )
     with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
         if mesh is None:
             export_run(run_dir, out, reporter, tier=tier, weights=weights, faces=faces, atlas=atlas)

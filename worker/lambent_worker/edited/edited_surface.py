@@ -19,6 +19,7 @@ from lambent_worker.bundle.atlas import (
     Unwrapped,
     angle_weighted_normals,
     covered_share,
+    size_within,
     tangents,
     unit,
     unwrap,
@@ -98,7 +99,9 @@ def given_surface(
     box: tuple[Corner, Corner],
     pixel_size: float,
 ) -> GivenSurface:
-    """Return `given` on an atlas of `config.transport_size` texels, with its maps or the model's materials.
+    """Return `given` on an atlas of at most `config.transport_size` texels.
+
+    Materials are its maps', or the model's where it has none.
 
     Raises WorkerError `export.atlas` where it cannot be unwrapped.
     """
@@ -106,13 +109,14 @@ def given_surface(
     missing = np.linalg.norm(given.normals, axis=1, keepdims=True) < 0.5
     normals = np.where(missing, geometric, given.normals)
     charts, kept = _charts(given, config.transport_size)
+    size = size_within(charts, config.transport_size)
     vertices, uv = given.vertices[charts.source], charts.uv
-    found = rasterise_uv(uv, charts.faces, config.transport_size)
+    found = rasterise_uv(uv, charts.faces, size)
     index = np.flatnonzero(found.covered).astype(np.int32)
     plain = unit(interpolate(found, charts.faces, normals[charts.source])).astype(np.float32)
     positions = interpolate(found, charts.faces, vertices)
     part = given.part_of_face[found.face[found.covered]]
-    look = _Lookup(given, normals, charts, found, config.transport_size)
+    look = _Lookup(given, normals, charts, found, size)
 
     side = max(high - low for low, high in zip(*box, strict=True))
     cell = side / data_resolution(model, *box, pixel_size=pixel_size, limit=config.mesh_resolution)
@@ -127,7 +131,7 @@ def given_surface(
         faces=charts.faces,
         uv=uv,
         normals=normals[charts.source],
-        size=config.transport_size,
+        size=size,
         texel_index=index,
         positions=positions,
         texel_normals=upright(shading, facing),

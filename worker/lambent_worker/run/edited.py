@@ -57,12 +57,16 @@ def export_edited(run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, t
     partial = out.with_name(out.name + ".partial")
     with locked(run_dir):
         shutil.rmtree(partial, ignore_errors=True)
+        # Of a program that was killed.
+        shutil.rmtree(_rays_beside(partial), ignore_errors=True)
         try:
             _write(replace(context, spec=spec), given, mesh, partial)
             load_bundle(partial)
             partial.rename(out)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
+            # Rays of another mesh must not be taken for this one's: nothing resumes here.
+            shutil.rmtree(_rays_beside(partial), ignore_errors=True)
 
 
 def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> None:
@@ -109,10 +113,9 @@ def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> 
         manifest,
         folder,
         tier=settings.transport_tier,
-        store=folder.with_name(folder.name + ".rays"),
+        store=_rays_beside(folder),
         advance=lambda share: context.stop_if_asked(),
     )
-    shutil.rmtree(folder.with_name(folder.name + ".rays"), ignore_errors=True)
     write_relight_graph(manifest, folder, seed=context.spec.seed)
     _advance(context, 4)
     (folder / "cameras.json").write_text(
@@ -125,6 +128,11 @@ def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> 
     files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     write_manifest(folder, manifest, sorted(files))
     _advance(context, NUM_PARTS)
+
+
+def _rays_beside(folder: Path) -> Path:
+    """Return the folder of finished rays of the bundle that is made in `folder`."""
+    return folder.with_name(folder.name + ".rays")
 
 
 def _write_mesh(

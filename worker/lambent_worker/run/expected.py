@@ -70,6 +70,9 @@ def _evaluation(config: "Config", cores: int) -> float:
 
 def _export(config: "Config", cores: int) -> float:
     settings = config.export
-    surface = 2e-6 * settings.mesh_resolution**3 + 2.5e-5 * settings.transport_size**2
+    # Density is evaluated near the surface alone, and charts are cut by one thread.
+    cells = min(settings.mesh_resolution, 2 * config.max_side)
+    mesh = 3e-4 * cells**2
+    transport = 2.5e-5 * settings.transport_size**2
     judged = 1e-6 * settings.judge_samples * config.max_side**2 * 4
-    return 6.0 + (surface + judged) / min(cores, 4)
+    return 15.0 + mesh + (transport + judged) / min(cores, 4)

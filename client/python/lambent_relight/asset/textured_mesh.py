@@ -50,7 +50,15 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
         attributes = document["meshes"][0]["primitives"][0]["attributes"]
         normals = glb_accessor(document, payload, attributes["NORMAL"], "VEC3")
         pictures = [texture_png(document, payload, texture) for texture in textures_of(document)]
-    except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
+    except (
+        AttributeError,
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        struct.error,
+        RecursionError,
+    ) as error:
         raise BundleError(
             "bundle.mesh_invalid",
             f"mesh/asset.glb has no normals and textures that can be read ({str(error)[:100]})",

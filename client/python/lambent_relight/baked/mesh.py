@@ -48,7 +48,15 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
         uv = glb_accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
         indices = glb_accessor(document, payload, primitive["indices"], "SCALAR")
         mode = primitive.get("mode", 4)
-    except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
+    except (
+        AttributeError,
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        struct.error,
+        RecursionError,
+    ) as error:
         raise _invalid(f"cannot be read ({type(error).__name__}: {str(error)[:100]})") from error
     if mode != 4 or indices.size % 3 or indices.dtype.kind != "u":
         raise _invalid("is not made of triangles")

@@ -25,7 +25,15 @@ def albedo_and_packed(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]
     try:
         document, payload = glb_chunks(data)
         colour, packed, _ = (texture_png(document, payload, each) for each in textures_of(document))
-    except (KeyError, IndexError, TypeError, ValueError, struct.error, RecursionError) as error:
+    except (
+        AttributeError,
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        struct.error,
+        RecursionError,
+    ) as error:
         raise BundleError(
             "bundle.mesh_invalid",
             f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",

@@ -33,5 +33,14 @@ def test_more_cores_are_faster_but_not_without_end():
     assert seconds[-1] > 0.3 * seconds[0]
 
 
+def test_an_export_is_expected_to_take_about_what_it_took():
+    # The still life with `fast` on two cores: 64 s of the processor, hardly any of it in parallel.
+    assert 30.0 < expected_seconds(preset("fast"), 2)["export"] < 90.0
+    # The limit of the mesh's cells is not what they are: photographs of 128 pixels do not fill it.
+    finer = preset("fast")
+    finer = replace(finer, export=replace(finer.export, mesh_resolution=4096))
+    assert expected_seconds(finer, 2)["export"] == expected_seconds(preset("fast"), 2)["export"]
+
+
 def test_presets_are_in_the_order_of_their_promises():
     assert total("tiny", 2) < total("quick", 2) < total("fast", 2) < total("long", 2)

@@ -167,6 +167,12 @@ def _write_surface(
     pixel = pixel_size((view.camera for view in views), box)
     surface = build_surface(model, settings, box=box, pixel_size=pixel, views=scene.train or scene.test)
     tier, albedo = settings.transport_tier, None
+
+    def baked(share: float) -> None:
+        # A server takes a run for stalled whose progress stands still.
+        context.progress(round(100 * share), 100, doing="light", part=(3 / NUM_PARTS, 4 / NUM_PARTS))
+        context.stop_if_asked()
+
     if tier != "none" or settings.albedo == "photographs":
         transport, figures = baked_transport(
             caches,
@@ -174,7 +180,7 @@ def _write_surface(
             folder,
             TransportConfig(tier="lite" if tier == "none" else tier, rays=MESH_RAYS),
             store=context.folder.with_name(context.folder.name + ".rays"),
-            advance=lambda share: context.stop_if_asked(),
+            advance=baked,
         )
         if tier != "none":
             write_transport(transport, manifest, folder, tier=tier)
@@ -185,7 +191,7 @@ def _write_surface(
                 context, scene, surface, transport, recovered[manifest.train_lights[0]], box
             )
             manifest.metrics.update(figures)
-    write_asset(model, caches, surface, albedo, settings, manifest, folder)
+    write_asset(model, surface, albedo, settings, manifest, folder)
     faults = {
         name: int(manifest.metrics[f"mesh_{name}"]) for name in ("boundary_edges", "non_manifold_edges")
     }
@@ -213,6 +219,14 @@ def _photographed_albedo(
         context.reporter.log("texture.nothing_finer", finer=round(finer, 3))
         return None, {}
     size = context.spec.config.export.atlas_size or automatic_size(surface, pixel_size(cameras, box))
+    done = 0
+
+    def read_one() -> None:
+        nonlocal done
+        done = min(done + 1, 2 * len(cameras))
+        context.progress(done, 2 * len(cameras), doing="photograph", part=(4 / NUM_PARTS, 4.9 / NUM_PARTS))
+        context.stop_if_asked()
+
     return albedo_texture(
         surface,
         baked_scene(AtlasMesh(surface.vertices, surface.faces, surface.uv), transport),
@@ -220,7 +234,7 @@ def _photographed_albedo(
         photographs,
         light,
         radiance,
-        context.stop_if_asked,
+        read_one,
     )
 
 
