@@ -132,7 +132,6 @@ def test_the_manifest_describes_the_bundle(exported, model):
 
 
 def test_the_meshs_textures_are_the_models_materials_and_visibility(exported, model):
-    bundle = load_bundle(exported.folder)
     mesh = trimesh.load_scene(exported.folder / "mesh" / "asset.glb").to_mesh()
     texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"), np.float64) / 255.0
     # trimesh counts v from the bottom; x of the file is x of the world, its y is z, its z is -y.
@@ -143,13 +142,8 @@ def test_the_meshs_textures_are_the_models_materials_and_visibility(exported, mo
     # The field is random and the mesh has 408 vertices: where they lie depends on rounding.
     assert np.median(np.abs(found - srgb_from_linear(albedo))) < 0.07
     packed = np.asarray(mesh.visual.material.metallicRoughnessTexture.convert("RGB"), np.float64)
-    caches = OnnxCaches(bundle, num_threads=1)
-    origins = np.repeat(world[::40] * 1.02, 64, axis=0).astype(np.float32)
-    outwards = np.random.default_rng(0).normal(size=origins.shape) + 1e-9
-    outwards = outwards / np.linalg.norm(outwards, axis=1, keepdims=True) + origins / RADIUS
-    outwards = (outwards / np.linalg.norm(outwards, axis=1, keepdims=True)).astype(np.float32)
-    free = 1.0 - caches.secondary(origins, outwards).opacity.mean()
-    assert abs(packed[..., 0].mean() / 255.0 - free) < 0.15
+    # Nothing stands around a ball, whatever its untrained fast cache says.
+    assert packed[..., 0].mean() / 255.0 > 0.97
 
 
 def test_the_bundle_says_how_sure_it_is_of_materials_everywhere(exported):

@@ -52,7 +52,7 @@ def test_charts_fill_the_atlas_whatever_baked_transport_may_cover(charts):
     size = size_within(charts, 128, share=0.3)
     assert share * size**2 <= 0.3 * 128**2 < share * (size + SIZE_STEP) ** 2
     covered = rasterise_uv(charts.uv, charts.faces, size).covered.sum()
-    assert covered == pytest.approx(0.3 * 128**2, rel=0.05)
+    assert covered == pytest.approx(share * size**2, rel=0.05)
     # A share that charts do not reach leaves the size as it is.
     assert size_within(charts, 128, share=1.0) == 128
 
