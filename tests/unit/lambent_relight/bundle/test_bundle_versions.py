@@ -148,6 +148,7 @@ def test_an_archive_that_ends_early_is_refused(tmp_path):
 DIGESTS = {
     "ball_1.2": "cb3eeb9f188c5428",
     "ball_1.2_lite": "b598ed6c7ce4066d",
+    "ball_1.3": "d780c9c853ba7121",
     "boxes_1.0": "8cc661fee5444f72",
     "boxes_1.1": "8242e28ee4aac0d9",
 }
