@@ -31,6 +31,8 @@ _MAX_PICTURE_BYTES = 512 << 20
 WEIGHTS_PATH = "models/weights.bin"
 NETWORKS = ("gbuffer", "material", "fast_cache")
 """Graphs of which a bundle has all or, if it has baked transport, none."""
+MAX_ATLAS = 8192
+"""Texels along a side of the largest atlas that is written."""
 _CONVENTIONS = {
     "up_axis": "z",
     "handedness": "right",
@@ -215,6 +217,11 @@ def _check_values(manifest: BundleManifest) -> None:
     scale = list(manifest.albedo_scale_rgb)
     if len(scale) != 3 or not all(0.0 < value < math.inf for value in scale):
         raise invalid("albedo_scale_rgb needs three positive numbers")
+    atlas = manifest.atlas
+    if atlas.albedo_source:
+        sizes = (atlas.size, atlas.material_size)
+        if not (0.0 < atlas.texel_size < math.inf and all(0 < size <= MAX_ATLAS for size in sizes)):
+            raise invalid(f"atlas needs a positive texel_size and sizes of 1 to {MAX_ATLAS} texels")
 
 
 def _check_graphs(bundle: Bundle) -> None:

@@ -158,6 +158,18 @@ def spoil_scale(manifest):
     manifest.albedo_scale_rgb[0] = 0.0
 
 
+def spoil_texel_size(manifest):
+    manifest.atlas.albedo_source = "model"
+    manifest.atlas.size = manifest.atlas.material_size = 64
+    manifest.atlas.texel_size = float("nan")
+
+
+def spoil_atlas(manifest):
+    manifest.atlas.albedo_source = "model"
+    manifest.atlas.size, manifest.atlas.material_size = 1 << 20, 64
+    manifest.atlas.texel_size = 0.01
+
+
 def spoil_listing(manifest):
     manifest.files.append(manifest.files[0])
 
@@ -183,6 +195,8 @@ def spoil_graph_names(manifest):
         (spoil_offset, "bundle.manifest_invalid"),
         (spoil_bounds, "bundle.manifest_invalid"),
         (spoil_scale, "bundle.manifest_invalid"),
+        (spoil_texel_size, "bundle.manifest_invalid"),
+        (spoil_atlas, "bundle.manifest_invalid"),
         (spoil_listing, "bundle.manifest_invalid"),
         (spoil_graph_place, "bundle.manifest_invalid"),
         (spoil_graph_listing, "bundle.file_missing"),

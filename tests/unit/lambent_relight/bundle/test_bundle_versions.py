@@ -145,6 +145,20 @@ def test_an_archive_that_ends_early_is_refused(tmp_path):
         load_bundle(tmp_path / "half.zip")
 
 
+def test_textures_of_another_size_than_stated_are_refused(tmp_path):
+    def change(folder):
+        path = folder / "manifest.json"
+        manifest = json.loads(path.read_text())
+        manifest["atlas"]["size"], manifest["atlas"]["material_size"] = 4096, 64
+        path.write_text(json.dumps(manifest))
+
+    folder = copied("ball_1.3", tmp_path / "larger", change)
+    (camera,) = load_bundle(folder).cameras()
+    with pytest.raises(BundleError, match="4096") as raised:
+        Renderer(load_bundle(folder), num_threads=1).render(camera, golden_light(), quality="baked")
+    assert raised.value.code == "bundle.mesh_invalid"
+
+
 DIGESTS = {
     "ball_1.2": "cb3eeb9f188c5428",
     "ball_1.2_lite": "b598ed6c7ce4066d",
