@@ -6,7 +6,6 @@ what `GivenMesh.ignored` names.
 Source: glTF 2.0 specification, sections 3.5 (scenes), 3.7 (meshes), 3.9 (materials).
 """
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 from lambent_relight.asset.draco import DRACO, unpacked
 from lambent_relight.asset.glb import WEBP
-from lambent_relight.baked.mesh import glb_accessor, glb_chunks
+from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks
 from lambent_relight.errors import ExportError
 from numpy.typing import NDArray
 
@@ -27,16 +26,6 @@ MAX_FACES = 2_000_000
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _SHAPES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 _UNDERSTOOD = {DRACO, WEBP}
-_DAMAGED = (
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    struct.error,
-    RecursionError,
-    OverflowError,
-)
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -91,7 +80,7 @@ def read_glb(path: Path) -> GivenMesh:
             return _joined(path, parts, _ignored(document))
     except ExportError as error:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
-    except _DAMAGED as error:
+    except UNREADABLE as error:
         raise _refused(
             "mesh_file.unreadable",
             path,

@@ -4,14 +4,13 @@ Positions, normals and texture coordinates are rounded to the steps below; tange
 are. Source: glTF extension KHR_draco_mesh_compression.
 """
 
-import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent_relight.asset.glb import packed_glb
-from lambent_relight.baked.mesh import glb_accessor, glb_chunks
+from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks
 from lambent_relight.errors import BundleError, ExportError
 
 DRACO = "KHR_draco_mesh_compression"
@@ -63,35 +62,29 @@ def glb_with_draco(data: bytes) -> bytes:
             generic_attributes={0: arrays["TANGENT"]} if "TANGENT" in arrays else None,
         )
         found = draco.decode(packed)
-    except (
-        KeyError,
-        IndexError,
-        TypeError,
-        ValueError,
-        AssertionError,
-        struct.error,
-        draco.EncodingFailedException,
-    ) as error:
+        stored = {attribute["attribute_type"]: attribute for attribute in found.attributes}
+        identifiers = {name: stored[_ATTRIBUTES[name][1]]["unique_id"] for name in names}
+        accessors: list[dict[str, Any]] = []
+        for name in names:
+            kind = _ATTRIBUTES[name][0]
+            accessors.append({"componentType": _FLOAT, "count": len(found.points), "type": kind})
+            primitive["attributes"][name] = len(accessors) - 1
+        low, high = found.points.min(axis=0), found.points.max(axis=0)
+        accessors[primitive["attributes"]["POSITION"]] |= {"min": low.tolist(), "max": high.tolist()}
+        accessors.append({"componentType": _UINT32, "count": int(found.faces.size), "type": "SCALAR"})
+        primitive["indices"] = len(accessors) - 1
+        primitive["extensions"] = {DRACO: {"attributes": identifiers}}
+        document["accessors"] = accessors
+        for key in ("extensionsUsed", "extensionsRequired"):
+            document[key] = [*document.get(key, ()), DRACO]
+        own = _without_plain_mesh(document, packed)
+    except (*UNREADABLE, AssertionError, draco.EncodingFailedException) as error:
         raise BundleError(
             "bundle.mesh_invalid",
             f"mesh/asset.glb is no mesh that Draco takes ({str(error)[:100]})",
             "export the bundle again",
         ) from error
-    stored = {attribute["attribute_type"]: attribute for attribute in found.attributes}
-    identifiers = {name: stored[_ATTRIBUTES[name][1]]["unique_id"] for name in names}
-    accessors: list[dict[str, Any]] = []
-    for name in names:
-        accessors.append({"componentType": _FLOAT, "count": len(found.points), "type": _ATTRIBUTES[name][0]})
-        primitive["attributes"][name] = len(accessors) - 1
-    low, high = found.points.min(axis=0), found.points.max(axis=0)
-    accessors[primitive["attributes"]["POSITION"]] |= {"min": low.tolist(), "max": high.tolist()}
-    accessors.append({"componentType": _UINT32, "count": int(found.faces.size), "type": "SCALAR"})
-    primitive["indices"] = len(accessors) - 1
-    primitive["extensions"] = {DRACO: {"attributes": identifiers}}
-    document["accessors"] = accessors
-    for key in ("extensionsUsed", "extensionsRequired"):
-        document[key] = [*document.get(key, ()), DRACO]
-    return packed_glb(document, payload, _without_plain_mesh(document, packed))
+    return packed_glb(document, payload, own)
 
 
 def unpacked(

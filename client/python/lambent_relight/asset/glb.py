@@ -53,7 +53,8 @@ def packed_glb(document: dict[str, Any], payload: bytes, files: Mapping[int, byt
     """Return a GLB whose buffer views hold what they held in `payload`, or what `files` has for them."""
     packed = bytearray()
     for number, view in enumerate(document["bufferViews"]):
-        start, size = view.get("byteOffset", 0), view.get("byteLength")
+        stated = view if isinstance(view, dict) else {}
+        start, size = stated.get("byteOffset", 0), stated.get("byteLength")
         if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
             raise BundleError(
                 "bundle.mesh_invalid", f"mesh/asset.glb has a part {number} that leaves it", "export it again"

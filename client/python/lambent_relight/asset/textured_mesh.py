@@ -5,7 +5,6 @@ Source: docs/reference/bundle-format.md (mesh). The file may come from an untrus
 """
 
 import io
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lambent_relight.baked.mesh import glb_accessor, glb_chunks, mesh_from_glb
+from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks, mesh_from_glb
 from lambent_relight.baked.mesh_textures import pixels_of, texture_png, textures_of
 from lambent_relight.errors import BundleError
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
@@ -50,15 +49,7 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
         attributes = document["meshes"][0]["primitives"][0]["attributes"]
         normals = glb_accessor(document, payload, attributes["NORMAL"], "VEC3")
         pictures = [texture_png(document, payload, texture) for texture in textures_of(document)]
-    except (
-        AttributeError,
-        KeyError,
-        IndexError,
-        TypeError,
-        ValueError,
-        struct.error,
-        RecursionError,
-    ) as error:
+    except UNREADABLE as error:
         raise BundleError(
             "bundle.mesh_invalid",
             f"mesh/asset.glb has no normals and textures that can be read ({str(error)[:100]})",

@@ -18,6 +18,17 @@ from lambent_relight.errors import BundleError
 
 MESH_PATH = "mesh/asset.glb"
 MAX_MESH_BYTES = 512 << 20
+UNREADABLE = (
+    AttributeError,
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    OverflowError,
+    struct.error,
+    RecursionError,
+)
+"""What a GLB that is not what it should be raises while its parts are looked up."""
 _TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
@@ -48,15 +59,7 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
         uv = glb_accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
         indices = glb_accessor(document, payload, primitive["indices"], "SCALAR")
         mode = primitive.get("mode", 4)
-    except (
-        AttributeError,
-        KeyError,
-        IndexError,
-        TypeError,
-        ValueError,
-        struct.error,
-        RecursionError,
-    ) as error:
+    except UNREADABLE as error:
         raise _invalid(f"cannot be read ({type(error).__name__}: {str(error)[:100]})") from error
     if mode != 4 or indices.size % 3 or indices.dtype.kind != "u":
         raise _invalid("is not made of triangles")

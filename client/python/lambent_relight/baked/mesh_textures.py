@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lambent_relight.baked.mesh import glb_chunks
+from lambent_relight.baked.mesh import UNREADABLE, glb_chunks
+from lambent_relight.bundle.bundle import MAX_ATLAS
 from lambent_relight.errors import BundleError
 
-_MAX_SIDE = 16384
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def albedo_and_packed(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -25,15 +26,7 @@ def albedo_and_packed(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]
     try:
         document, payload = glb_chunks(data)
         colour, packed, _ = (texture_png(document, payload, each) for each in textures_of(document))
-    except (
-        AttributeError,
-        KeyError,
-        IndexError,
-        TypeError,
-        ValueError,
-        struct.error,
-        RecursionError,
-    ) as error:
+    except UNREADABLE as error:
         raise BundleError(
             "bundle.mesh_invalid",
             f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",
@@ -69,10 +62,14 @@ def texture_png(document: dict[str, Any], payload: bytes, texture: dict[str, Any
     if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
         raise ValueError("a texture leaves the file")
     data = payload[start : start + size]
+    if not data.startswith(_SIGNATURE):
+        raise ValueError("a texture is no PNG")
+    # Before anything is decoded: some bytes can state pictures of gigabytes.
+    width, height = struct.unpack_from(">II", data, 16)
+    if max(width, height) > MAX_ATLAS:
+        raise ValueError(f"a texture of {width} x {height} texels, more than {MAX_ATLAS} a side")
     try:
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-            if max(image.size) > _MAX_SIDE:
-                raise ValueError(f"a texture of {image.size[0]} x {image.size[1]} pixels")
             image.load()
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise ValueError("a texture is no PNG") from error

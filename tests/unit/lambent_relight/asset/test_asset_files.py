@@ -1,7 +1,6 @@
 """Assets as glTF, OBJ, Mitsuba's files and USDZ: every file holds the mesh and maps of the bundle."""
 
 import io
-import json
 import struct
 import sys
 from dataclasses import replace
@@ -32,6 +31,7 @@ from PIL import Image
 from support.asset_bundle import painted, write_asset_bundle
 from support.atlas_box import atlas_box, coloured
 from support.baked_bundle import glb as plain_glb
+from support.spoilt_glb import spoilt_glb, with_document
 
 BOX = atlas_box(32)
 TEXTURES = coloured(BOX)
@@ -76,13 +76,9 @@ def test_a_texture_that_is_no_png_is_refused(png):
 
 def changed(change) -> bytes:
     """Return the file with another JSON chunk."""
-    document, payload = glb_chunks(DATA)
+    document, _ = glb_chunks(DATA)
     change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-    chunks += struct.pack("<II", len(payload), 0x004E4942) + payload
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    return with_document(DATA, document)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +91,7 @@ def changed(change) -> bytes:
         lambda d: d["meshes"][0]["primitives"][0]["attributes"].update(NORMAL=0, POSITION="x"),
         lambda d: d["bufferViews"].append({"buffer": 0, "byteOffset": 0, "byteLength": 1 << 40}),
         lambda d: d["bufferViews"].append({"buffer": 0, "byteOffset": 0}),
+        lambda d: d["bufferViews"].append("a"),
         lambda d: d.pop("materials"),
     ],
 )
@@ -102,6 +99,27 @@ def test_a_mesh_file_of_a_stranger_is_refused_and_no_crash(change):
     data = changed(change)
     with pytest.raises(BundleError, match=r"bundle\.mesh_invalid"):
         glb_with_textures(data, textured_mesh_from_glb(data), webp=True)
+
+
+def exported(data):
+    """Return what writing a stranger's file ends with; every other error fails the test."""
+    try:
+        glb_with_draco(glb_with_textures(data, textured_mesh_from_glb(data)))
+    except BundleError as error:
+        assert error.code == "bundle.mesh_invalid"  # noqa: PT017 - some files are refused, and some are written
+        return "refused"
+    return "written"
+
+
+def test_no_value_in_the_file_ends_in_anything_but_a_refusal_or_a_file():
+    rng = np.random.default_rng(11)
+    ends = [exported(spoilt_glb(DATA, rng)) for _ in range(300)]
+    assert 0 < ends.count("refused") < 300
+
+
+def test_a_picture_outside_the_file_is_refused_for_draco():
+    with pytest.raises(BundleError, match=r"bundle\.mesh_invalid"):
+        glb_with_draco(changed(lambda d: d["images"].append({"uri": "far.png"})))
 
 
 def test_absolute_albedo_is_scaled_in_linear_light_and_clipped_at_one():
