@@ -169,6 +169,8 @@ def _say(context: TaskContext, given: GivenMesh, made: GivenSurface) -> None:
         kept_uv=made.kept_uv,
         share_from_model=round(made.from_model, 4),
     )
+    if made.num_turned:
+        context.reporter.log("mesh.turned_outwards", pieces=made.num_turned)
     if given.ignored:
         context.reporter.log("mesh.ignored", what=", ".join(given.ignored))
 

@@ -1,5 +1,6 @@
 """A GLB of another program becomes one mesh in world axes, or is refused in plain words."""
 
+import sys
 import zipfile
 from pathlib import Path
 
@@ -124,6 +125,22 @@ def test_a_packed_mesh_is_unpacked(tmp_path):
     np.testing.assert_allclose(*centres, atol=1e-4)
     places = [mesh.uv[mesh.faces].mean(axis=1)[rows] for mesh, rows in zip((one, other), order, strict=True)]
     np.testing.assert_allclose(*places, atol=1e-4)
+
+
+def test_a_packed_mesh_without_the_package_says_what_needs_it(tmp_path, monkeypatch):
+    def pack(writer: GlbWriter) -> None:
+        writer.mesh()
+        primitive = writer.document["meshes"][0]["primitives"][0]
+        primitive["extensions"] = {
+            "KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}
+        }
+
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    with pytest.raises(
+        UsageError, match=r"export\.draco_missing.*a mesh that is packed with Draco"
+    ) as caught:
+        read_glb(glb_file(tmp_path / "packed.glb", pack))
+    assert "--draco" not in caught.value.message
 
 
 def test_our_own_mesh_comes_back_as_it_went(tmp_path):
