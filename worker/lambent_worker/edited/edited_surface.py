@@ -26,6 +26,7 @@ from lambent_worker.bundle.mesh import Corner, data_resolution
 from lambent_worker.bundle.surface import AtlasSurface, learned_normals, settled, upright
 from lambent_worker.bundle.textures import TextureSet, tangent_normals
 from lambent_worker.bundle.transport_bounce import Reflectors
+from lambent_worker.edited.fine_albedo import albedo_size, fine_albedo
 from lambent_worker.edited.given_charts import charts_of
 from lambent_worker.edited.glb_file import GivenMesh
 from lambent_worker.edited.outwards import turned_outwards
@@ -47,6 +48,8 @@ class GivenSurface:
     """Whether the atlas is the file's."""
     from_model: float
     """Share of the covered texels whose materials come from the trained model."""
+    albedo: NDArray[np.float32]
+    """The texture [size, size, 3], linear Rec. 709, of a size of its own."""
     num_turned: int
     """Closed pieces that were inside out, and are not any more."""
 
@@ -54,7 +57,7 @@ class GivenSurface:
         """Return the textures, given the occlusion of covered texels (0..1)."""
         owner = nearest_texel(self.surface.texel_index, self.surface.size)
         return TextureSet(
-            albedo=self.reflectors.albedo[owner],
+            albedo=self.albedo,
             perceptual_roughness=self.reflectors.perceptual_roughness[owner],
             metalness=self.reflectors.metalness[owner],
             occlusion=np.clip(occlusion, 0.0, 1.0).astype(np.float32).reshape(-1, 1)[owner],
@@ -99,7 +102,8 @@ def given_surface(
 ) -> GivenSurface:
     """Return `given` on an atlas of at most `config.transport_size` texels.
 
-    Materials are its maps', or the model's where it has none.
+    Materials are its maps', or the model's where it has none. The albedo texture has `config.atlas_size`
+    texels a side, or as many as the file's pictures (0).
 
     Raises WorkerError `export.atlas` where it cannot be unwrapped.
     """
@@ -136,7 +140,11 @@ def given_surface(
         texel_normals=upright(shading, facing),
         cell=cell,
     )
-    return GivenSurface(surface, reflectors, kept, float(bare.mean()), num_turned)
+    albedo = reflectors.albedo[nearest_texel(index, size)]
+    fine = config.atlas_size or albedo_size(given, kept_uv=kept, least=size)
+    if fine != size:
+        albedo = fine_albedo(given, charts, albedo, fine)
+    return GivenSurface(surface, reflectors, kept, float(bare.mean()), albedo, num_turned)
 
 
 def _geometric_normals(given: GivenMesh) -> NDArray[np.float32]:
