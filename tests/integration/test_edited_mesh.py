@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from flashcache.errors import ConfigError
 from lambent_relight import Renderer, UnsupportedQuality, load_bundle
 from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
+from lambent_relight.baked.raster import rasterise_uv
 from lambent_relight.cameras import turntable
 from lambent_relight.environment.maps import environment_from_array
 from lambent_worker.edited.glb_file import read_glb
 from lambent_worker.errors import Stopped, UsageError
 from lambent_worker.run import edited
 from lambent_worker.run.tasks import export
-from support.given_glb import glb_file
+from support.given_glb import SQUARE, glb_file
 from support.small_export import LIGHTS, Listener, small_context
 from support.sphere_model import sphere_model
 
@@ -86,11 +88,10 @@ def test_a_mesh_from_blender_becomes_a_bundle_that_is_relit(context, tmp_path):
     assert not list(tmp_path.glob("*.partial*"))
 
 
-def test_our_own_file_put_back_is_the_same_asset(context, tmp_path):
-    # The file's maps have one size, and so must those of the export.
-    config = context.spec.config
-    alike = replace(config, export=replace(config.export, albedo="model"))
-    export.run(replace(context, spec=replace(context.spec, config=alike)))
+def test_our_own_file_put_back_is_the_same_asset(context, tmp_path, monkeypatch):
+    detail = np.random.default_rng(5).random((128, 128, 3)).astype(np.float32)
+    monkeypatch.setattr(export, "albedo_texture", lambda *arguments: (detail, {}))
+    export.run(context)
     before = textured_mesh_from_glb((context.folder / "mesh" / "asset.glb").read_bytes())
     edited.export_edited(
         context.run_dir, tmp_path / "same", context.folder / "mesh" / "asset.glb", Listener(), tier="lite"
@@ -103,9 +104,19 @@ def test_our_own_file_put_back_is_the_same_asset(context, tmp_path):
     for name in ("base_colour_png", "packed_png"):
         pair = [pixels_of(getattr(mesh, name)).astype(int) for mesh in (before, after)]
         assert pair[0].shape == pair[1].shape, name
+        if name == "base_colour_png":
+            assert pair[0].shape == (128, 128, 3)
+            # Outside the charts the file may hold anything; there it repeats the nearest texel inside.
+            inside = rasterise_uv(after.uv, after.faces, 128).covered
+            assert inside.mean() > 0.3
+            pair = [picture[inside] for picture in pair]
         # Occlusion is that of the triangles now, and not the untrained fast cache's.
         rows = slice(0, 3) if name == "base_colour_png" else slice(1, 3)
         assert np.abs(pair[0] - pair[1])[..., rows].max() <= 1, name
+    atlas = bundle.manifest.atlas
+    assert (atlas.size, atlas.num_texels, atlas.albedo_source) == (128, int(inside.sum()), "file")
+    assert atlas.material_size == len(pixels_of(after.packed_png)) < 128
+    Renderer(bundle, num_threads=1).render(CAMERA, LIGHT, quality="baked", antialias=1)
     assert "transport/shadow_bits.bin" not in {file.path for file in bundle.manifest.files}
 
 
@@ -146,6 +157,38 @@ def test_it_stops_when_it_is_asked_to(context, tmp_path):
     assert not list(tmp_path.glob("*.partial*"))
 
 
+def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_path, monkeypatch):
+    """The next export, of another mesh to the same place, must equal one that nothing preceded."""
+
+    def other(writer):
+        corners = SQUARE - np.float32([0.5, 0.5, 0.0])
+        writer.mesh(corners, material=writer.material({}))
+
+    whole = edited.write_given_transport
+
+    def stopped(*arguments, store, advance, **options):
+        def stop(share):
+            assert list(store.rglob("*.npz")), "rays were stored before the stop"
+            raise Stopped
+
+        whole(*arguments, store=store, advance=stop, **options)
+
+    monkeypatch.setattr(edited, "write_given_transport", stopped)
+    with pytest.raises(Stopped):
+        edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener())
+    assert not list(tmp_path.glob("*.partial*"))
+    # A program that is killed does not clean up behind itself.
+    left = tmp_path / "b.partial.rays"
+    left.mkdir()
+    (left / "00000000.npz").write_bytes(b"of another mesh")
+    monkeypatch.setattr(edited, "write_given_transport", whole)
+    path = glb_file(tmp_path / "square.glb", other)
+    for name in ("b", "fresh"):
+        edited.export_edited(context.run_dir, tmp_path / name, path, Listener())
+    one, two = (digests(tmp_path / name / "transport") for name in ("b", "fresh"))
+    assert one == two
+
+
 @pytest.mark.parametrize("weights", ["fp16", "fp32", "auto"])
 def test_networks_with_a_given_mesh_are_refused(tmp_path, weights, capsys):
     from lambent_worker.commands.training import export as command
@@ -153,3 +196,27 @@ def test_networks_with_a_given_mesh_are_refused(tmp_path, weights, capsys):
     with pytest.raises(typer.Exit):
         command(tmp_path, tmp_path / "b", weights=weights, mesh=EDITED / "ball_edited.glb")
     assert "mesh_file.no_networks" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("atlas", "side"), [("auto", 64), ("96", 96), ("", 128)])
+def test_the_base_colour_has_the_side_that_is_asked_for(context, tmp_path, atlas, side):
+    edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener(), atlas=atlas)
+    bundle = load_bundle(tmp_path / "b")
+    mesh = textured_mesh_from_glb(bundle.read("mesh/asset.glb", 1 << 30))
+    assert bundle.manifest.atlas.size == len(pixels_of(mesh.base_colour_png)) == side
+
+
+def test_a_side_that_is_none_is_refused(context, tmp_path):
+    for atlas in ("9000", "many"):
+        with pytest.raises(ConfigError):
+            edited.export_edited(
+                context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener(), atlas=atlas
+            )
+
+
+def test_a_number_of_triangles_with_a_given_mesh_is_refused(tmp_path, capsys):
+    from lambent_worker.commands.training import export as command
+
+    with pytest.raises(typer.Exit):
+        command(tmp_path, tmp_path / "b", faces="1000", mesh=EDITED / "ball_edited.glb")
+    assert "mesh_file.own_shape" in capsys.readouterr().err

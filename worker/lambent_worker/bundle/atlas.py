@@ -34,10 +34,12 @@ class Unwrapped:
     uv: NDArray[np.float32]
 
 
-def unwrap(mesh: Mesh, size: int) -> Unwrapped:
+def unwrap(
+    mesh: Mesh, size: int, *, advice: str = "raise export.transport_size or lower export.max_faces"
+) -> Unwrapped:
     """Return charts of `mesh` that fill a square, `PADDING` texels apart where it has `size` texels a side.
 
-    Raises WorkerError where that fails.
+    Raises WorkerError where that fails, with `advice` on what to do.
     """
     atlas = xatlas.Atlas()
     atlas.add_mesh(
@@ -50,7 +52,7 @@ def unwrap(mesh: Mesh, size: int) -> Unwrapped:
         raise WorkerError(
             "export.atlas",
             f"the surface was cut into {atlas.chart_count} charts on {atlas.atlas_count} atlases, "
-            "expected one atlas; raise export.transport_size or lower export.max_faces",
+            f"expected one atlas; {advice}",
         )
     source, faces, uv = atlas[0]
     # Coordinates come as shares of each side, of an atlas that need not be square.

@@ -201,17 +201,16 @@ def export(
             "mesh_file.no_networks",
             f"--mesh with --weights {weights}: networks know only the trained shape; leave --weights out",
         )
-    if mesh is not None and (faces or atlas):
+    if mesh is not None and faces:
         raise UsageError(
             "mesh_file.own_shape",
-            f"--mesh with --{'faces' if faces else 'atlas'}: triangles are the file's, and its maps get "
-            "the size of the run's transport (export.transport_size)",
+            f"--mesh with --faces {faces}: the triangles are the file's; leave --faces out",
         )
     with ConsoleReporter(as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
         if mesh is None:
             export_run(run_dir, out, reporter, tier=tier, weights=weights, faces=faces, atlas=atlas)
         else:
-            export_edited(run_dir, out, mesh, reporter, tier=tier)
+            export_edited(run_dir, out, mesh, reporter, tier=tier, atlas=atlas)
     if not as_json:
         typer.echo(f"bundle: {out}")
 

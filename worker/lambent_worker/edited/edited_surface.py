@@ -18,23 +18,20 @@ from numpy.typing import NDArray
 from lambent_worker.bundle.atlas import (
     Unwrapped,
     angle_weighted_normals,
-    covered_share,
     size_within,
     tangents,
     unit,
-    unwrap,
 )
-from lambent_worker.bundle.mesh import Corner, Mesh, data_resolution
+from lambent_worker.bundle.mesh import Corner, data_resolution
 from lambent_worker.bundle.surface import AtlasSurface, learned_normals, settled, upright
 from lambent_worker.bundle.textures import TextureSet, tangent_normals
 from lambent_worker.bundle.transport_bounce import Reflectors
+from lambent_worker.edited.fine_albedo import albedo_size, fine_albedo
+from lambent_worker.edited.given_charts import charts_of
 from lambent_worker.edited.glb_file import GivenMesh
+from lambent_worker.edited.outwards import turned_outwards
 from lambent_worker.errors import UsageError
 
-MOST_OVERLAP = 0.02
-"""Share of the charts' area that may lie on other charts in an atlas that is kept."""
-LEAST_COVERAGE = 0.02
-"""Share of an atlas that is kept, that charts must cover: less wastes nearly all texels."""
 LARGEST, SMALLEST = 3.0, 1.0 / 20.0
 """Diagonals of the trained object that a given mesh may have."""
 CHUNK_POINTS = 32768
@@ -51,12 +48,16 @@ class GivenSurface:
     """Whether the atlas is the file's."""
     from_model: float
     """Share of the covered texels whose materials come from the trained model."""
+    albedo: NDArray[np.float32]
+    """The texture [size, size, 3], linear Rec. 709, of a size of its own."""
+    num_turned: int
+    """Closed pieces that were inside out, and are not any more."""
 
     def textures(self, occlusion: NDArray[np.float32]) -> TextureSet:
         """Return the textures, given the occlusion of covered texels (0..1)."""
         owner = nearest_texel(self.surface.texel_index, self.surface.size)
         return TextureSet(
-            albedo=self.reflectors.albedo[owner],
+            albedo=self.albedo,
             perceptual_roughness=self.reflectors.perceptual_roughness[owner],
             metalness=self.reflectors.metalness[owner],
             occlusion=np.clip(occlusion, 0.0, 1.0).astype(np.float32).reshape(-1, 1)[owner],
@@ -101,14 +102,16 @@ def given_surface(
 ) -> GivenSurface:
     """Return `given` on an atlas of at most `config.transport_size` texels.
 
-    Materials are its maps', or the model's where it has none.
+    Materials are its maps', or the model's where it has none. The albedo texture has `config.atlas_size`
+    texels a side, or as many as the file's pictures (0).
 
     Raises WorkerError `export.atlas` where it cannot be unwrapped.
     """
+    given, num_turned = turned_outwards(given)
     geometric = _geometric_normals(given)
     missing = np.linalg.norm(given.normals, axis=1, keepdims=True) < 0.5
     normals = np.where(missing, geometric, given.normals)
-    charts, kept = _charts(given, config.transport_size)
+    charts, kept = charts_of(given, config.transport_size)
     size = size_within(charts, config.transport_size)
     vertices, uv = given.vertices[charts.source], charts.uv
     found = rasterise_uv(uv, charts.faces, size)
@@ -137,7 +140,11 @@ def given_surface(
         texel_normals=upright(shading, facing),
         cell=cell,
     )
-    return GivenSurface(surface, reflectors, kept, float(bare.mean()))
+    albedo = reflectors.albedo[nearest_texel(index, size)]
+    fine = config.atlas_size or albedo_size(given, kept_uv=kept, least=size)
+    if fine != size:
+        albedo = fine_albedo(given, charts, albedo, fine)
+    return GivenSurface(surface, reflectors, kept, float(bare.mean()), albedo, num_turned)
 
 
 def _geometric_normals(given: GivenMesh) -> NDArray[np.float32]:
@@ -145,17 +152,6 @@ def _geometric_normals(given: GivenMesh) -> NDArray[np.float32]:
     places, number = np.unique(given.vertices, axis=0, return_inverse=True)
     number = number.reshape(-1)
     return angle_weighted_normals(places, number[given.faces].astype(np.int32))[number]
-
-
-def _charts(given: GivenMesh, size: int) -> tuple[Unwrapped, bool]:
-    """Return the file's charts if they are an atlas, else new ones, and whether they are the file's."""
-    if all(given.has_uv) and given.uv.min() >= 0.0 and given.uv.max() <= 1.0:
-        area = covered_share(given.uv, given.faces)
-        covered = float(rasterise_uv(given.uv, given.faces, size).covered.mean())
-        # Texels are counted by their centres: the error is far below the margin at 16 texels a side and more.
-        if area >= LEAST_COVERAGE and covered >= (1.0 - MOST_OVERLAP) * area:
-            return Unwrapped(np.arange(len(given.vertices)), given.faces, given.uv), True
-    return unwrap(Mesh(given.vertices, given.faces, 0.0), size), False
 
 
 class _Lookup:

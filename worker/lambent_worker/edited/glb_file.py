@@ -7,7 +7,7 @@ Source: glTF 2.0 specification, sections 3.5 (scenes), 3.7 (meshes), 3.9 (materi
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,10 @@ from lambent_worker.errors import UsageError
 
 MAX_BYTES = 1 << 30
 MAX_FACES = 2_000_000
+MAX_PIXELS = 1 << 28
+"""Of all pictures together."""
+MAX_VERTICES = 3 * MAX_FACES
+"""As many as such a mesh has if no two triangles share one."""
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _SHAPES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 _UNDERSTOOD = {DRACO, WEBP}
@@ -42,6 +46,7 @@ class GivenMesh:
     faces: NDArray[np.int32]
     """[face, 3], counter-clockwise seen from outside."""
     part_of_face: NDArray[np.int32]
+    """A part is all triangles of one material that have texture coordinates, or have none."""
     maps: tuple[Maps | None, ...]
     """By part; None where the materials have to come from the trained model."""
     has_uv: tuple[bool, ...]
@@ -72,11 +77,9 @@ def read_glb(path: Path) -> GivenMesh:
         _check_extensions(path, document)
         # Numbers beyond the range of floats become infinite, and are refused as such.
         with np.errstate(all="ignore"):
-            parts = [
-                part
-                for node, matrix in _nodes(document)
-                for part in _parts(path, document, payload, node, matrix)
-            ]
+            _check_size(path, document)
+            source = _Source(path, document, payload)
+            parts = [part for node, matrix in _nodes(document) for part in _parts(source, node, matrix)]
             return _joined(path, parts, _ignored(document))
     except ExportError as error:
         raise UsageError(error.code, f"{error.message}; {error.advice}") from error
@@ -96,6 +99,66 @@ class _Part:
     uv: NDArray[np.float32] | None
     faces: NDArray[np.int64]
     maps: Maps | None
+
+
+@dataclass(slots=True, eq=False)
+class _Source:
+    """A file, with what was unpacked of it: many nodes may show one mesh, and many meshes one material."""
+
+    path: Path
+    document: dict[str, Any]
+    payload: bytes
+    _maps: dict[tuple[int, bool], Maps | None] = field(default_factory=dict)
+    _packed: dict[int, tuple[dict[str, NDArray[Any]], NDArray[np.int64]]] = field(default_factory=dict)
+
+    def maps(self, number: int, *, has_uv: bool) -> Maps | None:
+        """Return a material; the same object each time."""
+        key = (number, has_uv)
+        if key not in self._maps:
+            self._maps[key] = maps_of(self.document, self.payload, number, has_uv=has_uv)
+            if sum(maps.num_pixels for maps in self._maps.values() if maps is not None) > MAX_PIXELS:
+                raise _refused(
+                    "mesh_file.too_large",
+                    self.path,
+                    f"has pictures of more than {MAX_PIXELS} pixels in all",
+                    "make them smaller",
+                )
+        return self._maps[key]
+
+    def arrays(self, primitive: dict[str, Any]) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+        """Return attributes by name, and the indices of all corners; unpacked once where they are packed."""
+        if DRACO not in primitive.get("extensions", {}):
+            return _arrays(self.document, self.payload, primitive)
+        if id(primitive) not in self._packed:
+            self._packed[id(primitive)] = _arrays(self.document, self.payload, primitive)
+        return self._packed[id(primitive)]
+
+
+def _check_size(path: Path, document: dict[str, Any]) -> None:
+    """Raise UsageError `mesh_file.too_large` by what the file states, before anything is copied."""
+    faces = vertices = 0
+    for node, _ in _nodes(document):
+        for primitive in document["meshes"][node["mesh"]]["primitives"]:
+            stated = document["accessors"][primitive["attributes"]["POSITION"]]["count"]
+            corners = (
+                document["accessors"][primitive["indices"]]["count"] if "indices" in primitive else stated
+            )
+            if not (isinstance(stated, int) and isinstance(corners, int)):
+                raise ValueError("an accessor has a count that is no number")
+            listed = primitive.get("mode", _TRIANGLES) == _TRIANGLES
+            faces += max(0, corners // 3 if listed else corners - 2)
+            vertices += max(0, stated)
+        if faces > MAX_FACES or vertices > MAX_VERTICES:
+            raise _too_large(path, faces, vertices)
+
+
+def _too_large(path: Path, faces: int, vertices: int) -> UsageError:
+    return _refused(
+        "mesh_file.too_large",
+        path,
+        f"has {faces} triangles and {vertices} vertices, or more",
+        f"decimate it below {MAX_FACES} triangles, and {MAX_VERTICES} vertices",
+    )
 
 
 def _check_extensions(path: Path, document: dict[str, Any]) -> None:
@@ -147,22 +210,20 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     return matrix
 
 
-def _parts(
-    path: Path, document: dict[str, Any], payload: bytes, node: dict[str, Any], matrix: NDArray[np.float64]
-) -> Iterator[_Part]:
+def _parts(source: _Source, node: dict[str, Any], matrix: NDArray[np.float64]) -> Iterator[_Part]:
     """Yield the primitives of a node's mesh."""
     if "skin" in node:
         raise _refused(
             "mesh_file.unsupported",
-            path,
+            source.path,
             "has a mesh with an armature (skin)",
             "apply the armature modifier, and export without skinning",
         )
-    for primitive in document["meshes"][node["mesh"]]["primitives"]:
+    for primitive in source.document["meshes"][node["mesh"]]["primitives"]:
         if primitive.get("targets"):
             raise _refused(
                 "mesh_file.unsupported",
-                path,
+                source.path,
                 "has a mesh with shape keys (morph targets)",
                 "apply them, and export again",
             )
@@ -170,21 +231,15 @@ def _parts(
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             raise _refused(
                 "mesh_file.no_triangles",
-                path,
+                source.path,
                 f"has {_SHAPES.get(mode, 'something')} where triangles are expected",
                 "leave loose edges and points out of the export, and triangulate the rest",
             )
-        yield _part(document, payload, primitive, mode, matrix)
+        yield _part(source, primitive, mode, matrix)
 
 
-def _part(
-    document: dict[str, Any],
-    payload: bytes,
-    primitive: dict[str, Any],
-    mode: int,
-    matrix: NDArray[np.float64],
-) -> _Part:
-    arrays, corners = _arrays(document, payload, primitive)
+def _part(source: _Source, primitive: dict[str, Any], mode: int, matrix: NDArray[np.float64]) -> _Part:
+    arrays, corners = source.arrays(primitive)
     faces = _triangles(corners, mode)
     positions = arrays["POSITION"]
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(positions):
@@ -200,7 +255,7 @@ def _part(
         faces, normals = faces[:, ::-1], -normals
     uv = arrays.get("TEXCOORD_0")
     number = primitive.get("material")
-    maps = maps_of(document, payload, number, has_uv=uv is not None) if number is not None else None
+    maps = source.maps(number, has_uv=uv is not None) if number is not None else None
     return _Part(vertices, normals, uv, faces, maps)
 
 
@@ -217,6 +272,10 @@ def _arrays(
     wanted = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
     if DRACO in primitive.get("extensions", {}):
         arrays, corners = unpacked(document, payload, primitive)
+        accessors = document["accessors"]
+        stated = [accessors[n]["count"] for n in (primitive["attributes"]["POSITION"], primitive["indices"])]
+        if len(arrays["POSITION"]) > stated[0] or len(corners) > stated[1]:
+            raise ValueError("a packed mesh has more in it than the file states")
         return {name: values for name, values in arrays.items() if name in wanted}, corners
     arrays = {
         name: glb_accessor(document, payload, primitive["attributes"][name], kind)
@@ -259,7 +318,12 @@ def _joined(path: Path, parts: list[_Part], ignored: tuple[str, ...]) -> GivenMe
         ]
     )
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)])
-    number = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts])
+    # Parts of one material, with or without coordinates, are looked up together.
+    kinds: dict[tuple[int, bool], tuple[int, _Part]] = {}
+    for part in parts:
+        kinds.setdefault((id(part.maps), part.uv is not None), (len(kinds), part))
+    places = [kinds[id(part.maps), part.uv is not None][0] for part in parts]
+    number = np.repeat(np.array(places, np.int32), [len(part.faces) for part in parts])
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     for name, values in (("positions", vertices), ("texture coordinates", uv), ("normals", normals)):
@@ -279,10 +343,6 @@ def _joined(path: Path, parts: list[_Part], ignored: tuple[str, ...]) -> GivenMe
         raise _refused(
             "mesh_file.empty", path, "has no triangles with an area", "select the object, and export again"
         )
-    if int(kept.sum()) > MAX_FACES:
-        raise _refused(
-            "mesh_file.too_large", path, f"has {int(kept.sum())} triangles", f"decimate it below {MAX_FACES}"
-        )
     order, again = np.unique(faces[kept], return_inverse=True)
     return GivenMesh(
         vertices=vertices[order],
@@ -290,8 +350,8 @@ def _joined(path: Path, parts: list[_Part], ignored: tuple[str, ...]) -> GivenMe
         uv=uv[order],
         faces=again.reshape(-1, 3).astype(np.int32),
         part_of_face=number[kept],
-        maps=tuple(part.maps for part in parts),
-        has_uv=tuple(part.uv is not None for part in parts),
+        maps=tuple(part.maps for _, part in kinds.values()),
+        has_uv=tuple(part.uv is not None for _, part in kinds.values()),
         ignored=ignored,
     )
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lambent_proto.v1 import bundle_pb2
+from lambent_relight.baked.raster import rasterise_uv
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
@@ -32,13 +33,20 @@ from lambent_worker.run.tasks.training import load_final, read_scene
 NUM_PARTS = 5
 
 
-def export_edited(run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, tier: str = "") -> None:
+def export_edited(
+    run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, tier: str = "", atlas: str = ""
+) -> None:
     """Write a bundle of the run in `run_dir` whose surface is the mesh in the GLB file `mesh`, to `out`.
 
     The bundle has no networks, which know only the shape that was trained: refined pictures are refused. Its
-    `tier`, "full" or "lite", is by default the run's. The run and its own bundle stay as they are. Raises
-    `UsageError` where the run is not trained to its end, `out` exists, or the file cannot be used.
+    `tier`, "full" or "lite", is by default the run's, and so is `atlas`, the side of the albedo texture in
+    texels, or "auto": as many as the file's pictures have. The run and its own bundle stay as they are.
+
+    Raises `UsageError` where the run is not trained to its end, `out` exists, or the file cannot be used, and
+    `ConfigError` for unknown values.
     """
+    from flashcache.config import with_overrides
+
     given = read_glb(mesh)
     context = open_task(run_dir, "export", reporter)
     require_done(run_dir, last_training_task(context.spec.config))
@@ -47,6 +55,8 @@ def export_edited(run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, t
     if not tier and context.spec.config.export.transport_tier == "none":
         tier = "full"
     config = context.spec.config
+    if atlas:
+        config = with_overrides(config, {"export.atlas_size": "0" if atlas == "auto" else atlas})
     chosen = replace(config.export, transport_tier=tier or config.export.transport_tier)
     spec = replace(context.spec, config=replace(config, export=chosen))
     if spec.config.export.transport_tier == "none":
@@ -152,9 +162,11 @@ def _write_mesh(
     (folder / ASSET_PATH).write_bytes(asset)
     if settings.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)
-    manifest.atlas.size = manifest.atlas.material_size = surface.size
-    manifest.atlas.num_texels = len(surface.texel_index)
-    manifest.atlas.texel_size = surface.texel_size
+    size = len(textures.albedo)
+    covered = rasterise_uv(surface.uv, surface.faces, size).covered
+    manifest.atlas.size, manifest.atlas.num_texels = size, int(covered.sum())
+    manifest.atlas.texel_size = surface.texel_size * surface.size / size
+    manifest.atlas.material_size = surface.size
     manifest.atlas.albedo_source = "file"
     manifest.metrics["mesh_faces"] = len(surface.faces)
     manifest.metrics["mesh_vertices"] = len(surface.vertices)
@@ -169,6 +181,8 @@ def _say(context: TaskContext, given: GivenMesh, made: GivenSurface) -> None:
         kept_uv=made.kept_uv,
         share_from_model=round(made.from_model, 4),
     )
+    if made.num_turned:
+        context.reporter.log("mesh.turned_outwards", pieces=made.num_turned)
     if given.ignored:
         context.reporter.log("mesh.ignored", what=", ".join(given.ignored))
 

@@ -39,7 +39,7 @@ def glb_with_draco(data: bytes) -> bytes:
     `bundle.mesh_invalid` for a mesh that Draco does not take, ExportError `export.draco_missing` where the
     package DracoPy is missing.
     """
-    draco = _library()
+    draco = _library("--draco")
     try:
         document, payload = glb_chunks(data)
         primitive = document["meshes"][0]["primitives"][0]
@@ -100,7 +100,7 @@ def unpacked(
     start, size = view.get("byteOffset", 0), view["byteLength"]
     if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
         raise ValueError("a packed mesh leaves the file")
-    library = _library()
+    library = _library("a mesh that is packed with Draco")
     try:
         found = library.decode(bytes(payload[start : start + size]))
     except library.FileTypeException as error:
@@ -122,13 +122,13 @@ def _without_plain_mesh(document: dict[str, Any], packed: bytes) -> dict[int, by
     return {len(views): packed}
 
 
-def _library() -> Any:
+def _library(wanted_by: str) -> Any:
     try:
         import DracoPy
     except ImportError as error:
         raise ExportError(
             "export.draco_missing",
-            "--draco needs the package DracoPy, which is not here",
+            f"{wanted_by} needs the package DracoPy, which is not here",
             'pip install "lambent[draco]"',
         ) from error
     return DracoPy

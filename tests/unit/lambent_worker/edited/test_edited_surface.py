@@ -13,7 +13,8 @@ from lambent_worker.bundle.mesh import occupied_box
 from lambent_worker.bundle.surface import build_surface
 from lambent_worker.bundle.textures import bake_materials
 from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of
-from lambent_worker.edited.edited_surface import _charts, check_place, given_surface
+from lambent_worker.edited.edited_surface import check_place, given_surface
+from lambent_worker.edited.given_charts import charts_of
 from lambent_worker.edited.glb_file import read_glb
 from lambent_worker.errors import UsageError
 from scipy.spatial import cKDTree
@@ -79,7 +80,7 @@ def test_charts_that_overlap_are_unwrapped_and_colours_stay_on_their_places(mode
     places = quarter.uv * 2.0
     assert places.max() <= 1.0
     # Every texel has the colour of the file's picture at the file's coordinates.
-    charts, _ = _charts(quarter, CONFIG.transport_size)
+    charts, _ = charts_of(quarter, CONFIG.transport_size)
     found = rasterise_uv(charts.uv, charts.faces, CONFIG.transport_size)
     uv = interpolate(found, charts.faces, quarter.uv[charts.source])
     np.testing.assert_allclose(made.reflectors.albedo, quarter.maps[0].albedo_at(uv), atol=1e-6)

@@ -1,5 +1,6 @@
 """A GLB of another program becomes one mesh in world axes, or is refused in plain words."""
 
+import sys
 import zipfile
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import trimesh
 from lambent_relight.asset.draco import glb_with_draco
 from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_worker.bundle.glb import write_glb
+from lambent_worker.edited import glb_file as glb_file_module
 from lambent_worker.edited.glb_file import read_glb
+from lambent_worker.edited.glb_maps import maps_of
 from lambent_worker.errors import UsageError
 from scipy.spatial import cKDTree
 from support.atlas_box import atlas_box, coloured
@@ -122,6 +125,22 @@ def test_a_packed_mesh_is_unpacked(tmp_path):
     np.testing.assert_allclose(*centres, atol=1e-4)
     places = [mesh.uv[mesh.faces].mean(axis=1)[rows] for mesh, rows in zip((one, other), order, strict=True)]
     np.testing.assert_allclose(*places, atol=1e-4)
+
+
+def test_a_packed_mesh_without_the_package_says_what_needs_it(tmp_path, monkeypatch):
+    def pack(writer: GlbWriter) -> None:
+        writer.mesh()
+        primitive = writer.document["meshes"][0]["primitives"][0]
+        primitive["extensions"] = {
+            "KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}
+        }
+
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    with pytest.raises(
+        UsageError, match=r"export\.draco_missing.*a mesh that is packed with Draco"
+    ) as caught:
+        read_glb(glb_file(tmp_path / "packed.glb", pack))
+    assert "--draco" not in caught.value.message
 
 
 def test_our_own_mesh_comes_back_as_it_went(tmp_path):
@@ -237,6 +256,65 @@ def test_a_file_that_is_cut_short_or_no_glb_is_refused(tmp_path):
             read_glb(tmp_path / "cut.glb")
     with pytest.raises(UsageError, match=r"mesh_file\.unreadable.*cannot be opened"):
         read_glb(tmp_path / "none.glb")
+
+
+def test_one_mesh_shown_by_many_nodes_is_refused_before_it_is_copied(tmp_path, monkeypatch):
+    def change(writer: GlbWriter) -> None:
+        writer.mesh(np.tile(SQUARE, (10, 1)), np.concatenate([SQUARE_FACES + 4 * k for k in range(10)] * 3))
+        writer.document["nodes"] = [{"mesh": 0}] * 50_000
+        writer.document["scenes"][0]["nodes"] = list(range(50_000))
+
+    def never(*arguments):
+        raise AssertionError("an array was copied")
+
+    path = glb_file(tmp_path / "many.glb", change)
+    monkeypatch.setattr(glb_file_module, "glb_accessor", never)
+    with pytest.raises(UsageError, match=r"mesh_file\.too_large.* triangles and .*decimate it below"):
+        read_glb(path)
+
+
+def test_vertices_without_triangles_count_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(glb_file_module, "MAX_VERTICES", 7)
+    assert len(read_glb(glb_file(tmp_path / "one.glb", lambda w: w.mesh())).faces) == 2
+    with pytest.raises(UsageError, match=r"mesh_file\.too_large.* 8 vertices"):
+        read_glb(glb_file(tmp_path / "two.glb", lambda w: w.mesh(), lambda w: w.mesh()))
+
+
+def test_a_material_of_many_parts_is_read_once_and_is_one_part(tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(glb_file_module, "maps_of", lambda *a, **k: (read.append(a[2]), maps_of(*a, **k))[1])
+
+    def change(writer: GlbWriter) -> None:
+        numbers = [
+            writer.material({"baseColorTexture": np.full((2, 2, 3), level, np.uint8)}) for level in (0, 255)
+        ]
+        for step in range(6):
+            writer.mesh(SQUARE + np.float32([2.0 * step, 0.0, 0.0]), material=numbers[step % 2])
+
+    mesh = read_glb(glb_file(tmp_path / "a.glb", change))
+    assert sorted(read) == [0, 1]
+    assert mesh.has_uv == (True, True)
+    assert {maps.albedo.max() for maps in mesh.maps} == {0, 255}
+    for part, maps in enumerate(mesh.maps):
+        assert maps.albedo.dtype == np.uint8
+        first = 0 if maps.albedo.max() == 0 else 1
+        x = corners(mesh)[mesh.part_of_face == part].mean(axis=1)[:, 0]
+        assert set((x // 2.0).astype(int)) == set(range(first, 6, 2))
+
+
+def test_pictures_are_counted_together(tmp_path, monkeypatch):
+    monkeypatch.setattr(glb_file_module, "MAX_PIXELS", 7)
+
+    def pictures(count):
+        def change(writer: GlbWriter) -> None:
+            for _ in range(count):
+                writer.mesh(material=writer.material({"baseColorTexture": np.zeros((2, 2, 3), np.uint8)}))
+
+        return glb_file(tmp_path / f"{count}.glb", change)
+
+    assert len(read_glb(pictures(1)).maps) == 1
+    with pytest.raises(UsageError, match=r"mesh_file\.too_large.*pictures of more than 7 pixels"):
+        read_glb(pictures(2))
 
 
 def _changed(whole, length, rng):
