@@ -56,7 +56,8 @@ def export_edited(
         tier = "full"
     config = context.spec.config
     if atlas:
-        config = with_overrides(config, {"export.atlas_size": "0" if atlas == "auto" else atlas})
+        wanted = {"atlas_size": "0" if atlas == "auto" else atlas}
+        config = with_overrides(config, {f"export.{name}": value for name, value in wanted.items()})
     chosen = replace(config.export, transport_tier=tier or config.export.transport_tier)
     spec = replace(context.spec, config=replace(config, export=chosen))
     if spec.config.export.transport_tier == "none":
