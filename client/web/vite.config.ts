@@ -1,6 +1,7 @@
 import { readdirSync } from "node:fs";
 import { resolve } from "node:path";
 import { defineConfig } from "vite";
+import { precompress } from "./scripts/precompress.js";
 
 const here = import.meta.dirname;
 const pages = readdirSync(here).filter((name) => name.endsWith(".html"));
@@ -8,6 +9,7 @@ const pages = readdirSync(here).filter((name) => name.endsWith(".html"));
 // Pages refer to their files by relative addresses, so that they work from any folder of any host.
 export default defineConfig({
   base: "./",
+  plugins: [precompress()],
   build: {
     outDir: resolve(here, "../python/lambent_pages/dist"),
     emptyOutDir: true,

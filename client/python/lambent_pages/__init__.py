@@ -4,6 +4,7 @@ The build of client/web writes them to the folder `dist` next to this module; wh
 """
 
 import hashlib
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +24,8 @@ _TYPES = {
     ".exr": "image/x-exr",
     ".hdr": "image/vnd.radiance",
 }
+_ENCODINGS = {"br": ".br", "gzip": ".gz"}
+"""Content codings that the build has written beside a file, the best first, and their suffixes."""
 # File names in this folder contain a hash of their contents.
 _HASHED = "assets"
 # The pages that compute in WebAssembly; workers have the policy of their own script.
@@ -62,11 +65,25 @@ def are_built(folder: Path = FOLDER) -> bool:
     return (folder / "jobs.html").is_file() and (folder / "viewer.html").is_file()
 
 
-def find(path: str, folder: Path = FOLDER) -> PageFile | None:
+def accepted_encodings(header: str | None) -> list[str]:
+    """Return those of our content codings that an Accept-Encoding header allows, the best first.
+
+    Source: RFC 9110, 12.5.3.
+    """
+    weights = {}
+    for item in (header or "").lower().split(","):
+        name, *parameters = (part.strip() for part in item.split(";"))
+        weight = next((part[2:] for part in parameters if part.startswith("q=")), "1")
+        weights[name] = bool(re.fullmatch(r"1(\.0*)?|0\.0*[1-9]\d*", weight))
+    return [name for name in _ENCODINGS if weights.get(name, weights.get("*", False))]
+
+
+def find(path: str, folder: Path = FOLDER, *, accept_encoding: str | None = None) -> PageFile | None:
     """Return the file at a relative address such as "assets/viewer-1a2b.js"; None where there is none.
 
     Files with a hash in their name never change and are cached for a year; everything else is revalidated
-    with its ETag.
+    with its ETag. The content is compressed if `accept_encoding`, the request's header, allows a coding that
+    the build has written.
     """
     parts = path.split("/")
     if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
@@ -74,16 +91,29 @@ def find(path: str, folder: Path = FOLDER) -> PageFile | None:
     place = folder.joinpath(*parts)
     if place.suffix not in _TYPES or not place.is_file():
         return None
-    state = place.stat()
-    return _read(place, parts[0] == _HASHED and len(parts) > 1, state.st_mtime_ns, state.st_size)
+    changed_at = place.stat().st_mtime_ns
+    source, encoding = place, ""
+    for name in accepted_encodings(accept_encoding):
+        packed = place.with_name(place.name + _ENCODINGS[name])
+        # An older copy is that of an earlier build.
+        if packed.is_file() and packed.stat().st_mtime_ns >= changed_at:
+            source, encoding = packed, name
+            break
+    state = source.stat()
+    is_hashed = parts[0] == _HASHED and len(parts) > 1
+    return _read(place, source, encoding, is_hashed, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=256)
-def _read(place: Path, is_hashed: bool, _changed_at: int, _size: int) -> PageFile:
-    content = place.read_bytes()
+def _read(
+    place: Path, source: Path, encoding: str, is_hashed: bool, _changed_at: int, _size: int
+) -> PageFile:
+    content = source.read_bytes()
     caching = "public, max-age=31536000, immutable" if is_hashed else "no-cache"
     headers = {
         "content-type": _TYPES[place.suffix],
+        **({"content-encoding": encoding} if encoding else {}),
+        "vary": "accept-encoding",
         "cache-control": caching,
         "etag": f'"{hashlib.sha256(content).hexdigest()}"',
         "content-security-policy": content_policy(wasm=place.name not in _WITHOUT_WASM),
@@ -98,23 +128,41 @@ def is_current(page: PageFile, if_none_match: str | None) -> bool:
     return page.headers["etag"] in tags or "*" in tags
 
 
+def not_found() -> PageFile:
+    """Return the page that a person is sent with status 404."""
+    return _plain_page(
+        "Lambent: there is no such page",
+        """<h1>There is no such page</h1>
+      <p>The address may have been cut off when it was copied.</p>
+      <p><a href="/">Scenes, jobs and bundles</a></p>""",
+    )
+
+
 def not_built() -> PageFile:
     """Return the page that is served with status 503 if the pages have not been built."""
-    text = """<!doctype html>
-<html lang="en">
-  <head>
-    <meta charset="utf-8" />
-    <meta name="viewport" content="width=device-width, initial-scale=1" />
-    <title>Lambent: the web pages are not built</title>
-  </head>
-  <body>
-    <main>
-      <h1>The web pages are not built</h1>
+    return _plain_page(
+        "Lambent: the web pages are not built",
+        """<h1>The web pages are not built</h1>
       <p>This copy of Lambent was installed from its sources, without the pages. Build them there:</p>
       <pre><code>make pages</code></pre>
       <p>That needs Node 20. Then load this page again. A released wheel contains them.</p>
       <p>All else works without them: <code>lambent jobs</code>, <code>lambent submit</code>, the interface
-      under <code>/v1</code>.</p>
+      under <code>/v1</code>.</p>""",
+    )
+
+
+def _plain_page(title: str, body: str) -> PageFile:
+    text = f"""<!doctype html>
+<html lang="en">
+  <head>
+    <meta charset="utf-8" />
+    <meta name="viewport" content="width=device-width, initial-scale=1" />
+    <meta name="color-scheme" content="light dark" />
+    <title>{title}</title>
+  </head>
+  <body>
+    <main>
+      {body}
     </main>
   </body>
 </html>

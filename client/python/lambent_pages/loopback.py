@@ -52,9 +52,11 @@ class LoopbackHandler(BaseHTTPRequestHandler):
     def send_page(self, start: str, *, with_body: bool) -> None:
         """Answer with a file of the pages; `start` is the one without a path."""
         path = unquote(urlsplit(self.path).path).lstrip("/")
-        page = lambent_pages.find(path or start, self._pages)
+        encodings = self.headers.get("accept-encoding")
+        page = lambent_pages.find(path or start, self._pages, accept_encoding=encodings)
         if page is None:
-            self.send(HTTPStatus.NOT_FOUND, {}, b"")
+            absent = lambent_pages.not_found()
+            self.send(HTTPStatus.NOT_FOUND, absent.headers, absent.content if with_body else b"")
         elif lambent_pages.is_current(page, self.headers.get("if-none-match")):
             self.send(HTTPStatus.NOT_MODIFIED, page.headers, b"")
         else:

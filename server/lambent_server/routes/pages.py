@@ -10,6 +10,8 @@ from starlette.exceptions import HTTPException
 router = APIRouter(include_in_schema=False)
 
 MatchHeader = Annotated[str | None, Header(alias="If-None-Match", max_length=2000)]
+EncodingHeader = Annotated[str | None, Header(alias="Accept-Encoding", max_length=2000)]
+AcceptHeader = Annotated[str | None, Header(alias="Accept", max_length=2000)]
 
 
 class _PagePath(Convertor[str]):
@@ -28,23 +30,32 @@ register_url_convertor("page", _PagePath())
 
 
 @router.get("/", response_class=Response)
-def get_start(if_none_match: MatchHeader = None) -> Response:
+def get_start(if_none_match: MatchHeader = None, accept_encoding: EncodingHeader = None) -> Response:
     """Return the page of scenes, jobs and bundles."""
-    return _send("jobs.html", if_none_match)
+    return _send("jobs.html", if_none_match, accept_encoding, accept="text/html")
 
 
 @router.get("/{path:page}", response_class=Response)
-def get_page(path: Annotated[str, Path(max_length=240)], if_none_match: MatchHeader = None) -> Response:
+def get_page(
+    path: Annotated[str, Path(max_length=240)],
+    if_none_match: MatchHeader = None,
+    accept_encoding: EncodingHeader = None,
+    accept: AcceptHeader = None,
+) -> Response:
     """Return a page, or a file of the pages."""
-    return _send(path, if_none_match)
+    return _send(path, if_none_match, accept_encoding, accept=accept or "")
 
 
-def _send(path: str, if_none_match: str | None) -> Response:
-    page = lambent_pages.find(path)
+def _send(path: str, if_none_match: str | None, accept_encoding: str | None, *, accept: str) -> Response:
+    page = lambent_pages.find(path, accept_encoding=accept_encoding)
     if page is None:
         if path.endswith(".html") and not lambent_pages.are_built():
             absent = lambent_pages.not_built()
             return Response(absent.content, status_code=503, headers=absent.headers)
+        # Browsers name the type when a person follows a link, and not when a page asks for a file.
+        if "text/html" in accept:
+            absent = lambent_pages.not_found()
+            return Response(absent.content, status_code=404, headers=absent.headers)
         raise HTTPException(404)
     if lambent_pages.is_current(page, if_none_match):
         return Response(status_code=304, headers=page.headers)

@@ -1,5 +1,6 @@
 """Who gets in, from where, with how much: the layer around every request."""
 
+import gzip
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -257,7 +258,7 @@ def test_the_pages_are_sent_to_anybody_and_asked_for_again_by_their_etag(
     for name in ("jobs.html", "viewer.html", "assets/jobs-1a2b.js"):
         (tmp_path / name).write_text(name)
     find = lambent_pages.find
-    monkeypatch.setattr("lambent_pages.find", lambda path: find(path, tmp_path))
+    monkeypatch.setattr("lambent_pages.find", lambda path, **given: find(path, tmp_path, **given))
     nobody = api.other(None)
     start = nobody.get("/")
     assert (start.status_code, start.text) == (200, "jobs.html")
@@ -267,10 +268,31 @@ def test_the_pages_are_sent_to_anybody_and_asked_for_again_by_their_etag(
     assert "'wasm-unsafe-eval'" in nobody.get("/viewer.html").headers["content-security-policy"]
     expect_problem(nobody.get("/assets/nothing.js"), 404, "route_not_found")
     expect_problem(nobody.get("/.env.html"), 404, "route_not_found")
+    absent = nobody.get("/nothing.html", headers={"accept": "text/html,*/*;q=0.8"})
+    assert absent.status_code == 404
+    assert absent.headers["content-type"].startswith("text/html")
+    assert "There is no such page" in absent.text
+
+
+def test_pages_are_sent_as_the_build_has_compressed_them(
+    api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "jobs.html").write_text("page")
+    (tmp_path / "jobs.html.gz").write_bytes(gzip.compress(b"page"))
+    find = lambent_pages.find
+    monkeypatch.setattr("lambent_pages.find", lambda path, **given: find(path, tmp_path, **given))
+    packed = api.other(None).get("/", headers={"accept-encoding": "gzip, deflate"})
+    assert packed.headers["content-encoding"] == "gzip"
+    assert packed.headers["vary"] == "accept-encoding"
+    assert packed.text == "page"
+    plain = api.other(None).get("/", headers={"accept-encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert plain.headers["etag"] != packed.headers["etag"]
+    assert plain.text == "page"
 
 
 def test_pages_that_were_not_built_are_explained(api: Api, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("lambent_pages.find", lambda _path: None)
+    monkeypatch.setattr("lambent_pages.find", lambda _path, **_given: None)
     monkeypatch.setattr("lambent_pages.are_built", lambda: False)
     answer = api.other(None).get("/")
     assert answer.status_code == 503

@@ -1,5 +1,6 @@
 """The built pages: which file an address names, and the headers it is sent with."""
 
+import os
 from pathlib import Path
 
 import lambent_pages
@@ -83,3 +84,36 @@ def test_pages_that_are_not_there_are_explained(folder: Path):
     assert b"make pages" in page.content
     assert b"<script" not in page.content
     assert page.headers["cache-control"] == "no-store"
+
+
+def test_a_compressed_copy_is_found_where_the_browser_takes_it(folder: Path):
+    script = folder / "assets" / "jobs-1a2b.js"
+    for suffix in (".br", ".gz"):
+        script.with_name(script.name + suffix).write_bytes(suffix.encode())
+
+    def encoding(header: str | None) -> str | None:
+        page = lambent_pages.find("assets/jobs-1a2b.js", folder, accept_encoding=header)
+        assert page is not None
+        assert page.headers["vary"] == "accept-encoding"
+        assert page.headers["content-type"].startswith("text/javascript")
+        name = page.headers.get("content-encoding")
+        assert page.content == {None: b"1", "br": b".br", "gzip": b".gz"}[name]
+        return name
+
+    assert encoding("gzip, deflate, br, zstd") == "br"
+    assert encoding("gzip;q=0.5") == "gzip"
+    assert encoding("br;q=0, GZIP") == "gzip"
+    assert encoding("*;q=0.1, br;q=0.000") == "gzip"
+    for header in (None, "", "identity", "deflate", "br;q=0, gzip;q=0.0", "br;q=x, gzip;q=-1"):
+        assert encoding(header) is None
+
+
+def test_a_copy_of_an_earlier_build_is_not_sent(folder: Path):
+    script = folder / "assets" / "jobs-1a2b.js"
+    copy = script.with_name(script.name + ".br")
+    copy.write_bytes(b"old")
+    os.utime(copy, ns=(0, script.stat().st_mtime_ns - 1))
+    page = lambent_pages.find("assets/jobs-1a2b.js", folder, accept_encoding="br")
+    assert page is not None
+    assert page.content == b"1"
+    assert lambent_pages.find("assets/jobs-1a2b.js.br", folder) is None
