@@ -3,7 +3,14 @@ import type { MapOrigin } from "../src/light/lightWorker.js";
 import type { PreparedLight } from "../src/light/prepare.js";
 import { dominantFor, EarlyLight, lightFor } from "../src/viewer/earlyLight.js";
 
-const opened = { kind: "opened", bands: 7, hasShadowBits: true, lights: ["sky"] } as const;
+const opened = {
+  kind: "opened",
+  name: "box",
+  totalBytes: 1,
+  bands: 7,
+  hasShadowBits: true,
+  lights: ["sky"],
+} as const;
 const map = { kind: "map", map: { name: "sky", data: new Uint8Array([1]) } } as const;
 
 /** Return one that hears of a bundle, and what it asked to be prepared. */

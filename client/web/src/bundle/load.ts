@@ -48,6 +48,8 @@ export type BundleNews =
   | { readonly kind: "progress"; readonly readBytes: number; readonly totalBytes: number }
   | {
       readonly kind: "opened";
+      readonly name: string;
+      readonly totalBytes: number;
       readonly bands: number;
       readonly hasShadowBits: boolean;
       /** Lights with a map. */
@@ -99,7 +101,14 @@ export async function loadBundle(
     return map;
   };
   const bands = stated.planes.find(({ name }) => name === "direct")?.bands ?? 0;
-  tell({ kind: "opened", bands, hasShadowBits: stated.shadowBitsPath !== "", lights });
+  tell({
+    kind: "opened",
+    name: manifest.name,
+    totalBytes: total,
+    bands,
+    hasShadowBits: stated.shadowBitsPath !== "",
+    lights,
+  });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
   const textured = (manifest.atlas?.albedoSource ?? "") !== "";

@@ -1,5 +1,6 @@
 /** Sources of a bundle's files: a web folder, our server, a zip archive, dropped files. */
 
+import { refusal, silence } from "./answers.js";
 import { BundleFault, fetchAgain, unsafe } from "./fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
 
@@ -35,11 +36,7 @@ async function request(url: URL, headers: Record<string, string> = {}): Promise<
   try {
     return await fetch(url, { headers, credentials: "same-origin" });
   } catch {
-    throw new BundleFault(
-      "bundle.missing",
-      `nothing answers at ${url.href}`,
-      "check the address, the connection, and that the host allows other sites to read it",
-    );
+    throw silence(url, globalThis.navigator?.onLine ?? true);
   }
 }
 
@@ -57,14 +54,7 @@ function folderSource(given: URL): FileSource {
     read: async (path, limitBytes) => {
       const address = new URL(path.split("/").map(encodeURIComponent).join("/"), base);
       const response = await request(address);
-      if (!response.ok) {
-        const missing = path === "manifest.json" ? "bundle.manifest_missing" : "bundle.file_missing";
-        throw new BundleFault(
-          missing,
-          `"${path}" is not there (${response.status})`,
-          "give the address of the folder that holds manifest.json",
-        );
-      }
+      if (!response.ok) throw refusal(response.status, path, address);
       if (Number(response.headers.get("content-length") ?? 0) > limitBytes) throw tooLarge(path, limitBytes);
       const data = new Uint8Array(await response.arrayBuffer());
       if (data.length > limitBytes) throw tooLarge(path, limitBytes);
@@ -90,11 +80,8 @@ async function remoteArchive(url: URL): Promise<FileSource> {
     return zipSource(await ZipArchive.open(read, Number(stated[1])));
   }
   if (!probe.ok) {
-    throw new BundleFault(
-      "bundle.missing",
-      `nothing is at ${url.href} (${probe.status})`,
-      "check the address",
-    );
+    if (probe.status !== 404) throw refusal(probe.status, url.pathname, url);
+    throw new BundleFault("bundle.missing", `nothing is at ${url.href} (404)`, "check the address");
   }
   return zipSource(await ZipArchive.ofFile(await probe.blob()));
 }

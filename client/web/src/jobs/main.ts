@@ -4,9 +4,10 @@ import { maskEditor } from "../masks/editor.js";
 import { button, explain } from "../page/actions.js";
 import { placeOf } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
-import { createApi } from "../page/rest.js";
+import { createApi, Refused } from "../page/rest.js";
 import { createUploads } from "../upload/uploads.js";
 import { jobView } from "./jobView.js";
+import { lockedView } from "./lockedView.js";
 import { masksView } from "./masksView.js";
 import { sceneView } from "./sceneView.js";
 import { startView } from "./startView.js";
@@ -25,6 +26,10 @@ const context: Context = {
   store,
   uploads: createUploads(api),
   fail: (error) => {
+    if (error instanceof Refused && error.status === 401) {
+      lock();
+      return;
+    }
     message.textContent = explain(error);
     message.hidden = false;
   },
@@ -32,8 +37,21 @@ const context: Context = {
 
 let shown: View | null = null;
 let number = 0;
+let isLocked = false;
+
+/** Take everything away that this browser may not see or do (any more). */
+function lock(): void {
+  if (isLocked) return;
+  isLocked = true;
+  number += 1;
+  setText(connection, "not logged in");
+  logOut.remove();
+  message.hidden = true;
+  put(lockedView(api, context.fail, () => location.reload()));
+}
 
 async function show(): Promise<void> {
+  if (isLocked) return;
   number += 1;
   const mine = number;
   message.hidden = true;
@@ -53,6 +71,10 @@ async function show(): Promise<void> {
     view.close?.();
     return;
   }
+  put(view);
+}
+
+function put(view: View): void {
   const isFirst = shown === null;
   shown?.close?.();
   shown = view;
@@ -79,6 +101,7 @@ const logOut = button("Log out", context, async () => {
 });
 
 function showConnection(connected: boolean): void {
+  if (isLocked) return;
   if (connected) connection.after(logOut);
   setText(connection, connected ? "live" : "the server does not answer; trying again …");
   if (connected && wasAway) shown?.update?.(null);
@@ -121,6 +144,6 @@ async function run(): Promise<void> {
 }
 
 run().catch((error) => {
-  setText(connection, "");
+  if (!isLocked) setText(connection, "");
   context.fail(error);
 });

@@ -44,7 +44,8 @@ export class LambentViewerElement extends HTMLElement {
     const viewer = this.#open();
     const shown = viewer.open(originOf(source));
     this.#ready = shown;
-    await this.#interface!.during(shown);
+    const again = (): void => void this.#follow(this.show(source));
+    await this.#interface!.during(shown, again);
   }
 
   /** Light the object with the bytes of an .hdr or .exr map. */

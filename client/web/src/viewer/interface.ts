@@ -11,6 +11,7 @@ import { initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
+import { Welcome } from "./welcome.js";
 
 const messageMs = 8000;
 
@@ -18,8 +19,7 @@ const messageMs = 8000;
 export class Interface {
   readonly #view = make("div", { className: "view" });
   readonly #message = make("div", { className: "message" });
-  readonly #progress = make("progress", { max: 1, hidden: true, ariaLabel: "Reading the bundle" });
-  readonly #welcome: HTMLElement;
+  readonly #welcome = new Welcome();
   readonly #split: HTMLElement;
   readonly #handle = make("div", {
     ...{ className: "handle", tabIndex: 0, role: "slider", textContent: "⇔" },
@@ -30,6 +30,7 @@ export class Interface {
   readonly #panel: { element: HTMLElement; show: () => void };
   readonly #stop = new AbortController();
   #photoShown = "";
+  #reading: Promise<void> | null = null;
   #quietAt = 0;
 
   constructor(
@@ -40,15 +41,6 @@ export class Interface {
     root.adoptedStyleSheets = [viewerSheet()];
     this.#message.role = "status";
     this.#message.ariaLive = "polite";
-    this.#welcome = make(
-      "div",
-      { className: "welcome" },
-      make("h1", { textContent: "Drop a relightable bundle here" }),
-      make("p", {
-        textContent: "A folder or a .relight.zip that Lambent has exported. Nothing leaves this computer.",
-      }),
-      this.#progress,
-    );
     this.#split = make("div", { className: "split", hidden: true }, this.#handle);
     this.#panel = buildPanel(viewer, {
       change: (change) => this.#change(change),
@@ -66,7 +58,7 @@ export class Interface {
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "application");
     this.#view.append(canvas, this.#photo, this.#split, this.#sides);
-    root.replaceChildren(this.#view, this.#welcome, this.#message);
+    root.replaceChildren(this.#view, this.#welcome.element, this.#message);
     if (host.hasAttribute("controls")) root.append(this.#panel.element);
     // On a telephone the picture comes first.
     this.#panel.element.toggleAttribute("open", host.clientWidth >= 640);
@@ -88,14 +80,19 @@ export class Interface {
     this.viewer.canvas.ariaLabel = `${alt}. Arrow keys turn the camera, square brackets the light.`;
   }
 
-  /** Show the progress of reading a bundle during `work`; a failure is rethrown, and not shown. */
-  async during(work: Promise<void>): Promise<void> {
-    this.#progress.hidden = false;
-    this.#progress.removeAttribute("value");
+  /** Show the progress of reading a bundle; a failure is rethrown, and not shown. `again` asks for it anew. */
+  async during(work: Promise<void>, again: (() => void) | null = null): Promise<void> {
+    this.#reading = work;
+    // A bundle that is shown stays until the next one is there.
+    if (this.viewer.bundle === null) {
+      this.#welcome.reading();
+      this.#panel.element.hidden = true;
+    }
     try {
       await work;
-    } finally {
-      this.#progress.hidden = true;
+    } catch (error) {
+      if (this.#reading === work && this.viewer.bundle === null) this.#welcome.failed(again);
+      throw error;
     }
   }
 
@@ -138,11 +135,11 @@ export class Interface {
       const ended = status.phase === "done" || status.phase === "failed";
       if (ended) this.#tell(statusText(status), status.phase === "failed");
     });
-    this.viewer.on("progress", (share) => {
-      this.#progress.value = share;
-    });
+    this.viewer.on("opened", (name) => this.#welcome.named(name));
+    this.viewer.on("progress", (...bytes) => this.#welcome.arrived(...bytes));
     this.viewer.on("load", () => {
-      this.#welcome.hidden = true;
+      this.#welcome.element.hidden = true;
+      this.#panel.element.hidden = false;
       this.#tell("", false);
       this.describe();
     });

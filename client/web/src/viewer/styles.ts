@@ -34,6 +34,9 @@ button:hover { background: #394049; }
 .welcome { position: absolute; inset: 0; display: grid; place-content: center; text-align: center; padding: 1rem; gap: 0.6rem; }
 .welcome h1 { font-size: 1.3rem; margin: 0; }
 .welcome p { margin: 0; max-width: 32rem; }
+.welcome .bytes { font-variant-numeric: tabular-nums; opacity: 0.8; }
+.welcome .row { display: block; }
+.welcome button { min-height: 2.75rem; padding: 0 1.2rem; }
 progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff; }
 .dropping::after { content: "Drop a bundle, its folder, or a .hdr or .exr map"; position: absolute; inset: 0.5rem; display: grid;
   place-content: center; border: 3px dashed #8ec7ff; border-radius: 0.8rem; background: rgb(23 25 28 / 80%); pointer-events: none; }

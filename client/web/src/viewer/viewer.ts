@@ -21,8 +21,10 @@ import { initialState, isPreset, type ViewerState } from "./state.js";
 export type ViewerEvents = {
   /** The state is another one. */
   readonly change: () => void;
-  /** A bundle is being read; share from 0 to 1. */
-  readonly progress: (share: number) => void;
+  /** The bundle that is being read is there, and has a name. */
+  readonly opened: (name: string) => void;
+  /** A bundle is being read; bytes that have come, and all. */
+  readonly progress: (readBytes: number, totalBytes: number) => void;
   /** A bundle is shown. */
   readonly load: (bundle: LoadedBundle) => void;
   /** A picture was drawn. */
@@ -104,8 +106,15 @@ export class Viewer {
       prepare: (...asked) => this.#lights.prepare(...asked),
     });
     const hear = (news: BundleNews): void => {
-      if (news.kind === "progress") this.#tell("progress", news.readBytes / Math.max(news.totalBytes, 1));
-      else early.hear(news);
+      if (news.kind === "progress") {
+        this.#tell("progress", news.readBytes, news.totalBytes);
+        return;
+      }
+      if (news.kind === "opened") {
+        this.#tell("opened", news.name);
+        this.#tell("progress", 0, news.totalBytes);
+      }
+      early.hear(news);
     };
     const [bundle] = await Promise.all([
       loadInWorker(origin, hear, loading.signal),

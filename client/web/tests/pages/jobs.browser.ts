@@ -57,8 +57,17 @@ describe("logging in", () => {
     const stranger = await browser.newContext();
     const other = await stranger.newPage();
     await other.goto(server.link);
-    await other.waitForSelector("#message:has-text('not logged in')");
+    await other.waitForSelector("h1:text-is('Log in')");
+    expect(await other.locator("input[type=file]").count()).toBe(0);
     expect(await serious(other)).toEqual([]);
+    await other.fill("#link", server.link);
+    await other.click("button:text-is('Log in')");
+    await other.waitForSelector("text=was used before");
+    const headers = { "x-lambent-csrf": "1", origin: server.url };
+    const fresh = await page.request.post(`${server.url}/v1/login-links`, { headers });
+    await other.fill("#link", ` ${(await fresh.json()).url} `);
+    await other.click("button:text-is('Log in')");
+    await live(other);
     await stranger.close();
   });
 
@@ -70,7 +79,8 @@ describe("logging in", () => {
     await other.goto((await made.json()).url);
     await live(other);
     await other.click("text=Log out");
-    await other.waitForSelector("#message:has-text('not logged in')");
+    await other.waitForSelector("h1:text-is('Log in')");
+    expect(await other.locator("text=Relight your photographs").count()).toBe(0);
     expect(await guest.cookies()).toEqual([]);
     expect((await page.request.get(`${server.url}/v1/jobs`)).status()).toBe(200);
     await guest.close();

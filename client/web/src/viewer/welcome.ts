@@ -1,0 +1,76 @@
+/** What stands in place of the picture while there is none: an invitation, the progress of reading, or a problem. */
+
+import { formatSize } from "../page/format.js";
+import { make } from "./fields.js";
+
+/** The panel over an empty picture. */
+export class Welcome {
+  readonly #heading = make("h1");
+  readonly #text = make("p");
+  readonly #progress = make("progress", { max: 1, ariaLabel: "Reading the bundle" });
+  readonly #bytes = make("p", { className: "bytes" });
+  readonly #again = make("button", { type: "button", textContent: "Try again" });
+  #retry: (() => void) | null = null;
+  readonly element = make(
+    "div",
+    { className: "welcome" },
+    this.#heading,
+    this.#text,
+    this.#progress,
+    this.#bytes,
+    make("div", { className: "row" }, this.#again),
+  );
+
+  constructor() {
+    this.#again.addEventListener("click", () => this.#retry?.());
+    this.invite();
+  }
+
+  /** Ask for a bundle. */
+  invite(): void {
+    this.#say(
+      "Drop a relightable bundle here",
+      "A folder or a .relight.zip that Lambent has exported. Nothing leaves this computer.",
+    );
+    this.#progress.hidden = true;
+    this.#bytes.hidden = true;
+  }
+
+  /** A bundle is asked for. */
+  reading(): void {
+    this.#say("Opening the bundle…", "");
+    this.#progress.hidden = false;
+    this.#progress.removeAttribute("value");
+    this.#bytes.hidden = true;
+  }
+
+  /** The bundle that is read has a name. */
+  named(name: string): void {
+    this.#heading.textContent = name;
+  }
+
+  /** Show how much has come, in bytes. */
+  arrived(readBytes: number, totalBytes: number): void {
+    this.#progress.value = readBytes / Math.max(totalBytes, 1);
+    this.#bytes.hidden = false;
+    this.#bytes.textContent = `${formatSize(readBytes)} of ${formatSize(totalBytes)}`;
+  }
+
+  /** The bundle cannot be shown; `retry` asks for it again. */
+  failed(retry: (() => void) | null): void {
+    // What went wrong stands in the message, which is told to those who do not see it, too.
+    this.#say("This bundle cannot be shown", "");
+    this.#retry = retry;
+    this.#again.hidden = retry === null;
+    this.#progress.hidden = true;
+    this.#bytes.hidden = true;
+  }
+
+  #say(heading: string, text: string): void {
+    this.#heading.textContent = heading;
+    this.#text.textContent = text;
+    this.#text.hidden = text === "";
+    this.#again.hidden = true;
+    this.#retry = null;
+  }
+}
