@@ -97,7 +97,17 @@ describe("rays against a mesh", () => {
       const wanted = plain(mesh, origin, direction, closed);
       if (Number.isFinite(wanted)) hits++;
       if (Number.isFinite(wanted) !== Number.isFinite(found)) expect(found).toBe(wanted);
-      else if (Number.isFinite(wanted)) expect(found).toBeCloseTo(wanted, 5);
+      else if (Number.isFinite(wanted)) {
+        expect(found).toBeCloseTo(wanted, 5);
+        // The place on the face is where the ray is by then.
+        const at = [0, 1, 2].map((k) => {
+          const corner = (c: number): number => mesh.positionsXyz[3 * mesh.indices[3 * rays.face + c]! + k]!;
+          return (1 - rays.u - rays.v) * corner(0) + rays.u * corner(1) + rays.v * corner(2);
+        });
+        at.forEach((value, k) => {
+          expect(value).toBeCloseTo(origin[k]! + found * direction[k]!, 5);
+        });
+      } else expect(rays.face).toBe(-1);
     }
     if (mesh.indices.length > 3) expect(hits).toBeGreaterThan(40);
   });

@@ -92,6 +92,7 @@ function evenTracer(opacity: number): Tracer {
   return {
     backend: "wasm",
     slow: true,
+    originOffset: 0.01,
     raysPerCall: 64,
     trace: async (rays) => ({
       opacity: new Float32Array(rays.length / 6).fill(opacity),
@@ -260,7 +261,8 @@ describe("scattering", () => {
     expect(free).toBeCloseTo(1, 3);
     const opacity = 0.25;
     const hits = {
-      radiance: (...[, , , , out]: Parameters<Hits["radiance"]>) => out.set([1, 2, 3]),
+      texelAt: () => 0,
+      radiance: (...[, , out]: Parameters<Hits["radiance"]>) => out.set([1, 2, 3]),
     } as unknown as Hits;
     const scene = { points: point, light: sky, sampler, hits, originOffset: 0.01 };
     const sums = new Accumulation(point, { width: 1, height: 1 }, 1);

@@ -1,6 +1,7 @@
 /** Reads and checks the parts of a bundle that a viewer needs. */
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import { adaptedNote } from "./adapted.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault, exportAgain } from "./fault.js";
 import { openBundle } from "./manifest.js";
@@ -31,6 +32,8 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   readonly albedoScaleRgb: readonly number[];
   readonly metrics: Readonly<Record<string, number>>;
   readonly trainLights: readonly string[];
+  /** About fast caches that were adapted to one light, which no viewer uses; empty where there are none. */
+  readonly adaptedNote: string;
   readonly mesh: AtlasMesh;
   /** The materials that all renderers read; null for bundles before 1.3, whose transport has them. */
   readonly maps: MaterialMaps | null;
@@ -129,6 +132,7 @@ export async function loadBundle(
   const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
     ...{ name, sceneId, preset, albedoScaleRgb, metrics, trainLights },
+    adaptedNote: adaptedNote(manifest),
     ...{
       ...boundsOf(mesh.positionsXyz),
       mesh,

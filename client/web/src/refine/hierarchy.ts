@@ -15,6 +15,8 @@ export type Hierarchy = {
   readonly counts: Int32Array<ArrayBuffer>;
   /** First corner and both edges from it, nine numbers per face. */
   readonly corners: Float32Array<ArrayBuffer>;
+  /** Number of each face in the mesh. */
+  readonly face: Uint32Array<ArrayBuffer>;
 };
 
 const leafFaces = 4;
@@ -64,6 +66,7 @@ export function buildHierarchy(positions: Float32Array, indices: ArrayLike<numbe
     children: children.slice(0, 2 * used),
     counts: counts.slice(0, 2 * used),
     corners: cornersOf(positions, indices, order),
+    face: order,
   };
 }
 

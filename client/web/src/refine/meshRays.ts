@@ -17,6 +17,10 @@ export class MeshRays {
   readonly oneSided: boolean;
   readonly #tree: Hierarchy;
   readonly #stack = new Int32Array(stackSize);
+  /** Of the last ray: the face that it met, -1 for none, and the weights there of its second and third corner. */
+  face = -1;
+  u = 0;
+  v = 0;
 
   constructor({ positionsXyz, indices }: Pick<AtlasMesh, "positionsXyz" | "indices">) {
     this.#tree = buildHierarchy(positionsXyz, indices);
@@ -30,6 +34,7 @@ export class MeshRays {
     const { oneSided } = this;
     const [ix, iy, iz] = [inverse(dx), inverse(dy), inverse(dz)];
     let nearest = Infinity;
+    let [best, bestU, bestV] = [-1, 0, 0];
     let size = 0;
     let node = 0;
     for (;;) {
@@ -74,13 +79,22 @@ export class MeshRays {
           const v = (dx * qx + dy * qy + dz * qz) * over;
           if (v < 0 || u + v > 1) continue;
           const t = (e2x * qx + e2y * qy + e2z * qz) * over;
-          if (t > 0 && t < nearest) nearest = t;
+          if (t > 0 && t < nearest) {
+            nearest = t;
+            best = place;
+            bestU = u;
+            bestV = v;
+          }
         }
       }
       if (following >= 0) node = following;
       else if (size > 0) node = stack[--size]!;
-      else return nearest;
+      else break;
     }
+    this.face = best < 0 ? -1 : this.#tree.face[best]!;
+    this.u = bestU;
+    this.v = bestV;
+    return nearest;
   }
 }
 

@@ -22,10 +22,10 @@ export type RefineScene = {
 
 /** Means over the directions of one pass, per point. */
 export type PassMeans = {
-  readonly directRgb: Float32Array;
-  readonly indirectRgb: Float32Array;
+  readonly directRgb: Float32Array<ArrayBuffer>;
+  readonly indirectRgb: Float32Array<ArrayBuffer>;
   /** Cosine-weighted share of free directions. */
-  readonly visibility: Float32Array;
+  readonly visibility: Float32Array<ArrayBuffer>;
 };
 
 /** Directions of some points, before they are traced. */
@@ -132,7 +132,8 @@ function add(scene: RefineScene, drawn: Drawn, traced: Traced, perPass: number, 
     const distance = traced.distance[ray]!;
     for (let axis = 0; axis < 3; axis++) backwards[axis] = -direction[axis]!;
     const at = (axis: number): number => rays[6 * ray + axis]! + distance * direction[axis]!;
-    scene.hits.radiance(at(0), at(1), at(2), backwards, arriving);
+    const texel = traced.texel?.[ray] ?? scene.hits.texelAt(at(0), at(1), at(2));
+    scene.hits.radiance(texel, backwards, arriving);
     for (let channel = 0; channel < 3; channel++) {
       means.indirectRgb[3 * index + channel]! += (weight[3 * ray + channel]! * arriving[channel]!) / perPass;
     }

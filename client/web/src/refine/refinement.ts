@@ -9,8 +9,9 @@ import { turnMatrix } from "../render/light.js";
 import type { LightTurn, Look, ViewCamera } from "../render/looks.js";
 import type { Stage } from "../render/stage.js";
 import type { RefinedPicture } from "./accumulation.js";
-import type { RefineAnswer, RefineQuestion } from "./messages.js";
+import type { RefineAnswer } from "./messages.js";
 import { mostPoints, planOf } from "./plan.js";
+import { RefinePool, workersFor } from "./pool.js";
 import { RefinedLayer, refinedChannels } from "./refinedLayer.js";
 import { notRefining, type RefineOptions, type RefineStatus } from "./status.js";
 import { readSamples } from "./surfaceReader.js";
@@ -42,7 +43,7 @@ const coarseSide = 256;
 /** One viewer's refinement. */
 export class Refinement {
   #status: RefineStatus = notRefining;
-  #worker: Worker | null = null;
+  #pool: RefinePool | null = null;
   #opened: Extract<RefineAnswer, { kind: "opened" }> | null = null;
   #bundle: LoadedBundle | null = null;
   #sentLight: PreparedLight["levels"] | null = null;
@@ -82,8 +83,8 @@ export class Refinement {
 
   dispose(): void {
     this.#stop();
-    this.#worker?.terminate();
-    this.#worker = null;
+    this.#pool?.close();
+    this.#pool = null;
   }
 
   #set(change: Partial<RefineStatus>): void {
@@ -103,15 +104,11 @@ export class Refinement {
     clearTimeout(this.#rest);
     this.#key = "";
     this.#light = null;
-    this.#ask({ ask: "stop" });
+    this.#pool?.ask({ ask: "stop" });
     this.#picture = null;
     this.host.stage.overlay = null;
     this.#layer?.dispose();
     this.#layer = null;
-  }
-
-  #ask(question: RefineQuestion): void {
-    this.#worker?.postMessage(question);
   }
 
   #begin(): void {
@@ -126,19 +123,15 @@ export class Refinement {
 
   #open({ bundle, origin, options }: RefineView): void {
     this.#set({ phase: "loading" });
-    if (this.#worker !== null) return;
+    if (this.#pool !== null) return;
     this.#bundle = bundle;
-    const worker = new Worker(new URL("./refineWorker.ts", import.meta.url), { type: "module" });
-    this.#worker = worker;
-    worker.onmessage = ({ data }: MessageEvent<RefineAnswer>) => {
-      if (this.#worker === worker) this.#hear(data);
-    };
-    worker.onerror = (event) => {
-      const message = event.message || "the worker could not be started";
-      if (this.#worker === worker) this.#hear({ kind: "failed", code: "refine.failed", message });
-    };
     const { sceneId, mesh, transport } = bundle;
-    this.#ask({ ask: "open", origin, sceneId, mesh, transport, backend: options.backend });
+    const count = workersFor(options, navigator.hardwareConcurrency || 1);
+    const asked = { origin, sceneId, mesh, transport, backend: options.backend };
+    const pool: RefinePool = new RefinePool(asked, count, (answer) => {
+      if (this.#pool === pool) this.#hear(answer);
+    });
+    this.#pool = pool;
   }
 
   #start(view: RefineView): void {
@@ -146,7 +139,8 @@ export class Refinement {
     const light = stage.light("a");
     if (light === null) return; // A new bundle is there, and its light is not yet.
     const { camera, options, turn, look, bundle } = view;
-    const limit = this.#opened!.slow ? mostPoints.slow : mostPoints.quick;
+    const { slow, backend } = this.#opened!;
+    const limit = slow ? mostPoints.slow : backend === "mesh" ? mostPoints.mesh : mostPoints.quick;
     const scale = Math.min(1, coarseSide / Math.max(camera.width, camera.height));
     const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
     const coarse = view.cameraOf(side(camera.width, scale), side(camera.height, scale));
@@ -165,7 +159,7 @@ export class Refinement {
     const { levels } = light.prepared;
     const known = this.#sentLight === levels;
     this.#sentLight = levels;
-    this.#ask({
+    this.#pool?.ask({
       ask: "start",
       id: ++this.#id,
       levels: known ? null : levels,
@@ -177,15 +171,14 @@ export class Refinement {
       seen,
       options,
     });
-    const { backend, note } = this.#opened!;
+    const note = [this.#opened!.note, bundle.adaptedNote].filter((text) => text !== "").join("; ");
     this.#set({ phase: "running", backend, note, samplesPerPixel: 0, relativeError: 0 });
   }
 
   #hear(answer: RefineAnswer): void {
     if (answer.kind === "failed") {
       this.#stop();
-      this.#worker?.terminate();
-      this.#worker = null;
+      this.#pool = null;
       this.#opened = null;
       this.#set({ phase: "failed", message: `${answer.message} [${answer.code}]` });
       this.host.redraw();
@@ -198,9 +191,9 @@ export class Refinement {
       return;
     }
     if (answer.id !== this.#id || this.#layer === null) return;
-    const { picture, done } = answer;
+    const { picture, shown, done } = answer;
     this.#picture = picture;
-    this.#layer.set(picture);
+    this.#layer.set(shown ?? picture);
     this.host.stage.overlay = this.#layer;
     const { samplesPerPixel, relativeError } = picture;
     this.#set({ phase: done ? "done" : "running", samplesPerPixel, relativeError });
