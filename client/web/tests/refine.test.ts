@@ -6,9 +6,9 @@ import { Accumulation } from "../src/refine/accumulation.js";
 import type { Hits } from "../src/refine/hitRadiance.js";
 import { cosineLobe, LightSampler, lobeOfAlpha, pixelMasses, tableRow } from "../src/refine/lightSampler.js";
 import { onePass } from "../src/refine/passes.js";
-import { evenUniforms, Randoms } from "../src/refine/randoms.js";
+import { Randoms } from "../src/refine/randoms.js";
 import { dielectricF0, Reflection } from "../src/refine/reflection.js";
-import { Scattering, strategyShares, wholeShares } from "../src/refine/scattering.js";
+import { type Lit, Scattering, strategyShares } from "../src/refine/scattering.js";
 import { brightness, SkyLight } from "../src/refine/skyLight.js";
 import { type SurfacePoints, type SurfaceSamples, surfacePoints } from "../src/refine/surfacePoints.js";
 import type { Tracer } from "../src/refine/tracer.js";
@@ -163,13 +163,6 @@ describe("random numbers", () => {
     expect(Math.abs(sum / 2000 - 1 / 2)).toBeLessThan(5 / Math.sqrt(12 * 2000));
     expect(Math.abs(squares / 2000 - 1 / 3)).toBeLessThan(5 * Math.sqrt(4 / 45 / 2000));
   });
-  it("of one point are stratified in their first dimension", () => {
-    const randoms = new Randoms();
-    randoms.begin(1, 2, 3);
-    const triples = new Float64Array(24);
-    evenUniforms(randoms, 8, triples);
-    for (let index = 0; index < 8; index++) expect(Math.floor(8 * triples[3 * index]!)).toBe(index);
-  });
 });
 
 describe("sampling the light", () => {
@@ -218,19 +211,42 @@ describe("sampling the light", () => {
 });
 
 describe("scattering", () => {
-  it("divides the directions by reflectance, without rest", () => {
-    const shares = new Float64Array(4);
-    strategyShares(0.8, 0, shares);
-    expect(shares.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 12);
-    expect(shares[0]! + shares[1]!).toBeCloseTo(0.9, 12);
-    wholeShares(shares, 4);
-    expect([...shares].map((share) => (4 * share) % 1)).toEqual([0, 0, 0, 0]);
-    expect(shares.reduce((sum, value) => sum + value, 0)).toBe(1);
+  it("divides the directions by what the lobes reflect of the light", () => {
+    const even = { cosine: 1, diffuseMean: 1, specularMean: 1 };
+    const shares = (lit: Partial<Lit>): number[] => {
+      const out = new Float64Array(4);
+      strategyShares({ meanAlbedo: 0.8, metalness: 0, alpha: 0.25, ...even, ...lit }, out);
+      expect(out.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 12);
+      return [...out];
+    };
+    const plain = shares({});
+    // 0.04 of 0.84 is below the least share of the specular lobe.
+    expect(plain[0]! + plain[1]!).toBeCloseTo(0.9, 12);
+    expect(plain[0]).toBeCloseTo(0.72, 12);
+    const lamp = shares({ specularMean: 100 });
+    expect(lamp[2]! + lamp[3]!).toBeCloseTo(4 / 4.8, 12);
+    expect(lamp[3]! / lamp[2]!).toBeCloseTo(3 / 7, 12);
+    const grazing = shares({ cosine: 0.05, specularMean: 2 });
+    expect(grazing[2]).toBeGreaterThan(shares({ cosine: 0.05, specularMean: 2, alpha: 1 })[2]!);
+    expect(shares({ metalness: 1 })[0]).toBeCloseTo(0.8 * 0.05, 12);
+    // Nothing is mirrored towards a viewer behind the surface.
+    expect(shares({ cosine: -0.1, specularMean: 100 })[2]).toBeCloseTo(0.07, 12);
+  });
+
+  it("knows the mean of the light under a lobe", () => {
+    const flat = new LightSampler({ width: 48, height: 24, values: new Float64Array(48 * 24).fill(2) });
+    for (const lobe of [cosineLobe, lobeOfAlpha(1), lobeOfAlpha(0.3)]) {
+      const mean = flat.mean(tableRow(unit(0.5, -0.2, 0.8), lobe));
+      expect(4 * Math.PI * mean).toBeGreaterThan(0.85);
+      expect(4 * Math.PI * mean).toBeLessThan(1.15);
+    }
+    const row = (x: number): number => tableRow(unit(x, 0.1, 0.2), lobeOfAlpha(0.3));
+    expect(sampler.mean(row(1))).not.toBeCloseTo(sampler.mean(row(-1)), 3);
   });
 
   it.each(Object.entries(surfaces))("of %s has a density that integrates to one at most", (_, point) => {
     const scattering = new Scattering(point, sampler, turn);
-    scattering.aim(0, 1);
+    scattering.aim(0);
     let sum = 0;
     overSphere(120, (direction, solidAngle) => {
       scattering.omegaI.set(direction);

@@ -24,7 +24,7 @@ import { edited, type SurfacePoints, surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
 
 /** Directions of a point in one pass. */
-const perPass = 4;
+const perPass = 8;
 /** Passes before their differences say anything about the noise. */
 const leastPasses = 4;
 /** Pictures that are shown before are sent at most so often, ms. */
