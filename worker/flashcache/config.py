@@ -215,7 +215,7 @@ class ExportConfig:
     """Most triangles where their number is not given; more take minutes to cut into charts."""
     atlas_size: int = 0
     """Texels along each side of the albedo texture, 16 to 8192; 0: as many as the photographs have pixels on
-    the surface, a power of two from 1024 to 8192."""
+    the surface, a power of two from 1024 to 4096 (to 2048 in a lite bundle)."""
     transport_size: int = 512
     """Texels along each side of the same atlas for baked transport, roughness, metalness and normals, whose
     detail is the model's; fewer where charts fill the atlas, so that files keep their size."""

@@ -24,6 +24,7 @@ from lambent_worker.errors import UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
+from lambent_worker.run.export_notes import tell_about
 from lambent_worker.run.folder import locked, require_done
 from lambent_worker.run.hashes import last_training_task, scene_hash
 from lambent_worker.run.prepare import open_task
@@ -72,12 +73,13 @@ def export_edited(
         shutil.rmtree(_rays_beside(partial), ignore_errors=True)
         try:
             _write(replace(context, spec=spec), given, mesh, partial)
-            load_bundle(partial)
+            manifest = load_bundle(partial).manifest
             partial.rename(out)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
             # Rays of another mesh must not be taken for this one's: nothing resumes here.
             shutil.rmtree(_rays_beside(partial), ignore_errors=True)
+    tell_about(reporter, manifest, spec.config.export)
 
 
 def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> None:
