@@ -64,7 +64,8 @@ def automatic_size(surface: AtlasSurface, pixel: float, tier: str) -> int:
     """
     wanted = surface.size * surface.texel_size / pixel if pixel > 0.0 else 0.0
     size = LEAST_SIZE
-    while size < LARGEST_SIZE[tier] and size < 0.75 * wanted:
+    # Below the size of transport charts would run together, whatever the tier.
+    while size < surface.size or size < min(LARGEST_SIZE[tier], 0.75 * wanted):
         size *= 2
     return size
 

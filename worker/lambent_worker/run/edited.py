@@ -57,7 +57,9 @@ def export_edited(
         tier = "full"
     config = context.spec.config
     if atlas:
+        # The size of transport too, so that a texture with fewer texels does not make it coarser.
         wanted = {"atlas_size": "0" if atlas == "auto" else atlas}
+        wanted["transport_size"] = str(config.export.transport_size)
         config = with_overrides(config, {f"export.{name}": value for name, value in wanted.items()})
     chosen = replace(config.export, transport_tier=tier or config.export.transport_tier)
     spec = replace(context.spec, config=replace(config, export=chosen))

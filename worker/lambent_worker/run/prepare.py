@@ -134,6 +134,8 @@ def export_run(
     wanted = {"transport_tier": tier, "weights": weights or ("none" if tier == "lite" else "")}
     wanted["faces"] = "0" if faces == "auto" else faces
     wanted["atlas_size"] = "0" if atlas == "auto" else atlas
+    # Stated too, so that a texture with fewer texels is refused and does not make transport coarser.
+    wanted["transport_size"] = str(context.spec.config.export.transport_size)
     settings = {f"export.{name}": value for name, value in wanted.items() if value}
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():

@@ -170,6 +170,10 @@ def test_atlases_are_no_larger_than_a_tier_allows():
     assert sizes == {"lite": 2048, "full": 4096, "none": 4096}
 
 
+def test_atlases_are_no_coarser_than_transport():
+    assert automatic_size(replace(BOX, size=3000), 0.0, "lite") == 4096
+
+
 def test_each_photograph_is_opened_twice_and_one_at_a_time(views):
     opened, alive = [], []
 

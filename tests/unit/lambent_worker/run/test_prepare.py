@@ -77,6 +77,11 @@ def test_what_is_to_be_said_of_a_bundle_is_said_when_it_is_copied_too(tmp_path):
     assert [fields["code"] for fields in reporter.named("finding")] == ["export.atlas_unused"]
 
 
+def test_a_texture_coarser_than_transport_is_refused_and_does_not_make_that_coarser(tmp_path):
+    with pytest.raises(ConfigError, match=r"at least export\.transport_size.*256 and 512"):
+        export_run(finished_run(tmp_path), tmp_path / "out", RecordingReporter(), atlas="256")
+
+
 def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(prepare, "run_task", lambda context, inputs: asked.append(context.spec.config.export))
