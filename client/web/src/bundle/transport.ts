@@ -8,12 +8,12 @@
 
 import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type BundleFault, exportAgain } from "./fault.js";
+import { maxAtlasSize } from "./manifest.js";
 import { spreadTexels } from "./texels.js";
 
 /** Columns of all tables. */
 export const tableWidth = 1024;
 export const numShadowDirections = 256;
-const maxAtlasSize = 8192;
 
 /** Planes of texels in layers of four. */
 export type PlaneTable = {

@@ -24,7 +24,7 @@ import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
 import { Surface, sampleTarget } from "./surface.js";
 import { halfFloatTarget } from "./targets.js";
-import { BundleTextures, splitSumTexture } from "./textures.js";
+import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {
@@ -115,7 +115,15 @@ export class Stage {
 
   /** Show another bundle; lights go with the one before. Throws GraphicsFault where its tables do not fit. */
   setBundle(bundle: LoadedBundle): void {
-    const textures = new BundleTextures(bundle.transport, bundle.uncertainty, bundle.maps);
+    const { maxTextureSize } = this.renderer.capabilities;
+    const longest = longestSide(bundle.transport);
+    if (longest > maxTextureSize) {
+      throw new GraphicsFault(
+        `this graphics card takes textures of ${maxTextureSize} texels a side, the bundle's tables have ${longest}`,
+        "use another device, or a bundle with a smaller export.transport_size",
+      );
+    }
+    const textures = new BundleTextures(bundle.transport, bundle.uncertainty, bundle.maps, maxTextureSize);
     const surface = new Surface(bundle.mesh, textures);
     const shading = new Shading(bundle, textures, this.#splitSum);
     const scene = new Scene();

@@ -44,6 +44,12 @@ function numbers(data: Uint32Array<ArrayBuffer>, width: number): DataTexture {
   return ready(new DataTexture(data, width, data.length / width, format, UnsignedIntType), "R32UI");
 }
 
+/** Return the longest side of the textures that a transport's tables become; they cannot be made smaller. */
+export function longestSide({ size, direct, visibility, indirect, material }: PackedTransport): number {
+  const rows = [direct, visibility, indirect, material].map((table) => table.rows);
+  return Math.max(tableWidth, size, ...rows);
+}
+
 /** Textures of one bundle, independent of the light. */
 export class BundleTextures {
   readonly direct: DataArrayTexture;
@@ -65,6 +71,8 @@ export class BundleTextures {
     readonly transport: PackedTransport,
     grid: UncertaintyGrid | null,
     maps: MaterialMaps | null,
+    /** Texels along a side of the largest texture that the graphics card takes. */
+    largestSide: number,
   ) {
     this.direct = planes(transport.direct);
     this.visibility = planes(transport.visibility);
@@ -82,12 +90,13 @@ export class BundleTextures {
     this.lobeTable = lobeTexture(transport.visibility.bands);
     if (grid !== null) this.uncertainty = gridTexture(grid);
     if (maps !== null) {
-      this.albedoMap = pictureTexture(maps.albedo);
+      const albedo = fitted(maps.albedo, largestSide);
+      this.albedoMap = pictureTexture(albedo);
       this.albedoMap.colorSpace = SRGBColorSpace;
       this.albedoMap.generateMipmaps = true;
       this.albedoMap.minFilter = LinearMipmapLinearFilter;
-      this.packedMap = pictureTexture(maps.packed);
-      this.lastLevel = Math.max(0, Math.floor(Math.log2(maps.albedo.width / transport.size)));
+      this.packedMap = pictureTexture(fitted(maps.packed, largestSide));
+      this.lastLevel = Math.max(0, Math.floor(Math.log2(albedo.width / transport.size)));
     }
   }
 
@@ -110,6 +119,21 @@ function lobeTexture(bands: number): DataTexture {
     data[4 * ((band >> 2) * numLobeSteps + step) + (band & 3)] = value;
   });
   return ready(new DataTexture(data, numLobeSteps, rows, RGBAFormat, FloatType), "RGBA32F");
+}
+
+/**
+ * Return a picture halved until no side has more than `largest` pixels: means over 2 x 2 pixels of its levels as they
+ * are encoded. three.js would make it smaller too, but would not say so, and `lastLevel` belongs to the picture's size.
+ */
+export function fitted(picture: ImageBitmap, largest: number): ImageBitmap {
+  let found = picture;
+  while (Math.max(found.width, found.height) > largest) {
+    const [width, height] = [Math.ceil(found.width / 2), Math.ceil(found.height / 2)];
+    const canvas = new OffscreenCanvas(width, height);
+    canvas.getContext("2d")!.drawImage(found, 0, 0, width, height);
+    found = canvas.transferToImageBitmap();
+  }
+  return found;
 }
 
 function pictureTexture(picture: ImageBitmap): Texture {
