@@ -18,6 +18,8 @@ export type MaterialMaps = {
   readonly albedo: ImageBitmap;
   /** Occlusion, perceptual roughness and metalness. */
   readonly packed: ImageBitmap;
+  /** Normals in the frames of the tangents, -1..1 as 0..255. */
+  readonly normal: ImageBitmap;
 };
 
 /** Decodes a PNG file, its levels as they are stored. */
@@ -136,8 +138,12 @@ export async function loadBundle(
 async function mapsOf(glb: Uint8Array<ArrayBuffer>, decode: Decode): Promise<MaterialMaps> {
   const files = texturesFromGlb(glb);
   try {
-    const [albedo, packed] = await Promise.all([decode(files.baseColour), decode(files.packed)]);
-    return { albedo, packed };
+    const [albedo, packed, normal] = await Promise.all([
+      decode(files.baseColour),
+      decode(files.packed),
+      decode(files.normal),
+    ]);
+    return { albedo, packed, normal };
   } catch {
     throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb has a texture that cannot be decoded");
   }

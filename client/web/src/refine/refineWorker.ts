@@ -12,7 +12,7 @@ import { LightSampler } from "./lightSampler.js";
 import type { OpenQuestion, RefineAnswer, RefineQuestion, StartQuestion } from "./messages.js";
 import { onePass } from "./passes.js";
 import { brightness, SkyLight } from "./skyLight.js";
-import { edited, surfacePoints } from "./surfacePoints.js";
+import { surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openTracer, RefineFault, type Tracer } from "./tracer.js";
 
 /** Directions of a point in one pass. */
@@ -87,7 +87,7 @@ async function refine(question: StartQuestion): Promise<void> {
   if (light === null) throw new Error("a picture without light was asked for");
   const { tracer, scene, originOffset } = opened;
   const sky = new SkyLight(light.levels, question.turn, question.intensity);
-  const points = surfacePoints(seen, edited(scene.materials, question.edit), question.edit);
+  const points = surfacePoints(seen, question.edit);
   const hits = question.indirect ? new Hits(scene, sky, question.falling, question.edit) : null;
   const sums = new Accumulation(points, seen.camera, seen.samples);
   let sentAt = Number.NEGATIVE_INFINITY;
