@@ -7,7 +7,7 @@ import { checkPath, openBundle } from "../src/bundle/manifest.js";
 import { meshFromGlb } from "../src/bundle/mesh.js";
 import { sha256, sha256Hex } from "../src/bundle/sha256.js";
 import { openSource } from "../src/bundle/source.js";
-import { spreadTexels } from "../src/bundle/texels.js";
+import { blocksAround, spreadTexels } from "../src/bundle/texels.js";
 import { tableWidth } from "../src/bundle/transport.js";
 import { readUncertainty } from "../src/bundle/uncertainty.js";
 import {
@@ -59,7 +59,10 @@ function textured(baseColour: number[], packed = [...pngHead(4, 4), 5]): TinyBun
   bundle.manifest.atlas = {
     ...{ size: 8, material_size: 4, num_texels: 20, texel_size: 0.1, albedo_source: "photographs" },
   };
-  bundle.files.set("mesh/asset.glb", triangleGlb(undefined, undefined, [baseColour, packed]));
+  bundle.files.set(
+    "mesh/asset.glb",
+    triangleGlb(undefined, undefined, [baseColour, packed, [...pngHead(4, 4), 6]]),
+  );
   return bundle;
 }
 
@@ -109,7 +112,8 @@ describe("a bundle", () => {
 
   it("has the mesh's textures for materials where the manifest says so", async () => {
     const bundle = (await open(textured([...pngHead(8, 8), 7]))) as LoadedBundle;
-    expect([bundle.maps?.albedo.width, bundle.maps?.packed.width]).toEqual([7, 5]);
+    const { albedo, packed, normal } = bundle.maps!;
+    expect([albedo.width, packed.width, normal.width]).toEqual([7, 5, 6]);
     for (const picture of [[1, 2, 3], pngHead(8, 8), [...pngHead(8, 8).slice(0, 16), 7]]) {
       expect((await faultOf(open(textured(picture)))).code).toBe("bundle.mesh_invalid");
     }
@@ -235,6 +239,20 @@ describe("paths", () => {
 });
 
 describe("the mesh", () => {
+  it("has the file's normals and tangents where it has both, which must fit", () => {
+    expect(meshFromGlb(triangleGlb()).frames).toBeNull();
+    const frames = { normals: [0, 0, 1, 0, 1, 0, 1, 0, 0], tangents: [1, 0, 0, 1, 1, 0, 0, 1, 0, 1, 0, -1] };
+    const read = (given: typeof frames) => meshFromGlb(triangleGlb(undefined, undefined, [], given)).frames;
+    expect([...read(frames)!.normalsXyz]).toEqual(frames.normals);
+    expect([...read(frames)!.tangentsXyzw]).toEqual(frames.tangents);
+    for (const spoilt of [
+      { ...frames, normals: frames.normals.slice(0, 6) },
+      { ...frames, tangents: frames.tangents.map((value, index) => (index === 5 ? Number.NaN : value)) },
+    ]) {
+      expect(() => read(spoilt)).toThrow("normals or tangents that do not fit");
+    }
+  });
+
   it("has the file's positions and texture coordinates", () => {
     const mesh = meshFromGlb(triangleGlb());
     expect([...mesh.positionsXyz]).toEqual([0, 0, 0, 1, 0, 0, 0, 1, 0]);
@@ -268,6 +286,25 @@ describe("the uncertainty grid", () => {
 });
 
 describe("places outside charts", () => {
+  it("have the coarse texels around them, of their own chart", () => {
+    // Two charts of 2 x 4 texels, two texels apart: columns 1 and 2, and 5 and 6.
+    const places = Array.from({ length: 64 }, (_, place) => place);
+    const index = Uint32Array.from(places.filter((place) => [1, 2, 5, 6].includes(place % 8)));
+    const plane = spreadTexels(index, 8);
+    // Blocks by their place in the atlas of half the size.
+    const coarse = index.map((place) => 4 * (Math.floor(place / 8) >> 1) + ((place % 8) >> 1));
+    const around = blocksAround(index, plane, coarse, 8);
+    const of = (row: number, column: number): number[] => {
+      const texel = index.indexOf(8 * row + column);
+      return [...around.subarray(4 * texel, 4 * texel + 4)];
+    };
+    expect(of(3, 2)).toEqual([5, 4, 9, 8]);
+    expect(of(2, 1)).toEqual([4, 5, 0, 1]);
+    // To the right of column 6 and left of column 5 is the chart itself, or its last texel again.
+    expect(of(0, 5)).toEqual([2, 3, 2, 3]);
+    expect(of(7, 6)).toEqual([15, 14, 15, 14]);
+  });
+
   it("take the nearest covered texel", () => {
     const owner = spreadTexels(Uint32Array.from([0, 15]), 4);
     expect([...owner]).toEqual(

@@ -10,7 +10,12 @@ import { Randoms } from "../src/refine/randoms.js";
 import { dielectricF0, Reflection } from "../src/refine/reflection.js";
 import { type Lit, Scattering, strategyShares } from "../src/refine/scattering.js";
 import { brightness, SkyLight } from "../src/refine/skyLight.js";
-import { type SurfacePoints, type SurfaceSamples, surfacePoints } from "../src/refine/surfacePoints.js";
+import {
+  type SurfacePoints,
+  type SurfaceSamples,
+  surfacePoints,
+  unfolded,
+} from "../src/refine/surfacePoints.js";
 import type { Tracer } from "../src/refine/tracer.js";
 import { rotated, vector } from "../src/refine/vectors.js";
 
@@ -109,34 +114,38 @@ describe("points of a picture", () => {
     },
     samples: 1,
     place: Uint32Array.of(0),
-    texel: Uint32Array.of(0),
+    normal: Uint32Array.of(0),
     distance: Float32Array.of(5),
-    material: null,
-  };
-  const texels = {
-    albedo: Float32Array.of(0.1, 0.2, 0.3),
-    perceptualRoughness: Float32Array.of(0.5),
-    metalness: Float32Array.of(0),
-    normal: Float32Array.of(0, 0, 1),
+    // Albedo (1, 1/2, 1/4) in 16 bits, roughness 0.8 and metalness 0.6 in 8.
+    material: Uint32Array.of(0xffff + 0x8000 * 0x10000, 0x4000 + 204 * 0x10000 + 153 * 0x1000000),
   };
   const edit = {
     ...{ albedoGain: [1, 1, 2] as const, albedoScaleRgb: [1, 0.5, 1] },
     ...{ roughnessScale: 0.5, metalnessShift: 0.1 },
   };
 
-  it("have the material of their texel, as it is given", () => {
-    const points = surfacePoints(seen, texels, edit);
-    [...points.albedo].forEach((value, axis) => {
-      expect(value).toBeCloseTo([0.1, 0.2, 0.3][axis]!, 6);
+  it("have the normal of their sample", () => {
+    // As the shader folds (0.6, -0.48, 0.64) and (0.48, 0.6, -0.64): over and under the horizon.
+    const sample = (x: number, y: number): number =>
+      (Math.round(32767 * x) & 0xffff) + (Math.round(32767 * y) & 0xffff) * 0x10000;
+    const sum = 0.6 + 0.48 + 0.64;
+    const [above, below] = [sample(0.6 / sum, -0.48 / sum), sample(1 - 0.6 / sum, 1 - 0.48 / sum)];
+    for (const [word, wanted] of [
+      [above, [0.6, -0.48, 0.64]],
+      [below, [0.48, 0.6, -0.64]],
+    ] as const) {
+      unfolded(word).forEach((value, axis) => {
+        expect(value).toBeCloseTo(wanted[axis]!, 4);
+      });
+    }
+    const points = surfacePoints({ ...seen, normal: Uint32Array.of(above) }, edit);
+    [0.6, -0.48, 0.64].forEach((value, axis) => {
+      expect(points.normal[axis]).toBeCloseTo(value, 4);
     });
-    expect(points.alpha[0]).toBeCloseTo(0.25, 6);
-    expect(points.metalness[0]).toBe(0);
   });
 
-  it("or that of their sample, edited", () => {
-    // Albedo (1, 1/2, 1/4) in 16 bits, roughness 0.8 and metalness 0.6 in 8.
-    const words = [0xffff + 0x8000 * 0x10000, 0x4000 + 204 * 0x10000 + 153 * 0x1000000];
-    const points = surfacePoints({ ...seen, material: Uint32Array.from(words) }, texels, edit);
+  it("have the material of their sample, edited", () => {
+    const points = surfacePoints(seen, edit);
     [...points.albedo].forEach((value, axis) => {
       expect(value).toBeCloseTo([1, 0.25, 0.5][axis]!, 4);
     });

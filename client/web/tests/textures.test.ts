@@ -16,6 +16,7 @@ const transport = (size: number, rows: number): PackedTransport => ({
   size,
   numTexels: 1,
   texelPlane: new Uint32Array(size * size),
+  blocksAround: new Uint32Array(4 * tableWidth),
   direct: table(rows),
   visibility: table(1),
   indirect: table(1),
@@ -67,12 +68,17 @@ describe("a picture beyond what the graphics card takes", () => {
     expect(fitted(given, 4096)).toBe(given);
   });
 
-  it("leaves its charts apart: the last level belongs to the size that is shown", () => {
-    const maps = { albedo: picture(4096, 4096), packed: picture(512, 512) } as MaterialMaps;
-    expect(new BundleTextures(transport(512, 1), null, maps, 4096).lastLevel).toBe(3);
-    const reduced = new BundleTextures(transport(512, 1), null, maps, 2048);
-    expect(reduced.lastLevel).toBe(2);
+  it("is made smaller for the albedo alone where the others fit", () => {
+    const maps = {
+      albedo: picture(4096, 4096),
+      packed: picture(512, 512),
+      normal: picture(512, 512),
+    } as MaterialMaps;
+    const whole = new BundleTextures(transport(16, 1), null, maps, true, 4096);
+    expect((whole.albedoMap!.image as ImageBitmap).width).toBe(4096);
+    const reduced = new BundleTextures(transport(16, 1), null, maps, true, 2048);
     expect((reduced.albedoMap!.image as ImageBitmap).width).toBe(2048);
+    expect((reduced.normalMap!.image as ImageBitmap).width).toBe(512);
   });
 });
 

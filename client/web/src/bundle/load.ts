@@ -19,6 +19,8 @@ export type MaterialMaps = {
   readonly albedo: ImageBitmap;
   /** Occlusion, perceptual roughness and metalness. */
   readonly packed: ImageBitmap;
+  /** Normals in the frames of the tangents, -1..1 as 0..255. */
+  readonly normal: ImageBitmap;
 };
 
 /** Decodes a PNG file, its levels as they are stored. */
@@ -152,6 +154,7 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
   for (const [{ width, height }, stated] of [
     [files.baseColour, atlas.size],
     [files.packed, atlas.materialSize],
+    [files.normal, atlas.materialSize],
   ] as const) {
     if (width !== stated || height !== stated) {
       throw exportAgain(
@@ -161,8 +164,12 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     }
   }
   try {
-    const [albedo, packed] = await Promise.all([decode(files.baseColour.data), decode(files.packed.data)]);
-    return { albedo, packed };
+    const [albedo, packed, normal] = await Promise.all([
+      decode(files.baseColour.data),
+      decode(files.packed.data),
+      decode(files.normal.data),
+    ]);
+    return { albedo, packed, normal };
   } catch {
     throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb has a texture that cannot be decoded");
   }

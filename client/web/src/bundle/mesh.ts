@@ -9,6 +9,11 @@ export type AtlasMesh = {
   /** Pairs in [0, 1], v down from the top row of the atlas. */
   readonly uv: Float32Array<ArrayBuffer>;
   readonly indices: Uint32Array<ArrayBuffer>;
+  /** Vertex normals, and frames of the normal map as in glTF; null where the file does not have both. */
+  readonly frames: {
+    readonly normalsXyz: Float32Array<ArrayBuffer>;
+    readonly tangentsXyzw: Float32Array<ArrayBuffer>;
+  } | null;
 };
 
 type Numbers = Uint8Array | Uint16Array | Uint32Array | Float32Array;
@@ -16,7 +21,7 @@ type Json = { readonly [key: string]: unknown };
 
 /** The signature of a PNG file, and length and name of its first chunk. */
 const pngStart = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0, 0, 0, 13, 0x49, 0x48, 0x44, 0x52];
-const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3: 3 };
+const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
 const itemBytes: Readonly<Record<number, 1 | 2 | 4>> = { 5121: 1, 5123: 2, 5125: 4, 5126: 4 };
 
 function invalid(what: string): BundleFault {
@@ -47,7 +52,18 @@ export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
   if (numVertices === 0 || indices.length === 0 || !indices.every((index) => index < numVertices)) {
     throw invalid("refers to vertices that are not there");
   }
-  return { positionsXyz: new Float32Array(positions), uv, indices };
+  const shading = (slot: unknown, kind: string): Float32Array<ArrayBuffer> | null => {
+    if (slot === undefined) return null;
+    const values = accessor(document, payload, slot, kind);
+    const fits = values instanceof Float32Array && values.length === components[kind]! * numVertices;
+    if (!fits || !values.every(Number.isFinite))
+      throw invalid("has normals or tangents that do not fit its positions");
+    return new Float32Array(values);
+  };
+  const normalsXyz = shading(attributes.NORMAL, "VEC3");
+  const tangentsXyzw = shading(attributes.TANGENT, "VEC4");
+  const frames = normalsXyz === null || tangentsXyzw === null ? null : { normalsXyz, tangentsXyzw };
+  return { positionsXyz: new Float32Array(positions), uv, indices, frames };
 }
 
 /** A PNG file and the size that its header states. */
@@ -63,6 +79,8 @@ export type TextureFiles = {
   readonly baseColour: PngFile;
   /** Occlusion, perceptual roughness and metalness. */
   readonly packed: PngFile;
+  /** Normals in the frames of the tangents, -1..1 as 0..255. */
+  readonly normal: PngFile;
 };
 
 /**
@@ -73,7 +91,8 @@ export type TextureFiles = {
  */
 export function texturesFromGlb(data: Uint8Array<ArrayBuffer>): TextureFiles {
   const { document, payload } = chunks(data);
-  const surface = object(object(list(document.materials)[0]).pbrMetallicRoughness);
+  const material = object(list(document.materials)[0]);
+  const surface = object(material.pbrMetallicRoughness);
   const picture = (slot: unknown): PngFile => {
     const texture = object(list(document.textures)[whole(object(slot).index)]);
     const image = object(list(document.images)[whole(texture.source)]);
@@ -86,6 +105,7 @@ export function texturesFromGlb(data: Uint8Array<ArrayBuffer>): TextureFiles {
   return {
     baseColour: picture(surface.baseColorTexture),
     packed: picture(surface.metallicRoughnessTexture),
+    normal: picture(material.normalTexture),
   };
 }
 
