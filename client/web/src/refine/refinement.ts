@@ -2,6 +2,8 @@
  * Refines the picture of a viewer while nothing moves, and removes the refined picture when something does.
  */
 
+import { startWorker } from "../page/workers.js";
+import workerUrl from "./refineWorker.ts?worker&url";
 import type { LoadedBundle } from "../bundle/load.js";
 import type { BundleOrigin } from "../bundle/source.js";
 import type { PreparedLight } from "../light/prepare.js";
@@ -128,7 +130,7 @@ export class Refinement {
     this.#set({ phase: "loading" });
     if (this.#worker !== null) return;
     this.#bundle = bundle;
-    const worker = new Worker(new URL("./refineWorker.ts", import.meta.url), { type: "module" });
+    const worker = startWorker(workerUrl);
     this.#worker = worker;
     worker.onmessage = ({ data }: MessageEvent<RefineAnswer>) => {
       if (this.#worker === worker) this.#hear(data);

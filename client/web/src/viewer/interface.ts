@@ -1,5 +1,6 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
+import { linkWithView } from "../page/addresses.js";
 import { Fault } from "../page/fault.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
@@ -124,6 +125,12 @@ export class Interface {
       },
     };
     listenToOrbit(orbit, signal);
+    // A page keeps its scrolling until someone uses the picture.
+    const guard = (event: WheelEvent): void => {
+      const isUsed = event.ctrlKey || this.host.shadowRoot?.activeElement === canvas;
+      if (!isUsed && !this.host.hasAttribute("fullpage")) event.stopPropagation();
+    };
+    this.#view.addEventListener("wheel", guard, { signal, capture: true, passive: true });
     const size = new ResizeObserver(() => {
       this.viewer.invalidate();
       this.#show();
@@ -235,9 +242,12 @@ export class Interface {
   async #copyLink(): Promise<void> {
     const address = new URL(location.href);
     const parameters = toParameters(this.viewer.state);
-    const source = new URLSearchParams(address.hash.slice(1)).get("src");
+    const fragment = address.hash.slice(1);
+    const source = new URLSearchParams(fragment).get("src");
     if (source !== null) parameters.set("src", source);
-    address.hash = parameters.toString();
+    // The page of a share link has its secret in front.
+    const secret = /^share_[^&=]*/.exec(fragment)?.[0];
+    address.hash = secret === undefined ? parameters.toString() : linkWithView(secret, parameters.toString());
     try {
       await navigator.clipboard.writeText(address.href);
       this.#tell("The link is on the clipboard.", false);

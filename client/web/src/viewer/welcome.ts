@@ -41,7 +41,9 @@ export class Welcome {
     this.#say("Opening the bundle…", "");
     this.#progress.hidden = false;
     this.#progress.removeAttribute("value");
-    this.#bytes.hidden = true;
+    // The line is there before its text, so that nothing moves.
+    this.#bytes.hidden = false;
+    this.#bytes.textContent = "\u00a0";
   }
 
   /** The bundle that is read has a name. */
