@@ -1,11 +1,12 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
+import { linkWithView } from "../page/addresses.js";
 import { Fault } from "../page/fault.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { listenToOrbit, type OrbitHost } from "./orbit.js";
 import { buildPanel } from "./panel.js";
-import { download, exrOf, type FilmKind, filmOf, pngOf } from "./save.js";
+import { download, exrOf, pngOf } from "./save.js";
 import { lightText } from "./lightTexts.js";
 import { initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
@@ -29,6 +30,7 @@ export class Interface {
   readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
   readonly #panel: { element: HTMLElement; show: () => void };
   readonly #stop = new AbortController();
+  #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
   #photoShown = "";
   #reading: Promise<void> | null = null;
   #quietAt = 0;
@@ -51,7 +53,7 @@ export class Interface {
       reset: () => this.#change({ ...initialState, environment: viewer.state.environment }),
       savePng: (...size) => this.#save("png", () => pngOf(viewer, ...this.#sizeOf(...size))),
       saveExr: (...size) => this.#save("exr", async () => exrOf(viewer, ...this.#sizeOf(...size))),
-      film: (kind) => this.#film(kind),
+      film: () => void this.#film(root),
       copyLink: () => void this.#copyLink(),
     });
     const { canvas } = viewer;
@@ -123,6 +125,12 @@ export class Interface {
       },
     };
     listenToOrbit(orbit, signal);
+    // A page keeps its scrolling until someone uses the picture.
+    const guard = (event: WheelEvent): void => {
+      const isUsed = event.ctrlKey || this.host.shadowRoot?.activeElement === canvas;
+      if (!isUsed && !this.host.hasAttribute("fullpage")) event.stopPropagation();
+    };
+    this.#view.addEventListener("wheel", guard, { signal, capture: true, passive: true });
     const size = new ResizeObserver(() => {
       this.viewer.invalidate();
       this.#show();
@@ -209,23 +217,37 @@ export class Interface {
     return [shown.width, shown.height];
   }
 
-  #save(ending: "png" | "exr" | "webm", make: () => Promise<Blob>): void {
+  #save(ending: "png" | "exr", make: () => Promise<Blob>): void {
     make()
       .then((blob) => download(blob, `${this.viewer.bundle?.name ?? "lambent"}.${ending}`))
       .catch((error: unknown) => this.problem(error));
   }
 
-  #film(kind: FilmKind): void {
-    this.#tell("Recording…", false);
-    this.#save("webm", () => filmOf(this.viewer, kind));
+  /** Open the dialog that makes films. */
+  async #film(root: ShadowRoot): Promise<void> {
+    try {
+      const { filmDialog } = await import("../film/dialog.js");
+      if (this.#stop.signal.aborted || this.viewer.bundle === null) return;
+      if (this.#filming === null) {
+        this.#filming = filmDialog(this.viewer);
+        root.adoptedStyleSheets.push(this.#filming.sheet);
+        root.append(this.#filming.element);
+      }
+      this.#filming.show();
+    } catch (error) {
+      this.problem(error);
+    }
   }
 
   async #copyLink(): Promise<void> {
     const address = new URL(location.href);
     const parameters = toParameters(this.viewer.state);
-    const source = new URLSearchParams(address.hash.slice(1)).get("src");
+    const fragment = address.hash.slice(1);
+    const source = new URLSearchParams(fragment).get("src");
     if (source !== null) parameters.set("src", source);
-    address.hash = parameters.toString();
+    // The page of a share link has its secret in front.
+    const secret = /^share_[^&=]*/.exec(fragment)?.[0];
+    address.hash = secret === undefined ? parameters.toString() : linkWithView(secret, parameters.toString());
     try {
       await navigator.clipboard.writeText(address.href);
       this.#tell("The link is on the clipboard.", false);

@@ -2,7 +2,7 @@
 
 import { loadInWorker } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
-import type { BundleOrigin } from "../bundle/source.js";
+import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import { LightClient } from "../light/client.js";
 import { MapFault } from "../light/fault.js";
@@ -12,9 +12,10 @@ import type { Refinement } from "../refine/refinement.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
-import { type Side, Stage } from "../render/stage.js";
+import { Stage } from "../render/stage.js";
 import { orbitCamera, photoCamera } from "./camera.js";
 import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
+import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { initialState, isPreset, type ViewerState } from "./state.js";
 
 /** The events of a viewer. */
@@ -61,6 +62,7 @@ export class Viewer {
 
   constructor(readonly canvas: HTMLCanvasElement) {
     canvas.addEventListener("webglcontextlost", (event) => {
+      if (this.#closed) return;
       event.preventDefault();
       this.#tell("message", "The graphics card was taken away; waiting for it to come back.", true);
     });
@@ -76,9 +78,9 @@ export class Viewer {
     return this.#stage?.bundle ?? null;
   }
 
-  /** The id of the bundle that is shown, where it is one of the server that the page came from; else null. */
+  /** The id of the bundle that is shown, where it is one of our own on the server that the page came from; else null. */
   get serverBundle(): string | null {
-    if (this.bundle === null || this.#source?.kind !== "url") return null;
+    if (this.bundle === null || this.#source?.kind !== "url" || secretOf(this.#source.url)) return null;
     return bundleAt(this.#source.url, document.baseURI);
   }
 
@@ -193,32 +195,39 @@ export class Viewer {
   }
 
   /** Return the camera for a picture of some size. */
-  camera(width: number, height: number): ViewCamera {
-    const photo = this.photoCamera();
-    return photo
-      ? photoCamera(photo, width, height)
-      : orbitCamera(this.#state.pose, this.#ball, width, height);
+  camera(width: number, height: number, state = this.#state): ViewCamera {
+    const photo = this.photoCamera(state);
+    return photo ? photoCamera(photo, width, height) : orbitCamera(state.pose, this.#ball, width, height);
   }
 
   /** Return the camera of the photograph that is compared with, or null. */
-  photoCamera() {
-    if (this.#state.compare !== "photo") return null;
-    return this.bundle?.cameras.find((camera) => camera.name === this.#state.photo) ?? null;
+  photoCamera({ compare, photo } = this.#state) {
+    if (compare !== "photo") return null;
+    return this.bundle?.cameras.find((camera) => camera.name === photo) ?? null;
   }
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.camera(width, height), this.#sides(), samples);
+    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#state), samples);
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(camera, this.#sides(), samples);
+    return this.#ready().readBytes(camera, sidesOf(this.#state), samples);
+  }
+
+  /**
+   * Return what draws a state with changes of camera, turn and look, as `pixels` does, without showing it. That throws
+   * `film.interrupted` where another bundle or light is shown by then, or the graphics card is gone.
+   */
+  frozen(state: ViewerState): Frozen {
+    const cameraOf = (width: number, height: number, now: ViewerState) => this.camera(width, height, now);
+    return freeze(this.#ready(), cameraOf, () => this.#closed, state);
   }
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.camera(width, height), this.#sides(), samples);
+    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#state), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -234,7 +243,7 @@ export class Viewer {
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
     const { width, height } = this.#size();
-    this.#ready().draw(this.camera(width, height), this.#sides(), samples);
+    this.#ready().draw(this.camera(width, height), sidesOf(this.#state), samples);
     this.#tell("draw");
   }
 
@@ -250,9 +259,11 @@ export class Viewer {
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
     clearTimeout(this.#still);
-    this.#stage?.dispose();
-    this.#lights.dispose();
     this.#listeners.clear();
+    this.#stage?.dispose();
+    // Browsers keep few contexts, and would take one away from another picture.
+    this.#stage?.renderer.forceContextLoss();
+    this.#lights.dispose();
   }
 
   /** Make what draws, while a bundle is being read. */
@@ -335,17 +346,6 @@ export class Viewer {
       moving: this.#moving,
       options: this.refineOptions,
     };
-  }
-
-  #sides(): Side[] {
-    const { turn, look, compare, split } = this.#state;
-    const whole: Side = { light: "a", turn, look, method: "baked", from: 0, to: 1 };
-    if (compare !== "environment" && compare !== "plain") return [whole];
-    const other = compare === "environment" ? ({ light: "b" } as const) : ({ method: "plain" } as const);
-    return [
-      { ...whole, to: split },
-      { ...whole, ...other, from: split },
-    ];
   }
 
   /** Prepare the lights that the state names and that are not there yet. */
