@@ -1,4 +1,4 @@
-"""Refined pictures of the web viewer against Python's, by noise alone: WGSL in software, and WebAssembly."""
+"""Refined pictures of the web viewer against Python's, by noise alone: mesh, WGSL in software, and WASM."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,7 +35,9 @@ def page(data, tmp_path_factory) -> Iterator[RefinePage]:
         yield opened
 
 
-def expected(data: Path, camera: Camera, edit: MaterialEdit, rotate_deg: float) -> RelitPicture:
+def expected(
+    data: Path, camera: Camera, edit: MaterialEdit, rotate_deg: float, occlusion: str
+) -> RelitPicture:
     """Return Python's refined picture of the same view."""
     renderer = Renderer(load_bundle(data / "boxes"), reader="onnx")
     light = load_environment(data / "light.exr")
@@ -47,32 +49,30 @@ def expected(data: Path, camera: Camera, edit: MaterialEdit, rotate_deg: float) 
         seed=7,
         antialias=2,
         bounces="transport",
-        # The browser still asks the fast cache what is in the way.
-        occlusion="cache",
+        occlusion=occlusion,
         edit=edit,
     )
 
 
 @pytest.mark.parametrize(
-    ("backend", "state", "edit", "rotate_deg"),
-    [
-        ("wgsl", "", MaterialEdit(), 0.0),
-        (
-            "wasm",
-            "&rotate=50,0,0&gain=1.2,0.8,1&roughness=1.5",
-            MaterialEdit(albedo_gain=(1.2, 0.8, 1.0), roughness_scale=1.5),
-            50.0,
-        ),
-    ],
+    ("backend", "workers", "edited"),
+    [("mesh", 1, False), ("mesh", 3, True), ("wgsl", 1, False), ("wasm", 1, True)],
 )
-def test_the_browser_refines_what_python_does(page, data, backend, state, edit, rotate_deg):
+def test_the_browser_refines_what_python_does(page, data, backend, workers, edited):
+    edit, rotate_deg, state = MaterialEdit(), 0.0, ""
+    if edited:
+        edit, rotate_deg = MaterialEdit(albedo_gain=(1.2, 0.8, 1.0), roughness_scale=1.5), 50.0
+        state = "&rotate=50,0,0&gain=1.2,0.8,1&roughness=1.5"
     view = f"env=url:data/light.exr&camera=30,35,2.6,0,0,0&refine=1{state}"
-    page.open("boxes", view, backend=backend, relativeError=0, samplesPerPixel=SAMPLES)
+    options = {"backend": backend, "workers": workers, "relativeError": 0, "samplesPerPixel": SAMPLES}
+    page.open("boxes", view, **options)
     status = page.wait("done", "failed")
     assert status["phase"] == "done", status
     assert status["backend"] == backend
-    assert status["samplesPerPixel"] == SAMPLES
-    found, wanted = page.refined(), expected(data, page.camera(), edit, rotate_deg)
+    # Passes of several workers come when they are done.
+    assert SAMPLES <= status["samplesPerPixel"] <= SAMPLES * (1 if workers == 1 else 2)
+    occlusion = "mesh" if backend == "mesh" else "cache"
+    found, wanted = page.refined(), expected(data, page.camera(), edit, rotate_deg, occlusion)
     assert np.abs(found["coverage"] - wanted.coverage).mean() < 2e-3
 
     whole = (found["coverage"][..., 0] > 0.99) & (wanted.coverage[..., 0] > 0.99)
@@ -89,13 +89,15 @@ def test_the_browser_refines_what_python_does(page, data, backend, state, edit, 
     print(f"noise, browser over Python: {errors[0].mean() / errors[1].mean():.3f}")
     # Seeds are fixed: these bounds leave room for other roundings, not for chance.
     assert 0.8 < np.sqrt((z**2).mean()) < 1.25
-    assert np.abs(z).max() < 7.0
+    # A sample on an edge of a box may show either side of it, and rays against the mesh know the difference.
+    assert (np.abs(z).max(axis=1) > 7.0).sum() <= (2 if backend == "mesh" else 0)
+    assert np.percentile(np.abs(z), 99.0) < 4.5
     assert np.abs(mean_z).max() < 4.5
     # The browser does not share a sequence among the rays of a pixel as Python does.
     assert 0.7 < errors[0].mean() / errors[1].mean() < 3.0
     # Parts have no errors of their own: other seeds move the bounces by 1 % and visibility by 2 %.
     shares = [part[whole].sum() / reference.sum() for part in (found["indirectRgb"], wanted.indirect)]
-    assert shares[1] > 0.2
+    assert shares[1] > 0.1
     assert shares[0] == pytest.approx(shares[1], rel=0.06)
     free = [part[whole].mean() for part in (found["visibility"], wanted.visibility)]
     assert free[0] == pytest.approx(free[1], rel=0.1)

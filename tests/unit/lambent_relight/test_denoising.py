@@ -1,11 +1,13 @@
 """Smoothing takes noise away and keeps edges, of materials and of light that is brighter than the noise."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined.denoising import Denoiser, denoised
+from support import golden_denoising
 
 SIDE = 32
 
@@ -95,3 +97,12 @@ def test_nothing_comes_from_pixels_that_the_object_does_not_cover():
     smooth = denoised(replace(picture, coverage=coverage), Denoiser(albedo=1e9, normal=1e9, strength=100.0))
     assert smooth.rgb[:, SIDE // 2 - 1].mean() == pytest.approx(0.5, abs=0.03)
     np.testing.assert_array_equal(smooth.rgb[:, SIDE // 2 :], picture.rgb[:, SIDE // 2 :])
+
+
+def test_the_numbers_that_other_readers_compare_with_are_reproduced():
+    stored = json.loads(golden_denoising.GOLDEN.read_text(encoding="utf-8"))
+    now = golden_denoising.numbers()
+    for name, values in stored["out"].items():
+        np.testing.assert_allclose(values, now["out"][name], rtol=2e-5, atol=1e-6, err_msg=name)
+    moved = np.abs(np.subtract(stored["out"]["direct"], stored["direct"]))
+    assert moved.mean() > 0.01

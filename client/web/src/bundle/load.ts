@@ -1,6 +1,7 @@
 /** Reads and checks the parts of a bundle that a viewer needs. */
 
-import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import type { Atlas, BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import { adaptedNote } from "./adapted.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault, exportAgain } from "./fault.js";
 import { openBundle } from "./manifest.js";
@@ -18,6 +19,8 @@ export type MaterialMaps = {
   readonly albedo: ImageBitmap;
   /** Occlusion, perceptual roughness and metalness. */
   readonly packed: ImageBitmap;
+  /** Normals in the frames of the tangents, -1..1 as 0..255. */
+  readonly normal: ImageBitmap;
 };
 
 /** Decodes a PNG file, its levels as they are stored. */
@@ -31,6 +34,8 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   readonly albedoScaleRgb: readonly number[];
   readonly metrics: Readonly<Record<string, number>>;
   readonly trainLights: readonly string[];
+  /** About fast caches that were adapted to one light, which no viewer uses; empty where there are none. */
+  readonly adaptedNote: string;
   readonly mesh: AtlasMesh;
   /** The materials that all renderers read; null for bundles before 1.3, whose transport has them. */
   readonly maps: MaterialMaps | null;
@@ -111,11 +116,11 @@ export async function loadBundle(
   });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
-  const textured = (manifest.atlas?.albedoSource ?? "") !== "";
+  const atlas = (manifest.atlas?.albedoSource ?? "") !== "" ? manifest.atlas : undefined;
   const [trainedMaps, [mesh, maps], transport, grid, cameras, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
     counted("mesh/asset.glb").then(async (data) => {
-      return [meshFromGlb(data), textured ? await mapsOf(data, decode) : null] as const;
+      return [meshFromGlb(data), atlas === undefined ? null : await mapsOf(data, atlas, decode)] as const;
     }),
     readTransport(stated, counted),
     uncertainty === undefined
@@ -129,6 +134,7 @@ export async function loadBundle(
   const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
     ...{ name, sceneId, preset, albedoScaleRgb, metrics, trainLights },
+    adaptedNote: adaptedNote(manifest),
     ...{
       ...boundsOf(mesh.positionsXyz),
       mesh,
@@ -142,11 +148,28 @@ export async function loadBundle(
   };
 }
 
-async function mapsOf(glb: Uint8Array<ArrayBuffer>, decode: Decode): Promise<MaterialMaps> {
+/** Return the textures of a mesh as pictures; sizes are compared before anything is decoded. */
+async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode): Promise<MaterialMaps> {
   const files = texturesFromGlb(glb);
+  for (const [{ width, height }, stated] of [
+    [files.baseColour, atlas.size],
+    [files.packed, atlas.materialSize],
+    [files.normal, atlas.materialSize],
+  ] as const) {
+    if (width !== stated || height !== stated) {
+      throw exportAgain(
+        "bundle.mesh_invalid",
+        `mesh/asset.glb has a texture of ${width} x ${height} texels, but the manifest states ${stated} a side`,
+      );
+    }
+  }
   try {
-    const [albedo, packed] = await Promise.all([decode(files.baseColour), decode(files.packed)]);
-    return { albedo, packed };
+    const [albedo, packed, normal] = await Promise.all([
+      decode(files.baseColour.data),
+      decode(files.packed.data),
+      decode(files.normal.data),
+    ]);
+    return { albedo, packed, normal };
   } catch {
     throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb has a texture that cannot be decoded");
   }

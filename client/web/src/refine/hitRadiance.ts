@@ -24,18 +24,18 @@ const leastBlocked = 0.05;
 /** The light-independent data of hits. */
 export class HitScene {
   readonly materials: TexelMaterials;
-  readonly nearest: NearestPoint;
   readonly lobes: Float32Array;
   readonly table = splitSumTable();
   /** Factor from indirect irradiance to the mean radiance of what stands around, per texel. */
   readonly surroundings: Float32Array;
 
+  #nearest: NearestPoint | null = null;
+
   constructor(
     readonly transport: PackedTransport,
-    mesh: AtlasMesh,
+    private readonly mesh: AtlasMesh,
   ) {
     this.materials = texelMaterials(transport);
-    this.nearest = new NearestPoint(texelPositions(mesh, transport));
     this.lobes = ggxBands(transport.visibility.bands);
     const { steps, scales, offsets } = transport.direct;
     this.surroundings = Float32Array.from({ length: transport.numTexels }, (_, texel) => {
@@ -43,6 +43,12 @@ export class HitScene {
       const open = Math.min(Math.max(constant / (0.5 * Math.sqrt(Math.PI)), 0), 1);
       return 1 / (Math.PI * Math.max(1 - open, leastBlocked));
     });
+  }
+
+  /** Prepared where a tracer does not know what it met. */
+  get nearest(): NearestPoint {
+    this.#nearest ??= new NearestPoint(texelPositions(this.mesh, this.transport));
+    return this.#nearest;
   }
 }
 
@@ -74,9 +80,13 @@ export class Hits {
     this.#around = bounced.map((value, index) => value * surroundings[Math.floor(index / 3)]!);
   }
 
-  /** Write the radiance of the surface nearest to (x, y, z) towards `omegaO`. */
-  radiance(x: number, y: number, z: number, omegaO: Vector, out: Vector): void {
-    const texel = this.scene.nearest.at(x, y, z);
+  /** Return the texel nearest to (x, y, z). */
+  texelAt(x: number, y: number, z: number): number {
+    return this.scene.nearest.at(x, y, z);
+  }
+
+  /** Write the radiance of a texel towards `omegaO`. */
+  radiance(texel: number, omegaO: Vector, out: Vector): void {
     const { normal, albedo, metalness, perceptualRoughness } = this.#materials;
     let cosine = 0;
     for (let axis = 0; axis < 3; axis++) cosine += normal[3 * texel + axis]! * omegaO[axis]!;

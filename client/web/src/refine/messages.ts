@@ -6,6 +6,7 @@ import type { PackedTransport } from "../bundle/transport.js";
 import type { PreparedLight } from "../light/prepare.js";
 import type { RefinedPicture } from "./accumulation.js";
 import type { FallingLight } from "../engine/fallingLight.js";
+import type { PassMeans } from "./passes.js";
 import type { Backend, RefineOptions } from "./status.js";
 import type { RefineEdit, SurfaceSamples } from "./surfacePoints.js";
 
@@ -17,7 +18,19 @@ export type OpenQuestion = {
   readonly mesh: AtlasMesh;
   readonly transport: PackedTransport;
   readonly backend: RefineOptions["backend"];
+  readonly share: WorkerShare;
 };
+
+/** The passes of one worker among several: `index`, `index + count`, ... The first one adds all of them up. */
+export type WorkerShare = {
+  readonly index: number;
+  readonly count: number;
+  /** To the first worker; its own: to all others. */
+  readonly ports: readonly MessagePort[];
+};
+
+/** Passes that a worker sends to the first one. */
+export type SharedPass = { readonly id: number; readonly means: PassMeans };
 
 /** Refine a picture, and forget the one before. */
 export type StartQuestion = {
@@ -43,6 +56,8 @@ export type RefineAnswer =
       readonly kind: "picture";
       readonly id: number;
       readonly picture: RefinedPicture;
+      /** The same, smoothed; null where that is not wanted. */
+      readonly shown: RefinedPicture | null;
       readonly done: boolean;
     }
   | { readonly kind: "failed"; readonly code: string; readonly message: string };

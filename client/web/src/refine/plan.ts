@@ -1,7 +1,7 @@
 /** The resolution of a refined picture: that of the shown one, unless it would take too long. */
 
 /** Points that are refined at most, by what computes. */
-export const mostPoints = { quick: 1 << 19, slow: 1 << 14 } as const;
+export const mostPoints = { quick: 1 << 19, mesh: 1 << 18, slow: 1 << 14 } as const;
 
 /** A picture of 1 / `step` of the shown one's sides, with `samples` x `samples` points to a pixel. */
 export type RefinePlan = { readonly step: number; readonly samples: 1 | 2 };

@@ -5,30 +5,39 @@ import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
 import { buffersOf } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
-import { adaptedNote } from "./adapted.js";
-import { Accumulation } from "./accumulation.js";
+import { Accumulation, type RefinedPicture } from "./accumulation.js";
 import { Hits, HitScene } from "./hitRadiance.js";
 import { LightSampler } from "./lightSampler.js";
-import type { OpenQuestion, RefineAnswer, RefineQuestion, StartQuestion } from "./messages.js";
+import { denoised } from "./denoise.js";
+import type {
+  OpenQuestion,
+  RefineAnswer,
+  RefineQuestion,
+  SharedPass,
+  StartQuestion,
+  WorkerShare,
+} from "./messages.js";
 import { onePass } from "./passes.js";
+import { pixelFeatures } from "./pixelFeatures.js";
 import { brightness, SkyLight } from "./skyLight.js";
-import { edited, surfacePoints } from "./surfacePoints.js";
-import { type CacheFiles, openTracer, RefineFault, type Tracer } from "./tracer.js";
+import { type SurfacePoints, surfacePoints } from "./surfacePoints.js";
+import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
 
 /** Directions of a point in one pass. */
-const perPass = 4;
+const perPass = 8;
 /** Passes before their differences say anything about the noise. */
 const leastPasses = 4;
 /** Pictures that are shown before are sent at most so often, ms. */
 const sendEveryMs = 250;
 const seed = 1;
 
-type Opened = { readonly tracer: Tracer; readonly scene: HitScene; readonly originOffset: number };
+type Opened = { readonly tracer: Tracer; readonly scene: HitScene; readonly share: WorkerShare };
 type Light = { readonly levels: PreparedLight["levels"]; readonly sampler: LightSampler };
 
 let opened: Opened | null = null;
 let light: Light | null = null;
 let current = 0;
+let taking: ((pass: SharedPass) => void) | null = null;
 let work: Promise<void> = Promise.resolve();
 
 function answer(message: RefineAnswer, transfer: Transferable[] = []): void {
@@ -51,13 +60,15 @@ self.onmessage = ({ data }: MessageEvent<RefineQuestion>) => {
   });
 };
 
-async function open({ origin, sceneId, mesh, transport, backend }: OpenQuestion): Promise<void> {
-  const files = await cacheFiles(origin, sceneId);
-  const { tracer, note } = await openTracer(files, backend);
-  const scene = new HitScene(transport, mesh);
-  opened = { tracer, scene, originOffset: files.manifest.secondaryRays?.originOffset ?? 0 };
-  const notes = [note, adaptedNote(files.manifest)].filter((text) => text !== "").join("; ");
-  answer({ kind: "opened", backend: tracer.backend, note: notes, slow: tracer.slow });
+async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQuestion): Promise<void> {
+  let [tracer, note] = [null as Tracer | null, ""];
+  if (backend === "auto" || backend === "mesh") tracer = openMesh(mesh, transport);
+  else ({ tracer, note } = await openTracer(await cacheFiles(origin, sceneId), backend));
+  opened = { tracer, scene: new HitScene(transport, mesh), share };
+  if (share.index === 0) {
+    for (const port of share.ports) port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
+  }
+  answer({ kind: "opened", backend: tracer.backend, note, slow: tracer.slow });
 }
 
 /** Fetch and check a fast cache; any of them will do, since no light changes what rays hit. */
@@ -79,38 +90,73 @@ async function cacheFiles(origin: OpenQuestion["origin"], sceneId: string): Prom
 }
 
 async function refine(question: StartQuestion): Promise<void> {
-  const { id, options, seen } = question;
+  const { id, seen } = question;
   const stopped = (): boolean => current !== id;
   if (opened === null || stopped()) return;
   const { levels } = question;
   if (levels !== null) light = { levels, sampler: new LightSampler(brightness(levels)) };
   if (light === null) throw new Error("a picture without light was asked for");
-  const { tracer, scene, originOffset } = opened;
+  const { tracer, scene, share } = opened;
   const sky = new SkyLight(light.levels, question.turn, question.intensity);
-  const points = surfacePoints(seen, edited(scene.materials, question.edit), question.edit);
+  const points = surfacePoints(seen, question.edit);
   const hits = question.indirect ? new Hits(scene, sky, question.falling, question.edit) : null;
-  const sums = new Accumulation(points, seen.camera, seen.samples);
-  let sentAt = Number.NEGATIVE_INFINITY;
-  for (let pass = 0; ; pass++) {
+  const { originOffset } = tracer;
+  const lit = { points, light: sky, sampler: light.sampler, hits, originOffset };
+  const collector = share.index === 0 ? new Collector(question, points) : null;
+  if (collector !== null) {
+    taking = (pass) => {
+      if (pass.id === id) collector.sums.add(pass.means);
+    };
+  }
+  for (let pass = share.index; ; pass += share.count) {
     // Lets messages in.
     await new Promise((resolve) => setTimeout(resolve));
-    const means = await onePass(
-      { points, light: sky, sampler: light.sampler, hits, originOffset },
-      tracer,
-      perPass,
-      seed,
-      pass,
-      stopped,
-    );
+    const means = await onePass(lit, tracer, perPass, seed, pass, stopped);
     if (means === null || stopped()) return;
-    sums.add(means);
-    if (sums.numPasses < 2) continue;
-    const enough = sums.numPasses * perPass * seen.samples ** 2 >= options.samplesPerPixel;
-    if (!enough && performance.now() - sentAt < sendEveryMs) continue;
-    const picture = sums.picture(perPass);
-    const quiet = sums.numPasses >= leastPasses && picture.relativeError <= options.relativeError;
-    answer({ kind: "picture", id, picture, done: enough || quiet }, buffersOf(picture));
-    if (enough || quiet) return;
-    sentAt = performance.now();
+    if (collector === null) {
+      share.ports[0]!.postMessage({ id, means } satisfies SharedPass, buffersOf(means));
+      continue;
+    }
+    collector.sums.add(means);
+    if (collector.tell()) return;
+  }
+}
+
+/** Adds the passes of one picture up, and sends it. */
+class Collector {
+  readonly sums: Accumulation;
+  readonly #features: ReturnType<typeof pixelFeatures>;
+  #sentAt = Number.NEGATIVE_INFINITY;
+  /** A picture is smoothed again when it has so many passes: that takes longer than one of them. */
+  #smoothAt = 0;
+
+  constructor(
+    private readonly question: StartQuestion,
+    points: SurfacePoints,
+  ) {
+    const { seen } = question;
+    this.sums = new Accumulation(points, seen.camera, seen.samples);
+    this.#features = pixelFeatures(points, seen);
+  }
+
+  /** Send the picture if it is time; returns whether it is good enough. */
+  tell(): boolean {
+    const { id, options, seen } = this.question;
+    const { numPasses } = this.sums;
+    if (numPasses < 2) return false;
+    const enough = numPasses * perPass * seen.samples ** 2 >= options.samplesPerPixel;
+    const early = options.denoise
+      ? numPasses < this.#smoothAt
+      : performance.now() - this.#sentAt < sendEveryMs;
+    if (!enough && early) return false;
+    const picture = this.sums.picture(perPass);
+    const quiet = numPasses >= leastPasses && picture.relativeError <= options.relativeError;
+    const shown = options.denoise ? denoised(picture, this.#features) : null;
+    const done = enough || quiet;
+    this.#sentAt = performance.now();
+    this.#smoothAt = 2 * numPasses;
+    const pictures: RefinedPicture[] = shown === null ? [picture] : [picture, shown];
+    answer({ kind: "picture", id, picture, shown, done }, buffersOf(pictures));
+    return done;
   }
 }

@@ -2,8 +2,6 @@
  * Refines the picture of a viewer while nothing moves, and removes the refined picture when something does.
  */
 
-import { startWorker } from "../page/workers.js";
-import workerUrl from "./refineWorker.ts?worker&url";
 import type { LoadedBundle } from "../bundle/load.js";
 import type { BundleOrigin } from "../bundle/source.js";
 import type { PreparedLight } from "../light/prepare.js";
@@ -11,8 +9,9 @@ import { turnMatrix } from "../render/light.js";
 import type { LightTurn, Look, ViewCamera } from "../render/looks.js";
 import type { Stage } from "../render/stage.js";
 import type { RefinedPicture } from "./accumulation.js";
-import type { RefineAnswer, RefineQuestion } from "./messages.js";
+import type { RefineAnswer } from "./messages.js";
 import { mostPoints, planOf } from "./plan.js";
+import { RefinePool, workersFor } from "./pool.js";
 import { RefinedLayer, refinedChannels } from "./refinedLayer.js";
 import { notRefining, type RefineOptions, type RefineStatus } from "./status.js";
 import { readSamples } from "./surfaceReader.js";
@@ -44,7 +43,7 @@ const coarseSide = 256;
 /** One viewer's refinement. */
 export class Refinement {
   #status: RefineStatus = notRefining;
-  #worker: Worker | null = null;
+  #pool: RefinePool | null = null;
   #opened: Extract<RefineAnswer, { kind: "opened" }> | null = null;
   #bundle: LoadedBundle | null = null;
   #sentLight: PreparedLight["levels"] | null = null;
@@ -84,8 +83,8 @@ export class Refinement {
 
   dispose(): void {
     this.#stop();
-    this.#worker?.terminate();
-    this.#worker = null;
+    this.#pool?.close();
+    this.#pool = null;
   }
 
   #set(change: Partial<RefineStatus>): void {
@@ -105,15 +104,11 @@ export class Refinement {
     clearTimeout(this.#rest);
     this.#key = "";
     this.#light = null;
-    this.#ask({ ask: "stop" });
+    this.#pool?.ask({ ask: "stop" });
     this.#picture = null;
     this.host.stage.overlay = null;
     this.#layer?.dispose();
     this.#layer = null;
-  }
-
-  #ask(question: RefineQuestion): void {
-    this.#worker?.postMessage(question);
   }
 
   #begin(): void {
@@ -128,19 +123,15 @@ export class Refinement {
 
   #open({ bundle, origin, options }: RefineView): void {
     this.#set({ phase: "loading" });
-    if (this.#worker !== null) return;
+    if (this.#pool !== null) return;
     this.#bundle = bundle;
-    const worker = startWorker(workerUrl);
-    this.#worker = worker;
-    worker.onmessage = ({ data }: MessageEvent<RefineAnswer>) => {
-      if (this.#worker === worker) this.#hear(data);
-    };
-    worker.onerror = (event) => {
-      const message = event.message || "the worker could not be started";
-      if (this.#worker === worker) this.#hear({ kind: "failed", code: "refine.failed", message });
-    };
     const { sceneId, mesh, transport } = bundle;
-    this.#ask({ ask: "open", origin, sceneId, mesh, transport, backend: options.backend });
+    const count = workersFor(options, navigator.hardwareConcurrency || 1);
+    const asked = { origin, sceneId, mesh, transport, backend: options.backend };
+    const pool: RefinePool = new RefinePool(asked, count, (answer) => {
+      if (this.#pool === pool) this.#hear(answer);
+    });
+    this.#pool = pool;
   }
 
   #start(view: RefineView): void {
@@ -148,11 +139,12 @@ export class Refinement {
     const light = stage.light("a");
     if (light === null) return; // A new bundle is there, and its light is not yet.
     const { camera, options, turn, look, bundle } = view;
-    const limit = this.#opened!.slow ? mostPoints.slow : mostPoints.quick;
+    const { slow, backend } = this.#opened!;
+    const limit = slow ? mostPoints.slow : backend === "mesh" ? mostPoints.mesh : mostPoints.quick;
     const scale = Math.min(1, coarseSide / Math.max(camera.width, camera.height));
     const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
     const coarse = view.cameraOf(side(camera.width, scale), side(camera.height, scale));
-    const covered = readSamples(stage.renderer, stage.samples(coarse, 1), coarse, 1, false).place.length;
+    const covered = readSamples(stage.renderer, stage.samples(coarse, 1), coarse, 1).place.length;
     const { step, samples } = planOf(
       camera.width,
       camera.height,
@@ -161,13 +153,12 @@ export class Refinement {
     );
     const size = [side(camera.width, 1 / step), side(camera.height, 1 / step)] as const;
     const fine = step === 1 ? camera : view.cameraOf(...size);
-    const mapped = view.bundle.maps !== null;
-    const seen = readSamples(stage.renderer, stage.samples(fine, samples), fine, samples, mapped);
+    const seen = readSamples(stage.renderer, stage.samples(fine, samples), fine, samples);
     this.#layer = new RefinedLayer(camera, fine);
     const { levels } = light.prepared;
     const known = this.#sentLight === levels;
     this.#sentLight = levels;
-    this.#ask({
+    this.#pool?.ask({
       ask: "start",
       id: ++this.#id,
       levels: known ? null : levels,
@@ -179,15 +170,14 @@ export class Refinement {
       seen,
       options,
     });
-    const { backend, note } = this.#opened!;
+    const note = [this.#opened!.note, bundle.adaptedNote].filter((text) => text !== "").join("; ");
     this.#set({ phase: "running", backend, note, samplesPerPixel: 0, relativeError: 0 });
   }
 
   #hear(answer: RefineAnswer): void {
     if (answer.kind === "failed") {
       this.#stop();
-      this.#worker?.terminate();
-      this.#worker = null;
+      this.#pool = null;
       this.#opened = null;
       this.#set({ phase: "failed", message: `${answer.message} [${answer.code}]` });
       this.host.redraw();
@@ -200,9 +190,9 @@ export class Refinement {
       return;
     }
     if (answer.id !== this.#id || this.#layer === null) return;
-    const { picture, done } = answer;
+    const { picture, shown, done } = answer;
     this.#picture = picture;
-    this.#layer.set(picture);
+    this.#layer.set(shown ?? picture);
     this.host.stage.overlay = this.#layer;
     const { samplesPerPixel, relativeError } = picture;
     this.#set({ phase: done ? "done" : "running", samplesPerPixel, relativeError });

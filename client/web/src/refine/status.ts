@@ -1,7 +1,10 @@
 /** The status and options of refining. */
 
-/** "wgsl": a shader on graphics hardware; "wasm": onnxruntime on the processor. */
-export type Backend = "wgsl" | "wasm";
+/**
+ * What finds the light that reaches a point: "mesh": exact rays against the mesh, on the processor; "wgsl" and "wasm":
+ * the fast cache, as a shader on graphics hardware or by onnxruntime on the processor.
+ */
+export type Backend = "mesh" | "wgsl" | "wasm";
 
 /** The current status of a refinement. */
 export type RefineStatus = {
@@ -29,16 +32,28 @@ export const notRefining: RefineStatus = {
 
 /** When refining stops, and its backend. */
 export type RefineOptions = {
+  /** "auto" is "mesh". */
   readonly backend: Backend | "auto";
+  /** Workers that trace the mesh; 0: as many as leave a processor to the page, four at most. */
+  readonly workers: number;
+  /** Smooth what noise is left in what is shown. */
+  readonly denoise: boolean;
   /** Stop at this relative standard error, */
   readonly relativeError: number;
   /** or at so many light directions of a pixel. */
   readonly samplesPerPixel: number;
 };
 
-export const refineOptions: RefineOptions = { backend: "auto", relativeError: 0.02, samplesPerPixel: 512 };
+export const refineOptions: RefineOptions = {
+  backend: "auto",
+  workers: 0,
+  denoise: true,
+  relativeError: 0.02,
+  samplesPerPixel: 512,
+};
 
 const places: Readonly<Record<Backend, string>> = {
+  mesh: "tracing the mesh",
   wgsl: "WebGPU",
   wasm: "WebAssembly, which is slow",
 };

@@ -1,19 +1,28 @@
 /**
- * Traces secondary rays with the fast cache: as a shader on graphics hardware, or its graph in WebAssembly.
+ * Traces secondary rays: against the mesh, or with the fast cache as a shader on graphics hardware or in WebAssembly.
  */
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import { type AtlasMesh, boundsOf } from "../bundle/mesh.js";
+import type { PackedTransport } from "../bundle/transport.js";
 import { FusedCache, packFastCache } from "../engine/fusedCache.js";
 import { NotFused } from "../engine/fusedWeights.js";
 import { openGraph } from "../engine/onnxGraphs.js";
+import { MeshRays } from "./meshRays.js";
 import type { Backend } from "./status.js";
 
-/** Opacity and distance of rays, one number each. */
-export type Traced = { readonly opacity: Float32Array; readonly distance: Float32Array };
+/** Opacity and distance of rays, one number each, and the texels that were met where those are known. */
+export type Traced = {
+  readonly opacity: Float32Array;
+  readonly distance: Float32Array;
+  readonly texel?: Uint32Array;
+};
 
-/** The light-independent answers of a fast cache. */
+/** The light-independent answers to rays. */
 export type Tracer = {
   readonly backend: Backend;
+  /** Rays start this far along the normal, scene units. */
+  readonly originOffset: number;
   /** Whether the CPU does the work, even under the name of another backend. */
   readonly slow: boolean;
   /** Rays that one call should have, so that none takes long. */
@@ -38,11 +47,50 @@ export type CacheFiles = {
   readonly weights: Bytes;
 };
 
+/** Rays start this far above a mesh, as a share of its size: rounding is a hundredth of it. */
+const meshOffset = 1e-4;
 const slowMs = 250;
 const quickMs = 60;
 const [leastRays, mostRays] = [1024, 65536];
 
-/** Open the fastest tracer that works here; throws RefineFault where none does. */
+/** Return a tracer of exact rays against a mesh, which needs no networks and is the same in every browser. */
+export function openMesh(mesh: AtlasMesh, { texelPlane, size }: PackedTransport): Tracer {
+  const rays = new MeshRays(mesh);
+  const { boundsMin, boundsMax } = boundsOf(mesh.positionsXyz);
+  const diagonal = Math.hypot(...boundsMin.map((low, axis) => boundsMax[axis]! - low));
+  const { uv, indices } = mesh;
+  const inside = (place: number): number => Math.min(Math.max(Math.floor(place * size), 0), size - 1);
+  const texelAt = (face: number, u: number, v: number): number => {
+    const [a, b, c] = [indices[3 * face]!, indices[3 * face + 1]!, indices[3 * face + 2]!];
+    const at = (axis: 0 | 1): number =>
+      (1 - u - v) * uv[2 * a + axis]! + u * uv[2 * b + axis]! + v * uv[2 * c + axis]!;
+    return texelPlane[inside(at(1)) * size + inside(at(0))]!;
+  };
+  return paced("mesh", false, meshOffset * diagonal, async (given) => {
+    const count = given.length / 6;
+    const [opacity, distance] = [new Float32Array(count), new Float32Array(count)];
+    const texel = new Uint32Array(count);
+    for (let ray = 0, at = 0; ray < count; ray++, at += 6) {
+      const far = rays.distance(
+        given[at]!,
+        given[at + 1]!,
+        given[at + 2]!,
+        given[at + 3]!,
+        given[at + 4]!,
+        given[at + 5]!,
+      );
+      distance[ray] = far;
+      if (rays.face < 0) continue;
+      opacity[ray] = 1;
+      texel[ray] = texelAt(rays.face, rays.u, rays.v);
+    }
+    // Lets messages in, of which one may say stop.
+    await new Promise((resolve) => setTimeout(resolve));
+    return { opacity, distance, texel };
+  });
+}
+
+/** Open the fastest tracer of a fast cache that works here; throws RefineFault where none does. */
 export async function openTracer(files: CacheFiles, wanted: Backend | "auto"): Promise<OpenedTracer> {
   let reason = "";
   if (wanted !== "wasm") {
@@ -82,7 +130,7 @@ async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Trace
     void opened.lost.then(({ message }) => {
       trouble = message || "the graphics hardware went away";
     });
-    return paced("wgsl", adapter.info.isFallbackAdapter, async (rays) => {
+    return paced("wgsl", adapter.info.isFallbackAdapter, offsetOf(manifest), async (rays) => {
       const answers = await cache.run(rays).catch((error: unknown) => {
         trouble ||= firstLine(error);
         return null;
@@ -108,7 +156,11 @@ function firstLine(error: unknown): string {
   return (typeof message === "string" ? message : String(error)).split("\n")[0]!.slice(0, 200);
 }
 
-async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
+function offsetOf(manifest: BundleManifest): number {
+  return manifest.secondaryRays?.originOffset ?? 0;
+}
+
+async function openWasm({ manifest, model, weights }: CacheFiles): Promise<Tracer> {
   const graph = await openGraph(model, weights, {
     provider: "wasm",
     // 4 MB to fetch, which no page should carry that does not refine.
@@ -127,17 +179,18 @@ async function openWasm({ model, weights }: CacheFiles): Promise<Tracer> {
     await new Promise((resolve) => setTimeout(resolve));
     return { opacity: found.opacity!, distance: found.distance! };
   };
-  return paced("wasm", true, run);
+  return paced("wasm", true, offsetOf(manifest), run);
 }
 
 /** Find out how many rays a call may have: longer calls waste less, but nothing can be stopped during one. */
 function paced(
   backend: Backend,
   slow: boolean,
+  originOffset: number,
   run: (rays: Float32Array<ArrayBuffer>) => Promise<Traced>,
 ): Tracer {
   const tracer = {
-    ...{ backend, slow, raysPerCall: leastRays },
+    ...{ backend, slow, originOffset, raysPerCall: leastRays },
     trace: async (rays: Float32Array<ArrayBuffer>): Promise<Traced> => {
       if (rays.length === 0) return { opacity: new Float32Array(0), distance: new Float32Array(0) };
       const start = performance.now();

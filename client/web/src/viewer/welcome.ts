@@ -41,7 +41,7 @@ export class Welcome {
     this.#say("Opening the bundle…", "");
     this.#progress.hidden = false;
     this.#progress.removeAttribute("value");
-    // The line is there before its text, so that nothing moves.
+    // A line of its own from the start: nothing moves when the first bytes come.
     this.#bytes.hidden = false;
     this.#bytes.textContent = "\u00a0";
   }
