@@ -22,6 +22,7 @@ function job(values: Partial<Job> = {}): Job {
     id: "job_a",
     kind: "train",
     scene_id: "scene_a",
+    scene_name: "a scene",
     preset: "tiny",
     params: {},
     gpus: 0,
@@ -38,6 +39,7 @@ function job(values: Partial<Job> = {}): Job {
     error: null,
     bundle_id: null,
     batch_id: null,
+    thumbnail_url: null,
     last_event: 0,
     ...values,
   };
@@ -96,6 +98,7 @@ describe("JobStore", () => {
     store.receive(message(server.history[0]!));
     await settle();
     expect(store.get("job_a")!.previews).toEqual([{ sha256: "ab", name: "view" }]);
+    expect(store.get("job_a")!.job.thumbnail_url).toBe("/v1/blobs/ab");
     expect(store.get("job_a")!.psnr).toHaveLength(1);
   });
 

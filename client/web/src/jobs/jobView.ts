@@ -19,7 +19,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   const first = store.get(jobId)!.job;
   // A scene that was removed has no name any more, and some jobs have none; the jobs stay.
   const scene = first.scene_id === "" ? null : await api.scene(first.scene_id).catch(() => null);
-  const name = jobName(first, scene?.name);
+  const name = jobName(first);
 
   const state = h("span");
   const news = h("p", { class: "sr", role: "status" });

@@ -1,5 +1,6 @@
 /** The live view of a running job: stages, pictures, curves. */
 
+import { blobAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration } from "../page/format.js";
 import type { Job } from "../page/rest.js";
@@ -84,7 +85,7 @@ export function previews(): Part {
     const place = Math.min(Number(slider.value), all.length - 1);
     const preview = all[place];
     if (preview === undefined) return;
-    const source = `/v1/blobs/${preview.sha256}`;
+    const source = blobAddress(preview.sha256);
     if (image.getAttribute("src") !== source) image.src = source;
     image.alt = `Rendering of the model: ${preview.name || "preview"}, picture ${place + 1} of ${all.length}`;
     setText(caption, `${preview.name || "preview"} · picture ${place + 1} of ${all.length}`);

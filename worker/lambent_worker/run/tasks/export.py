@@ -28,6 +28,7 @@ from lambent_worker.bundle.measure import measure
 from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.photo_albedo import Photographs, albedo_texture, automatic_size
+from lambent_worker.bundle.poster import write_poster
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_files import pixel_size, write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
@@ -134,6 +135,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
         manifest.metrics.update(judged)
     if settings.weights == "none":
         remove_networks(manifest, folder)
+    write_poster(folder, manifest)
     _advance(context, 7)
     uncertainty = uncertainty_of_run(context, trained if scene.turned else model, scene)
     if uncertainty is not None:
