@@ -6,8 +6,9 @@ import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
-import { curves, previews, stageList } from "./live.js";
+import { curves, stageList } from "./live.js";
 import { logView } from "./log.js";
+import { previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
 import { type Context, stateLabel, stateNames, type View } from "./view.js";
@@ -82,7 +83,10 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       if (changed === null) store.loadHistory(jobId).catch(fail);
       else if (changed === jobId) draw();
     },
-    close: log.close,
+    close: () => {
+      log.close();
+      pictures.close();
+    },
   };
 }
 

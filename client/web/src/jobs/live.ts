@@ -1,6 +1,5 @@
 /** The live view of a running job: stages, pictures, curves. */
 
-import { blobAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration } from "../page/format.js";
 import type { Job } from "../page/rest.js";
@@ -13,7 +12,7 @@ const height = 100;
 const maxSamples = 240;
 const svgSpace = "http://www.w3.org/2000/svg";
 
-type Part = { readonly element: HTMLElement; readonly update: (record: JobRecord) => void };
+export type Part = { readonly element: HTMLElement; readonly update: (record: JobRecord) => void };
 export type StageState = "done" | "now" | "waiting";
 
 /** Return the state of each stage of a job, in their order. */
@@ -68,42 +67,6 @@ export function stageList(): Part {
           setText(row.time, state === "done" && seconds !== null ? formatDuration(seconds) : "");
         }
       }
-    },
-  };
-}
-
-/** The pictures that a run has sent: the latest, and the others with a slider. */
-export function previews(): Part {
-  const image = h("img", { alt: "" });
-  const caption = h("figcaption", { class: "faint" });
-  const slider = h("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": "earlier pictures" });
-  const element = h("figure", { hidden: true }, image, caption, slider);
-  let shown: JobRecord | null = null;
-  let follows = true;
-  const draw = () => {
-    const all = shown?.previews ?? [];
-    const place = Math.min(Number(slider.value), all.length - 1);
-    const preview = all[place];
-    if (preview === undefined) return;
-    const source = blobAddress(preview.sha256);
-    if (image.getAttribute("src") !== source) image.src = source;
-    image.alt = `Rendering of the model: ${preview.name || "preview"}, picture ${place + 1} of ${all.length}`;
-    setText(caption, `${preview.name || "preview"} · picture ${place + 1} of ${all.length}`);
-  };
-  slider.addEventListener("input", () => {
-    follows = Number(slider.value) === Number(slider.max);
-    draw();
-  });
-  return {
-    element,
-    update: (record) => {
-      shown = record;
-      const last = record.previews.length - 1;
-      element.hidden = last < 0;
-      slider.hidden = last < 1;
-      slider.max = String(Math.max(last, 0));
-      if (follows) slider.value = slider.max;
-      draw();
     },
   };
 }

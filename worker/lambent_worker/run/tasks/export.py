@@ -46,6 +46,7 @@ from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import scene_hash
+from lambent_worker.run.live_preview import NAME as PREVIEW_NAME
 from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.uncertainty import uncertainty_of_run
 from lambent_worker.scenes.load import camera_of, full_size_views
@@ -141,8 +142,9 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     if uncertainty is not None:
         write_uncertainty(folder, manifest, uncertainty)
     for picture in sorted((context.run_dir / "previews").glob("*.png")):
-        # The evaluation's sheet of all test views is a fifth of a megabyte, and in its report.
-        if picture.name != "evaluation.png":
+        # The evaluation's sheet of all test views is a fifth of a megabyte, and in its report; how far the
+        # training was when a preview was made depends on the machine.
+        if picture.name != "evaluation.png" and not picture.name.startswith(PREVIEW_NAME.format(stage="")):
             shutil.copyfile(picture, folder / "preview" / picture.name)
     files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     write_manifest(folder, manifest, sorted(files))
