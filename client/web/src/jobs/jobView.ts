@@ -54,6 +54,10 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     replaceKeyed(results, `${job.state} ${job.bundle_id}`, () => [resultSection(context, job, name)]);
     log.update(job);
   }
+  const live = h("div", { class: "live" }, pictures.element, plots.element);
+  const progressed = isFinal(first)
+    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), stages.element, live)
+    : section("Progress", {}, stages.element, live);
   draw();
 
   return {
@@ -76,7 +80,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       fault,
       h("div", { class: "actions" }, cancel, retry, scene !== null && hasMasks(first) && masksLink(scene.id)),
       results,
-      section("Progress", {}, stages.element, h("div", { class: "live" }, pictures.element, plots.element)),
+      progressed,
       log.element,
     ),
     update: (changed) => {

@@ -71,17 +71,58 @@ export function stageList(): Part {
   };
 }
 
-/** PSNR and loss over time, a curve for each stage. */
+/**
+ * PSNR of each stage in a plot of its own, and the losses a click away.
+ *
+ * The stages draw different pictures (what the cache has stored; what materials and light give), so that the second
+ * begins lower: in one plot that reads as a failure.
+ */
 export function curves(): Part {
-  const psnr = plot("PSNR on training pixels", "dB", 1, false);
-  const loss = plot("Loss (logarithmic)", "", 4, true);
+  const element = h("div", { class: "charts" });
+  const losses = h("div", { class: "charts" });
+  const folded = h("details", { hidden: true }, h("summary", {}, "Losses"), losses);
+  const plots = new Map<string, ReturnType<typeof plot>>();
+  const plotOf = (kind: "psnr" | "loss", stage: string) => {
+    const key = `${kind} ${stage}`;
+    let found = plots.get(key);
+    if (found === undefined) {
+      const title = titleOf(stage);
+      found =
+        kind === "psnr"
+          ? plot(`${title}: PSNR on training pixels`, "dB", 1, false)
+          : plot(`${title}: loss (logarithmic)`, "", 4, true);
+      plots.set(key, found);
+      if (kind === "psnr") element.insertBefore(found.element, folded);
+      else losses.append(found.element);
+    }
+    return found;
+  };
+  element.append(folded);
   return {
-    element: h("div", { class: "charts" }, psnr.element, loss.element),
+    element,
     update: (record) => {
-      psnr.update(record.psnr);
-      loss.update(record.loss);
+      for (const kind of ["psnr", "loss"] as const) {
+        for (const [stage, samples] of byStage(record[kind])) plotOf(kind, stage).update(samples);
+      }
+      folded.hidden = record.loss.length < 2;
     },
   };
+}
+
+/** Return the samples of each stage, in the order in which the stages began. */
+export function byStage(samples: readonly Sample[]): Map<string, Sample[]> {
+  const found = new Map<string, Sample[]>();
+  for (const sample of samples) {
+    const mine = found.get(sample.stage);
+    if (mine === undefined) found.set(sample.stage, [sample]);
+    else mine.push(sample);
+  }
+  return found;
+}
+
+function titleOf(stage: string): string {
+  const name = stageNames.get(stage) ?? stage;
+  return name.charAt(0).toUpperCase() + name.slice(1);
 }
 
 function plot(name: string, unit: string, digits: number, logarithmic: boolean) {

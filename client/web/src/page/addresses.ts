@@ -14,6 +14,11 @@ export function bundleAt(address: string, page: string): string | null {
   return /^\/v1\/bundles\/([a-z0-9_]{1,64})\/?$/.exec(url.pathname)?.[1] ?? null;
 }
 
+/** Return the address of a bundle as one file. */
+export function archiveAddress(bundleId: string): string {
+  return `/v1/bundles/${bundleId}/archive`;
+}
+
 /** Return the address of bytes that the server names by their hash. */
 export function blobAddress(sha256: string): string {
   return `/v1/blobs/${sha256}`;

@@ -81,13 +81,12 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
   return h(
     "div",
     { id: "share" },
-    h("h3", {}, "Show it to others"),
     h(
       "p",
       { class: "faint" },
       "Anyone with the link can see this one object and nothing else until it expires.",
     ),
-    h("div", { class: "actions" }, h("label", { for: "lifetime" }, "It works for"), lifetime, make),
+    h("div", { class: "actions" }, h("label", { for: "lifetime" }, "The link works for"), lifetime, make),
     news,
     list,
   );
