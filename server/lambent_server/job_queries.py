@@ -28,6 +28,7 @@ from lambent_server.messages import Event, Job, NewJob, Preset
 from lambent_server.pagination import select_newest
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
+from lambent_server.store import blob_url
 
 Row = dict[str, Any]
 
@@ -61,8 +62,21 @@ def _time(at: float | None) -> str | None:
     return None if at is None else rfc3339(at)
 
 
-def show(row: Any) -> Job:
+def show(connection: Connection, tenant: Tenant, row: Any) -> Job:
     """Return the job in the form of the REST interface."""
+    return show_all(connection, tenant, [row])[0]
+
+
+def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> list[Job]:
+    """Return jobs in the form of the REST interface; their scenes are looked up together."""
+    wanted = {row["scene_id"] for row in found}
+    columns = (scenes.c.id, scenes.c.name, scenes.c.thumbnail_sha256)
+    known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted))).mappings()
+    by_id = {scene["id"]: scene for scene in known}
+    return [_show(row, by_id.get(row["scene_id"])) for row in found]
+
+
+def _show(row: Any, scene: Any) -> Job:
     return Job(
         **{
             name: row[name]
@@ -83,7 +97,9 @@ def show(row: Any) -> Job:
                 "bundle_id",
             ]
         },
+        scene_name="" if scene is None else scene["name"],
         batch_id=row["order_id"] if row["kind"] == "batch" else None,
+        thumbnail_url=blob_url(row["preview_sha256"] or (scene and scene["thumbnail_sha256"])),
         created_at=rfc3339(row["created_at"]),
         started_at=_time(row["started_at"]),
         finished_at=_time(row["finished_at"]),

@@ -120,8 +120,9 @@ try {
   await keep(page, "web-progress");
 
   await page.waitForSelector('h1 .state:text-is("done")');
-  await page.waitForSelector("#figures td:has-text('dB')");
+  await page.waitForSelector("#figures dd:has-text('dB')");
   await page.locator("#results").scrollIntoViewIfNeeded();
+  await page.waitForSelector(".viewer lambent-viewer:not(.arriving)");
   await page.evaluate(() => document.querySelector("#results").scrollIntoView());
   await keep(page, "web-results");
 

@@ -111,6 +111,8 @@ export interface components {
             scene_name: string;
             /** Size Bytes */
             size_bytes: number;
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * BundleDetail
@@ -133,6 +135,8 @@ export interface components {
             scene_name: string;
             /** Size Bytes */
             size_bytes: number;
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * BundleFile
@@ -385,6 +389,8 @@ export interface components {
             run: number;
             /** Scene Id */
             scene_id: string;
+            /** Scene Name */
+            scene_name: string;
             /** Seed */
             seed: number;
             /** Started At */
@@ -394,6 +400,8 @@ export interface components {
              * @enum {string}
              */
             state: "queued" | "running" | "cancelling" | "retry_wait" | "succeeded" | "failed" | "cancelled";
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * JobError
@@ -1047,6 +1055,8 @@ export interface components {
              * @enum {string}
              */
             state: "open" | "uploaded" | "ready" | "rejected";
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * SceneList

@@ -6,8 +6,9 @@ import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
-import { curves, previews, stageList } from "./live.js";
+import { curves, stageList } from "./live.js";
 import { logView } from "./log.js";
+import { previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
 import { type Context, stateLabel, stateNames, type View } from "./view.js";
@@ -19,7 +20,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   const first = store.get(jobId)!.job;
   // A scene that was removed has no name any more, and some jobs have none; the jobs stay.
   const scene = first.scene_id === "" ? null : await api.scene(first.scene_id).catch(() => null);
-  const name = jobName(first, scene?.name);
+  const name = jobName(first);
 
   const state = h("span");
   const news = h("p", { class: "sr", role: "status" });
@@ -53,6 +54,10 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     replaceKeyed(results, `${job.state} ${job.bundle_id}`, () => [resultSection(context, job, name)]);
     log.update(job);
   }
+  const live = h("div", { class: "live" }, pictures.element, plots.element);
+  const progressed = isFinal(first)
+    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), stages.element, live)
+    : section("Progress", {}, stages.element, live);
   draw();
 
   return {
@@ -75,14 +80,17 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       fault,
       h("div", { class: "actions" }, cancel, retry, scene !== null && hasMasks(first) && masksLink(scene.id)),
       results,
-      section("Progress", {}, stages.element, h("div", { class: "live" }, pictures.element, plots.element)),
+      progressed,
       log.element,
     ),
     update: (changed) => {
       if (changed === null) store.loadHistory(jobId).catch(fail);
       else if (changed === jobId) draw();
     },
-    close: log.close,
+    close: () => {
+      log.close();
+      pictures.close();
+    },
   };
 }
 

@@ -5,7 +5,9 @@ import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
 import { h, section } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
 import type { Bundle, Job, Scene } from "../page/rest.js";
+import { thumbnailOf } from "../page/thumbnail.js";
 import { isListed, jobList, jobName } from "./jobLine.js";
+import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
 
@@ -14,9 +16,8 @@ type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | nu
 /** Return the start of the page. */
 export function startView(context: Context): View {
   const { api, store, fail } = context;
-  const names = new Map<string, string>();
   const panel = uploadPanel(context, null);
-  const jobs = jobList("Jobs, the newest first", (job: Job) => jobName(job, names.get(job.scene_id)));
+  const jobs = jobList("Jobs, the newest first", jobName);
   const noJobs = h("p", { class: "faint" }, "None yet.");
   const scenes = pagedList("Scenes, the newest first", sceneLine, api.scenes, context);
   const bundles = pagedList("Bundles, the newest first", bundleLine, api.bundles, context);
@@ -33,17 +34,19 @@ export function startView(context: Context): View {
   const older = nextPages("Show older jobs", api.jobs, putAll, context);
 
   async function load(): Promise<void> {
-    // The names first: a job is shown by that of its scene.
-    const found = await scenes.load();
-    for (const scene of found) names.set(scene.id, scene.name);
-    const [page] = await Promise.all([api.jobs(), bundles.load()]);
+    const [page] = await Promise.all([api.jobs(), scenes.load(), bundles.load()]);
     older.after(page);
     putAll(page.items);
     drawJobs();
   }
   load().catch(fail);
 
-  const seen = new Set<string>();
+  const seen = new Map<string, string>();
+  // The stream begins with a hundred jobs at once, which is one reason to look again and not a hundred.
+  const lists = soon(() => {
+    scenes.load().catch(() => {});
+    bundles.load().catch(() => {});
+  });
   const stopUploads = context.uploads.listen(() => void scenes.load().catch(() => {}));
   return {
     title: "Lambent",
@@ -53,12 +56,8 @@ export function startView(context: Context): View {
       h("h1", { tabindex: -1 }, "Relight your photographs"),
       h("section", { "aria-label": "New scene" }, panel.element),
       section("Jobs", {}, noJobs, jobs.element, h("div", { class: "actions" }, older.button)),
-      h(
-        "div",
-        { class: "columns" },
-        section("Scenes", {}, scenes.element),
-        section("Bundles", {}, bundles.element),
-      ),
+      section("Bundles", {}, bundles.element),
+      section("Scenes", {}, scenes.element),
     ),
     update: (jobId) => {
       if (jobId === null) {
@@ -67,20 +66,36 @@ export function startView(context: Context): View {
       }
       const record = store.get(jobId);
       if (record === undefined) return;
-      if (record.job.scene_id !== "" && !names.has(record.job.scene_id) && !seen.has(jobId)) {
-        seen.add(jobId);
-        load().catch(() => {});
-      }
-      if (record.job.state === "succeeded" && !seen.has(`${jobId} done`)) {
-        seen.add(`${jobId} done`);
-        bundles.load().catch(() => {});
+      // A new job may be the first of a scene that another program has sent. One that has ended has given the
+      // scene a photograph, or has made a bundle.
+      const news = isFinal(record.job) ? "ended" : "made";
+      if (seen.get(jobId) !== news) {
+        seen.set(jobId, news);
+        lists.ask();
       }
       drawJobs();
     },
     close: () => {
       panel.close();
       stopUploads();
+      lists.stop();
     },
+  };
+}
+
+const soonMs = 400;
+
+/** Return what calls `act` once, a moment after it was first asked. */
+function soon(act: () => void): { ask: () => void; stop: () => void } {
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  return {
+    ask: () => {
+      timer ??= setTimeout(() => {
+        timer = undefined;
+        act();
+      }, soonMs);
+    },
+    stop: () => clearTimeout(timer),
   };
 }
 
@@ -89,7 +104,8 @@ function sceneLine(scene: Scene): HTMLLIElement {
     scene.num_files > 0 ? `${plural(scene.num_files, "file")}, ${formatSize(scene.size_bytes)} · ` : "";
   return h(
     "li",
-    { class: "card" },
+    { class: "card tile" },
+    thumbnailOf(scene.thumbnail_url),
     h(
       "div",
       { class: "line" },
@@ -104,7 +120,8 @@ function bundleLine(bundle: Bundle): HTMLLIElement {
   const name = bundle.scene_name || bundle.scene_id;
   return h(
     "li",
-    { class: "card" },
+    { class: "card tile" },
+    thumbnailOf(bundle.thumbnail_url),
     h("div", { class: "line" }, h("h3", {}, h("a", { href: jobAddress(bundle.job_id) }, name))),
     h("p", { class: "faint" }, `${formatSize(bundle.size_bytes)} · ${formatTime(bundle.created_at)}`),
     h("div", {}, h("a", { class: "button", href: viewerAddress(bundle.id) }, `View ${name}`)),
@@ -139,7 +156,7 @@ function pagedList<T>(
   ask: (cursor: string | null) => Promise<Page<T>>,
   context: Context,
 ) {
-  const list = h("ol", { class: "list", "aria-label": label });
+  const list = h("ol", { class: "list tiles", "aria-label": label });
   const empty = h("p", { class: "faint", hidden: true }, "None yet.");
   const more = nextPages("Show older ones", ask, (items) => list.append(...items.map(line)), context);
   let shown = "";

@@ -177,7 +177,7 @@ describe("a job", () => {
     await live(page);
     await stateIs("done");
     await page.waitForSelector(".chart polyline");
-    expect(await page.getAttribute(".chart", "aria-label")).toMatch(/^PSNR on training pixels over time/);
+    expect(await page.getAttribute(".chart", "aria-label")).toMatch(/: PSNR on training pixels over time/);
     const link = (await page.getAttribute(".downloads a:text-is('report.json')", "href"))!;
     expect(await page.evaluate(async (url) => (await fetch(url)).json(), link)).toEqual({ metrics: [] });
     expect(await page.$$eval(".downloads a", (all) => all.map((each) => each.textContent))).toEqual([
@@ -199,6 +199,7 @@ describe("a job", () => {
   });
 
   it("is shown to others by a link, which opens nothing else and is taken back", async () => {
+    await page.click("summary:text-is('Share a link')");
     await page.selectOption("#lifetime", { label: "one day" });
     await page.click("text=Make a link");
     const link = await page.inputValue(".shares input");
