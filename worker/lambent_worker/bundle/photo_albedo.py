@@ -26,7 +26,7 @@ from lambent_worker.bundle.surface import AtlasSurface
 
 LEAST_SIZE = 1024
 """Texels along a side of the smallest texture that is chosen automatically."""
-LARGEST_SIZE = {"lite": 2048, "full": 4096, "none": 4096}
+LARGEST_SIZE = {"lite": 1024, "full": 4096, "none": 4096}
 """Texels along a side of the largest, by tier: a lite bundle should have 10 MB, and an albedo of 4096 alone
 has more."""
 ROWS_AT_ONCE = 256
