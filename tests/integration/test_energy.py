@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from lambent_relight import Renderer, environment_from_array, load_bundle, turntable
+from lambent_relight.refined.known_bounce import Spread
 from support.analytic_scene import trace
 from support.baked_bundle import SCENE, write_baked_bundle
 from support.brute_force import reflected_samples
@@ -70,10 +71,34 @@ def test_the_light_of_a_number_of_bounces_is_that_of_brute_force(renderer, bounc
 def test_a_limit_of_bounces_is_reached_by_the_transport_of_all(renderer):
     light = sky()
     many = renderer.render(CAMERA, light, spp=512, bounces=8)
-    transport = renderer.render(CAMERA, light, spp=512)
+    transport = renderer.render(CAMERA, light, spp=512, bounces="transport")
     assert (many.bounces, transport.bounces) == ("8", "transport")
     assert transport.indirect.sum() / many.indirect.sum() == pytest.approx(1.0, abs=0.05)
     assert transport.rgb.sum() / many.rgb.sum() == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("occlusion", ["mesh", "cache"])
+def test_baked_diffuse_light_has_the_energy_of_rays_at_contacts_too(renderer, occlusion, monkeypatch):
+    way = {"spp": 512, "antialias": 1, "occlusion": occlusion}
+    sampled = renderer.render(CAMERA, sky(), bounces="transport", **way)
+    mixed = renderer.render(CAMERA, sky(), bounces="baked", **way)
+    # Nothing of it from rays: what is compared is the bake.
+    monkeypatch.setattr(Spread, "best_share", lambda self, mean: 0.0)
+    alone = renderer.render(CAMERA, sky(), bounces="baked", **way)
+    assert (sampled.bounces, mixed.bounces, alone.bounces) == ("transport", "baked", "baked")
+    seen = sampled.coverage[..., 0] > 0.99
+    foot = seen & (sampled.visibility[..., 0] < np.quantile(sampled.visibility[seen], 0.2))
+    for part, most in ((seen, 0.01), (foot, 0.02)):
+        assert alone.rgb[part].sum() / sampled.rgb[part].sum() == pytest.approx(1.0, abs=most)
+        assert mixed.rgb[part].sum() / sampled.rgb[part].sum() == pytest.approx(1.0, abs=most)
+    assert np.abs(alone.indirect - sampled.indirect)[seen].max() > 0.0
+    for other in (alone, sampled):
+        assert mixed.standard_error[seen].mean() < 0.999 * other.standard_error[seen].mean()
+
+
+def test_pictures_take_baked_diffuse_light_where_the_mesh_is_traced(renderer):
+    assert renderer.render(CAMERA, sky(), spp=2).bounces == "baked"
+    assert renderer.render(CAMERA, sky(), spp=2, occlusion="cache").bounces == "transport"
 
 
 def test_directly_lit_pictures_are_those_of_one_bounce(renderer):

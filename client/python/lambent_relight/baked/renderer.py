@@ -9,7 +9,8 @@ from lambent_relight.baked.hits import BakedHits, HitFinder
 from lambent_relight.baked.light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
 from lambent_relight.baked.scene import load_baked_scene
 from lambent_relight.baked.shading import Lobes, lobes_of, shade
-from lambent_relight.baked.traced_surface import TracedSurface
+from lambent_relight.baked.surface_bounce import SurfaceBlocks
+from lambent_relight.baked.traced_surface import Settled, TracedSurface
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import SurfaceCaches
@@ -17,6 +18,8 @@ from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.known_bounce import KnownBounce
+from lambent_relight.refined.scattering import SurfacePoints
 
 _KEPT_PIXELS = 2_000_000
 """Maximum number of pixels in cached views; about 400 bytes each."""
@@ -39,6 +42,7 @@ class BakedRenderer:
         self._known: _Prepared | None = None
         self._finder: HitFinder | None = None
         self._traced: TracedSurface | None = None
+        self._blocks: SurfaceBlocks | None = None
         self._lights: list[tuple[Environment, int, BakedLight]] = []
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
@@ -97,6 +101,20 @@ class BakedRenderer:
         can_split = self.scene.transport.shadow_bits is not None
         light = self.light(environment, MAX_DOMINANT if can_split else 0)
         return BakedHits(self._finder, light, edit)
+
+    def known_bounce(self, hits: BakedHits, points: SurfacePoints, settled: Settled) -> KnownBounce:
+        """Return what `points` reflect diffusely of the indirect light that was baked around them.
+
+        `hits` says under which environment, `settled` where the points are on the mesh.
+        """
+        if self._blocks is None:
+            self._blocks = SurfaceBlocks(self.scene)
+        around = self._blocks.around(points.position, points.normal, settled.uv)
+        known = around.known & settled.near[:, None]
+        materials = points.materials
+        reflected = (1.0 - materials.metalness) * materials.albedo / np.float32(np.pi)
+        radiance = np.where(known, reflected * around.mean(hits.indirect), np.float32(0.0))
+        return KnownBounce(radiance.astype(np.float32), known[:, 0])
 
     def render(
         self,

@@ -27,6 +27,18 @@ SAME_SURFACE = 0.03
 """As a share of the mesh's size: a camera ray that ends this near to the mesh ends on it."""
 
 
+@dataclass(frozen=True)
+class Settled:
+    """Where camera rays end."""
+
+    position: Rows
+    """[ray, 3]."""
+    uv: Rows
+    """Place in the atlas, [ray, 2]; meaningless away from the mesh."""
+    near: NDArray[np.bool_]
+    """Whether it is on the mesh, [ray]."""
+
+
 class TracedSurface:
     """The mesh of a baked surface, the same for every light."""
 
@@ -54,11 +66,15 @@ class TracedSurface:
         texel[hit] = self.scene.texels_at(uv)
         return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
 
-    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Rows:
-        """Return the points [ray, 3] of camera rays at `distance` [ray, 1], on the mesh where it is near."""
-        found = self.rays(origin, direction).distance[:, None]
-        near = np.abs(found - distance) < SAME_SURFACE * self.rays.size
-        return (origin + np.where(near, found, distance) * direction).astype(np.float32)
+    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Settled:
+        """Return the points of camera rays [ray, 3] at `distance` [ray, 1], on the mesh where it is near."""
+        found = self.rays(origin, direction)
+        far = found.distance[:, None]
+        near = np.abs(far - distance) < SAME_SURFACE * self.rays.size
+        position = (origin + np.where(near, far, distance) * direction).astype(np.float32)
+        # The face of a ray that misses is -1, and means nothing.
+        uv = np.einsum("nc,nci->ni", found.weights, self._uv[found.face])
+        return Settled(position, np.where(near, uv, np.float32(0.0)), near[:, 0])
 
 
 @dataclass(frozen=True)

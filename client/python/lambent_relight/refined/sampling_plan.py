@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from lambent_proto.pictures import RenderSettings
 
+from lambent_relight.refined.known_bounce import KnownBounce
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Radiance, Scene, outgoing_radiance
@@ -23,6 +24,7 @@ def estimated(
     light: Light,
     settings: RenderSettings,
     progress: Callable[[float], None] | None,
+    known: KnownBounce | None = None,
 ) -> Radiance:
     """Return the radiance of `points`, the rays of `pixels`, after one round, or as many as the target needs.
 
@@ -45,6 +47,7 @@ def estimated(
             seed=settings.seed + _NEXT_ROUND * number,
             indirect=settings.indirect,
             pixels=pixels,
+            known=known,
             progress=advance,
         )
         total = found if total is None else total.combined(found)

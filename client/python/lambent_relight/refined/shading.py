@@ -24,6 +24,7 @@ from lambent_relight.brdf import cosine_pdf
 from lambent_relight.bundle.graphs import AdaptedHits
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
+from lambent_relight.refined.known_bounce import KnownBounce, Spread
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares
 from lambent_relight.refined.surroundings import Met, Surroundings
@@ -118,26 +119,30 @@ def outgoing_radiance(
     seed: int,
     indirect: bool,
     pixels: PixelRays | None = None,
+    known: KnownBounce | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Radiance:
     """Return the radiance that `points` reflect towards their `omega_o`, with its standard error.
 
     `num_samples`, the directions per point (at least 2), is rounded up to whole passes. `pixels` says which
-    points are rays of one pixel (default: every point is one of its own). Passes are independent; inside a
+    points are rays of one pixel (default: every point is one of its own). `known` is what they reflect
+    diffusely of indirect light, as far as it is known (default: nowhere); rays find the share of it that
+    makes least noise. Passes are independent; inside a
     pass the directions of a pixel are an even sequence. Equal seeds give equal results, whatever the number
     of threads.
     """
     num_points = len(points.position)
     pixels = PixelRays.alone(num_points) if pixels is None else pixels
     num_passes, per_pass = split_samples(num_samples, pixels.most)
-    sums, squares = np.zeros((4, num_points, 3)), np.zeros((len(pixels.first), 3))
+    known = KnownBounce.nothing(num_points) if known is None else known
+    sums, spread = np.zeros((5, num_points, 3)), Spread.of(len(pixels.first))
     parts = pixels.parts(RAYS_PER_CHUNK // per_pass)
     tasks = [(number, index) for number in range(num_passes) for index in range(len(parts))]
 
     def work(task: tuple[int, int]) -> NDArray[np.float32]:
         rng = np.random.default_rng([seed, *task])
         run, rays = parts[task[1]]
-        return _one_pass(points[run], rays, scene, light, per_pass, rng, indirect)
+        return _one_pass(points[run], rays, scene, light, per_pass, rng, indirect, known[run])
 
     # In the order of the tasks, so that sums are the same for any number of threads.
     with closing(in_order(work, tasks, scene.num_threads)) as results:
@@ -145,14 +150,17 @@ def outgoing_radiance(
             run, rays = parts[index]
             sums[:, run] += found
             first = pixels.pixel[run.start]
-            squares[first : first + len(rays.first)] += rays.mean(found[0].astype(np.float64) + found[1]) ** 2
+            here = slice(first, first + len(rays.first))
+            spread.add(here, rays.mean(found[0].astype(np.float64) + found[1]), rays.mean(found[4]))
             if progress is not None:
                 progress((done + 1) / len(tasks))
     means = sums / num_passes
-    mean = pixels.mean(means[0] + means[1])
-    variance = np.maximum(squares / num_passes - mean**2, 0.0) / (num_passes - 1)
-    error = np.sqrt(variance).astype(np.float32)
-    return Radiance(*means.astype(np.float32), error, num_passes * per_pass, num_passes - 1)
+    share = 0.0
+    if indirect:
+        share = spread.best_share(pixels.mean(means[0] + means[1] + known.radiance))
+        means[1] += share * means[4] + (1.0 - share) * known.radiance
+    error = np.sqrt(spread.variance(share)).astype(np.float32)
+    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1)
 
 
 def _one_pass(
@@ -163,10 +171,12 @@ def _one_pass(
     per_pass: int,
     rng: np.random.Generator,
     indirect: bool,
+    known: KnownBounce,
 ) -> NDArray[np.float32]:
-    """Return means over `per_pass` directions of points [point, 3], [4, point, 3].
+    """Return means over `per_pass` directions of points [point, 3], [5, point, 3].
 
-    Direct radiance, once-reflected radiance, the specular part of both, and the free share.
+    Direct radiance, once-reflected radiance, the specular part of both, the free share, and once-reflected
+    radiance of the diffuse lobe where it is `known`, which the second lacks.
     """
     from lambent_relight.refined import scattering_kernels as kernels
 
@@ -193,10 +203,10 @@ def _one_pass(
             bouncing[hit] = _path_radiance(seen[hit], origin[hit], direction[hit], scene, light, rng, left)
         bouncing[hit] *= np.maximum(seen.opacity[hit], np.float32(FOLLOWED))
     cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
-    result = np.zeros((4, count, 3))
+    result = np.zeros((5, count, 3))
     lobes = (drawn.diffuse, drawn.specular)
     free = 1.0 - seen.opacity
-    kernels.add_up(active, per_pass, *lobes, arriving, bouncing, cosine, free, result)
+    kernels.add_up(active, per_pass, known.known, *lobes, arriving, bouncing, cosine, free, result)
     return result.astype(np.float32)
 
 

@@ -949,12 +949,13 @@ export interface components {
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
-             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport), or how
-             *     often light may be reflected, as random paths: 1 is direct light alone.
+             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport, diffusely
+             *     reflected in part as it was baked), or how often light may be reflected, as random paths: 1 is direct
+             *     light alone.
              * @default auto
              * @enum {string}
              */
-            bounces: "auto" | "adapted" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
+            bounces: "auto" | "adapted" | "baked" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
             /**
              * Denoise
              * @description Smooth what noise is left in a refined picture, guided by albedo and normals; not for measuring.
