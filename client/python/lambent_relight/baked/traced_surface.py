@@ -18,6 +18,7 @@ from lambent_relight.refined.surroundings import Met
 
 if TYPE_CHECKING:
     from lambent_relight.baked.scene import BakedScene
+    from lambent_relight.tracing.mesh_rays import MeshRays
 
 Rows = NDArray[np.float32]
 
@@ -62,9 +63,12 @@ class TracedSurface:
         found = self.rays(origin, direction)
         texel = np.zeros(len(origin), np.int32)
         hit = np.flatnonzero(found.blocked)
-        uv = np.einsum("nc,nci->ni", found.weights[hit], self._uv[found.face[hit]])
-        texel[hit] = self.scene.texels_at(uv)
+        texel[hit] = self.texels(found.face[hit], found.weights[hit])
         return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
+
+    def texels(self, face: NDArray[np.int32], weights: Rows) -> NDArray[np.int32]:
+        """Return the texels [ray] at places of faces [ray] by the weights of their corners [ray, 3]."""
+        return self.scene.texels_at(np.einsum("nc,nci->ni", weights, self._uv[face]))
 
     def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Settled:
         """Return the points of camera rays [ray, 3] at `distance` [ray, 1], on the mesh where it is near."""
@@ -95,6 +99,17 @@ class MeshSurroundings:
     def has_radiance(self) -> bool:
         """Whether the light of all bounces is known."""
         return self.texels is not None
+
+    @property
+    def mesh(self) -> "MeshRays":
+        """The mesh that holds light back."""
+        return self.traced.rays
+
+    def met(self, face: NDArray[np.int32], where: Rows) -> Met:
+        """Return what rays met at faces [ray], at (distance, u, v) [ray, 3]."""
+        weights = np.stack([1.0 - where[:, 1] - where[:, 2], where[:, 1], where[:, 2]], axis=1)
+        opaque = np.ones((len(face), 1), np.float32)
+        return Met(opaque, where[:, :1], self.traced.texels(face, weights.astype(np.float32)))
 
     def meet(self, origin: Rows, direction: Rows) -> Met:
         """Return what rays [ray, 3] from offset surface points meet."""

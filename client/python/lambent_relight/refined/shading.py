@@ -20,44 +20,16 @@ import numpy as np
 from lambent_compute.threads import in_order
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import cosine_pdf
-from lambent_relight.bundle.graphs import AdaptedHits
-from lambent_relight.environment.light_sampling import LightSampler
-from lambent_relight.environment.maps import Environment
 from lambent_relight.refined.known_bounce import KnownBounce, Spread
+from lambent_relight.refined.passes import Light, Scene, one_pass
 from lambent_relight.refined.pixel_rays import PixelRays
-from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares
-from lambent_relight.refined.surroundings import Met, Surroundings
+from lambent_relight.refined.scattering import SurfacePoints
 
 RAYS_PER_CHUNK = 1 << 16
 """Maximum number of secondary rays in memory, or a pixel's more."""
 EVEN = 128
 """Directions of a pixel after which another pass is worth more than a longer one, which is even already."""
 MAX_PASSES = 8
-FOLLOWED = 0.25
-"""Rays blocked with at least this probability are always followed to the hit, others by chance."""
-
-
-@dataclass(frozen=True)
-class Light:
-    """An environment and its sampler."""
-
-    environment: Environment
-    sampler: LightSampler
-
-
-@dataclass(frozen=True)
-class Scene:
-    """The object that is lit."""
-
-    around: Surroundings
-    """What secondary rays meet."""
-    adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
-    """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `around`."""
-    most_bounces: int = 0
-    """Reflections of light on its way to the eye, as random paths; 0: all that `around` knows, else two."""
-    num_threads: int = 1
-    """Threads that may call these functions at once."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +114,8 @@ def outgoing_radiance(
     def work(task: tuple[int, int]) -> NDArray[np.float32]:
         rng = np.random.default_rng([seed, *task])
         run, rays = parts[task[1]]
-        return _one_pass(points[run], rays, scene, light, per_pass, rng, indirect, known[run])
+        u = rays.uniforms(per_pass, rng)
+        return one_pass(points[run], u, scene, light, rng, indirect, known.known[run])
 
     # In the order of the tasks, so that sums are the same for any number of threads.
     with closing(in_order(work, tasks, scene.num_threads)) as results:
@@ -161,85 +134,3 @@ def outgoing_radiance(
         means[1] += share * means[4] + (1.0 - share) * known.radiance
     error = np.sqrt(spread.variance(share)).astype(np.float32)
     return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1)
-
-
-def _one_pass(
-    points: SurfacePoints,
-    pixels: PixelRays,
-    scene: Scene,
-    light: Light,
-    per_pass: int,
-    rng: np.random.Generator,
-    indirect: bool,
-    known: KnownBounce,
-) -> NDArray[np.float32]:
-    """Return means over `per_pass` directions of points [point, 3], [5, point, 3].
-
-    Direct radiance, once-reflected radiance, the specular part of both, the free share, and once-reflected
-    radiance of the diffuse lobe where it is `known`, which the second lacks.
-    """
-    from lambent_relight.refined import scattering_kernels as kernels
-
-    count = len(points.position)
-    u = pixels.uniforms(per_pass, rng)
-    drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
-    active = drawn.active
-    owner = active // per_pass
-    normal, direction = points.normal[owner], drawn.omega_i[active]
-    origin = points.position[owner] + np.float32(scene.around.origin_offset) * normal
-    adapted = scene.adapted(origin, direction) if indirect and scene.adapted is not None else None
-    seen = scene.around.meet(origin, direction) if adapted is None else Met(adapted.opacity, adapted.distance)
-    arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
-    bouncing = np.zeros_like(arriving) if adapted is None else adapted.radiance
-    if indirect and adapted is None:
-        # Below `FOLLOWED`, a hit of opacity a is followed with probability a / FOLLOWED, at weight FOLLOWED:
-        # the mean is that of following all at weight a.
-        hit = np.flatnonzero(FOLLOWED * rng.random(len(active)) < seen.opacity[:, 0])
-        if scene.most_bounces == 0 and scene.around.has_radiance:
-            position = origin[hit] + seen.distance[hit] * direction[hit]
-            bouncing[hit] = scene.around.radiance(seen[hit], position, -direction[hit])
-        else:
-            left = (scene.most_bounces or 2) - 1
-            bouncing[hit] = _path_radiance(seen[hit], origin[hit], direction[hit], scene, light, rng, left)
-        bouncing[hit] *= np.maximum(seen.opacity[hit], np.float32(FOLLOWED))
-    cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
-    result = np.zeros((5, count, 3))
-    lobes = (drawn.diffuse, drawn.specular)
-    free = 1.0 - seen.opacity
-    kernels.add_up(active, per_pass, known.known, *lobes, arriving, bouncing, cosine, free, result)
-    return result.astype(np.float32)
-
-
-def _path_radiance(
-    met: Met,
-    origin: NDArray[np.float32],
-    direction: NDArray[np.float32],
-    scene: Scene,
-    light: Light,
-    rng: np.random.Generator,
-    most_bounces: int,
-) -> NDArray[np.float32]:
-    """Return unbiased estimates of what comes back along rays that met something, [ray, 3].
-
-    A path goes on from each hit in one direction, and is followed with the probability of its opacity: light
-    that reaches the hits after at most `most_bounces` reflections, theirs included.
-    """
-    if most_bounces < 1 or len(origin) == 0:
-        return np.zeros((len(origin), 3), np.float32)
-    points = scene.around.surface(met, origin + met.distance * direction, -direction)
-    drawn = draw_directions(
-        points, light.sampler, rng.random((len(origin), 3)), strategy_shares(points, light.sampler)
-    )
-    active = drawn.active
-    start = points.position[active] + np.float32(scene.around.origin_offset) * points.normal[active]
-    onwards = drawn.omega_i[active]
-    seen = scene.around.meet(start, onwards)
-    arriving = (1.0 - seen.opacity) * light.environment.lookup(onwards)
-    if most_bounces > 1:
-        hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
-        arriving[hit] += _path_radiance(
-            seen[hit], start[hit], onwards[hit], scene, light, rng, most_bounces - 1
-        )
-    radiance = np.zeros((len(origin), 3), np.float32)
-    radiance[active] = drawn.weight[active] * arriving
-    return radiance

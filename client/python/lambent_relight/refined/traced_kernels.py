@@ -1,0 +1,93 @@
+"""The compiled loop that follows the rays of a pass to the first face of a mesh, or to the sky."""
+
+import math
+
+import numpy as np
+from lambent_compute.compiling import compiled, inlined
+
+from lambent_relight.tracing.kernels import STACK, first_face
+
+
+@inlined()
+def sky_at(image, turn, x, y, z):
+    """Return the radiance of a map turned by the share `turn` of a circle: `Environment.lookup` of one."""
+    height, width = image.shape[0], image.shape[1]
+    u = np.float32(0.5) - np.float32(math.atan2(y, x)) / np.float32(2.0 * math.pi) + turn
+    u -= np.float32(math.floor(u))
+    v = np.float32(math.atan2(math.sqrt(x * x + y * y), z)) / np.float32(math.pi)
+    column = u * np.float32(width) - np.float32(0.5)
+    row = min(max(v * np.float32(height) - np.float32(0.5), np.float32(0.0)), np.float32(height - 1))
+    left, top = np.int64(math.floor(column)), np.int64(row)
+    across, down = column - np.float32(left), row - np.float32(top)
+    left %= width
+    right, bottom = (left + 1) % width, min(top + 1, height - 1)
+    one = np.float32(1.0)
+    a, b = (one - across) * (one - down), across * (one - down)
+    c, d = (one - across) * down, across * down
+    red = a * image[top, left, 0] + b * image[top, right, 0]
+    red += c * image[bottom, left, 0] + d * image[bottom, right, 0]
+    green = a * image[top, left, 1] + b * image[top, right, 1]
+    green += c * image[bottom, left, 1] + d * image[bottom, right, 1]
+    blue = a * image[top, left, 2] + b * image[top, right, 2]
+    blue += c * image[bottom, left, 2] + d * image[bottom, right, 2]
+    return red, green, blue
+
+
+@compiled()
+def follow(mesh, sky, points, drawn, listed, rays, where, out):
+    """Add the means of light from the sky to `out` [5, point, 3], and return how many rays met a face.
+
+    `mesh` is (hierarchy, one-sided), `sky` (map, turn), `points` (origins, normals), `drawn` (directions,
+    diffuse and specular weights, densities). Rays divide evenly among the points, in their order. Of those
+    that met a face, where they are `listed`, `rays` [2, ray] become (number of the ray, face), and `where`
+    [ray, 3] (distance, u, v).
+    """
+    tree, one_sided = mesh
+    image, turn = sky
+    origin, normal = points
+    omega_i, diffuse, specular, pdf = drawn
+    stack = np.empty(STACK, np.int32)
+    per_point = len(omega_i) // max(len(origin), 1)
+    count = 0
+    for p in range(len(origin)):
+        free = 0.0
+        for r in range(p * per_point, (p + 1) * per_point):
+            if pdf[r] <= 0.0:
+                continue
+            x, y, z = omega_i[r, 0], omega_i[r, 1], omega_i[r, 2]
+            face, distance, u, v = first_face(
+                tree, one_sided, origin[p, 0], origin[p, 1], origin[p, 2], x, y, z, stack
+            )
+            if face >= 0:
+                if listed:
+                    rays[0, count], rays[1, count] = r, tree.face[face]
+                    where[count, 0], where[count, 1], where[count, 2] = distance, u, v
+                    count += 1
+                continue
+            cosine = max(normal[p, 0] * x + normal[p, 1] * y + normal[p, 2] * z, np.float32(0.0))
+            free += cosine / (math.pi * pdf[r])
+            light = sky_at(image, turn, x, y, z)
+            for k in range(3):
+                out[0, p, k] += (diffuse[r, k] + specular[r, k]) * light[k] / per_point
+                out[2, p, k] += specular[r, k] * light[k] / per_point
+        for k in range(3):
+            out[3, p, k] += free / per_point
+    return count
+
+
+@compiled()
+def add_bounces(rays, known, diffuse, specular, bouncing, out):
+    """Add the means of light [ray, 3] that rays of these numbers brought from faces to `out` [5, point, 3].
+
+    Of points where the diffuse part is `known` [point] it goes to the last.
+    """
+    per_point = len(diffuse) // len(known)
+    for i in range(len(rays)):
+        r = rays[i]
+        p = r // per_point
+        for k in range(3):
+            glossy, matt = specular[r, k] * bouncing[i, k], diffuse[r, k] * bouncing[i, k]
+            out[2, p, k] += glossy / per_point
+            out[1, p, k] += (glossy if known[p] else glossy + matt) / per_point
+            if known[p]:
+                out[4, p, k] += matt / per_point
