@@ -101,6 +101,24 @@ def test_pictures_take_baked_diffuse_light_where_the_mesh_is_traced(renderer):
     assert renderer.render(CAMERA, sky(), spp=2, occlusion="cache").bounces == "transport"
 
 
+def test_directions_by_need_move_no_mean(renderer):
+    """The darkest fifth by itself, where chance decides most about what is needed."""
+    way = {"antialias": 1, "bounces": "transport"}
+    light = sky()
+    steady = renderer.render(CAMERA, light, spp=256, **way)
+    seen = steady.coverage[..., 0] > 0.0
+    dark = seen & (steady.rgb.mean(axis=-1) < np.quantile(steady.rgb[seen].mean(axis=-1), 0.2))
+    found = {}
+    for name, settings in (("by need", {"spp": 6, "until_stderr": 0.06}), ("alike", {"spp": 32})):
+        pictures = [renderer.render(CAMERA, light, seed=seed, **settings, **way) for seed in range(40)]
+        found[name] = np.array(
+            [[p.rgb[part].mean(dtype=np.float64) for part in (seen, dark)] for p in pictures]
+        )
+        assert np.mean([picture.num_samples for picture in pictures]) > 8
+    assert_mean(found["by need"] - found["alike"], np.zeros(2))
+    assert found["by need"].mean(axis=0) == pytest.approx(found["alike"].mean(axis=0), rel=0.01)
+
+
 def test_directly_lit_pictures_are_those_of_one_bounce(renderer):
     one = renderer.render(CAMERA, sky(), spp=16, bounces=1)
     direct = renderer.render(CAMERA, sky(), spp=16, indirect=False)

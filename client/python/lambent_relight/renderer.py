@@ -299,7 +299,7 @@ class Renderer:
             distance=distance,
             depth=camera.depth_along_axis(distance),
             coverage=coverage,
-            num_samples=radiance.num_samples * settings.antialias**2,
+            num_samples=radiance.mean_samples * settings.antialias**2,
             bounces=bounces,
         )
 

@@ -11,7 +11,6 @@ finds after a limited number of reflections. The estimate is unbiased but for th
 Source: paper Eq. 1 with the visibility of supplement 2.1; docs/reference/conventions.md.
 """
 
-import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -48,28 +47,8 @@ class Radiance:
     """Directions per point."""
     freedom: int
     """Degrees of freedom of `standard_error`: independent passes less one."""
-
-    def combined(self, other: "Radiance") -> "Radiance":
-        """Return the mean with an independent estimate, weighted by the number of samples."""
-        total = self.num_samples + other.num_samples
-        a, b = self.num_samples / total, other.num_samples / total
-        names = ("direct", "indirect", "specular", "visibility")
-        means = [np.float32(a) * getattr(self, n) + np.float32(b) * getattr(other, n) for n in names]
-        error = np.sqrt((a * self.standard_error) ** 2 + (b * other.standard_error) ** 2)
-        return Radiance(*means, error.astype(np.float32), total, self.freedom + other.freedom)
-
-    def relative_error(self, pixels: PixelRays) -> float:
-        """Return the mean standard error of `pixels` over their mean radiance, of all channels.
-
-        The root of an unbiased variance is too small on average: 20 % with two passes, 4 % with eight. It is
-        corrected as for normal errors.
-        """
-        if not len(self.direct):
-            return 0.0
-        mean = float(pixels.mean(self.direct + self.indirect).mean())
-        half = 0.5 * self.freedom
-        root = math.exp(math.lgamma(half + 0.5) - math.lgamma(half)) / math.sqrt(half)
-        return float(self.standard_error.mean(dtype=np.float64)) / (root * mean) if mean > 0.0 else 0.0
+    share: float = 0.0
+    """Of the known part of indirect light, how much was taken from what rays found."""
 
 
 def split_samples(num_samples: int, rays_per_pixel: int) -> tuple[int, int]:
@@ -92,14 +71,15 @@ def outgoing_radiance(
     indirect: bool,
     pixels: PixelRays | None = None,
     known: KnownBounce | None = None,
+    share: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Radiance:
     """Return the radiance that `points` reflect towards their `omega_o`, with its standard error.
 
     `num_samples`, the directions per point (at least 2), is rounded up to whole passes. `pixels` says which
     points are rays of one pixel (default: every point is one of its own). `known` is what they reflect
-    diffusely of indirect light, as far as it is known (default: nowhere); rays find the share of it that
-    makes least noise. Passes are independent; inside a
+    diffusely of indirect light, as far as it is known (default: nowhere); rays find the `share` of it that
+    makes least noise (default: measured here). Passes are independent; inside a
     pass the directions of a pixel are an even sequence. Equal seeds give equal results, whatever the number
     of threads.
     """
@@ -128,9 +108,9 @@ def outgoing_radiance(
             if progress is not None:
                 progress((done + 1) / len(tasks))
     means = sums / num_passes
-    share = 0.0
-    if indirect:
+    if share is None:
         share = spread.best_share(pixels.mean(means[0] + means[1] + known.radiance))
+    if indirect:
         means[1] += share * means[4] + (1.0 - share) * known.radiance
     error = np.sqrt(spread.variance(share)).astype(np.float32)
-    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1)
+    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1, share)
