@@ -146,7 +146,8 @@ class RenderSettings(Wanted):
     spp: Annotated[int, Field(ge=2, le=65536), WHOLE] = 64
     """Light directions per pixel."""
     until_stderr: Annotated[float, Field(ge=0.0, le=0.999)] = 0.0
-    """Continue until the standard error is this share of the radiance; 0: do not."""
+    """Continue until the mean standard error is this share of the mean radiance, with more directions where
+    there is more noise; 0: do not."""
     antialias: Annotated[int, Field(ge=1, le=8), WHOLE] = 2
     """Rays per pixel along each side, at the object."""
     indirect: bool = True

@@ -150,7 +150,7 @@ class Renderer:
         finished fraction.
 
         Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
-        least); with `until_stderr` up to 64 times as many. The picture's `bounces` says where bounced light
+        least); with `until_stderr` up to 64 times as many where they are needed. The picture's `bounces` says where bounced light
         came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such quality,
         or no baked transport) or BundleError.
         """

@@ -1015,7 +1015,8 @@ export interface components {
             tone_mapping: "linear" | "neutral" | "aces" | "agx";
             /**
              * Until Stderr
-             * @description Continue until the standard error is this share of the radiance; 0: do not.
+             * @description Continue until the mean standard error is this share of the mean radiance, with more directions where
+             *     there is more noise; 0: do not.
              * @default 0
              */
             until_stderr: number;
