@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_relight import Renderer, environment_from_array, load_bundle, turntable
-from lambent_relight.refined.known_bounce import Spread
+from lambent_relight.refined.known_light import Spread
 from support.analytic_scene import trace
 from support.baked_bundle import SCENE, write_baked_bundle
 from support.brute_force import reflected_samples
@@ -83,7 +83,7 @@ def test_baked_diffuse_light_has_the_energy_of_rays_at_contacts_too(renderer, oc
     sampled = renderer.render(CAMERA, sky(), bounces="transport", **way)
     mixed = renderer.render(CAMERA, sky(), bounces="baked", **way)
     # Nothing of it from rays: what is compared is the bake.
-    monkeypatch.setattr(Spread, "best_share", lambda self, mean: 0.0)
+    monkeypatch.setattr(Spread, "best_shares", lambda self, mean: np.zeros((2, len(mean))))
     alone = renderer.render(CAMERA, sky(), bounces="baked", **way)
     assert (sampled.bounces, mixed.bounces, alone.bounces) == ("transport", "baked", "baked")
     seen = sampled.coverage[..., 0] > 0.99
@@ -92,8 +92,10 @@ def test_baked_diffuse_light_has_the_energy_of_rays_at_contacts_too(renderer, oc
         assert alone.rgb[part].sum() / sampled.rgb[part].sum() == pytest.approx(1.0, abs=most)
         assert mixed.rgb[part].sum() / sampled.rgb[part].sum() == pytest.approx(1.0, abs=most)
     assert np.abs(alone.indirect - sampled.indirect)[seen].max() > 0.0
-    for other in (alone, sampled):
-        assert mixed.standard_error[seen].mean() < 0.999 * other.standard_error[seen].mean()
+    errors = [picture.standard_error[seen].mean() for picture in (mixed, alone, sampled)]
+    assert errors[0] < 0.99 * errors[1]
+    # Rays are as good as the mixture here: it may only cost what chance in the shares does.
+    assert errors[0] < 1.01 * errors[2]
 
 
 def test_pictures_take_baked_diffuse_light_where_the_mesh_is_traced(renderer):

@@ -150,9 +150,9 @@ class Renderer:
         finished fraction.
 
         Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
-        least); with `until_stderr` up to 64 times as many where they are needed. The picture's `bounces` says where bounced light
-        came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such quality,
-        or no baked transport) or BundleError.
+        least); with `until_stderr` up to 64 times as many, where they help. `bounces` says where bounced
+        light came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such
+        quality, or no baked transport) or BundleError.
         """
         instance(camera, Camera, "camera", "use turntable, load_cameras or Bundle.cameras")
         environment = as_environment(environment)
@@ -277,8 +277,10 @@ class Renderer:
         )
         pixels = PixelRays.of(view.pixel, seen.opacity)
         known = None
-        if settled is not None and bounces == "baked":
-            known = self.baked().known_bounce(self.baked().hits(environment, edit), points, settled)
+        if settled is not None:
+            hits = self.baked().hits(environment, edit) if bounces == "baked" else None
+            sky = environment if isinstance(scene.around, MeshSurroundings) else None
+            known = self.baked().known_light(points, settled, hits=hits, sky=sky)
         radiance = estimated(points, pixels, scene, light, settings, progress, known)
         coverage, distance = view.coverage(), view.mean(seen.distance)
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)

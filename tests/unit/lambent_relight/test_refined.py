@@ -9,11 +9,12 @@ from lambent_relight.refined.shading import Radiance
 from support.statistics import assert_mean
 
 EVERY = np.arange(2)
+NO_SHARES = np.zeros((2, 2))
 
 
 def radiance(value: float, error: float, num_samples: int, freedom: int = 1) -> Radiance:
     parts = [np.full((2, 3), value, np.float32) for _ in range(4)]
-    return Radiance(*parts, np.full((2, 3), error, np.float32), num_samples, freedom)
+    return Radiance(*parts, np.full((2, 3), error, np.float32), num_samples, freedom, NO_SHARES)
 
 
 def test_independent_rounds_are_combined_by_their_samples_and_get_quieter():
@@ -33,14 +34,18 @@ def test_a_round_of_some_pixels_leaves_the_others_as_they_are():
     pixels = PixelRays(np.array([0, 0, 1, 2, 2]), np.array([[0.5], [0.5], [1.0], [0.5], [0.5]]))
     total = Running.of(pixels)
     first = (np.full((5, 3), 1.0, np.float32) for _ in range(4))
-    total.add(Radiance(*first, np.full((3, 3), 0.3, np.float32), 4, 1), np.arange(3), np.arange(5))
+    total.add(Radiance(*first, np.full((3, 3), 0.3, np.float32), 4, 1, NO_SHARES), np.arange(3), np.arange(5))
     chosen, points, rays = pixels.chosen(np.array([True, False, True]))
     np.testing.assert_array_equal(chosen, [0, 2])
     np.testing.assert_array_equal(points, [0, 1, 3, 4])
     np.testing.assert_array_equal(rays.pixel, [0, 0, 1, 1])
     np.testing.assert_array_equal(rays.first, [0, 2])
     part = Radiance(
-        *(np.full((4, 3), 3.0, np.float32) for _ in range(4)), np.full((2, 3), 0.1, np.float32), 12, 2
+        *(np.full((4, 3), 3.0, np.float32) for _ in range(4)),
+        np.full((2, 3), 0.1, np.float32),
+        12,
+        2,
+        NO_SHARES,
     )
     total.add(part, chosen, points)
     np.testing.assert_array_equal(total.num_samples, [16, 4, 16])
@@ -59,7 +64,11 @@ def test_the_relative_error_of_few_passes_is_not_too_small_on_average():
         flat, found = np.full((40, 3), 5.0, np.float32), []
         for error in errors:
             total = Running.of(pixels)
-            total.add(Radiance(flat, flat, flat, flat, error.astype(np.float32), 4, passes - 1), every, every)
+            total.add(
+                Radiance(flat, flat, flat, flat, error.astype(np.float32), 4, passes - 1, NO_SHARES),
+                every,
+                every,
+            )
             found.append(total.relative_error())
         assert_mean(np.array(found)[:, None], np.array([0.3 / np.sqrt(passes)]))
 
@@ -100,7 +109,7 @@ def test_neighbours_say_how_noisy_a_pixel_is():
     true = np.where(every < 50, 1.0, 4.0)[:, None]
     error = true * np.abs(rng.normal(size=(100, 3))) / np.sqrt(16.0)
     flat = np.ones((100, 3), np.float32)
-    total.add(Radiance(flat, flat, flat, flat, error.astype(np.float32), 16, 1), every, every)
+    total.add(Radiance(flat, flat, flat, flat, error.astype(np.float32), 16, 1, NO_SHARES), every, every)
     own = (np.sqrt(16.0) * error).mean(axis=1)
     apart = np.r_[0:40, 60:100]
     found = np.abs(total.spread() / true[:, 0] - 1.0)[apart].mean()

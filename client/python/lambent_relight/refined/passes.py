@@ -15,6 +15,7 @@ from lambent_relight.brdf import cosine_pdf
 from lambent_relight.bundle.graphs import AdaptedHits
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
+from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.scattering import (
     LightDirections,
     SurfacePoints,
@@ -56,16 +57,16 @@ def one_pass(
     light: Light,
     rng: np.random.Generator,
     indirect: bool,
-    known: NDArray[np.bool_],
+    known: KnownLight,
 ) -> NDArray[np.float32]:
-    """Return means over directions of points [point, 3], drawn from uniforms `u` [ray, 3], [5, point, 3].
+    """Return means over directions of points [point, 3], drawn from uniforms `u` [ray, 3], [6, point, 3].
 
     Direct radiance, once-reflected radiance, the specular part of both, the free share, and once-reflected
-    radiance of the diffuse lobe where it is `known` [point], which the second lacks. Rays divide evenly among
-    the points, in their order.
+    radiance of the diffuse lobe where it is `known`, which the second lacks; and what the same directions
+    find of the known sky. Rays divide evenly among the points, in their order.
     """
     drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
-    result = np.zeros((5, len(points.position), 3))
+    result = np.zeros((6, len(points.position), 3))
     if scene.around.mesh is not None and (scene.adapted is None or not indirect):
         _trace(points, drawn, scene, light, rng, indirect, known, result)
     else:
@@ -80,7 +81,7 @@ def _trace(
     light: Light,
     rng: np.random.Generator,
     indirect: bool,
-    known: NDArray[np.bool_],
+    known: KnownLight,
     result: NDArray[np.float64],
 ) -> None:
     """Write the means of `one_pass` to `result`, through the faces of a mesh."""
@@ -95,6 +96,7 @@ def _trace(
         (mesh.tree, mesh.one_sided),
         (light.environment.radiance, np.float32(light.environment.rotate_deg / 360.0)),
         (origin, np.ascontiguousarray(points.normal, np.float32)),
+        kernels.cells_of(known.sky),
         (drawn.omega_i, *lobes, drawn.pdf_solid_angle[:, 0]),
         indirect,
         rays,
@@ -109,7 +111,7 @@ def _trace(
     bouncing = _reflected(
         met, origin[ray // (len(drawn.omega_i) // len(origin))], direction, scene, light, rng
     )
-    kernels.add_bounces(ray, known, *lobes, np.ascontiguousarray(bouncing, np.float32), result)
+    kernels.add_bounces(ray, known.known, *lobes, np.ascontiguousarray(bouncing, np.float32), result)
 
 
 def _ask(
@@ -119,7 +121,7 @@ def _ask(
     light: Light,
     rng: np.random.Generator,
     indirect: bool,
-    known: NDArray[np.bool_],
+    known: KnownLight,
     result: NDArray[np.float64],
 ) -> None:
     """Write the means of `one_pass` to `result`, through anything."""
@@ -142,7 +144,7 @@ def _ask(
     cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
     lobes = (drawn.diffuse, drawn.specular)
     free = 1.0 - seen.opacity
-    kernels.add_up(active, per_pass, known, *lobes, arriving, bouncing, cosine, free, result)
+    kernels.add_up(active, per_pass, known.known, *lobes, arriving, bouncing, cosine, free, result)
 
 
 def _reflected(

@@ -11,7 +11,7 @@ import numpy as np
 from lambent_proto.pictures import RenderSettings
 from numpy.typing import NDArray
 
-from lambent_relight.refined.known_bounce import KnownBounce
+from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.running import Running
 from lambent_relight.refined.scattering import SurfacePoints
@@ -35,15 +35,15 @@ def estimated(
     light: Light,
     settings: RenderSettings,
     progress: Callable[[float], None] | None,
-    known: KnownBounce | None = None,
+    known: KnownLight | None = None,
 ) -> Running:
     """Return the radiance of `points`, the rays of `pixels`, after one round, or as many as the target needs.
 
     The rays of a pixel share its directions, two each at least.
     """
     per_ray = max(2, -(-settings.spp // settings.antialias**2))
-    known = KnownBounce.nothing(len(points.position)) if known is None else known
-    total, number, share = Running.of(pixels), 0, None
+    known = KnownLight.nothing(len(points.position)) if known is None else known
+    total, number, shares = Running.of(pixels), 0, None
     every = np.full(len(pixels.first), per_ray)
     wanted, done, left = every, 0.0, float(every.sum())
     while True:
@@ -64,12 +64,11 @@ def estimated(
                 indirect=settings.indirect,
                 pixels=rays,
                 known=known[there],
-                share=share,
+                shares=None if shares is None else shares[:, chosen],
                 progress=advance,
             )
             total.add(found, chosen, there)
-            # Few pixels say little about how much of the known light is best taken from rays.
-            share = found.share if share is None else share
+            shares = found.shares if shares is None else shares
             number, done, left = number + 1, done + work, left - work
         target = settings.until_stderr
         if not target or not len(every) or total.relative_error() <= target:

@@ -133,7 +133,7 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
 
 @compiled(fastmath=False)
 def add_up(active, per_point, known, diffuse, specular, arriving, bouncing, cosine, free, out):
-    """Write means over the `per_point` rays of each point to `out` [5, point, 3].
+    """Write means over the `per_point` rays of each point to the first five of `out` [6, point, 3].
 
     Direct radiance, radiance from surfaces, the specular part of both, the free share, and what the diffuse
     lobe reflects of radiance from surfaces where that is `known` [point], which the second then lacks.

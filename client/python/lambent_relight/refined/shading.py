@@ -19,7 +19,7 @@ import numpy as np
 from lambent_compute.threads import in_order
 from numpy.typing import NDArray
 
-from lambent_relight.refined.known_bounce import KnownBounce, Spread
+from lambent_relight.refined.known_light import KnownLight, Shares, Spread
 from lambent_relight.refined.passes import Light, Scene, one_pass
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints
@@ -47,8 +47,8 @@ class Radiance:
     """Directions per point."""
     freedom: int
     """Degrees of freedom of `standard_error`: independent passes less one."""
-    share: float = 0.0
-    """Of the known part of indirect light, how much was taken from what rays found."""
+    shares: Shares
+    """Of the known light that was mixed in, as `Spread.best_shares` says, [2, pixel]."""
 
 
 def split_samples(num_samples: int, rays_per_pixel: int) -> tuple[int, int]:
@@ -70,24 +70,23 @@ def outgoing_radiance(
     seed: int,
     indirect: bool,
     pixels: PixelRays | None = None,
-    known: KnownBounce | None = None,
-    share: float | None = None,
+    known: KnownLight | None = None,
+    shares: Shares | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Radiance:
     """Return the radiance that `points` reflect towards their `omega_o`, with its standard error.
 
     `num_samples`, the directions per point (at least 2), is rounded up to whole passes. `pixels` says which
     points are rays of one pixel (default: every point is one of its own). `known` is what they reflect
-    diffusely of indirect light, as far as it is known (default: nowhere); rays find the `share` of it that
-    makes least noise (default: measured here). Passes are independent; inside a
-    pass the directions of a pixel are an even sequence. Equal seeds give equal results, whatever the number
-    of threads.
+    diffusely of light that is known (default: none), and `shares` how much of it makes up for noise (default:
+    as makes least). Passes are independent; inside a pass the directions of a pixel are an even sequence.
+    Equal seeds give equal results, whatever the number of threads.
     """
     num_points = len(points.position)
     pixels = PixelRays.alone(num_points) if pixels is None else pixels
     num_passes, per_pass = split_samples(num_samples, pixels.most)
-    known = KnownBounce.nothing(num_points) if known is None else known
-    sums, spread = np.zeros((5, num_points, 3)), Spread.of(len(pixels.first))
+    known = KnownLight.nothing(num_points) if known is None else known
+    sums, spread = np.zeros((6, num_points, 3)), Spread.of(len(pixels.first))
     parts = pixels.parts(RAYS_PER_CHUNK // per_pass)
     tasks = [(number, index) for number in range(num_passes) for index in range(len(parts))]
 
@@ -95,7 +94,7 @@ def outgoing_radiance(
         rng = np.random.default_rng([seed, *task])
         run, rays = parts[task[1]]
         u = rays.uniforms(per_pass, rng)
-        return one_pass(points[run], u, scene, light, rng, indirect, known.known[run])
+        return one_pass(points[run], u, scene, light, rng, indirect, known[run])
 
     # In the order of the tasks, so that sums are the same for any number of threads.
     with closing(in_order(work, tasks, scene.num_threads)) as results:
@@ -104,13 +103,17 @@ def outgoing_radiance(
             sums[:, run] += found
             first = pixels.pixel[run.start]
             here = slice(first, first + len(rays.first))
-            spread.add(here, rays.mean(found[0].astype(np.float64) + found[1]), rays.mean(found[4]))
+            rest = rays.mean(found[0].astype(np.float64) + found[1])
+            spread.add(here, rest, rays.mean(found[4]), rays.mean(found[5]))
             if progress is not None:
                 progress((done + 1) / len(tasks))
     means = sums / num_passes
-    if share is None:
-        share = spread.best_share(pixels.mean(means[0] + means[1] + known.radiance))
+    if shares is None:
+        shares = spread.best_shares(pixels.mean(means[0] + means[1] + known.radiance))
+    from_rays, taken_out = shares[:, pixels.pixel, None]
     if indirect:
-        means[1] += share * means[4] + (1.0 - share) * known.radiance
-    error = np.sqrt(spread.variance(share)).astype(np.float32)
-    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1, share)
+        means[1] += from_rays * means[4] + (1.0 - from_rays) * known.radiance
+    if known.sky is not None:
+        means[0] -= taken_out * (means[5] - known.sky.radiance)
+    error = np.sqrt(spread.variance(shares)).astype(np.float32)
+    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1, shares)

@@ -8,7 +8,7 @@ from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, environment_from_array
-from lambent_relight.refined.known_bounce import KnownBounce, Spread
+from lambent_relight.refined.known_light import KnownLight, Spread
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
 from lambent_relight.refined.surroundings import CacheSurroundings
@@ -63,11 +63,13 @@ def lit(caches, known, *, count=2000, seed=2, num_samples=16, indirect=True):
 
 def diffuse_bounce(caches, count, monkeypatch):
     """Return the indirect light [3] that the diffuse lobe of the point reflects, as rays find it."""
-    everywhere = KnownBounce(np.zeros((count, 3), np.float32), np.ones(count, bool))
+    everywhere = KnownLight(np.zeros((count, 3), np.float32), np.ones(count, bool))
     parts = []
     for share in (0.0, 1.0):
         with monkeypatch.context() as patch:
-            patch.setattr(Spread, "best_share", lambda self, mean, share=share: share)
+            patch.setattr(
+                Spread, "best_shares", lambda self, mean, share=share: np.full((2, len(mean)), share)
+            )
             parts.append(lit(caches, everywhere, num_samples=128).indirect)
     return (parts[1] - parts[0]).mean(axis=0)
 
@@ -75,7 +77,7 @@ def diffuse_bounce(caches, count, monkeypatch):
 def test_known_diffuse_light_lowers_the_noise_and_no_mean(caches, monkeypatch):
     count = 2000
     radiance = np.tile(diffuse_bounce(caches, count, monkeypatch), (count, 1))
-    known = lit(caches, KnownBounce(radiance, np.ones(count, bool)))
+    known = lit(caches, KnownLight(radiance, np.ones(count, bool)))
     total = (known.direct + known.indirect).astype(np.float64)
     points = between_the_walls(128 * count)
     expected = reflected_samples(
@@ -97,12 +99,14 @@ def test_known_diffuse_light_lowers_the_noise_and_no_mean(caches, monkeypatch):
 def test_light_that_is_known_changes_nothing_but_the_indirect_light_where_it_is(caches):
     count = 300
     looked_for = lit(caches, None, count=count)
-    radiance = np.ones((count, 3), np.float32)
-    found = lit(caches, KnownBounce(radiance, np.arange(count) % 3 > 0), count=count)
+    there = np.arange(count) % 3 > 0
+    radiance = np.float32(1.0) * np.tile(there[:, None], (1, 3))
+    found = lit(caches, KnownLight(radiance, there), count=count)
     for name in ("direct", "specular", "visibility"):
         np.testing.assert_array_equal(getattr(found, name), getattr(looked_for, name))
-    elsewhere = np.arange(count) % 3 == 0
+    elsewhere = ~there
+    np.testing.assert_array_equal(found.indirect[elsewhere], looked_for.indirect[elsewhere])
     np.testing.assert_array_equal(found.standard_error[elsewhere], looked_for.standard_error[elsewhere])
     assert (found.standard_error[~elsewhere] != looked_for.standard_error[~elsewhere]).mean() > 0.9
-    direct = lit(caches, KnownBounce(radiance, elsewhere), count=count, indirect=False)
+    direct = lit(caches, KnownLight(radiance, there), count=count, indirect=False)
     assert (direct.indirect == 0.0).all()
