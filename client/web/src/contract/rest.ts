@@ -959,12 +959,13 @@ export interface components {
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
-             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport), or how
-             *     often light may be reflected, as random paths: 1 is direct light alone.
+             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport, diffusely
+             *     reflected in part as it was baked), or how often light may be reflected, as random paths: 1 is direct
+             *     light alone.
              * @default auto
              * @enum {string}
              */
-            bounces: "auto" | "adapted" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
+            bounces: "auto" | "adapted" | "baked" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
             /**
              * Denoise
              * @description Smooth what noise is left in a refined picture, guided by albedo and normals; not for measuring.
@@ -1024,7 +1025,8 @@ export interface components {
             tone_mapping: "linear" | "neutral" | "aces" | "agx";
             /**
              * Until Stderr
-             * @description Continue until the standard error is this share of the radiance; 0: do not.
+             * @description Continue until the mean standard error is this share of the mean radiance, with more directions where
+             *     there is more noise; 0: do not.
              * @default 0
              */
             until_stderr: number;
