@@ -51,11 +51,19 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
     jobsSection.hidden = jobs.element.hidden;
   }
 
+  // The stream begins with the newest jobs of all scenes, which may leave out these.
+  async function loadJobs(): Promise<void> {
+    const { items } = await api.jobs(null, new URLSearchParams({ scene: sceneId }));
+    for (const job of items) store.put(job);
+    draw();
+  }
+
   async function reload(): Promise<void> {
     [scene, report] = await Promise.all([api.scene(sceneId), api.report(sceneId)]);
     draw();
   }
   draw();
+  loadJobs().catch(fail);
 
   return {
     title: scene.name,

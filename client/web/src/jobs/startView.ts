@@ -4,9 +4,9 @@ import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
 import { h, section } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
-import type { Bundle, Job, Scene } from "../page/rest.js";
+import type { Bundle, Scene } from "../page/rest.js";
 import { thumbnailOf } from "../page/thumbnail.js";
-import { isListed, jobList, jobName } from "./jobLine.js";
+import { jobsPanel } from "./jobsPanel.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
@@ -17,27 +17,12 @@ type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | nu
 export function startView(context: Context): View {
   const { api, store, fail } = context;
   const panel = uploadPanel(context, null);
-  const jobs = jobList("Jobs, the newest first", jobName);
-  const noJobs = h("p", { class: "faint" }, "None yet.");
+  const jobs = jobsPanel(context);
   const scenes = pagedList("Scenes, the newest first", sceneLine, api.scenes, context);
   const bundles = pagedList("Bundles, the newest first", bundleLine, api.bundles, context);
 
-  const drawJobs = () => {
-    const found = store.all().filter(({ job }) => isListed(job));
-    jobs.update(found.map(({ job }) => job));
-    noJobs.hidden = found.length > 0;
-  };
-
-  const putAll = (jobs: readonly Job[]) => {
-    for (const job of jobs) store.put(job);
-  };
-  const older = nextPages("Show older jobs", api.jobs, putAll, context);
-
   async function load(): Promise<void> {
-    const [page] = await Promise.all([api.jobs(), scenes.load(), bundles.load()]);
-    older.after(page);
-    putAll(page.items);
-    drawJobs();
+    await Promise.all([jobs.load(), scenes.load(), bundles.load()]);
   }
   load().catch(fail);
 
@@ -55,7 +40,7 @@ export function startView(context: Context): View {
       {},
       h("h1", { tabindex: -1 }, "Relight your photographs"),
       h("section", { "aria-label": "New scene" }, panel.element),
-      section("Jobs", {}, noJobs, jobs.element, h("div", { class: "actions" }, older.button)),
+      jobs.element,
       section("Bundles", {}, bundles.element),
       section("Scenes", {}, scenes.element),
     ),
@@ -73,10 +58,11 @@ export function startView(context: Context): View {
         seen.set(jobId, news);
         lists.ask();
       }
-      drawJobs();
+      jobs.update();
     },
     close: () => {
       panel.close();
+      jobs.close();
       stopUploads();
       lists.stop();
     },

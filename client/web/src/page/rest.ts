@@ -118,7 +118,9 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     presets: () => json<Schemas["PresetList"]>("GET", "/v1/presets"),
     limits: () => json<Schemas["Limits"]>("GET", "/v1/limits"),
     estimate: (preset: string) => json<Estimate>("POST", "/v1/estimates", { preset }),
-    jobs: (cursor: string | null = null) => json<Schemas["JobList"]>("GET", list("/v1/jobs", 50, cursor)),
+    /** `given` narrows the list, as the parameters of the server do. */
+    jobs: (cursor: string | null = null, given = new URLSearchParams()) =>
+      json<Schemas["JobList"]>("GET", `${list("/v1/jobs", 50, cursor)}${given.size > 0 ? `&${given}` : ""}`),
     job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
     /** Jobs of a scene, the newest first. */
     jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
