@@ -20,7 +20,7 @@ const typingMs = 250;
 
 /** Return the section of jobs. */
 export function jobsPanel(context: Context) {
-  const { api, store, fail } = context;
+  const { api, store, removals, fail } = context;
   let query = queryOf(location.hash);
   /** Jobs of the pages so far, in their order. */
   let found: string[] = [];
@@ -87,7 +87,7 @@ export function jobsPanel(context: Context) {
       : store.all().flatMap(({ job }) => (!known.has(job.id) && job.id > newest ? [job.id] : []));
     const shown = [...fresh, ...found].flatMap((id) => {
       const job: Job | undefined = store.get(id)?.job;
-      return job !== undefined && matches(query, job) ? [job] : [];
+      return job !== undefined && matches(query, job) && !removals.hides(id) ? [job] : [];
     });
     list.update(shown);
     more.hidden = cursor === null;
