@@ -68,8 +68,8 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   }
   const live = h("div", { class: "live" }, pictures.element, plots.element);
   const progressed = isFinal(first)
-    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), stages.element, live)
-    : section("Progress", {}, stages.element, live);
+    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), live, stages.element)
+    : section("Progress", {}, live, stages.element);
   draw();
 
   return {
