@@ -115,7 +115,8 @@ try {
   await page.click("text=Start the job");
   await page.waitForURL(/#\/jobs\//);
   await page.waitForSelector(".chart polyline");
-  await page.waitForFunction(() => document.querySelector(".live img")?.naturalWidth > 1);
+  // The first pictures are fog.
+  await page.waitForFunction(() => document.querySelectorAll(".stack img").length > 7);
   await page.evaluate(() => scrollTo(0, 0));
   await keep(page, "web-progress");
 

@@ -160,6 +160,8 @@ jobs = Table(
     # The newest preview; its event holds the blob.
     _optional_text("preview_sha256"),
     Index(None, "tenant_id", "id"),
+    # Of pages of jobs in one state among thousands of others.
+    Index(None, "tenant_id", "state", "id"),
     Index(None, "state"),
     Index(None, "order_id"),
     Index(None, "scene_id"),

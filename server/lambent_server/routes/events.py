@@ -156,9 +156,7 @@ class _Stream:
                     job_queries.require_job(connection, self._tenant, name) for name in sorted(self._names)
                 ]
             else:
-                found, _ = job_queries.select_page(
-                    connection, self._tenant, states=(), labels=(), having={}, limit=RECENT, cursor=None
-                )
+                found, _ = job_queries.select_page(connection, self._tenant, limit=RECENT, cursor=None)
             unknown = [job for job in found if job["id"] not in self._known]
             shown = {job.id: job for job in job_queries.show_all(connection, self._tenant, unknown)}
         messages = []

@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from typing import Annotated
+from typing import Annotated, Literal
 
 from anyio import to_thread
 from fastapi import APIRouter, Header, Query, Response
@@ -53,7 +53,16 @@ class JobFilter(PageFilter):
         Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
     ]
     scene: Annotated[str | None, Field(pattern="^[a-z0-9_]{1,64}$", description="Only jobs of it.")] = None
-    kind: JobKind | None = None
+    kind: Annotated[list[JobKind], Field(max_length=6, default_factory=list)]
+    q: Annotated[
+        str,
+        Field(
+            max_length=100,
+            pattern=r"^[^\x00-\x1f\x7f]*$",
+            description="Part of the name of the job's scene, or how its id or its preset's name begins.",
+        ),
+    ] = ""
+    sort: Literal["newest", "oldest"] = "newest"
 
 
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
@@ -78,15 +87,18 @@ def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> E
 
 @router.get("/v1/jobs", responses=problems(422))
 def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter, Query()]) -> JobList:
-    """List jobs, newest first."""
+    """List jobs, newest first unless `sort` says otherwise."""
     labels = [tuple(each.split("=", 1)) for each in given.label]
     with services.database.read() as connection:
         found, cursor = job_queries.select_page(
             connection,
             tenant,
             states=given.state,
+            kinds=given.kind,
             labels=labels,
-            having={"scene_id": given.scene, "kind": given.kind},
+            scene_id=given.scene,
+            words=given.q.strip(),
+            oldest_first=given.sort == "oldest",
             limit=given.limit,
             cursor=given.cursor,
         )

@@ -38,8 +38,19 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     location.hash = jobAddress(fresh.id);
   });
 
+  const remove = button("Delete the job", context, async () => {
+    context.removals.ask({
+      id: jobId,
+      what: `the job "${name}"`,
+      send: (keepalive) => api.deleteJob(jobId, keepalive),
+      gone: () => store.forget(jobId),
+    });
+    location.hash = "#/";
+  });
+
   function draw(): void {
-    const record = store.get(jobId)!;
+    const record = store.get(jobId);
+    if (record === undefined) return;
     const { job } = record;
     replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
     setText(news, `Job ${stateNames.get(job.state) ?? job.state}`);
@@ -50,14 +61,15 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     stages.element.hidden = job.kind !== "train" || job.started_at === null;
     for (const part of parts) part.update(record);
     cancel.hidden = isFinal(job) || job.state === "cancelling";
+    remove.hidden = !isFinal(job);
     retry.hidden = job.state !== "failed" && job.state !== "cancelled";
     replaceKeyed(results, `${job.state} ${job.bundle_id}`, () => [resultSection(context, job, name)]);
     log.update(job);
   }
   const live = h("div", { class: "live" }, pictures.element, plots.element);
   const progressed = isFinal(first)
-    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), stages.element, live)
-    : section("Progress", {}, stages.element, live);
+    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), live, stages.element)
+    : section("Progress", {}, live, stages.element);
   draw();
 
   return {
@@ -82,6 +94,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       results,
       progressed,
       log.element,
+      h("section", { "aria-label": "Job" }, h("div", { class: "actions" }, remove)),
     ),
     update: (changed) => {
       if (changed === null) store.loadHistory(jobId).catch(fail);

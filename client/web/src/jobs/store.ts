@@ -68,6 +68,11 @@ export class JobStore {
     this.#tell(job.id);
   }
 
+  /** Forget a job that was deleted. */
+  forget(jobId: string): void {
+    if (this.#records.delete(jobId)) this.#tell(jobId);
+  }
+
   /** Ask the server for a job. */
   async refresh(jobId: string): Promise<void> {
     this.put(await this.api.job(jobId));

@@ -1,4 +1,7 @@
-"""Pictures by which scenes and jobs are recognised; jobs get the newest preview of their history."""
+"""Pictures by which scenes and jobs are recognised, and an index for pages of jobs in one state.
+
+Jobs get the newest preview of their history.
+"""
 
 import sqlalchemy as sa
 from alembic import op
@@ -20,9 +23,11 @@ def upgrade() -> None:
     op.create_index(op.f("ix_scenes_thumbnail_sha256"), "scenes", ["thumbnail_sha256"], unique=False)
     op.add_column("jobs", sa.Column("preview_sha256", sa.Text(), nullable=True))
     op.execute(_NEWEST)
+    op.create_index(op.f("ix_jobs_tenant_id_state_id"), "jobs", ["tenant_id", "state", "id"], unique=False)
 
 
 def downgrade() -> None:
+    op.drop_index(op.f("ix_jobs_tenant_id_state_id"), table_name="jobs")
     op.drop_column("jobs", "preview_sha256")
     op.drop_index(op.f("ix_scenes_thumbnail_sha256"), table_name="scenes")
     op.drop_column("scenes", "thumbnail_sha256")
