@@ -235,11 +235,6 @@ export class Viewer {
     return this.#refinement?.shown?.picture ?? null;
   }
 
-  /** The camera of that picture on the canvas, or null. */
-  get refinedCamera(): ViewCamera | null {
-    return this.#refinement?.shown?.camera ?? null;
-  }
-
   /** Give up refining what is shown, and return what refines a picture of any size; `invalidate` goes on with it. */
   refineElsewhere(): StillHost {
     this.#refinement?.dispose();
