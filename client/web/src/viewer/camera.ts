@@ -53,3 +53,12 @@ export function photoCamera(photo: PhotoCamera, width: number, height: number): 
     cameraToWorld: photo.cameraToWorld,
   };
 }
+
+const maxPixelRatio = 2;
+
+/** Return the size that a canvas should have in pixels, for the room that it has on its page. */
+export function sizeOf(canvas: HTMLCanvasElement): { readonly width: number; readonly height: number } {
+  const ratio = Math.min(globalThis.devicePixelRatio || 1, maxPixelRatio);
+  const side = (css: number): number => Math.max(1, Math.round(css * ratio));
+  return { width: side(canvas.clientWidth), height: side(canvas.clientHeight) };
+}

@@ -9,11 +9,12 @@ import { MapFault } from "../light/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
+import type { StillHost } from "../refine/still.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
-import { orbitCamera, photoCamera } from "./camera.js";
+import { orbitCamera, photoCamera, sizeOf } from "./camera.js";
 import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { initialState, isPreset, type ViewerState } from "./state.js";
@@ -38,7 +39,6 @@ export type ViewerEvents = {
 
 const stillSamples = 2;
 const stillAfterMs = 150;
-const maxPixelRatio = 2;
 
 /** Draws one bundle. */
 export class Viewer {
@@ -235,14 +235,16 @@ export class Viewer {
     return this.#refinement?.shown?.picture ?? null;
   }
 
-  /** The camera of that picture on the canvas, or null. */
-  get refinedCamera(): ViewCamera | null {
-    return this.#refinement?.shown?.camera ?? null;
+  /** Give up refining what is shown, and return what refines a picture of any size; `invalidate` goes on with it. */
+  refineElsewhere(): StillHost {
+    this.#refinement?.dispose();
+    this.#refinement = null;
+    return { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#state) };
   }
 
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
-    const { width, height } = this.#size();
+    const { width, height } = sizeOf(this.canvas);
     this.#ready().draw(this.camera(width, height), sidesOf(this.#state), samples);
     this.#tell("draw");
   }
@@ -282,12 +284,6 @@ export class Viewer {
     for (const listener of this.#listeners.get(name) ?? []) {
       (listener as (...values: Parameters<ViewerEvents[N]>) => void)(...values);
     }
-  }
-
-  #size(): { width: number; height: number } {
-    const ratio = Math.min(globalThis.devicePixelRatio || 1, maxPixelRatio);
-    const side = (css: number): number => Math.max(1, Math.round(css * ratio));
-    return { width: side(this.canvas.clientWidth), height: side(this.canvas.clientHeight) };
   }
 
   #drawNow(samples = 1): void {
@@ -334,7 +330,7 @@ export class Viewer {
   }
 
   #refineView() {
-    const { width, height } = this.#size();
+    const { width, height } = sizeOf(this.canvas);
     const { turn, look } = this.#state;
     return {
       bundle: this.bundle!,
