@@ -218,10 +218,11 @@ class Renderer:
             caches, num_threads = caches.in_callers_thread(), caches.num_threads
             adapted = caches.adapted
         has_transport = self.bundle.manifest.HasField("transport")
+        offset = self.bundle.manifest.secondary_rays.origin_offset
         if settings.occlusion == "mesh" or (settings.occlusion == "auto" and has_transport):
             around: Surroundings = MeshSurroundings(self.baked().traced, edit)
         else:
-            around = CacheSurroundings(caches, self.bundle.manifest.secondary_rays.origin_offset, edit)
+            around = CacheSurroundings(caches, offset, edit)
         plain = Scene(around, num_threads=num_threads)
         bounces = settings.bounces
         if bounces.isdecimal():
@@ -233,13 +234,12 @@ class Renderer:
             light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
             if light is not None:
                 # The adapted cache's opacities belong to its radiance, and to its own start of rays.
-                offset = self.bundle.manifest.secondary_rays.origin_offset
                 around = CacheSurroundings(caches, offset, edit)
                 adapted = functools.partial(adapted, light.name)
                 if settings.occlusion == "mesh":
+                    says = f'the fast cache adapted to "{light.name}" says what is in the way of its light'
                     self._tell(
-                        f'occlusion="mesh" has no effect: the fast cache adapted to "{light.name}" says '
-                        'what is in the way of its light; bounces="transport" leaves that to the mesh'
+                        f'occlusion="mesh" has no effect: {says}; bounces="transport" leaves that to the mesh'
                     )
                 return Scene(around, adapted, num_threads=num_threads), f"adapted:{light.name}"
             if insists:
@@ -248,12 +248,8 @@ class Renderer:
                 raise SettingError("relight.light_not_adapted", found, advice)
             if why_not:
                 self._tell(f"no adapted fast cache fits this picture: {why_not}")
-        if bounces == "one":
+        if bounces == "one" or (not has_transport and bounces not in ("baked", "transport")):
             return replace(plain, most_bounces=2), "one"
-        if not has_transport:
-            if bounces in ("baked", "transport"):
-                self.baked()
-            return plain, "one"
         hits = self.baked().hits(environment, edit)
         # The cache's occlusion is not that of the bake, so there it is taken only where it is asked for.
         if isinstance(around, MeshSurroundings):
