@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import { ballOf } from "../src/render/ball.js";
 import { orbitCamera, photoCamera } from "../src/viewer/camera.js";
 import { afterKey, orbited, panned, zoomed } from "../src/viewer/orbit.js";
-import { encodeExr, momentOf } from "../src/viewer/save.js";
+import { encodeExr } from "../src/viewer/save.js";
 import {
   fromParameters,
   initialState,
@@ -103,13 +103,6 @@ describe("turning", () => {
   ] as const)("by the key %s", (key, shiftKey, expected) => {
     const event = { key, shiftKey, altKey: false, ctrlKey: false, metaKey: false };
     expect(afterKey(event, { pose, turn })).toEqual(expected);
-  });
-});
-
-describe("a film", () => {
-  it("turns the camera or the light once", () => {
-    expect(momentOf(initialState, "turntable", 0.5).pose?.azimuthDeg).toBe(-150);
-    expect(momentOf(initialState, "light", 0.25).turn?.yawDeg).toBe(90);
   });
 });
 

@@ -2,8 +2,9 @@
 
 import type { BundleOrigin } from "../bundle/source.js";
 import type { ViewCamera } from "../render/looks.js";
+import type { FilmCallbacks } from "../film/film.js";
+import type { FilmPlan } from "../film/plan.js";
 import { Interface } from "./interface.js";
-import { type FilmKind, filmOf } from "./save.js";
 import { fromParameters, toParameters, type ViewerState } from "./state.js";
 import { Viewer } from "./viewer.js";
 
@@ -65,9 +66,11 @@ export class LambentViewerElement extends HTMLElement {
     return new ImageData(pixels, size.width, size.height);
   }
 
-  /** Record one turn of the camera or of the light, as WebM; takes as long as the film. */
-  film(kind: FilmKind, seconds?: number): Promise<Blob> {
-    return filmOf(this.#open(), kind, seconds);
+  /** Return a film of one turn of the camera, the light, or both, as MP4 or WebM; every frame of it is complete. */
+  async film(options: Partial<FilmPlan> & FilmCallbacks = {}): Promise<Blob> {
+    const viewer = this.#open();
+    const { makeFilm } = await import("../film/film.js");
+    return makeFilm(viewer, options, options);
   }
 
   connectedCallback(): void {

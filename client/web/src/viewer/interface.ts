@@ -5,7 +5,7 @@ import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { listenToOrbit, type OrbitHost } from "./orbit.js";
 import { buildPanel } from "./panel.js";
-import { download, exrOf, type FilmKind, filmOf, pngOf } from "./save.js";
+import { download, exrOf, pngOf } from "./save.js";
 import { lightText } from "./lightTexts.js";
 import { initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
@@ -29,6 +29,7 @@ export class Interface {
   readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
   readonly #panel: { element: HTMLElement; show: () => void };
   readonly #stop = new AbortController();
+  #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
   #photoShown = "";
   #reading: Promise<void> | null = null;
   #quietAt = 0;
@@ -51,7 +52,7 @@ export class Interface {
       reset: () => this.#change({ ...initialState, environment: viewer.state.environment }),
       savePng: (...size) => this.#save("png", () => pngOf(viewer, ...this.#sizeOf(...size))),
       saveExr: (...size) => this.#save("exr", async () => exrOf(viewer, ...this.#sizeOf(...size))),
-      film: (kind) => this.#film(kind),
+      film: () => void this.#film(root),
       copyLink: () => void this.#copyLink(),
     });
     const { canvas } = viewer;
@@ -209,15 +210,26 @@ export class Interface {
     return [shown.width, shown.height];
   }
 
-  #save(ending: "png" | "exr" | "webm", make: () => Promise<Blob>): void {
+  #save(ending: "png" | "exr", make: () => Promise<Blob>): void {
     make()
       .then((blob) => download(blob, `${this.viewer.bundle?.name ?? "lambent"}.${ending}`))
       .catch((error: unknown) => this.problem(error));
   }
 
-  #film(kind: FilmKind): void {
-    this.#tell("Recording…", false);
-    this.#save("webm", () => filmOf(this.viewer, kind));
+  /** Open the dialog that makes films. */
+  async #film(root: ShadowRoot): Promise<void> {
+    try {
+      const { filmDialog } = await import("../film/dialog.js");
+      if (this.#stop.signal.aborted || this.viewer.bundle === null) return;
+      if (this.#filming === null) {
+        this.#filming = filmDialog(this.viewer);
+        root.adoptedStyleSheets.push(this.#filming.sheet);
+        root.append(this.#filming.element);
+      }
+      this.#filming.show();
+    } catch (error) {
+      this.problem(error);
+    }
   }
 
   async #copyLink(): Promise<void> {

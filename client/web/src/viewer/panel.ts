@@ -18,7 +18,7 @@ export type PanelActions = {
   readonly reset: () => void;
   readonly savePng: (width: number, height: number) => void;
   readonly saveExr: (width: number, height: number) => void;
-  readonly film: (kind: "turntable" | "light") => void;
+  readonly film: () => void;
   readonly copyLink: () => void;
 };
 
@@ -180,10 +180,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       false,
       buttons(...size),
       buttons(button("Save PNG", inSize(act.savePng)), button("Save EXR", inSize(act.saveExr))),
-      buttons(
-        button("Film: turntable", () => act.film("turntable")),
-        button("Film: turn light", () => act.film("light")),
-      ),
+      button("Make a film…", act.film),
       button("Copy link to this view", act.copyLink),
     ),
     share.element,

@@ -1,7 +1,5 @@
-/** Pictures and films as files. */
+/** Pictures as files. */
 
-import type { ViewerState } from "./state.js";
-import { wrapped } from "./state.js";
 import type { Viewer } from "./viewer.js";
 
 /** Return the view as PNG; tone mapping is not applied twice, and alpha is straight. */
@@ -60,74 +58,6 @@ export function encodeExr(halfRgba: Uint16Array, width: number, height: number):
     });
   }
   return file;
-}
-
-/** The kinds of film. */
-export type FilmKind = "turntable" | "light";
-
-const filmSeconds = 6;
-/** Interval at which the recorder delivers data. */
-const sliceMs = 50;
-/** Time limit for the recorder to start. */
-const patienceSeconds = 30;
-
-/** Return the state at a moment of a film, from 0 to 1. */
-export function momentOf(state: ViewerState, kind: FilmKind, moment: number): Partial<ViewerState> {
-  const turned = (degrees: number): number => wrapped(degrees + 360 * moment);
-  if (kind === "turntable") return { pose: { ...state.pose, azimuthDeg: turned(state.pose.azimuthDeg) } };
-  return { turn: { ...state.turn, yawDeg: turned(state.turn.yawDeg) } };
-}
-
-/** Record one turn of the camera or of the light from the canvas, as WebM; the state is put back at the end. */
-export async function filmOf(viewer: Viewer, kind: FilmKind, seconds = filmSeconds): Promise<Blob> {
-  const type = ["video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"].find(
-    (each) => typeof MediaRecorder !== "undefined" && MediaRecorder.isTypeSupported(each),
-  );
-  if (type === undefined) throw new Error("this browser cannot record WebM");
-  const first = viewer.state;
-  const stream = viewer.canvas.captureStream(30);
-  const recorder = new MediaRecorder(stream, { mimeType: type, videoBitsPerSecond: 8_000_000 });
-  const parts: Blob[] = [];
-  let recording = false;
-  recorder.ondataavailable = ({ data }) => {
-    parts.push(data);
-    recording ||= data.size > 0;
-  };
-  const ended = new Promise<void>((resolve, reject) => {
-    recorder.onstop = () => resolve();
-    recorder.onerror = () => reject(new Error("the browser stopped recording; try a smaller window"));
-  });
-  ended.catch(() => {}); // It is awaited at the end, and may fail before.
-  viewer.moving = true;
-  recorder.start(sliceMs);
-  const show = async (moment: number): Promise<void> => {
-    await viewer.update(momentOf(first, kind, moment));
-    await new Promise((resolve) => requestAnimationFrame(resolve));
-  };
-  try {
-    // An encoder takes its time to begin, more of it on a busy machine: a film that ends before then is empty.
-    const asked = performance.now();
-    while (!recording && recorder.state === "recording") {
-      if (performance.now() - asked > 1000 * patienceSeconds) {
-        throw new Error("the browser records no picture; close other pages, or try a smaller window");
-      }
-      await show(0);
-    }
-    const start = performance.now();
-    for (let moment = 0; moment < 1; moment = (performance.now() - start) / (1000 * seconds)) {
-      await show(moment);
-    }
-  } finally {
-    if (recorder.state !== "inactive") recorder.stop();
-    viewer.moving = false;
-    await viewer.update({ pose: first.pose, turn: first.turn });
-  }
-  try {
-    await ended;
-  } finally {
-    for (const track of stream.getTracks()) track.stop();
-  }
-  return new Blob(parts, { type: "video/webm" });
 }
 
 /** Offer a file to the person. */

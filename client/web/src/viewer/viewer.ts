@@ -12,9 +12,10 @@ import type { Refinement } from "../refine/refinement.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
-import { type Side, Stage } from "../render/stage.js";
+import { Stage } from "../render/stage.js";
 import { orbitCamera, photoCamera } from "./camera.js";
 import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
+import { type Frozen, interrupted, sidesOf } from "./frozen.js";
 import { initialState, isPreset, type ViewerState } from "./state.js";
 
 /** The events of a viewer. */
@@ -193,32 +194,52 @@ export class Viewer {
   }
 
   /** Return the camera for a picture of some size. */
-  camera(width: number, height: number): ViewCamera {
-    const photo = this.photoCamera();
-    return photo
-      ? photoCamera(photo, width, height)
-      : orbitCamera(this.#state.pose, this.#ball, width, height);
+  camera(width: number, height: number, state = this.#state): ViewCamera {
+    const photo = this.photoCamera(state);
+    return photo ? photoCamera(photo, width, height) : orbitCamera(state.pose, this.#ball, width, height);
   }
 
   /** Return the camera of the photograph that is compared with, or null. */
-  photoCamera() {
-    if (this.#state.compare !== "photo") return null;
-    return this.bundle?.cameras.find((camera) => camera.name === this.#state.photo) ?? null;
+  photoCamera({ compare, photo } = this.#state) {
+    if (compare !== "photo") return null;
+    return this.bundle?.cameras.find((camera) => camera.name === photo) ?? null;
   }
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.camera(width, height), this.#sides(), samples);
+    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#state), samples);
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(camera, this.#sides(), samples);
+    return this.#ready().readBytes(camera, sidesOf(this.#state), samples);
+  }
+
+  /**
+   * Return what draws a state with changes of camera, turn and look, as `pixels` does, without showing it. That throws
+   * `film.interrupted` where another bundle or light is shown by then, or the graphics card is gone.
+   */
+  frozen(state: ViewerState): Frozen {
+    const stage = this.#ready();
+    const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
+    const first = held();
+    return (change, width, height, samples) => {
+      const now = { ...state, ...change };
+      const lost = this.#closed || stage.renderer.getContext().isContextLost();
+      if (lost || held().some((each, index) => each !== first[index])) throw interrupted();
+      const { overlay } = stage;
+      // A refined picture is of one camera only.
+      stage.overlay = null;
+      const pixels = stage.readBytes(this.camera(width, height, now), sidesOf(now), samples);
+      stage.overlay = overlay;
+      if (stage.renderer.getContext().isContextLost()) throw interrupted();
+      return pixels;
+    };
   }
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.camera(width, height), this.#sides(), samples);
+    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#state), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -234,7 +255,7 @@ export class Viewer {
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
     const { width, height } = this.#size();
-    this.#ready().draw(this.camera(width, height), this.#sides(), samples);
+    this.#ready().draw(this.camera(width, height), sidesOf(this.#state), samples);
     this.#tell("draw");
   }
 
@@ -335,17 +356,6 @@ export class Viewer {
       moving: this.#moving,
       options: this.refineOptions,
     };
-  }
-
-  #sides(): Side[] {
-    const { turn, look, compare, split } = this.#state;
-    const whole: Side = { light: "a", turn, look, method: "baked", from: 0, to: 1 };
-    if (compare !== "environment" && compare !== "plain") return [whole];
-    const other = compare === "environment" ? ({ light: "b" } as const) : ({ method: "plain" } as const);
-    return [
-      { ...whole, to: split },
-      { ...whole, ...other, from: split },
-    ];
   }
 
   /** Prepare the lights that the state names and that are not there yet. */

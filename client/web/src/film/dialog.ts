@@ -1,0 +1,209 @@
+/** The dialog that makes films; loaded when it is first opened. */
+
+import { button, check, choice, type Field, make } from "../viewer/fields.js";
+import { download } from "../viewer/save.js";
+import type { Viewer } from "../viewer/viewer.js";
+import { codecFor, codecNames } from "./encoder.js";
+import { makeFilm } from "./film.js";
+import { defaultPlan, type FilmFormat, type FilmPlan, frameCount, type Motion, planned } from "./plan.js";
+
+const sizes = {
+  "1080p": ["1920 × 1080 (1080p)", 1920, 1080],
+  "720p": ["1280 × 720 (720p)", 1280, 720],
+  square: ["1080 × 1080 (square)", 1080, 1080],
+  custom: ["Another size", 0, 0],
+} as const;
+type SizeName = keyof typeof sizes;
+
+const motionTexts: readonly (readonly [Motion, string])[] = [
+  ["turntable", "The camera goes around"],
+  ["light", "The light goes around"],
+  ["both", "Both, opposite ways"],
+];
+const formatTexts: Readonly<Record<FilmFormat, string>> = { mp4: "MP4", webm: "WebM" };
+
+const style = `
+.film { width: min(30rem, calc(100% - 2rem)); max-height: calc(100% - 2rem); overflow: auto; color: #f2f3f5; background: #181b1f;
+  border: 1px solid #4b525b; border-radius: 0.6rem; padding: 1rem; }
+.film::backdrop { background: rgb(0 0 0 / 60%); }
+.film h2 { font-size: 1.1rem; margin: 0 0 0.6rem; }
+.film fieldset { border: 0; margin: 0; padding: 0; }
+.film form { display: grid; gap: 0.45rem; }
+.film canvas { position: static; inset: auto; width: 100%; height: auto; max-height: 14rem; object-fit: contain; cursor: auto; touch-action: auto;
+  background: #101214; border-radius: 0.35rem; }
+.film progress { width: 100%; }
+.film .problem { color: #ffb4ab; }
+`;
+
+/** Return the dialog of a viewer, with its look. */
+export function filmDialog(viewer: Viewer): {
+  element: HTMLDialogElement;
+  sheet: CSSStyleSheet;
+  show: () => void;
+} {
+  const sheet = new CSSStyleSheet();
+  sheet.replaceSync(style);
+  let plan: FilmPlan = defaultPlan;
+  let size: SizeName = "1080p";
+  let running: AbortController | null = null;
+  const news = make("p", { className: "hint", role: "status" });
+  const bar = make("progress", { hidden: true, ariaLabel: "Frames made" });
+  const preview = make("canvas", { hidden: true, ariaLabel: "The last frame" });
+  const codecs = new Map<FilmFormat, string>();
+  const followers: (() => void)[] = [];
+  const follow = <T>(field: Field<T>, value: () => T): HTMLElement => {
+    followers.push(() => field.show(value()));
+    return field.element;
+  };
+  const change = (part: Partial<FilmPlan>): void => {
+    plan = { ...plan, ...part };
+    show();
+  };
+  const number = (label: string, name: "width" | "height" | "seconds" | "framesPerSecond", step: string) => {
+    const entry = make("input", { type: "number", min: "0", step });
+    entry.addEventListener("input", () => change({ [name]: entry.valueAsNumber }));
+    followers.push(() => {
+      if (!Object.is(entry.valueAsNumber, plan[name])) entry.value = String(plan[name]);
+    });
+    return make("label", {}, label, entry);
+  };
+  const formats = choice(
+    "Format",
+    () =>
+      (Object.keys(formatTexts) as FilmFormat[]).map(
+        (format) => [format, `${formatTexts[format]}${codecs.get(format) ?? ""}`] as const,
+      ),
+    (format) => change({ format }),
+  );
+  const sizeList = choice(
+    "Size",
+    () => (Object.keys(sizes) as SizeName[]).map((name) => [name, sizes[name][0]] as const),
+    (name) => {
+      size = name;
+      const [, width, height] = sizes[name];
+      change(name === "custom" ? {} : { width, height });
+    },
+  );
+  const ownSize = [number("Width", "width", "2"), number("Height", "height", "2")];
+  const fields = make(
+    "fieldset",
+    { className: "fields" },
+    follow(
+      choice(
+        "Motion",
+        () => motionTexts,
+        (motion) => change({ motion }),
+      ),
+      () => plan.motion,
+    ),
+    follow(sizeList, () => size),
+    ...ownSize,
+    number("Seconds", "seconds", "0.1"),
+    number("Frames per second", "framesPerSecond", "1"),
+    follow(formats, () => plan.format),
+    follow(
+      check("Seamless when repeated", (loop) => change({ loop })),
+      () => plan.loop,
+    ),
+  );
+  const start = make("button", { type: "submit", textContent: "Make the film" });
+  const close = button("Close", () => {
+    if (running === null) element.close();
+    else running.abort(new DOMException("the film was cancelled", "AbortError"));
+  });
+  const form = make("form", { method: "dialog", noValidate: true }, fields, preview, bar, news);
+  form.append(make("div", { className: "buttons" }, close, start));
+  const element = make("dialog", { className: "film" }, make("h2", { textContent: "Make a film" }), form);
+  element.setAttribute("aria-label", "Make a film");
+
+  const say = (text: string, problem = false): void => {
+    news.textContent = text;
+    news.classList.toggle("problem", problem);
+  };
+  /** Say what would be made, or why it cannot be. */
+  const describe = (): void => {
+    try {
+      const count = frameCount(planned(plan));
+      const bare = viewer.state.look.background === "transparent";
+      const behind = bare ? ", on the background colour, because films are opaque" : "";
+      say(`${count} ${count === 1 ? "frame" : "frames"}${behind}.`);
+      start.disabled = false;
+    } catch (error) {
+      say(textOf(error), true);
+      start.disabled = true;
+    }
+  };
+  const learnCodecs = async (): Promise<void> => {
+    const { width, height, framesPerSecond } = plan;
+    for (const format of Object.keys(formatTexts) as FilmFormat[]) {
+      const text = await codecFor(format, { width, height, framesPerSecond }).then(
+        (codec) => ` (${codecNames[codec]})`,
+        () => " (not in this browser at this size)",
+      );
+      codecs.set(format, text);
+    }
+    formats.refill();
+    formats.show(plan.format);
+  };
+  const show = (): void => {
+    for (const each of ownSize) each.hidden = size !== "custom";
+    for (const each of followers) each();
+    describe();
+    if (!start.disabled) void learnCodecs();
+  };
+  const busy = (on: boolean): void => {
+    fields.disabled = on;
+    start.disabled = on;
+    bar.hidden = !on;
+    close.textContent = on ? "Cancel" : "Close";
+  };
+  const onFrame = (made: number, count: number, rgba: Uint8ClampedArray<ArrayBuffer>): void => {
+    bar.max = count;
+    bar.value = made;
+    say(`Frame ${made} of ${count}`);
+    preview.hidden = false;
+    if (preview.width !== plan.width || preview.height !== plan.height) {
+      Object.assign(preview, { width: plan.width, height: plan.height });
+    }
+    preview.getContext("2d")?.putImageData(new ImageData(rgba, plan.width, plan.height), 0, 0);
+  };
+  const work = async (): Promise<void> => {
+    running = new AbortController();
+    busy(true);
+    say("Beginning…");
+    try {
+      const film = await makeFilm(viewer, plan, { signal: running.signal, onFrame });
+      download(film, `${viewer.bundle?.name ?? "lambent"}-${plan.motion}.${plan.format}`);
+      say(`Saved: ${frameCount(plan)} frames, ${(film.size / 1e6).toFixed(1)} MB.`);
+    } catch (error) {
+      if (running.signal.aborted) say("Cancelled; nothing was saved.");
+      else say(textOf(error), true);
+    } finally {
+      running = null;
+      busy(false);
+    }
+  };
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    void work();
+  });
+  element.addEventListener("cancel", (event) => {
+    if (running === null) return;
+    event.preventDefault();
+    close.click();
+  });
+  return {
+    element,
+    sheet,
+    show: () => {
+      if (element.open) return;
+      preview.hidden = true;
+      show();
+      element.showModal();
+    },
+  };
+}
+
+function textOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
+}

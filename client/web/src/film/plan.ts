@@ -1,0 +1,90 @@
+/** What a film shows, and when: sizes, frames, and the state of the viewer at each of them. */
+
+import { Fault } from "../page/fault.js";
+import type { ViewerState } from "../viewer/state.js";
+import { wrapped } from "../viewer/state.js";
+
+/** What turns once in a film: the camera, the light, or the camera one way and the light the other. */
+export const motions = ["turntable", "light", "both"] as const;
+export type Motion = (typeof motions)[number];
+
+export const filmFormats = ["mp4", "webm"] as const;
+export type FilmFormat = (typeof filmFormats)[number];
+
+/** A film to make. */
+export type FilmPlan = {
+  readonly motion: Motion;
+  readonly format: FilmFormat;
+  /** Pixels; even numbers, because the colours of films have half their size. */
+  readonly width: number;
+  readonly height: number;
+  readonly seconds: number;
+  readonly framesPerSecond: number;
+  /** Whether the first frame follows the last one; else the last frame shows what the first one does. */
+  readonly loop: boolean;
+};
+
+export const defaultPlan: FilmPlan = {
+  motion: "turntable",
+  format: "mp4",
+  width: 1920,
+  height: 1080,
+  seconds: 4,
+  framesPerSecond: 30,
+  loop: true,
+};
+
+export const filmLimits = {
+  side: [16, 4096],
+  seconds: [0.1, 60],
+  framesPerSecond: [1, 120],
+} as const;
+
+/** Return how many frames a film has. */
+export function frameCount({ seconds, framesPerSecond }: FilmPlan): number {
+  return Math.max(Math.round(seconds * framesPerSecond), 1);
+}
+
+/** Return a whole plan; throws the fault `film.plan` where a film of it cannot be made. */
+export function planned(asked: Partial<FilmPlan>): FilmPlan {
+  const given = Object.entries(asked).filter(([name, value]) => name in defaultPlan && value !== undefined);
+  const plan: FilmPlan = { ...defaultPlan, ...Object.fromEntries(given) };
+  const inside = (value: number, [least, most]: readonly [number, number]): boolean =>
+    value >= least && value <= most;
+  const refuse = (what: string, advice: string): never => {
+    throw new Fault("film.plan", what, advice);
+  };
+  if (!motions.includes(plan.motion)) {
+    refuse(`a film cannot show "${plan.motion}"`, `choose one of ${motions.join(", ")}`);
+  }
+  if (!filmFormats.includes(plan.format)) {
+    refuse(`"${plan.format}" is not a format of films`, `choose one of ${filmFormats.join(", ")}`);
+  }
+  for (const side of [plan.width, plan.height]) {
+    if (!inside(side, filmLimits.side) || side % 2 !== 0) {
+      refuse(`a film cannot be ${plan.width} x ${plan.height}`, "use even numbers from 16 to 4096");
+    }
+  }
+  if (!inside(plan.seconds, filmLimits.seconds)) {
+    refuse(`a film cannot last ${plan.seconds} s`, "use 0.1 to 60 seconds");
+  }
+  if (!inside(plan.framesPerSecond, filmLimits.framesPerSecond)) {
+    refuse(`a film cannot have ${plan.framesPerSecond} frames per second`, "use 1 to 120");
+  }
+  return plan;
+}
+
+/** Return where in its turn a frame is, from 0 to 1. */
+export function momentAt(plan: FilmPlan, frame: number): number {
+  const count = frameCount(plan);
+  return plan.loop ? frame / count : frame / Math.max(count - 1, 1);
+}
+
+/** Return what of the state differs at a moment of a film, from 0 to 1. */
+export function momentOf(state: ViewerState, motion: Motion, moment: number): Partial<ViewerState> {
+  const turned = (degrees: number, turns: number): number => wrapped(degrees + 360 * turns * moment);
+  const pose = { ...state.pose, azimuthDeg: turned(state.pose.azimuthDeg, 1) };
+  const light = (turns: number) => ({ ...state.turn, yawDeg: turned(state.turn.yawDeg, turns) });
+  if (motion === "turntable") return { pose };
+  return motion === "light" ? { turn: light(1) } : { pose, turn: light(-1) };
+}
