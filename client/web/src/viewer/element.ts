@@ -5,7 +5,7 @@ import type { ViewCamera } from "../render/looks.js";
 import type { FilmCallbacks } from "../film/film.js";
 import type { FilmPlan } from "../film/plan.js";
 import { Interface } from "./interface.js";
-import { fromParameters, toParameters, type ViewerState } from "./state.js";
+import { firstState, fromParameters, toParameters, type ViewerState } from "./state.js";
 import { Viewer } from "./viewer.js";
 
 /** The element. Attributes: `src`, `state`, `controls`, `alt`. */
@@ -80,7 +80,7 @@ export class LambentViewerElement extends HTMLElement {
     this.#viewer = new Viewer(canvas);
     this.#interface = new Interface(root, this, this.#viewer);
     const state = this.getAttribute("state");
-    if (state !== null) this.#setState(state);
+    if (state !== null) this.#setState(state, true);
     const source = this.getAttribute("src");
     if (source) void this.#follow(this.show(source));
   }
@@ -105,8 +105,10 @@ export class LambentViewerElement extends HTMLElement {
     return this.#viewer;
   }
 
-  #setState(text: string): void {
-    void this.#follow(this.update(fromParameters(new URLSearchParams(text), this.state)));
+  /** Show the state of an address; `fresh` where nothing was shown before it, so that its version says the rest. */
+  #setState(text: string, fresh = false): void {
+    const parameters = new URLSearchParams(text);
+    void this.#follow(this.update(fromParameters(parameters, fresh ? firstState(parameters) : this.state)));
   }
 
   /** Show errors of calls whose result is not awaited. */

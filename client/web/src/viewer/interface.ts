@@ -7,9 +7,12 @@ import { listenToOrbit, type OrbitHost } from "./orbit.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
 import { lightText } from "./lightTexts.js";
-import { initialState, toParameters, type ViewerState } from "./state.js";
+import { linkOf } from "./links.js";
+import { resetOf } from "./resets.js";
+import type { ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { statusText } from "../refine/status.js";
+import { type UndoTools, undoTools } from "./undo.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
 
@@ -29,6 +32,7 @@ export class Interface {
   readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
   readonly #panel: { element: HTMLElement; show: () => void };
   readonly #stop = new AbortController();
+  readonly #undo: UndoTools;
   #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
   #photoShown = "";
   #reading: Promise<void> | null = null;
@@ -49,7 +53,10 @@ export class Interface {
       openFolder: () => this.#choose("", true),
       openMap: () => this.#choose(".hdr,.exr,.pic,.rgbe", false),
       openAddress: (address) => this.#change({ environment: `url:${address}` }),
-      reset: () => this.#change({ ...initialState, environment: viewer.state.environment }),
+      reset: (part) => {
+        this.#undo.apart();
+        this.#change(resetOf(part, viewer.state));
+      },
       savePng: (...size) => this.#save("png", () => pngOf(viewer, ...this.#sizeOf(...size))),
       saveExr: (...size) => this.#save("exr", async () => exrOf(viewer, ...this.#sizeOf(...size))),
       film: () => void this.#film(root),
@@ -60,7 +67,8 @@ export class Interface {
     canvas.setAttribute("role", "application");
     this.#view.append(canvas, this.#photo, this.#split, this.#sides);
     root.replaceChildren(this.#view, this.#welcome.element, this.#message);
-    if (host.hasAttribute("controls")) root.append(this.#panel.element);
+    this.#undo = undoTools(viewer, host, (state) => this.#change(state), this.#stop.signal);
+    if (host.hasAttribute("controls")) root.append(this.#undo.element, this.#panel.element);
     // On a telephone the picture comes first.
     this.#panel.element.toggleAttribute("open", host.clientWidth >= 640);
     this.#listen(canvas);
@@ -121,6 +129,7 @@ export class Interface {
       change: (next) => this.#change(next),
       moving: (moving) => {
         this.viewer.moving = moving;
+        this.#undo.hold(moving);
       },
     };
     listenToOrbit(orbit, signal);
@@ -233,16 +242,12 @@ export class Interface {
   }
 
   async #copyLink(): Promise<void> {
-    const address = new URL(location.href);
-    const parameters = toParameters(this.viewer.state);
-    const source = new URLSearchParams(address.hash.slice(1)).get("src");
-    if (source !== null) parameters.set("src", source);
-    address.hash = parameters.toString();
+    const link = linkOf(this.viewer, location.href);
     try {
-      await navigator.clipboard.writeText(address.href);
+      await navigator.clipboard.writeText(link);
       this.#tell("The link is on the clipboard.", false);
     } catch {
-      this.#tell(address.href, false);
+      this.#tell(link, false);
     }
   }
 

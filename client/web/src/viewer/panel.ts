@@ -3,6 +3,7 @@
 import type { BackgroundKind, Channel, LightTurn, Look, MaterialEdit, ToneCurve } from "../render/looks.js";
 import { button, check, choice, type Field, make, section, slider } from "./fields.js";
 import { lightTexts } from "./lightTexts.js";
+import type { ResetPart } from "./resets.js";
 import { sharing } from "./sharing.js";
 import { type Comparison, limits, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
@@ -15,7 +16,7 @@ export type PanelActions = {
   readonly openFolder: () => void;
   readonly openMap: () => void;
   readonly openAddress: (address: string) => void;
-  readonly reset: () => void;
+  readonly reset: (part: ResetPart) => void;
   readonly savePng: (width: number, height: number) => void;
   readonly saveExr: (width: number, height: number) => void;
   readonly film: () => void;
@@ -136,7 +137,10 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       true,
       follow(lights, (state) => state.environment),
       make("div", { className: "row" }, button("Use address", useAddress), address),
-      buttons(button("Open map…", act.openMap), button("Reset", act.reset)),
+      buttons(
+        button("Open map…", act.openMap),
+        button("Reset light", () => act.reset("light")),
+      ),
       angle("Rotate", "yawDeg"),
       ofTurn("intensity", (change) => slider("Intensity", limits.intensity, 0.05, change)),
     ),
@@ -156,6 +160,12 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       ofState("refine", (change) => check("Refine while nothing moves", change)),
       refining,
       ofLook("ground", (change) => check("Shadow on the ground", change)),
+      button("Reset picture", () => act.reset("picture")),
+    ),
+    section(
+      "Camera",
+      false,
+      button("Reset camera", () => act.reset("camera")),
     ),
     section(
       "Material",
@@ -166,6 +176,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       ),
       ofEdit("roughnessScale", (change) => slider("Roughness ×", limits.roughness, 0.05, change)),
       ofEdit("metalnessShift", (change) => slider("Metalness +", limits.metalness, 0.05, change)),
+      button("Reset material", () => act.reset("material")),
     ),
     section(
       "Compare",

@@ -44,8 +44,11 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .split::before { content: ""; position: absolute; top: 0; bottom: 0; left: -1px; width: 2px; background: #fff; box-shadow: 0 0 3px #000; }
 .handle { position: absolute; top: 50%; left: -1.4rem; width: 2.8rem; height: 2.8rem; margin-top: -1.4rem; border-radius: 50%;
   background: #17191c; border: 2px solid #fff; pointer-events: auto; touch-action: none; cursor: ew-resize; display: grid; place-content: center; }
-.sides { position: absolute; top: 0.75rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
+.sides { position: absolute; top: 4rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
 .sides span { background: rgb(24 27 31 / 94%); border-radius: 0.3rem; padding: 0.15rem 0.5rem; }
+.tools { position: absolute; top: 0.75rem; left: 0.75rem; display: flex; gap: 0.35rem; }
+.tools button { width: 2.75rem; min-height: 2.75rem; padding: 0; font-size: 1.25rem; background: rgb(24 27 31 / 94%); border-color: #4b525b; }
+.tools [aria-disabled=true] { color: #8d96a1; cursor: default; }
 .photo { position: absolute; object-fit: fill; pointer-events: none; }
 .fields h3 { font-size: 1rem; margin: 0; }
 .hint, .faint { color: #c3cad3; font-size: 0.82rem; margin: 0; }

@@ -83,6 +83,11 @@ export class Viewer {
     return bundleAt(this.#source.url, document.baseURI);
   }
 
+  /** Where the bundle that is shown comes from, or null. */
+  get source(): BundleOrigin | null {
+    return this.bundle === null ? null : this.#source;
+  }
+
   /** The current state. */
   get state(): ViewerState {
     return this.#state;
