@@ -52,7 +52,7 @@ export class LambentViewerElement extends HTMLElement {
   /** Light the object with the bytes of an .hdr or .exr map. */
   async setEnvironmentFile(file: File): Promise<void> {
     const viewer = this.#open();
-    const name = viewer.addMap(file.name, new Uint8Array(await file.arrayBuffer()));
+    const name = viewer.lights.addMap(file.name, new Uint8Array(await file.arrayBuffer()));
     await viewer.update({ environment: name });
   }
 

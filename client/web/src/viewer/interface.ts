@@ -1,6 +1,7 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
 import { Fault } from "../page/fault.js";
+import { Controls } from "./controls.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { listenToOrbit, type OrbitHost } from "./orbit.js";
@@ -8,11 +9,9 @@ import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
 import { lightText } from "./lightTexts.js";
 import { linkOf } from "./links.js";
-import { resetOf } from "./resets.js";
 import type { ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { statusText } from "../refine/status.js";
-import { type UndoTools, undoTools } from "./undo.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
 
@@ -32,7 +31,8 @@ export class Interface {
   readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
   readonly #panel: { element: HTMLElement; show: () => void };
   readonly #stop = new AbortController();
-  readonly #undo: UndoTools;
+  readonly #dock = make("div", { className: "dock" });
+  readonly #controls: Controls | null = null;
   #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
   #photoShown = "";
   #reading: Promise<void> | null = null;
@@ -51,12 +51,7 @@ export class Interface {
       change: (change) => this.#change(change),
       openBundle: () => this.#choose(".zip,.relight.zip", false),
       openFolder: () => this.#choose("", true),
-      openMap: () => this.#choose(".hdr,.exr,.pic,.rgbe", false),
-      openAddress: (address) => this.#change({ environment: `url:${address}` }),
-      reset: (part) => {
-        this.#undo.apart();
-        this.#change(resetOf(part, viewer.state));
-      },
+      reset: (part) => this.#controls?.reset(part),
       savePng: (...size) => this.#save("png", () => pngOf(viewer, ...this.#sizeOf(...size))),
       saveExr: (...size) => this.#save("exr", async () => exrOf(viewer, ...this.#sizeOf(...size))),
       film: () => void this.#film(root),
@@ -67,8 +62,17 @@ export class Interface {
     canvas.setAttribute("role", "application");
     this.#view.append(canvas, this.#photo, this.#split, this.#sides);
     root.replaceChildren(this.#view, this.#welcome.element, this.#message);
-    this.#undo = undoTools(viewer, host, (state) => this.#change(state), this.#stop.signal);
-    if (host.hasAttribute("controls")) root.append(this.#undo.element, this.#panel.element);
+    if (host.hasAttribute("controls")) {
+      const act = {
+        change: (change: Partial<ViewerState>) => this.#change(change),
+        openMap: () => this.#choose(".hdr,.exr,.pic,.rgbe", false),
+      };
+      this.#controls = new Controls(viewer, host, act, this.#stop.signal);
+      const { tools, strip } = this.#controls.elements;
+      this.#view.append(tools);
+      this.#dock.append(strip, this.#panel.element);
+      root.append(this.#dock);
+    }
     // On a telephone the picture comes first.
     this.#panel.element.toggleAttribute("open", host.clientWidth >= 640);
     this.#listen(canvas);
@@ -95,7 +99,7 @@ export class Interface {
     // A bundle that is shown stays until the next one is there.
     if (this.viewer.bundle === null) {
       this.#welcome.reading();
-      this.#panel.element.hidden = true;
+      this.#dock.hidden = true;
     }
     try {
       await work;
@@ -128,8 +132,8 @@ export class Interface {
       state: () => this.viewer.state,
       change: (next) => this.#change(next),
       moving: (moving) => {
-        this.viewer.moving = moving;
-        this.#undo.hold(moving);
+        if (this.#controls === null) this.viewer.moving = moving;
+        else this.#controls.moving(moving);
       },
     };
     listenToOrbit(orbit, signal);
@@ -149,7 +153,7 @@ export class Interface {
     this.viewer.on("progress", (...bytes) => this.#welcome.arrived(...bytes));
     this.viewer.on("load", () => {
       this.#welcome.element.hidden = true;
-      this.#panel.element.hidden = false;
+      this.#dock.hidden = false;
       this.#tell("", false);
       this.describe();
     });
@@ -200,7 +204,7 @@ export class Interface {
         this.#tell("That is neither a .relight.zip, a bundle's folder, nor a .hdr or .exr map.", true);
       } else if (dropped.kind === "map") {
         const data = new Uint8Array(await dropped.file.arrayBuffer());
-        await this.viewer.update({ environment: this.viewer.addMap(dropped.file.name, data) });
+        await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
         this.#tell(`Lit by ${dropped.file.name}.`, false);
       } else {
         await this.during(this.viewer.open(dropped));
@@ -255,6 +259,7 @@ export class Interface {
   #show(): void {
     const { state } = this.viewer;
     this.#panel.show();
+    this.#controls?.show();
     this.host.setAttribute("data-background", state.look.background);
     const photo = this.#showPhoto();
     const comparing = state.compare === "photo" ? photo : state.compare !== "off";
