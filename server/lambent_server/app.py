@@ -13,6 +13,7 @@ from lambent_server.messages import ProblemDocument
 from lambent_server.routes import (
     about,
     bundles,
+    embed,
     environments,
     events,
     files,
@@ -46,6 +47,7 @@ def _bare(services: Services | None) -> FastAPI:
     for module in (scenes, jobs, renders, events, bundles, files, environments, about, login, keys):
         app.include_router(module.router)
     app.add_api_route("/openapi.json", describe, include_in_schema=False)
+    app.include_router(embed.router)
     app.include_router(pages.router)
     return app
 

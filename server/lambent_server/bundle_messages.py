@@ -6,6 +6,7 @@ from lambent_proto.pictures import WHOLE
 from pydantic import Field
 
 from lambent_server.messages import Given, Sha256, Shown
+from lambent_server.origins import MAX_COUNT, Origin
 
 MAX_SHARE_S = 366 * 24 * 3600
 
@@ -47,9 +48,11 @@ class BundleDetail(Bundle):
 
 
 class NewShare(Given):
-    """How long a link will work."""
+    """How long a link will work, and whose pages may show the bundle."""
 
     expires_in_s: Annotated[int, Field(ge=60, le=MAX_SHARE_S), WHOLE] = 7 * 24 * 3600
+    frame_ancestors: Annotated[list[Origin], Field(default_factory=list, max_length=MAX_COUNT)]
+    """Origins such as https://shop.example; no page may show it if there are none."""
 
 
 class Share(Shown):
@@ -61,6 +64,8 @@ class Share(Shown):
     """Its fragment is the secret; browsers do not send that part to a server."""
     created_at: str
     expires_at: str
+    frame_ancestors: list[str]
+    """Origins whose pages may show the bundle, in a frame or through the viewer's element."""
 
 
 class ShareList(Shown):

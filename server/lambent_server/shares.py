@@ -2,7 +2,7 @@
 
 import hmac
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import Connection
@@ -10,6 +10,7 @@ from sqlalchemy import Connection
 from lambent_server.clock import new_id, now
 from lambent_server.database.schema import shares
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find, rows
+from lambent_server.origins import joined
 from lambent_server.problems import not_found
 
 COOKIE = "lambent_share"
@@ -22,6 +23,11 @@ Row = Mapping[str, Any]
 def cookie_path(bundle_id: str) -> str:
     """Return the only path to which a browser sends the secret of a link."""
     return f"/v1/bundles/{bundle_id}/"
+
+
+def page_path(share_id: str) -> str:
+    """Return the path of the page of a link; the secret follows it as fragment."""
+    return f"/embed/{share_id}"
 
 
 def bundle_read(method: str, path: str) -> str | None:
@@ -37,11 +43,20 @@ def sign(secret: str, row: Row) -> str:
     return f"{row['id']}.{digest}"
 
 
-def create(connection: Connection, tenant: Tenant, bundle_id: str, lifetime_s: float) -> Row:
-    """Add a link to a bundle of `tenant`."""
+def create(
+    connection: Connection,
+    tenant: Tenant,
+    bundle_id: str,
+    lifetime_s: float,
+    frame_ancestors: Sequence[str] = (),
+) -> Row:
+    """Add a link to a bundle of `tenant`; pages of the origins `frame_ancestors` may show it.
+
+    Raises ValueError where one of these is no origin.
+    """
     identifier = new_id("share")
     values = {"id": identifier, "bundle_id": bundle_id, "created_at": now(), "expires_at": now() + lifetime_s}
-    connection.execute(add(tenant, shares, **values))
+    connection.execute(add(tenant, shares, frame_ancestors=joined(frame_ancestors), **values))
     return dict(find(connection, tenant, shares, identifier) or {})
 
 
@@ -66,8 +81,38 @@ def granted(connection: Connection, secret: str, token: str) -> Row | None:
     match = _TOKEN.fullmatch(token)
     if match is None:
         return None
-    statement = across_tenants(shares).where(shares.c.id == match.group(1))
-    row = connection.execute(statement).mappings().one_or_none()
-    if row is None or not hmac.compare_digest(sign(secret, dict(row)), token):
+    row = find_any(connection, match.group(1))
+    if row is None or not hmac.compare_digest(sign(secret, row), token):
         return None
-    return dict(row) if row["revoked_at"] is None and row["expires_at"] > now() else None
+    return row if is_active(row) else None
+
+
+def find_any(connection: Connection, share_id: str) -> Row | None:
+    """Return a share of any tenant, active or not, or None; its id without the secret grants no read."""
+    statement = across_tenants(shares).where(shares.c.id == share_id)
+    row = connection.execute(statement).mappings().one_or_none()
+    return None if row is None else dict(row)
+
+
+def is_active(row: Row) -> bool:
+    """Return whether a link has neither expired nor been revoked."""
+    return row["revoked_at"] is None and row["expires_at"] > now()
+
+
+def is_token(text: str) -> bool:
+    """Return whether a bearer token has the form of a link's secret; keys have another."""
+    return _TOKEN.fullmatch(text) is not None
+
+
+def frame_ancestors(row: Row) -> list[str]:
+    """Return the origins whose pages may show the bundle of a link."""
+    return str(row["frame_ancestors"] or "").split()
+
+
+def may_be_read_from(connection: Connection, bundle_id: str, origin: str) -> bool:
+    """Return whether an active link lets pages of an origin show a bundle."""
+    statement = across_tenants(shares).where(
+        shares.c.bundle_id == bundle_id, shares.c.revoked_at.is_(None), shares.c.expires_at > now()
+    )
+    found = connection.execute(statement).mappings()
+    return any(origin in frame_ancestors(dict(row)) for row in found)

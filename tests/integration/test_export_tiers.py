@@ -28,13 +28,13 @@ def model():
 
 
 def exported(tmp_path, model, monkeypatch, **settings):
-    """Return the bundle that an export with these settings writes, and what the export logged."""
+    """Return the bundle that an export with these settings writes, and what the export logged and found."""
     context = small_context(tmp_path, model, monkeypatch)
     config = context.spec.config
     config = replace(config, export=replace(config.export, judge_samples=0, **settings))
     context = replace(context, spec=replace(context.spec, config=config))
     export.run(context)
-    return load_bundle(context.folder), context.reporter.events
+    return load_bundle(context.folder), context.reporter.events | context.reporter.findings
 
 
 def dtypes(bundle):
@@ -97,7 +97,11 @@ def test_halves_that_are_asked_for_must_be_able_to_hold_the_tables(tmp_path, mon
 
 
 def test_a_lite_bundle_shows_baked_pictures_and_says_why_it_cannot_refine(tmp_path, model, monkeypatch):
-    bundle, _ = exported(tmp_path, model, monkeypatch, weights="none", transport_tier="lite")
+    bundle, told = exported(tmp_path, model, monkeypatch, weights="none", transport_tier="lite")
+    # It is fetched as a whole: no levels of detail.
+    assert not bundle.manifest.mesh_levels
+    assert [file.path for file in bundle.manifest.files if file.role == "mesh"] == ["mesh/asset.glb"]
+    assert not {code for code in told if code.startswith("export.")}
     assert [graph.name for graph in bundle.manifest.graphs] == ["relight"]
     assert not {file.role for file in bundle.manifest.files} & {"weights"}
     assert (len(bundle.manifest.tensors), len(bundle.manifest.grids)) == (0, 0)
@@ -121,7 +125,8 @@ def test_photographs_give_detail_without_baked_transport_in_the_bundle_too(tmp_p
 
 
 def test_materials_alone_make_the_texture_on_request(tmp_path, model, monkeypatch):
-    bundle, _ = exported(tmp_path, model, monkeypatch, transport_tier="none", albedo="model")
+    bundle, told = exported(tmp_path, model, monkeypatch, transport_tier="none", albedo="model")
+    assert "--atlas 128" in told["export.atlas_unused"]
     atlas = bundle.manifest.atlas
     assert (atlas.size, atlas.albedo_source) == (atlas.material_size, "model")
 
@@ -131,6 +136,7 @@ def test_photographs_that_were_trained_at_their_full_size_say_nothing_new(tmp_pa
     bundle, events = exported(tmp_path, model, monkeypatch, transport_tier="none")
     assert bundle.manifest.atlas.albedo_source == "model"
     assert events["texture.nothing_finer"] == {"finer": 1.0}
+    assert "hardly finer" in events["export.atlas_unused"]
 
 
 def test_a_mesh_with_open_edges_is_said_to_have_them(tmp_path, model, monkeypatch):

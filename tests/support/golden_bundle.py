@@ -2,8 +2,13 @@
 
     python -m support.golden_bundle FOLDER NAME [lite]
 
-A finished one goes into `tests/golden/bundles` and is never written again. `ball` of version 1.2 was made so,
+A finished one goes into `tests/golden/bundles` and is never written again. `ball` of 1.2 was made so,
 `boxes` of 1.0 and 1.1 by `support.baked_bundle`, whose graphs trace boxes exactly.
+
+    python -m support.golden_bundle redraw FOLDER
+
+draws the pictures `preview` and `baked` of all bundles in FOLDER again, after a deliberate change of how
+baked transport is drawn; the bundles, and their refined pictures, stay.
 """
 
 from __future__ import annotations
@@ -83,5 +88,19 @@ def write_golden(folder: Path, name: str, *, lite: bool) -> None:
     (folder / f"{name}.json").write_text(json.dumps(stored, separators=(",", ":")) + "\n")
 
 
-if __name__ == "__main__":
+def redraw(folder: Path) -> None:
+    """Draw the pictures without noise of the bundles in `folder` again, each stored as it was."""
+    for path in sorted(folder.glob("*.json")):
+        stored = json.loads(path.read_text())
+        bundle = load_bundle(path.with_suffix(".relight.zip"))
+        renderer, (camera,) = Renderer(bundle, num_threads=1, reader="onnx"), bundle.cameras()
+        for quality in {"preview", "baked"} & stored["rgb"].keys():
+            picture = renderer.render(camera, golden_light(), quality=quality, spp=SPP, antialias=1)
+            stored["rgb"][quality] = np.round(picture.rgb * picture.opacity, 5).tolist()
+        path.write_text(json.dumps(stored, separators=(",", ":")) + "\n")
+
+
+if __name__ == "__main__" and sys.argv[1] == "redraw":
+    redraw(Path(sys.argv[2]))
+elif __name__ == "__main__":
     write_golden(Path(sys.argv[1]), sys.argv[2], lite=sys.argv[3:] == ["lite"])

@@ -28,6 +28,7 @@ class Listener:
     def __init__(self) -> None:
         self.events: dict[str, dict] = {}
         self.artifacts: dict[str, object] = {}
+        self.findings: dict[str, str] = {}
         self.fractions: list[float] = []
         self.stop = False
 
@@ -39,6 +40,9 @@ class Listener:
 
     def artifact(self, name: str, path: object) -> None:
         self.artifacts[name] = path
+
+    def finding(self, code: str, message: str, *, subject: str = "", error: bool = False) -> None:
+        self.findings[code] = message
 
     def should_stop(self) -> bool:
         return self.stop

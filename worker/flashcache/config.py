@@ -10,6 +10,7 @@ from typing import Any
 
 from flashcache.data.ray_batches import PixelChoice
 from flashcache.data.space import SpaceConfig
+from flashcache.earlier import REMOVED, check_removed, with_sizes
 from flashcache.errors import ConfigError
 from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
@@ -201,6 +202,11 @@ class EvaluationConfig:
             raise ConfigError(f"evaluation.antialias must be at least 1, got {self.antialias}")
 
 
+DEFAULT_TRANSPORT_SIZE = 512
+SIZE_STEP = 16
+"""Texels: levels of detail have a half and a quarter of a size, and compressed ones blocks of 4 x 4."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExportConfig:
     """Settings of the bundle export."""
@@ -214,11 +220,12 @@ class ExportConfig:
     max_faces: int = 50_000
     """Most triangles where their number is not given; more take minutes to cut into charts."""
     atlas_size: int = 0
-    """Texels along each side of the albedo texture, 16 to 8192; 0: as many as the photographs have pixels on
-    the surface, a power of two from 1024 to 8192."""
-    transport_size: int = 512
+    """Texels along each side of the albedo texture, a multiple of 16 from `transport_size` to 8192; 0: as
+    many as the photographs have pixels on the surface, a power of two from 1024 to 4096 (lite: to 2048)."""
+    transport_size: int = DEFAULT_TRANSPORT_SIZE
     """Texels along each side of the same atlas for baked transport, roughness, metalness and normals, whose
-    detail is the model's; fewer where charts fill the atlas, so that files keep their size."""
+    detail is the model's, a multiple of 16; fewer where charts fill the atlas, so that files keep their
+    size."""
     albedo: typing.Literal["photographs", "model"] = "photographs"
     """Where the albedo texture's detail is from: the photographs at their full size, or the trained materials
     alone."""
@@ -251,12 +258,18 @@ class ExportConfig:
             raise ConfigError("export.weights and export.transport_tier are both none: nothing is left")
         if self.judge_samples and self.judge_samples < 2:
             raise ConfigError(f"export.judge_samples must be 0 or at least 2, got {self.judge_samples}")
-        if self.atlas_size and not 16 <= self.atlas_size <= 8192:
+        for name, most in (("atlas_size", 8192), ("transport_size", 4096)):
+            size = getattr(self, name)
+            if size % SIZE_STEP or not (0 if name == "atlas_size" else SIZE_STEP) <= size <= most:
+                zero = ", or 0" if name == "atlas_size" else ""
+                raise ConfigError(
+                    f"export.{name} must be a multiple of {SIZE_STEP} texels up to {most}{zero}, got {size}"
+                )
+        if 0 < self.atlas_size < self.transport_size:
             raise ConfigError(
-                f"export.atlas_size must lie in 16..8192 texels, or be 0, got {self.atlas_size}"
+                f"export.atlas_size must be 0 or at least export.transport_size, below which charts run "
+                f"together, got {self.atlas_size} and {self.transport_size}"
             )
-        if not 16 <= self.transport_size <= 4096:
-            raise ConfigError(f"export.transport_size must lie in 16..4096 texels, got {self.transport_size}")
         if self.faces and not 16 <= self.faces <= 1_000_000:
             raise ConfigError(f"export.faces must be 0 or lie in 16..1000000, got {self.faces}")
         for name, least in (("max_faces", 16), ("occlusion_points", 1), ("occlusion_rays", 1)):
@@ -294,49 +307,25 @@ def to_dict(config: Any) -> dict[str, Any]:
     return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
-REMOVED: Mapping[str, Any] = {
-    "model.environment.texture_height": 0,
-    "model.nerf.antialias": "none",
-    "stage_one.shape_prior.late_recession_weight": 0.0,
-    "stage_two.budget": {"error_share": 0.0},
-    "stage_two.cache_weight": 1.0,
-    "stage_two.environment_prior": {"white_weight": 0.0, "variation_weight": 0.0},
-    "stage_two.estimator.environment_gradient": 1.0,
-    "stage_two.estimator.roulette": 0.0,
-    "stage_two.unobserved": {"weight": 0.0},
-    "stage_two.weight_gradient": 0.0,
-}
-"""Settings of earlier releases, with the value that had no effect: runs with that value can be read."""
-
-
 def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     """Return a configuration from `to_dict`'s values; raises `ConfigError` on unknown or ill-typed ones."""
     hints = typing.get_type_hints(cls)
     names = {item.name for item in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    if cls is ExportConfig and "atlas_size" in values and "transport_size" not in values:
+        values = with_sizes(values, DEFAULT_TRANSPORT_SIZE, step=SIZE_STEP)
     for name in values:
         if path + name in REMOVED:
-            _check_removed(path + name, values[name])
+            check_removed(path + name, values[name])
         elif name not in names:
             raise ConfigError(f"unknown setting {path + name!r}; known here: {', '.join(sorted(names))}")
     return cls(**{name: _convert(hints[name], values[name], path + name) for name in values if name in names})
 
 
-def _check_removed(path: str, value: Any) -> None:
-    """Raise `ConfigError` if a removed setting had an effect."""
-    neutral = REMOVED[path]
-    if isinstance(neutral, Mapping) and isinstance(value, Mapping):
-        value = {name: value.get(name) for name in neutral}
-    if value != neutral:
-        raise ConfigError(
-            f"setting {path!r} was removed and only {neutral!r} can still be read, got {value!r}; "
-            "use the release that the run was made with, or train it again without this setting"
-        )
-
-
 def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
     """Return `config` with settings changed by dotted path, as `--set stage_one.num_rays=512` does.
 
-    Values are JSON, or bare words for strings. Raises `ConfigError` naming the setting.
+    Values are JSON, or bare words for strings. `export.atlas_size` alone is, where it is smaller, the size of
+    transport too, as in earlier releases. Raises `ConfigError` naming the setting.
     """
     values = to_dict(config)
     for path, text in overrides.items():
@@ -354,6 +343,8 @@ def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
             node[last] = json.loads(text)
         except json.JSONDecodeError:
             node[last] = text
+    if "export.atlas_size" in overrides and "export.transport_size" not in overrides:
+        values["export"] = with_sizes(values["export"], config.export.transport_size)
     return from_dict(Config, values)
 
 

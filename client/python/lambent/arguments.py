@@ -42,6 +42,13 @@ def text(value: object, name: str) -> str:
     return value
 
 
+def text_list(value: object, name: str) -> list[str]:
+    """Return a list of strings; a single string is not one, although it is a sequence of strings."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise _refused(name, value, "give a list of strings")
+    return [text(each, f"an entry of {name}") for each in value]
+
+
 def file_path(value: object, name: str) -> Path:
     """Return the path that a string or a path object names."""
     if not isinstance(value, (str, os.PathLike)) or not str(value):

@@ -12,11 +12,17 @@ from lambent import arguments, pictures, scenes
 from lambent import fetch as fetching
 from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
-from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport
+from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport, Share
 from lambent.settings import find_server
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 
-DELETABLE = {"scene": "scenes", "job": "jobs", "bundle": "bundles", "env": "environments"}
+DELETABLE = {
+    "scene": "scenes",
+    "job": "jobs",
+    "bundle": "bundles",
+    "env": "environments",
+    "share": "shares",
+}
 """Prefixes of the ids that can be deleted, and the path of each kind."""
 
 
@@ -110,7 +116,7 @@ class Client:
         self._connection.send("DELETE", _scene(scene_id))
 
     def delete(self, identifier: str) -> None:
-        """Delete a scene, a job that has ended, a bundle or an environment map; the id says which.
+        """Delete a scene, a job that has ended, a bundle, an environment map or a link; the id says which.
 
         A job's bundle outlives it, and so does what was made from a scene, a bundle or an environment.
         """
@@ -350,16 +356,35 @@ class Client:
         has no bundle.
         """
         folder = arguments.file_path(target, "target")
-        bundle_id = arguments.identifier(job_or_bundle_id, "job_or_bundle_id")
-        if not job_or_bundle_id.startswith("bundle"):
-            job = self.job(job_or_bundle_id)
-            if not job.bundle_id:
-                raise JobNotSucceededError(
-                    "job.not_succeeded",
-                    f"job {job.id} is {job.state} and has no bundle",
-                    f"watch it with `lambent watch {job.id}`"
-                    if not job.is_final
-                    else f"see `lambent logs {job.id}`, then `lambent retry {job.id}`",
-                )
-            bundle_id = job.bundle_id
+        bundle_id = self._bundle_id(job_or_bundle_id)
         return fetching.fetch(self._connection, bundle_id, folder, progress=progress)
+
+    def share(
+        self, job_or_bundle_id: str, *, expires_in_s: int = 7 * 24 * 3600, frame_ancestors: Sequence[str] = ()
+    ) -> Share:
+        """Return a new link that lets everyone who has it see the bundle of a job until it expires.
+
+        Pages of the origins `frame_ancestors`, such as "https://shop.example", may show the bundle too, in a
+        frame or with the viewer's element. `delete(share.id)` revokes the link. Raises
+        `job.not_succeeded` when the job has no bundle.
+        """
+        given = arguments.text_list(frame_ancestors, "frame_ancestors")
+        body = {"expires_in_s": arguments.whole(expires_in_s, "expires_in_s", 60), "frame_ancestors": given}
+        path = f"/v1/bundles/{self._bundle_id(job_or_bundle_id)}/shares"
+        return Share.from_json(self._connection.json("POST", path, json=body))
+
+    def _bundle_id(self, job_or_bundle_id: str) -> str:
+        """Return the id of a bundle: the one given, or that of a job."""
+        bundle_id = arguments.identifier(job_or_bundle_id, "job_or_bundle_id")
+        if job_or_bundle_id.startswith("bundle"):
+            return bundle_id
+        job = self.job(job_or_bundle_id)
+        if not job.bundle_id:
+            raise JobNotSucceededError(
+                "job.not_succeeded",
+                f"job {job.id} is {job.state} and has no bundle",
+                f"watch it with `lambent watch {job.id}`"
+                if not job.is_final
+                else f"see `lambent logs {job.id}`, then `lambent retry {job.id}`",
+            )
+        return job.bundle_id

@@ -183,6 +183,27 @@ class Batch(_Message):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Share(_Message):
+    """A link to one bundle; its fragment is the secret."""
+
+    id: str
+    bundle_id: str
+    url: str
+    created_at: str = ""
+    expires_at: str = ""
+    frame_ancestors: tuple[str, ...] = ()
+    """Origins whose pages may show the bundle."""
+
+    @property
+    def snippet(self) -> str:
+        """HTML that shows the bundle in a page of these origins."""
+        return (
+            f'<iframe src="{self.url}" title="Relightable object" width="640" height="480" '
+            'style="border:0" loading="lazy" allow="fullscreen"></iframe>'
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Finding(_Message):
     """One thing about a scene: `severity` is "warning" or "error", `subject` a frame or file."""
 
@@ -239,5 +260,6 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "seq": int,
     "findings": lambda items: tuple(map(Finding.from_json, items)),
     "job_ids": tuple,
+    "frame_ancestors": tuple,
 }
 """How the values of these fields are read, in every message."""

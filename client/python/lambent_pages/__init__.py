@@ -5,6 +5,7 @@ The build of client/web writes them to the folder `dist` next to this module; wh
 
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +29,8 @@ _ENCODINGS = {"br": ".br", "gzip": ".gz"}
 """Content codings that the build has written beside a file, the best first, and their suffixes."""
 # File names in this folder contain a hash of their contents.
 _HASHED = "assets"
+# The element for other people's pages.
+_ELEMENT = "lambent-viewer.js"
 # The pages that compute in WebAssembly; workers have the policy of their own script.
 _WITHOUT_WASM = frozenset({"jobs.html", "masks.html", "share.html"})
 _SHARED_HEADERS = {
@@ -47,16 +50,18 @@ class PageFile:
     headers: dict[str, str]
 
 
-def content_policy(*, wasm: bool) -> str:
+def content_policy(*, wasm: bool, frame_ancestors: Sequence[str] = ()) -> str:
     """Return the Content-Security-Policy of a page: nothing inline, nothing from other origins.
 
-    With `wasm` scripts may compile WebAssembly, which is not the same as evaluating text.
+    With `wasm` scripts may compile WebAssembly, which is not the same as evaluating text. Only pages of the
+    origins `frame_ancestors`, which must be valid, may show the page in a frame.
     """
+    ancestors = " ".join(frame_ancestors) or "'none'"
     script = "'self' 'wasm-unsafe-eval'" if wasm else "'self'"
     return (
         f"default-src 'none'; script-src {script}; worker-src 'self'; style-src 'self'; "
         "img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; "
-        "font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        f"font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {ancestors}"
     )
 
 
@@ -119,7 +124,33 @@ def _read(
         "content-security-policy": content_policy(wasm=place.name not in _WITHOUT_WASM),
         **_SHARED_HEADERS,
     }
+    if is_hashed or place.name == _ELEMENT:
+        # Scripts of the element, which pages of other origins load; they hold nothing of anybody.
+        headers["access-control-allow-origin"] = "*"
     return PageFile(content, headers)
+
+
+def embed_page(head: str, frame_ancestors: Sequence[str] = (), folder: Path = FOLDER) -> PageFile | None:
+    """Return the page of a share link, to be served one folder below the pages; None before the build.
+
+    `head` is HTML for its head, with its title. Pages of the origins `frame_ancestors` may show it.
+    """
+    page = find("shared.html", folder)
+    if page is None:
+        return None
+    text = page.content.decode().replace('="./', '="../')
+    if head:
+        text = re.sub("<title>.*?</title>", lambda _: head, text, count=1)
+    headers = {
+        "content-type": _TYPES[".html"],
+        "cache-control": "no-store",
+        "content-security-policy": content_policy(wasm=True, frame_ancestors=frame_ancestors),
+        **_SHARED_HEADERS,
+    }
+    if frame_ancestors:
+        # Pages that isolate themselves frame only what says that others may.
+        headers["cross-origin-resource-policy"] = "cross-origin"
+    return PageFile(text.encode(), headers)
 
 
 def is_current(page: PageFile, if_none_match: str | None) -> bool:

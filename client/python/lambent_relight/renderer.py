@@ -199,6 +199,12 @@ class Renderer:
             self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
         return self._baked
 
+    def _tell(self, what: str) -> None:
+        """Warn of something once, however many pictures it is true of."""
+        if what != self._told:
+            _LOG.warning(what)
+            self._told = what
+
     def _scene(
         self, environment: Environment, edit: MaterialEdit, settings: RenderSettings
     ) -> tuple[Scene, str]:
@@ -230,14 +236,18 @@ class Renderer:
                 offset = self.bundle.manifest.secondary_rays.origin_offset
                 around = CacheSurroundings(caches, offset, edit)
                 adapted = functools.partial(adapted, light.name)
+                if settings.occlusion == "mesh":
+                    self._tell(
+                        f'occlusion="mesh" has no effect: the fast cache adapted to "{light.name}" says '
+                        'what is in the way of its light; bounces="transport" leaves that to the mesh'
+                    )
                 return Scene(around, adapted, num_threads=num_threads), f"adapted:{light.name}"
             if insists:
                 found = why_not or "the bundle has no adapted caches"
                 advice = "run lambent bake-light for this light, or leave the bounces to auto"
                 raise SettingError("relight.light_not_adapted", found, advice)
-            if why_not and why_not != self._told:
-                _LOG.warning("no adapted fast cache fits this picture: %s", why_not)
-                self._told = why_not
+            if why_not:
+                self._tell(f"no adapted fast cache fits this picture: {why_not}")
         if bounces == "one":
             return replace(plain, most_bounces=2), "one"
         if has_transport:

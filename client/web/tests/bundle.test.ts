@@ -7,7 +7,7 @@ import { checkPath, openBundle } from "../src/bundle/manifest.js";
 import { meshFromGlb } from "../src/bundle/mesh.js";
 import { sha256, sha256Hex } from "../src/bundle/sha256.js";
 import { openSource } from "../src/bundle/source.js";
-import { spreadTexels } from "../src/bundle/texels.js";
+import { blocksAround, spreadTexels } from "../src/bundle/texels.js";
 import { tableWidth } from "../src/bundle/transport.js";
 import { readUncertainty } from "../src/bundle/uncertainty.js";
 import {
@@ -36,10 +36,34 @@ async function open(bundle: TinyBundle, listed = true): Promise<unknown> {
   return loadBundle({ kind: "archive", file: new Blob([archive]) }, () => {}, decoded);
 }
 
-/** Stands for a decoder, which Node lacks: the "picture" is the file's last byte. */
+/** Stands for a decoder, which Node lacks: the "picture" is the file's last byte; no byte cannot be decoded. */
 async function decoded(png: Uint8Array<ArrayBuffer>): Promise<ImageBitmap> {
-  if (png.length < 9) throw new Error("nothing to decode");
+  if (png.length <= pngHead(1, 1).length) throw new Error("nothing to decode");
   return { width: png.at(-1)! } as ImageBitmap;
+}
+
+/** Return the start of a PNG file that states a size. */
+function pngHead(width: number, height: number): number[] {
+  const head = Buffer.from(
+    `89504e470d0a1a0a0000000d49484452${"00".repeat(8)}0802000000${"00".repeat(4)}`,
+    "hex",
+  );
+  head.writeUInt32BE(width, 16);
+  head.writeUInt32BE(height, 20);
+  return [...head];
+}
+
+/** Return a bundle whose mesh has two pictures: what `pngHead` makes of a size, and a byte. */
+function textured(baseColour: number[], packed = [...pngHead(4, 4), 5]): TinyBundle {
+  const bundle = tinyBundle();
+  bundle.manifest.atlas = {
+    ...{ size: 8, material_size: 4, num_texels: 20, texel_size: 0.1, albedo_source: "photographs" },
+  };
+  bundle.files.set(
+    "mesh/asset.glb",
+    triangleGlb(undefined, undefined, [baseColour, packed, [...pngHead(4, 4), 6]]),
+  );
+  return bundle;
 }
 
 describe("digests", () => {
@@ -87,21 +111,56 @@ describe("a bundle", () => {
   });
 
   it("has the mesh's textures for materials where the manifest says so", async () => {
-    const png = (last: number): number[] => [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, last];
-    const textured = (baseColour: number[]): TinyBundle => {
-      const bundle = tinyBundle();
-      bundle.manifest.atlas = { size: 8, num_texels: 20, texel_size: 0.1, albedo_source: "photographs" };
-      bundle.files.set("mesh/asset.glb", triangleGlb(undefined, undefined, [baseColour, png(5)]));
-      return bundle;
-    };
-    const bundle = (await open(textured(png(7)))) as LoadedBundle;
-    expect([bundle.maps?.albedo.width, bundle.maps?.packed.width]).toEqual([7, 5]);
-    for (const picture of [[1, 2, 3], png(7).slice(0, 8)]) {
+    const bundle = (await open(textured([...pngHead(8, 8), 7]))) as LoadedBundle;
+    const { albedo, packed, normal } = bundle.maps!;
+    expect([albedo.width, packed.width, normal.width]).toEqual([7, 5, 6]);
+    for (const picture of [[1, 2, 3], pngHead(8, 8), [...pngHead(8, 8).slice(0, 16), 7]]) {
       expect((await faultOf(open(textured(picture)))).code).toBe("bundle.mesh_invalid");
     }
-    const without = textured(png(7));
+    const without = textured([...pngHead(8, 8), 7]);
     without.files.set("mesh/asset.glb", triangleGlb());
     expect((await faultOf(open(without))).code).toBe("bundle.mesh_invalid");
+  });
+
+  it.each([
+    [8193, 1, "more than 8192 a side"],
+    [2 ** 31 - 1, 2 ** 31 - 1, "more than 8192 a side"],
+    [0, 8, "0 x 8"],
+    [16, 16, "the manifest states 8 a side"],
+    [8, 4, "the manifest states 8 a side"],
+  ])("decodes no picture of %i x %i texels", async (width, height, told) => {
+    const bundle = textured([...pngHead(width, height), 7]);
+    listFiles(bundle);
+    const archive = { kind: "archive", file: new Blob([zipOf(allFiles(bundle))]) } as const;
+    const never = async (): Promise<ImageBitmap> => {
+      throw new Error("it was decoded");
+    };
+    const fault = await faultOf(loadBundle(archive, () => {}, never));
+    expect(fault.code).toBe("bundle.mesh_invalid");
+    expect(fault.message).toContain(told);
+    const other = textured([...pngHead(8, 8), 7], [...pngHead(width, height), 5]);
+    expect((await faultOf(open(other))).code).toBe("bundle.mesh_invalid");
+  });
+
+  it.each([
+    ["size", 0],
+    ["size", 8193],
+    ["material_size", 0],
+    ["material_size", 2 ** 32 - 1],
+    ["texel_size", "NaN"],
+    ["texel_size", "Infinity"],
+    ["texel_size", -1],
+    ["texel_size", 0],
+  ])("is refused where the atlas states a %s of %s", async (name, value) => {
+    const bundle = textured([...pngHead(8, 8), 7]);
+    (bundle.manifest.atlas as Record<string, unknown>)[name] = value;
+    expect((await faultOf(open(bundle))).code).toBe("bundle.manifest_invalid");
+  });
+
+  it.each([-1, 1.5, "NaN", 2 ** 32, 1e300])("is refused where a size of the atlas is %s", async (size) => {
+    const bundle = textured([...pngHead(8, 8), 7]);
+    (bundle.manifest.atlas as Record<string, unknown>).size = size;
+    expect((await faultOf(open(bundle))).code).toBe("bundle.manifest_unreadable");
   });
 
   it("is refused with the reader's codes", async () => {
@@ -180,6 +239,20 @@ describe("paths", () => {
 });
 
 describe("the mesh", () => {
+  it("has the file's normals and tangents where it has both, which must fit", () => {
+    expect(meshFromGlb(triangleGlb()).frames).toBeNull();
+    const frames = { normals: [0, 0, 1, 0, 1, 0, 1, 0, 0], tangents: [1, 0, 0, 1, 1, 0, 0, 1, 0, 1, 0, -1] };
+    const read = (given: typeof frames) => meshFromGlb(triangleGlb(undefined, undefined, [], given)).frames;
+    expect([...read(frames)!.normalsXyz]).toEqual(frames.normals);
+    expect([...read(frames)!.tangentsXyzw]).toEqual(frames.tangents);
+    for (const spoilt of [
+      { ...frames, normals: frames.normals.slice(0, 6) },
+      { ...frames, tangents: frames.tangents.map((value, index) => (index === 5 ? Number.NaN : value)) },
+    ]) {
+      expect(() => read(spoilt)).toThrow("normals or tangents that do not fit");
+    }
+  });
+
   it("has the file's positions and texture coordinates", () => {
     const mesh = meshFromGlb(triangleGlb());
     expect([...mesh.positionsXyz]).toEqual([0, 0, 0, 1, 0, 0, 0, 1, 0]);
@@ -213,6 +286,25 @@ describe("the uncertainty grid", () => {
 });
 
 describe("places outside charts", () => {
+  it("have the coarse texels around them, of their own chart", () => {
+    // Two charts of 2 x 4 texels, two texels apart: columns 1 and 2, and 5 and 6.
+    const places = Array.from({ length: 64 }, (_, place) => place);
+    const index = Uint32Array.from(places.filter((place) => [1, 2, 5, 6].includes(place % 8)));
+    const plane = spreadTexels(index, 8);
+    // Blocks by their place in the atlas of half the size.
+    const coarse = index.map((place) => 4 * (Math.floor(place / 8) >> 1) + ((place % 8) >> 1));
+    const around = blocksAround(index, plane, coarse, 8);
+    const of = (row: number, column: number): number[] => {
+      const texel = index.indexOf(8 * row + column);
+      return [...around.subarray(4 * texel, 4 * texel + 4)];
+    };
+    expect(of(3, 2)).toEqual([5, 4, 9, 8]);
+    expect(of(2, 1)).toEqual([4, 5, 0, 1]);
+    // To the right of column 6 and left of column 5 is the chart itself, or its last texel again.
+    expect(of(0, 5)).toEqual([2, 3, 2, 3]);
+    expect(of(7, 6)).toEqual([15, 14, 15, 14]);
+  });
+
   it("take the nearest covered texel", () => {
     const owner = spreadTexels(Uint32Array.from([0, 15]), 4);
     expect([...owner]).toEqual(

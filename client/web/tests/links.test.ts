@@ -1,117 +1,127 @@
-import { describe, expect, it, vi } from "vitest";
-import { followAddress } from "../src/viewer/addressBar.js";
-import { type Linked, linkOf, missingOf } from "../src/viewer/links.js";
-import { firstState, flat, fromParameters, initialState, toParameters } from "../src/viewer/state.js";
-import { version1 } from "../src/viewer/versions.js";
-import type { Viewer } from "../src/viewer/viewer.js";
+import { afterEach, describe, expect, it, vi } from "vitest";
+import { refusal } from "../src/bundle/answers.js";
+import { openSource, secretOf } from "../src/bundle/source.js";
+import { linkWithView } from "../src/page/addresses.js";
+import { workerScript } from "../src/page/workers.js";
+import { sharedView } from "../src/share/link.js";
+import { elementSnippet, frameSnippet, originsIn } from "../src/share/snippets.js";
 
-const page = "https://host/viewer.html";
+const secret = `share_01abc.${"0f".repeat(32)}`;
+const bundle = "https://lambent.example/v1/bundles/bundle_1";
 
-describe("addresses of version 1, which have no version", () => {
-  it("mean what they have always meant", () => {
-    // Written down when version 2 began; links that people keep rely on every one of these.
-    expect(flat(version1)).toEqual({
-      env: "",
-      rotate: "0,0,0",
-      intensity: "1",
-      channel: "final",
-      tone: "neutral",
-      ev: "0",
-      background: "blurred",
-      colour: "0.93,0.93,0.93",
-      gain: "1,1,1",
-      roughness: "1",
-      metalness: "0",
-      indirect: "1",
-      ground: "0",
-      camera: "30,20,3.2,0,0,0",
-      compare: "off",
-      envB: "preset:studio",
-      split: "0.5",
-      photo: "",
-      refine: "0",
-    });
-    const old = fromParameters(new URLSearchParams("src=a/&env=preset:sky&rotate=40,0,0"));
-    expect(old).toEqual({
-      ...version1,
-      environment: "preset:sky",
-      turn: { ...version1.turn, yawDeg: 40 },
+afterEach(() => vi.unstubAllGlobals());
+
+describe("the page of a share link", () => {
+  const at = { pathname: "/embed/share_01abc", origin: "https://lambent.example" };
+
+  it("shows the bundle with the secret and the view of its fragment", () => {
+    const view = "env=preset%3Asky&controls=1&src=https%3A%2F%2Fevil.example";
+    const shown = sharedView({ ...at, hash: `#${linkWithView(secret, view)}` }, "bundle_1");
+    expect(shown).toEqual({
+      source: `${bundle}#${secret}`,
+      poster: "https://lambent.example/embed/share_01abc/picture",
+      state: "env=preset%3Asky",
+      controls: true,
     });
   });
-  it("are told from those of today, and from those that say nothing of the view", () => {
-    const first = (text: string) => firstState(new URLSearchParams(text));
-    expect(first("env=preset:sky")).toBe(version1);
-    expect(first("v=2&env=preset:sky")).toBe(initialState);
-    expect(first("src=bowl/")).toBe(initialState);
-    expect(toParameters(initialState).get("v")).toBe("2");
+
+  it("leaves controls to where it is shown", () => {
+    expect(sharedView({ ...at, hash: `#${secret}` }, "bundle_1")).toMatchObject({
+      controls: null,
+      state: "",
+    });
+    expect(sharedView({ ...at, hash: `#${secret}&controls=0` }, "bundle_1")).toMatchObject({
+      controls: false,
+    });
+  });
+
+  it("tells what is missing", () => {
+    expect(sharedView({ ...at, hash: "" }, "bundle_1")).toEqual({
+      message: expect.stringContaining("incomplete"),
+    });
+    expect(sharedView({ ...at, hash: `#${secret}` }, "")).toEqual({
+      message: expect.stringContaining("expired"),
+    });
   });
 });
 
-describe("a link", () => {
-  const linked = (url: string | null, environment = "preset:sky"): Linked => ({
-    state: { ...initialState, environment },
-    source: url === null ? { kind: "files", files: new Map() } : { kind: "url", url },
+describe("the secret behind an address", () => {
+  it("is one of our bundles' only", () => {
+    expect(secretOf(`${bundle}#${secret}`)).toBe(secret);
+    expect(secretOf(`${bundle}/#${secret}`)).toBe(secret);
+    expect(secretOf(bundle)).toBeNull();
+    expect(secretOf(`${bundle}#share_1.abc`)).toBeNull();
+    expect(secretOf(`${bundle}#x${secret}`)).toBeNull();
+    expect(secretOf(`https://lambent.example/bowl.relight/#${secret}`)).toBeNull();
   });
-  it("keeps the bundle's address as it was written, and takes the one that is shown now", () => {
-    const before = `${page}#src=bowl/&env=preset:even&ev=3`;
-    expect(linkOf(linked("https://host/bowl/"), before)).toBe(`${page}#v=2&env=preset%3Asky&src=bowl%2F`);
-    expect(linkOf(linked("https://host/cup/"), before)).toContain("src=https%3A%2F%2Fhost%2Fcup%2F");
-    expect(linkOf(linked("https://host/bowl/"), `${page}?src=bowl/`)).toBe(
-      `${page}#v=2&env=preset%3Asky&src=bowl%2F`,
-    );
-  });
-  it("names no bundle where that is on this computer only", () => {
-    expect(linkOf(linked(null), `${page}#src=bowl/`)).toBe(`${page}#v=2&env=preset%3Asky`);
-    expect(missingOf(linked(null))).toEqual({ bundle: true, maps: [] });
-  });
-  it("cannot carry maps on this computer", () => {
-    const view = linked("https://host/bowl/", "file:a.exr");
-    expect(missingOf(view)).toEqual({ bundle: false, maps: ["a.exr"] });
-    const both: Linked = { ...view, state: { ...view.state, environmentB: "file:b.exr" } };
-    expect(missingOf(both).maps).toEqual(["a.exr"]);
-    expect(missingOf({ ...both, state: { ...both.state, compare: "environment" } }).maps).toEqual([
-      "a.exr",
-      "b.exr",
+
+  it("is sent in a header, with nothing of the visitor, and not in the address", async () => {
+    const asked: [string, RequestInit][] = [];
+    vi.stubGlobal("fetch", async (url: URL, init: RequestInit) => {
+      asked.push([url.href, init]);
+      return new Response("{}");
+    });
+    await (await openSource({ kind: "url", url: `${bundle}#${secret}` })).read("manifest.json", 100);
+    await (await openSource({ kind: "url", url: bundle })).read("manifest.json", 100);
+    const address = `${bundle}/files/manifest.json`;
+    expect(asked).toEqual([
+      [address, { headers: { authorization: `Bearer ${secret}` }, credentials: "omit" }],
+      [address, { headers: {}, credentials: "same-origin" }],
     ]);
   });
+
+  it("that is refused is a link that ended", () => {
+    const address = new URL(bundle);
+    expect(refusal(401, "manifest.json", address, true).code).toBe("bundle.link_ended");
+    expect(refusal(401, "manifest.json", address).code).toBe("bundle.login_needed");
+  });
 });
 
-describe("the page's address", () => {
-  it("follows what is shown, at once and then twice a second at most", () => {
-    vi.useFakeTimers();
-    let yawDeg = 0;
-    let change = (): void => {};
-    const viewer = {
-      bundle: {},
-      source: { kind: "url", url: "https://host/bowl/" },
-      get state() {
-        return { ...initialState, turn: { ...initialState.turn, yawDeg } };
-      },
-      on: (name: string, listener: () => void) => {
-        if (name === "change") change = listener;
-        return () => {};
-      },
-    };
-    const written: string[] = [];
-    const location = { href: `${page}#src=bowl/`, reload: () => {} };
-    const history = {
-      replaceState: (_data: unknown, _unused: string, url?: string | URL | null) => {
-        location.href = String(url);
-        written.push(new URLSearchParams(new URL(location.href).hash.slice(1)).get("rotate") ?? "");
-      },
-    };
-    const stop = new AbortController();
-    followAddress(viewer as unknown as Viewer, stop.signal, { location, history });
-    for (let step = 1; step <= 40; step++) {
-      yawDeg = step;
-      change();
-      vi.advanceTimersByTime(50);
-    }
-    vi.advanceTimersByTime(500);
-    expect(written.length).toBeGreaterThan(3);
-    expect(written.length).toBeLessThanOrEqual(6);
-    expect([written[0], written.at(-1)]).toEqual(["1,0,0", "40,0,0"]);
-    stop.abort();
-    vi.useRealTimers();
+describe("the script of a worker", () => {
+  it("is the module itself on its own site, and a script that imports it elsewhere", async () => {
+    const module = new URL("https://lambent.example/assets/bundleWorker-1a2b.js");
+    expect(workerScript(module, "https://lambent.example")).toBe(module.href);
+    const blobs: Blob[] = [];
+    vi.stubGlobal("URL", Object.assign(URL, { createObjectURL: (blob: Blob) => `blob:${blobs.push(blob)}` }));
+    expect(workerScript(module, "https://shop.example")).toBe("blob:1");
+    expect(workerScript(module, "https://shop.example")).toBe("blob:1");
+    expect(await blobs[0]!.text()).toBe(`import "${module.href}";`);
+  });
+});
+
+describe("the HTML for another page", () => {
+  const share = {
+    id: "share_01abc",
+    bundle_id: "bundle_1",
+    url: `https://lambent.example/embed/share_01abc#${secret}`,
+    created_at: "",
+    expires_at: "",
+    frame_ancestors: ["https://shop.example"],
+  };
+
+  it("is a frame with the link and the view, escaped", () => {
+    expect(frameSnippet(share, "rotate=3,0,0&env=preset:sky")).toContain(
+      `src="${share.url}&amp;rotate=3,0,0&amp;env=preset:sky"`,
+    );
+    expect(frameSnippet(share, '"><script>')).not.toContain('"><script>');
+  });
+
+  it("is the element with the bundle, the secret and the poster", () => {
+    const text = elementSnippet(share, "rotate=3,0,0&ev=1");
+    expect(text).toContain(`<lambent-viewer src="${bundle}#${secret}" state="rotate=3,0,0&amp;ev=1"`);
+    expect(text).toContain('poster="https://lambent.example/embed/share_01abc/picture"');
+    expect(text).toContain('src="https://lambent.example/lambent-viewer.js"');
+    expect(secretOf(/lambent-viewer src="([^"]+)"/.exec(text)![1]!)).toBe(secret);
+  });
+
+  it("is for the origins of the addresses that someone types", () => {
+    expect(originsIn(" https://Shop.example/bowls?x=1, shop.example:8443\nhttps://shop.example ")).toEqual([
+      "https://shop.example",
+      "https://shop.example:8443",
+    ]);
+    expect(originsIn("")).toEqual([]);
+    // The server says what is wrong with it.
+    expect(originsIn("https://*.exa mple")).toEqual(["https://*.exa", "https://mple"]);
+    expect(originsIn("mailto:a@b.example")).toHaveLength(1);
   });
 });

@@ -6,11 +6,16 @@ import { Accumulation } from "../src/refine/accumulation.js";
 import type { Hits } from "../src/refine/hitRadiance.js";
 import { cosineLobe, LightSampler, lobeOfAlpha, pixelMasses, tableRow } from "../src/refine/lightSampler.js";
 import { onePass } from "../src/refine/passes.js";
-import { evenUniforms, Randoms } from "../src/refine/randoms.js";
+import { Randoms } from "../src/refine/randoms.js";
 import { dielectricF0, Reflection } from "../src/refine/reflection.js";
-import { Scattering, strategyShares, wholeShares } from "../src/refine/scattering.js";
+import { type Lit, Scattering, strategyShares } from "../src/refine/scattering.js";
 import { brightness, SkyLight } from "../src/refine/skyLight.js";
-import { type SurfacePoints, type SurfaceSamples, surfacePoints } from "../src/refine/surfacePoints.js";
+import {
+  type SurfacePoints,
+  type SurfaceSamples,
+  surfacePoints,
+  unfolded,
+} from "../src/refine/surfacePoints.js";
 import type { Tracer } from "../src/refine/tracer.js";
 import { rotated, vector } from "../src/refine/vectors.js";
 
@@ -109,34 +114,38 @@ describe("points of a picture", () => {
     },
     samples: 1,
     place: Uint32Array.of(0),
-    texel: Uint32Array.of(0),
+    normal: Uint32Array.of(0),
     distance: Float32Array.of(5),
-    material: null,
-  };
-  const texels = {
-    albedo: Float32Array.of(0.1, 0.2, 0.3),
-    perceptualRoughness: Float32Array.of(0.5),
-    metalness: Float32Array.of(0),
-    normal: Float32Array.of(0, 0, 1),
+    // Albedo (1, 1/2, 1/4) in 16 bits, roughness 0.8 and metalness 0.6 in 8.
+    material: Uint32Array.of(0xffff + 0x8000 * 0x10000, 0x4000 + 204 * 0x10000 + 153 * 0x1000000),
   };
   const edit = {
     ...{ albedoGain: [1, 1, 2] as const, albedoScaleRgb: [1, 0.5, 1] },
     ...{ roughnessScale: 0.5, metalnessShift: 0.1 },
   };
 
-  it("have the material of their texel, as it is given", () => {
-    const points = surfacePoints(seen, texels, edit);
-    [...points.albedo].forEach((value, axis) => {
-      expect(value).toBeCloseTo([0.1, 0.2, 0.3][axis]!, 6);
+  it("have the normal of their sample", () => {
+    // As the shader folds (0.6, -0.48, 0.64) and (0.48, 0.6, -0.64): over and under the horizon.
+    const sample = (x: number, y: number): number =>
+      (Math.round(32767 * x) & 0xffff) + (Math.round(32767 * y) & 0xffff) * 0x10000;
+    const sum = 0.6 + 0.48 + 0.64;
+    const [above, below] = [sample(0.6 / sum, -0.48 / sum), sample(1 - 0.6 / sum, 1 - 0.48 / sum)];
+    for (const [word, wanted] of [
+      [above, [0.6, -0.48, 0.64]],
+      [below, [0.48, 0.6, -0.64]],
+    ] as const) {
+      unfolded(word).forEach((value, axis) => {
+        expect(value).toBeCloseTo(wanted[axis]!, 4);
+      });
+    }
+    const points = surfacePoints({ ...seen, normal: Uint32Array.of(above) }, edit);
+    [0.6, -0.48, 0.64].forEach((value, axis) => {
+      expect(points.normal[axis]).toBeCloseTo(value, 4);
     });
-    expect(points.alpha[0]).toBeCloseTo(0.25, 6);
-    expect(points.metalness[0]).toBe(0);
   });
 
-  it("or that of their sample, edited", () => {
-    // Albedo (1, 1/2, 1/4) in 16 bits, roughness 0.8 and metalness 0.6 in 8.
-    const words = [0xffff + 0x8000 * 0x10000, 0x4000 + 204 * 0x10000 + 153 * 0x1000000];
-    const points = surfacePoints({ ...seen, material: Uint32Array.from(words) }, texels, edit);
+  it("have the material of their sample, edited", () => {
+    const points = surfacePoints(seen, edit);
     [...points.albedo].forEach((value, axis) => {
       expect(value).toBeCloseTo([1, 0.25, 0.5][axis]!, 4);
     });
@@ -162,13 +171,6 @@ describe("random numbers", () => {
     expect(firsts.size).toBe(2000);
     expect(Math.abs(sum / 2000 - 1 / 2)).toBeLessThan(5 / Math.sqrt(12 * 2000));
     expect(Math.abs(squares / 2000 - 1 / 3)).toBeLessThan(5 * Math.sqrt(4 / 45 / 2000));
-  });
-  it("of one point are stratified in their first dimension", () => {
-    const randoms = new Randoms();
-    randoms.begin(1, 2, 3);
-    const triples = new Float64Array(24);
-    evenUniforms(randoms, 8, triples);
-    for (let index = 0; index < 8; index++) expect(Math.floor(8 * triples[3 * index]!)).toBe(index);
   });
 });
 
@@ -218,19 +220,42 @@ describe("sampling the light", () => {
 });
 
 describe("scattering", () => {
-  it("divides the directions by reflectance, without rest", () => {
-    const shares = new Float64Array(4);
-    strategyShares(0.8, 0, shares);
-    expect(shares.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 12);
-    expect(shares[0]! + shares[1]!).toBeCloseTo(0.9, 12);
-    wholeShares(shares, 4);
-    expect([...shares].map((share) => (4 * share) % 1)).toEqual([0, 0, 0, 0]);
-    expect(shares.reduce((sum, value) => sum + value, 0)).toBe(1);
+  it("divides the directions by what the lobes reflect of the light", () => {
+    const even = { cosine: 1, diffuseMean: 1, specularMean: 1 };
+    const shares = (lit: Partial<Lit>): number[] => {
+      const out = new Float64Array(4);
+      strategyShares({ meanAlbedo: 0.8, metalness: 0, alpha: 0.25, ...even, ...lit }, out);
+      expect(out.reduce((sum, value) => sum + value, 0)).toBeCloseTo(1, 12);
+      return [...out];
+    };
+    const plain = shares({});
+    // 0.04 of 0.84 is below the least share of the specular lobe.
+    expect(plain[0]! + plain[1]!).toBeCloseTo(0.9, 12);
+    expect(plain[0]).toBeCloseTo(0.72, 12);
+    const lamp = shares({ specularMean: 100 });
+    expect(lamp[2]! + lamp[3]!).toBeCloseTo(4 / 4.8, 12);
+    expect(lamp[3]! / lamp[2]!).toBeCloseTo(3 / 7, 12);
+    const grazing = shares({ cosine: 0.05, specularMean: 2 });
+    expect(grazing[2]).toBeGreaterThan(shares({ cosine: 0.05, specularMean: 2, alpha: 1 })[2]!);
+    expect(shares({ metalness: 1 })[0]).toBeCloseTo(0.8 * 0.05, 12);
+    // Nothing is mirrored towards a viewer behind the surface.
+    expect(shares({ cosine: -0.1, specularMean: 100 })[2]).toBeCloseTo(0.07, 12);
+  });
+
+  it("knows the mean of the light under a lobe", () => {
+    const flat = new LightSampler({ width: 48, height: 24, values: new Float64Array(48 * 24).fill(2) });
+    for (const lobe of [cosineLobe, lobeOfAlpha(1), lobeOfAlpha(0.3)]) {
+      const mean = flat.mean(tableRow(unit(0.5, -0.2, 0.8), lobe));
+      expect(4 * Math.PI * mean).toBeGreaterThan(0.85);
+      expect(4 * Math.PI * mean).toBeLessThan(1.15);
+    }
+    const row = (x: number): number => tableRow(unit(x, 0.1, 0.2), lobeOfAlpha(0.3));
+    expect(sampler.mean(row(1))).not.toBeCloseTo(sampler.mean(row(-1)), 3);
   });
 
   it.each(Object.entries(surfaces))("of %s has a density that integrates to one at most", (_, point) => {
     const scattering = new Scattering(point, sampler, turn);
-    scattering.aim(0, 1);
+    scattering.aim(0);
     let sum = 0;
     overSphere(120, (direction, solidAngle) => {
       scattering.omegaI.set(direction);

@@ -282,6 +282,8 @@ shares = Table(
     _time("created_at"),
     _time("expires_at"),
     _optional_time("revoked_at"),
+    # Origins whose pages may show the bundle, separated by spaces; none if it is null.
+    _optional_text("frame_ancestors"),
     Index(None, "bundle_id"),
 )
 

@@ -13,7 +13,7 @@ from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, remove
 from lambent_server.secrets import sha256_text
 from lambent_server.services import Services
-from lambent_server.shares import granted
+from lambent_server.shares import Row, granted
 
 COOKIE = "lambent_session"
 
@@ -94,8 +94,8 @@ def tenant_of_session(database: Database, token: str) -> Tenant | None:
     return Tenant(row["tenant_id"]) if row is not None and row["expires_at"] > now() else None
 
 
-def tenant_of_share(database: Database, secret: str, token: str, bundle_id: str) -> Tenant | None:
-    """Return the tenant of the bundle that a link lets this request read; None for other requests."""
+def share_of_token(database: Database, secret: str, token: str, bundle_id: str) -> Row | None:
+    """Return the link that lets this request read a bundle; None for other requests."""
     with database.read() as connection:
         share = granted(connection, secret, token)
-    return Tenant(share["tenant_id"]) if share is not None and share["bundle_id"] == bundle_id else None
+    return share if share is not None and share["bundle_id"] == bundle_id else None

@@ -15,12 +15,13 @@ from starlette.datastructures import Headers, MutableHeaders
 
 from lambent_server.clock import new_id
 from lambent_server.database.tenancy import Tenant
-from lambent_server.http.identity import cookie_token, tenant_of_key, tenant_of_session, tenant_of_share
+from lambent_server.http import cross_origin
+from lambent_server.http.identity import cookie_token, share_of_token, tenant_of_key, tenant_of_session
 from lambent_server.metrics import REQUEST_SECONDS
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.services import Services
 from lambent_server.shares import COOKIE as SHARE_COOKIE
-from lambent_server.shares import bundle_read
+from lambent_server.shares import bundle_read, frame_ancestors, is_token
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -34,7 +35,7 @@ CSRF_HEADER = "x-lambent-csrf"
 # The pages contain no secrets: they request their data with a cookie.
 _PUBLIC = re.compile(
     r"/|/assets/.*|/[a-z0-9._-]+\.(html|js|css|svg|json|wasm)|/healthz|/readyz"
-    r"|/v1/(version|login|shares:open)"
+    r"|/v1/(version|login|shares:open)|/embed/[^/]+(/picture)?"
 )
 # The largest body of a request to one of these, which has no authentication yet: a code.
 _PUBLIC_BYTES = 16 * 1024
@@ -71,6 +72,10 @@ class Gate:
         try:
             headers = Headers(scope=scope)
             self._check_host(headers)
+            allowed = await self._preflight(scope, headers)
+            if allowed is not None:
+                await request.answer(204, allowed)
+                return
             await self._identify(scope, headers)
             request.check_length(headers)
             await self._app(scope, request.receive, request.send)
@@ -92,6 +97,13 @@ class Gate:
                 f"this server does not serve the host {host[:100]!r}; name it in LAMBENT_ALLOWED_HOSTS",
             )
 
+    async def _preflight(self, scope: Scope, headers: Headers) -> dict[str, str] | None:
+        """Return the answer to a browser that asks whether a page elsewhere may read a bundle, or None."""
+        asked = cross_origin.preflight(scope["method"], scope["path"], headers)
+        if asked is None:
+            return None
+        return await to_thread.run_sync(cross_origin.answer, self._services.database, *asked)
+
     async def _identify(self, scope: Scope, headers: Headers) -> None:
         if _PUBLIC.fullmatch(scope["path"]):
             return
@@ -111,17 +123,23 @@ class Gate:
         database, method = self._services.database, scope["method"]
         state = scope.setdefault("state", {})
         scheme, _, key = headers.get("authorization", "").partition(" ")
-        state["by_key"] = scheme.lower() == "bearer"
-        if state["by_key"]:
-            return await to_thread.run_sync(tenant_of_key, self._services, key.strip())
-        cookies = headers.get("cookie", "")
-        bundle_id, shared = bundle_read(method, scope["path"]), cookie_token(cookies, SHARE_COOKIE)
+        bearer = key.strip() if scheme.lower() == "bearer" else None
+        bundle_id, cookies = bundle_read(method, scope["path"]), headers.get("cookie", "")
+        by_header = bearer is not None and is_token(bearer)
+        shared = bearer if by_header else cookie_token(cookies, SHARE_COOKIE)
+        state["by_key"] = bearer is not None and not by_header
+        if bearer is not None and not by_header:
+            return await to_thread.run_sync(tenant_of_key, self._services, bearer)
         if bundle_id and shared:
-            secret = self._share_secret
-            tenant = await to_thread.run_sync(tenant_of_share, database, secret, shared, bundle_id)
-            if tenant is not None:
+            share = await to_thread.run_sync(share_of_token, database, self._share_secret, shared, bundle_id)
+            if share is not None:
                 state["by_share"] = True
-                return tenant
+                # Cookies are of this site only, so that nobody elsewhere reads with those of a visitor.
+                if by_header and headers.get("origin") in frame_ancestors(share):
+                    state["cross_origin"] = headers["origin"]
+                return Tenant(share["tenant_id"])
+        if by_header:
+            return None
         token = cookie_token(cookies)
         tenant = None if token is None else await to_thread.run_sync(tenant_of_session, database, token)
         if tenant is not None and method not in _SAFE:
@@ -248,7 +266,16 @@ class _Request:
             for name, value in _HEADERS.items():
                 headers.setdefault(name, value)
             headers["x-request-id"] = self.id
+            origin = self._scope["state"].get("cross_origin")
+            if origin is not None:
+                headers.update(cross_origin.allowing(origin))
         await self._send(message)
+
+    async def answer(self, status: int, headers: dict[str, str]) -> None:
+        """Respond without a body."""
+        pairs = [(name.encode(), value.encode()) for name, value in headers.items()]
+        await self.send({"type": "http.response.start", "status": status, "headers": pairs})
+        await self.send({"type": "http.response.body", "body": b""})
 
     async def refuse(self, problem: Problem) -> None:
         """Respond with a problem, unless a response has already started."""

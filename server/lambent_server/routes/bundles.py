@@ -60,9 +60,10 @@ def _show(request: Request, row: Any) -> Share:
     return Share(
         id=row["id"],
         bundle_id=row["bundle_id"],
-        url=f"{base}/share.html#{shares.sign(_secret(request), row)}",
+        url=f"{base}{shares.page_path(row['id'])}#{shares.sign(_secret(request), row)}",
         created_at=rfc3339(row["created_at"]),
         expires_at=rfc3339(row["expires_at"]),
+        frame_ancestors=shares.frame_ancestors(row),
     )
 
 
@@ -75,7 +76,8 @@ def create_share(
     """Create a link that gives everyone who has it read access to this bundle only, until it expires."""
     with services.database.write() as connection:
         bundle_rows.require_bundle(connection, tenant, bundle_id)
-        return _show(request, shares.create(connection, tenant, bundle_id, body.expires_in_s))
+        row = shares.create(connection, tenant, bundle_id, body.expires_in_s, body.frame_ancestors)
+        return _show(request, row)
 
 
 @router.get("/v1/bundles/{bundle_id:id}/shares", responses=problems(404))

@@ -1,7 +1,7 @@
 import json
 
 import pytest
-from flashcache.config import Config, from_dict, to_dict, with_overrides
+from flashcache.config import Config, ExportConfig, from_dict, to_dict, with_overrides
 from flashcache.errors import ConfigError
 from flashcache.presets import PRESETS, preset
 
@@ -32,6 +32,50 @@ def test_an_earlier_releases_settings_are_read_where_they_did_nothing():
 def test_a_removed_setting_that_had_an_effect_is_refused(two: dict):
     with pytest.raises(ConfigError, match=rf"stage_two\.{next(iter(two))}' was removed"):
         from_dict(Config, with_removed(**two))
+
+
+OLD = ("atlas_size", "transport_size")
+
+
+@pytest.mark.parametrize(
+    ("old", "sizes"), [(512, (512, 512)), (128, (128, 128)), (2048, (2048, 512)), (500, (496, 496))]
+)
+def test_a_run_of_a_release_with_one_size_for_albedo_and_transport_is_read(old: int, sizes: tuple[int, int]):
+    values = to_dict(preset("fast"))
+    values["export"] = {name: value for name, value in values["export"].items() if name not in OLD}
+    values["export"]["atlas_size"] = old
+    found = from_dict(Config, values).export
+    assert (found.atlas_size, found.transport_size) == sizes
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("old", [64, 512, 2048])
+def test_a_job_that_states_only_the_size_of_the_albedo_runs_with_every_preset(name: str, old: int):
+    plain = preset(name).export
+    found = with_overrides(preset(name), {"export.atlas_size": str(old)}).export
+    assert (found.atlas_size, found.transport_size) == (old, min(old, plain.transport_size))
+
+
+def test_a_size_that_is_left_open_does_not_move_transport():
+    found = with_overrides(preset("tiny"), {"export.atlas_size": "0"}).export
+    assert (found.atlas_size, found.transport_size) == (0, preset("tiny").export.transport_size)
+
+
+@pytest.mark.parametrize(
+    ("atlas", "transport", "message"),
+    [
+        (100, 64, "atlas_size must be a multiple of 16 texels up to 8192, or 0, got 100"),
+        (8208, 64, "up to 8192"),
+        (-16, 64, "atlas_size"),
+        (1024, 500, "transport_size must be a multiple of 16 texels up to 4096, got 500"),
+        (8192, 4112, "up to 4096"),
+        (0, 0, "transport_size"),
+        (256, 512, "at least export.transport_size"),
+    ],
+)
+def test_sizes_that_cannot_be_halved_twice_or_cross_are_refused(atlas: int, transport: int, message: str):
+    with pytest.raises(ConfigError, match=message):
+        ExportConfig(atlas_size=atlas, transport_size=transport)
 
 
 def test_an_override_changes_one_setting():

@@ -47,7 +47,8 @@ def with_cookie(api: Api, token: str):
 
 def test_a_link_reads_its_bundle(api: Api):
     share, token = make(api, expires_in_s=3600)
-    assert share["url"].startswith("http://localhost/share.html#share_")
+    assert share["url"] == f"http://localhost/embed/{share['id']}#{token}"
+    assert token.startswith(f"{share['id']}.")
     browser = visitor(api, token)
     assert browser.get("/v1/bundles/bundle_shown/files/models/cache.onnx").content == b"cache"
     expect(browser.get("/v1/bundles/bundle_shown/manifest"), 200)

@@ -24,8 +24,11 @@ from lambent_worker.bundle.photo_shading import LitSurface, SurfaceUnderLight
 from lambent_worker.bundle.photo_view import Mesh, Photograph
 from lambent_worker.bundle.surface import AtlasSurface
 
-SIZES = (1024, 8192)
-"""Smallest and largest atlas that is chosen automatically."""
+LEAST_SIZE = 1024
+"""Texels along a side of the smallest texture that is chosen automatically."""
+LARGEST_SIZE = {"lite": 2048, "full": 4096, "none": 4096}
+"""Texels along a side of the largest, by tier: a lite bundle should have 10 MB, and an albedo of 4096 alone
+has more."""
 ROWS_AT_ONCE = 256
 LEAST_WEIGHT = 1e-3
 _LEAST_GAIN = 0.02
@@ -53,14 +56,16 @@ class FineTexels:
         return ((np.stack([column, row], axis=-1) + 0.5) / self.size).astype(np.float32)
 
 
-def automatic_size(surface: AtlasSurface, pixel: float) -> int:
-    """Return the power of two at which a texel is about a pixel of the photographs, within `SIZES`.
+def automatic_size(surface: AtlasSurface, pixel: float, tier: str) -> int:
+    """Return the power of two at which a texel is about a pixel of the photographs, up to `LARGEST_SIZE`.
 
-    `pixel` is the footprint of a pixel at the object, scene units; 0: unknown.
+    `tier` is that of the bundle, "full", "lite" or "none"; `pixel` is the footprint of a pixel at the object,
+    scene units; 0: unknown.
     """
     wanted = surface.size * surface.texel_size / pixel if pixel > 0.0 else 0.0
-    size = SIZES[0]
-    while size < SIZES[1] and size < 0.75 * wanted:
+    size = LEAST_SIZE
+    # Below the size of transport charts would run together, whatever the tier.
+    while size < surface.size or size < min(LARGEST_SIZE[tier], 0.75 * wanted):
         size *= 2
     return size
 

@@ -49,10 +49,15 @@ class Seen:
 
 
 class Photograph:
-    """One photograph with its camera."""
+    """One photograph with its camera, as a `View` has it.
+
+    Its colours are linear Rec. 709 radiance, in the exposure of the capture's first frame, and straight: they
+    are not multiplied by alpha, and are used where alpha is above `SOLID`. Places are column and row in
+    pixels, (0.5, 0.5) the centre of the first one, lengths are in scene units.
+    """
 
     def __init__(self, view: View, light: str) -> None:
-        """Take the picture of `view` under `light`; its colours are premultiplied from here on."""
+        """Take the picture of `view` under `light`, without a copy; raises KeyError where there is none."""
         self.name, self.camera, self.turn = view.name, view.camera, view.light_turn
         self._image = view.images[light]
         self._clipped = view.clipped.get(light)
@@ -66,7 +71,11 @@ class Photograph:
     def see(
         self, points: Float32[ndarray, "points 3"], normals: Float32[ndarray, "points 3"], mesh: Mesh
     ) -> Seen:
-        """Return what is visible of `points` with unit `normals`, by the depth of `mesh`."""
+        """Return what is visible of `points` (scene units) with unit `normals`, by the depth of `mesh`.
+
+        A point is visible where the camera sees it under a cosine above `LEAST_COSINE`, nothing else and no
+        outline lies within the mesh's error, and the picture is opaque and not clipped.
+        """
         camera = self.camera
         places, along = self.project(points)
         towards = camera.position.astype(np.float32) - points
@@ -123,14 +132,17 @@ class Photograph:
         return ndimage.minimum_filter(good, 2 * (reach // 2) + 1)
 
     def reduced(self, pixels: float) -> "Level":
-        """Return the picture reduced so that `pixels` of it, rounded down to a whole number, become one."""
+        """Return the picture reduced so that `pixels` of it, rounded down to a whole number, become one.
+
+        Means are of straight linear radiance, without regard to alpha.
+        """
         factor = max(1, min(int(pixels), *(side for side in self._image.shape[:2])))
         return Level(block_means(self._image[..., :3], factor).astype(np.float32, copy=False), factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """A picture of linear radiance, reduced by a whole factor."""
+    """A picture of linear Rec. 709 radiance, not multiplied by alpha, reduced by a whole factor."""
 
     image: Float32[ndarray, "rows columns 3"]
     factor: int

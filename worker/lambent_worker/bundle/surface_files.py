@@ -50,7 +50,8 @@ def write_asset(
     """Write mesh/asset.glb, and .usdz if requested, into `folder`.
 
     `albedo` is the texture made from the photographs, None for the model's.
-    What no photograph shows is marked in mesh/unseen.png. Levels of detail are written beside the mesh.
+    What no photograph shows is marked in mesh/unseen.png. Levels of detail are written beside the mesh, but
+    not into a lite bundle.
     Raises WorkerError where the file is not read back as it was meant.
     """
     rays = MeshRays(surface.vertices, surface.faces)
@@ -70,7 +71,9 @@ def write_asset(
     asset = write_glb(surface, textures, unit=manifest.world.unit)
     check_glb(asset, surface)
     (folder / ASSET_PATH).write_bytes(asset)
-    write_levels(surface, textures, manifest, folder)
+    # A lite bundle is fetched as a whole, by programs that show its mesh as it is.
+    if config.transport_tier != "lite":
+        write_levels(surface, textures, manifest, folder)
     write_unseen(surface, manifest, folder)
     if config.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)

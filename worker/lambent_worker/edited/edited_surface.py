@@ -23,6 +23,7 @@ from lambent_worker.bundle.atlas import (
     unit,
 )
 from lambent_worker.bundle.mesh import Corner, data_resolution
+from lambent_worker.bundle.photo_albedo import LARGEST_SIZE
 from lambent_worker.bundle.surface import AtlasSurface, learned_normals, settled, upright
 from lambent_worker.bundle.textures import TextureSet, tangent_normals
 from lambent_worker.bundle.transport_bounce import Reflectors
@@ -103,7 +104,7 @@ def given_surface(
     """Return `given` on an atlas of at most `config.transport_size` texels.
 
     Materials are its maps', or the model's where it has none. The albedo texture has `config.atlas_size`
-    texels a side, or as many as the file's pictures (0).
+    texels a side, or (0) as many as the file's pictures, up to what the tier allows (`LARGEST_SIZE`).
 
     Raises WorkerError `export.atlas` where it cannot be unwrapped.
     """
@@ -141,7 +142,9 @@ def given_surface(
         cell=cell,
     )
     albedo = reflectors.albedo[nearest_texel(index, size)]
-    fine = config.atlas_size or albedo_size(given, kept_uv=kept, least=size)
+    fine = config.atlas_size or albedo_size(
+        given, kept_uv=kept, least=size, most=LARGEST_SIZE[config.transport_tier]
+    )
     if fine != size:
         albedo = fine_albedo(given, charts, albedo, fine)
     return GivenSurface(surface, reflectors, kept, float(bare.mean()), albedo, num_turned)

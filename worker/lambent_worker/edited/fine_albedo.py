@@ -9,15 +9,13 @@ from lambent_worker.bundle.atlas import Unwrapped
 from lambent_worker.edited.glb_file import GivenMesh
 from lambent_worker.edited.glb_maps import sampled
 
-MAX_SIZE = 8192
-"""Texels along a side of the largest texture that clients read."""
 ROWS_AT_ONCE = 128
 
 Plane = Float32[ndarray, "size size 3"]
 
 
-def albedo_size(given: GivenMesh, *, kept_uv: bool, least: int) -> int:
-    """Return the texels along a side at which nothing of the file's base colours is lost, up to `MAX_SIZE`.
+def albedo_size(given: GivenMesh, *, kept_uv: bool, least: int, most: int) -> int:
+    """Return the texels along a side at which nothing of the file's base colours is lost, up to `most`.
 
     On the file's atlas that is the longest side of its pictures; on a new one, as many texels as they have
     pixels together. It is `least` where the pictures have fewer.
@@ -29,7 +27,7 @@ def albedo_size(given: GivenMesh, *, kept_uv: bool, least: int) -> int:
         wanted = max(max(height, width) for height, width, _ in shapes)
     else:
         wanted = int(np.ceil(sum(height * width for height, width, _ in shapes) ** 0.5))
-    return max(least, min(MAX_SIZE, wanted))
+    return max(least, min(most, wanted))
 
 
 def fine_albedo(given: GivenMesh, charts: Unwrapped, coarse: Plane, size: int) -> Plane:

@@ -24,6 +24,7 @@ from lambent_worker.errors import UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.context import TaskContext
+from lambent_worker.run.export_notes import tell_about
 from lambent_worker.run.folder import locked, require_done
 from lambent_worker.run.hashes import last_training_task, scene_hash
 from lambent_worker.run.prepare import open_task
@@ -56,7 +57,9 @@ def export_edited(
         tier = "full"
     config = context.spec.config
     if atlas:
+        # The size of transport too, so that a texture with fewer texels does not make it coarser.
         wanted = {"atlas_size": "0" if atlas == "auto" else atlas}
+        wanted["transport_size"] = str(config.export.transport_size)
         config = with_overrides(config, {f"export.{name}": value for name, value in wanted.items()})
     chosen = replace(config.export, transport_tier=tier or config.export.transport_tier)
     spec = replace(context.spec, config=replace(config, export=chosen))
@@ -72,12 +75,13 @@ def export_edited(
         shutil.rmtree(_rays_beside(partial), ignore_errors=True)
         try:
             _write(replace(context, spec=spec), given, mesh, partial)
-            load_bundle(partial)
+            manifest = load_bundle(partial).manifest
             partial.rename(out)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
             # Rays of another mesh must not be taken for this one's: nothing resumes here.
             shutil.rmtree(_rays_beside(partial), ignore_errors=True)
+    tell_about(reporter, manifest, spec.config.export)
 
 
 def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> None:

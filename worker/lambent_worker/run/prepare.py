@@ -1,8 +1,12 @@
 """Steps of the commands around the pipeline: devices, folders, refusals, the bundle of a trained run."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+
+from google.protobuf import json_format
+from lambent_proto.v1.bundle_pb2 import BundleManifest
 
 from lambent_worker.errors import UsageError
 from lambent_worker.masks.corrections import NAME
@@ -11,6 +15,7 @@ from lambent_worker.masks.estimate import not_credible
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.capture import needs_masks
 from lambent_worker.run.context import TaskContext
+from lambent_worker.run.export_notes import tell_about
 from lambent_worker.run.folder import done_inputs, locked, require_done, task_folder
 from lambent_worker.run.hashes import last_training_task, task_inputs
 from lambent_worker.run.masks import AUTOMATIC
@@ -129,15 +134,22 @@ def export_run(
     wanted = {"transport_tier": tier, "weights": weights or ("none" if tier == "lite" else "")}
     wanted["faces"] = "0" if faces == "auto" else faces
     wanted["atlas_size"] = "0" if atlas == "auto" else atlas
+    # Stated too, so that a texture with fewer texels is refused and does not make transport coarser.
+    wanted["transport_size"] = str(context.spec.config.export.transport_size)
     settings = {f"export.{name}": value for name, value in wanted.items() if value}
     spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
     inputs = task_inputs("export", previous, spec.config, spec.seed)
     with locked(run_dir):
+        made = task_folder(run_dir, "export")
         if done_inputs(run_dir, "export") != inputs:
             run_task(replace(context, spec=spec), inputs)
+        else:
+            record = json.loads((made / "manifest.json").read_text(encoding="utf-8"))
+            manifest = json_format.ParseDict(record, BundleManifest(), ignore_unknown_fields=True)
+            tell_about(reporter, manifest, spec.config.export)
         partial = out.with_name(out.name + ".partial")
         shutil.rmtree(partial, ignore_errors=True)
-        shutil.copytree(task_folder(run_dir, "export"), partial)
+        shutil.copytree(made, partial)
         partial.rename(out)

@@ -117,7 +117,7 @@ def cancel(jobs: JobArguments, url: UrlOption = "", as_json: JsonOption = False)
 
 
 def delete(
-    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Scenes, jobs, bundles, environments.")],
+    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Scenes, jobs, bundles, links, ...")],
     url: UrlOption = "",
     as_json: JsonOption = False,
 ) -> None:

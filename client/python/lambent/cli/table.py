@@ -40,9 +40,10 @@ _PANELS = {
         ("jobs", "List jobs.", "jobs"),
         ("cancel", "Stop jobs.", "jobs"),
         ("retry", "Queue failed or cancelled jobs again, as new jobs.", "jobs"),
-        ("delete", "Delete scenes, jobs, bundles and environments on the server.", "jobs"),
+        ("delete", "Delete scenes, jobs, bundles, environments and links on the server.", "jobs"),
         ("logs", "Print the log of a job.", "jobs"),
         ("fetch", "Download the bundle of a finished job; verified and resumable.", "transfer"),
+        ("share", "Make a link to a bundle, which other pages may show if it says so.", "transfer"),
     ),
     "Pictures from a bundle": (
         ("relight", "Render a bundle under other environments, as PNG and linear EXR.", "relight", CLIENT),

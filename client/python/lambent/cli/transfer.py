@@ -1,4 +1,4 @@
-"""push and fetch."""
+"""push, fetch and share."""
 
 from pathlib import Path
 from typing import Annotated
@@ -38,3 +38,25 @@ def fetch(
     size_bytes = sum(entry.size_bytes for entry in bundle.files)
     text = f"{bundle.path}  ({len(bundle.files)} files, {format_size(size_bytes)}, verified)"
     Output(as_json).result(text, {"bundle_id": bundle.bundle_id, "path": str(bundle.path)})
+
+
+def share(
+    job: Annotated[str, typer.Argument(metavar="JOB", help="Job id (or bundle id).")],
+    days: Annotated[float, typer.Option(help="How long the link works.", min=0.001, max=366)] = 7.0,
+    embed_in: Annotated[
+        list[str],
+        typer.Option(
+            "--embed-in",
+            metavar="ORIGIN",
+            help="Pages of this origin may show the object, such as https://shop.example; repeatable.",
+        ),
+    ] = [],  # noqa: B006 - typer reads it once
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Print a link that lets everyone who has it see one bundle, and with --embed-in the HTML for a page."""
+    with Client(url) as client:
+        made = client.share(job, expires_in_s=round(days * 24 * 3600), frame_ancestors=embed_in)
+    output = Output(as_json)
+    output.note(f"{made.id} expires {made.expires_at}; `lambent delete {made.id}` revokes it")
+    output.result(f"{made.url}\n{made.snippet}" if made.frame_ancestors else made.url, made)

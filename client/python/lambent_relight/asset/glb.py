@@ -23,9 +23,9 @@ WEBP = "EXT_texture_webp"
 def glb_with_textures(data: bytes, mesh: TexturedMesh, *, webp: bool = False, ktx2: bool = False) -> bytes:
     """Return the GLB `data` of a bundle with the textures of `mesh`, which was read from it.
 
-    With `webp` they are lossless WebP, with `ktx2` KTX 2 files, one of the two, and there is no PNG to fall
-    back to: readers need EXT_texture_webp or KHR_texture_basisu. Raises BundleError `bundle.mesh_invalid` for
-    a file with parts that leave it, and ExportError as `ktx2_of` does.
+    With `webp` they are lossless WebP, with `ktx2` KTX 2 files (`write_formats` refuses both at once), and
+    there is no PNG to fall back to: readers need EXT_texture_webp or KHR_texture_basisu. Raises BundleError
+    `bundle.mesh_invalid` for a file with parts that leave it, and ExportError as `ktx2_of` does.
     """
     document, payload = glb_chunks(data)
     pictures = (mesh.base_colour_png, mesh.packed_png, mesh.normal_png)

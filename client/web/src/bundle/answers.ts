@@ -2,12 +2,19 @@
 
 import { BundleFault } from "./fault.js";
 
-/** Return the fault for an answer that was no success; `path` is the file that was asked for. */
-export function refusal(status: number, path: string, address: URL): BundleFault {
+/** Return the fault for an answer that was no success; `path` is the file that was asked for, perhaps by a share link. */
+export function refusal(status: number, path: string, address: URL, byLink = false): BundleFault {
   const asked = `"${path}" (${status})`;
   const isOurs = /\/v1\/bundles\//.test(address.pathname);
   switch (status) {
     case 401:
+      if (byLink) {
+        return new BundleFault(
+          "bundle.link_ended",
+          "the link to this object is invalid, has expired or was taken back",
+          "ask the person who sent it for a new one",
+        );
+      }
       return new BundleFault(
         "bundle.login_needed",
         `this browser is not logged in at ${address.host}, which keeps the bundle`,

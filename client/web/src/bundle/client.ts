@@ -1,5 +1,7 @@
 /** Loads bundles in a worker. */
 
+import { startWorker } from "../page/workers.js";
+import workerUrl from "./bundleWorker.ts?worker&url";
 import { BundleFault } from "./fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
 import type { BundleNews, LoadedBundle } from "./load.js";
@@ -11,7 +13,7 @@ export function loadInWorker(
   tell: (news: BundleNews) => void,
   signal: AbortSignal,
 ): Promise<LoadedBundle> {
-  const worker = new Worker(new URL("./bundleWorker.ts", import.meta.url), { type: "module" });
+  const worker = startWorker(workerUrl);
   return new Promise<LoadedBundle>((resolve, reject) => {
     const end = (): void => worker.terminate();
     signal.addEventListener("abort", () => {

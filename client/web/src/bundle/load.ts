@@ -1,6 +1,6 @@
 /** Reads and checks the parts of a bundle that a viewer needs. */
 
-import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import type { Atlas, BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { adaptedNote } from "./adapted.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault, exportAgain } from "./fault.js";
@@ -19,6 +19,8 @@ export type MaterialMaps = {
   readonly albedo: ImageBitmap;
   /** Occlusion, perceptual roughness and metalness. */
   readonly packed: ImageBitmap;
+  /** Normals in the frames of the tangents, -1..1 as 0..255. */
+  readonly normal: ImageBitmap;
 };
 
 /** Decodes a PNG file, its levels as they are stored. */
@@ -114,11 +116,11 @@ export async function loadBundle(
   });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
-  const textured = (manifest.atlas?.albedoSource ?? "") !== "";
+  const atlas = (manifest.atlas?.albedoSource ?? "") !== "" ? manifest.atlas : undefined;
   const [trainedMaps, [mesh, maps], transport, grid, cameras, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
     counted("mesh/asset.glb").then(async (data) => {
-      return [meshFromGlb(data), textured ? await mapsOf(data, decode) : null] as const;
+      return [meshFromGlb(data), atlas === undefined ? null : await mapsOf(data, atlas, decode)] as const;
     }),
     readTransport(stated, counted),
     uncertainty === undefined
@@ -146,11 +148,28 @@ export async function loadBundle(
   };
 }
 
-async function mapsOf(glb: Uint8Array<ArrayBuffer>, decode: Decode): Promise<MaterialMaps> {
+/** Return the textures of a mesh as pictures; sizes are compared before anything is decoded. */
+async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode): Promise<MaterialMaps> {
   const files = texturesFromGlb(glb);
+  for (const [{ width, height }, stated] of [
+    [files.baseColour, atlas.size],
+    [files.packed, atlas.materialSize],
+    [files.normal, atlas.materialSize],
+  ] as const) {
+    if (width !== stated || height !== stated) {
+      throw exportAgain(
+        "bundle.mesh_invalid",
+        `mesh/asset.glb has a texture of ${width} x ${height} texels, but the manifest states ${stated} a side`,
+      );
+    }
+  }
   try {
-    const [albedo, packed] = await Promise.all([decode(files.baseColour), decode(files.packed)]);
-    return { albedo, packed };
+    const [albedo, packed, normal] = await Promise.all([
+      decode(files.baseColour.data),
+      decode(files.packed.data),
+      decode(files.normal.data),
+    ]);
+    return { albedo, packed, normal };
   } catch {
     throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb has a texture that cannot be decoded");
   }

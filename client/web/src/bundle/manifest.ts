@@ -8,6 +8,8 @@ import type { FileSource } from "./source.js";
 
 const manifestLimit = 16 << 20;
 const fileLimit = 512 << 20;
+/** Texels along a side of the largest atlas that is written. */
+export const maxAtlasSize = 8192;
 const conventions = {
   upAxis: ["up_axis", "z"],
   handedness: ["handedness", "right"],
@@ -117,5 +119,15 @@ function checkValues(manifest: BundleManifest): void {
   const scale = manifest.albedoScaleRgb;
   if (scale.length !== 3 || !scale.every((value) => value > 0 && Number.isFinite(value))) {
     throw exportAgain("bundle.manifest_invalid", "albedo_scale_rgb needs three positive numbers");
+  }
+  const atlas = manifest.atlas;
+  if (atlas !== undefined && atlas.albedoSource !== "") {
+    const sizes = [atlas.size, atlas.materialSize].every((size) => size >= 1 && size <= maxAtlasSize);
+    if (!(sizes && atlas.texelSize > 0 && Number.isFinite(atlas.texelSize))) {
+      throw exportAgain(
+        "bundle.manifest_invalid",
+        `atlas needs a positive texel_size and sizes of 1 to ${maxAtlasSize} texels`,
+      );
+    }
   }
 }

@@ -1,6 +1,7 @@
 /** The surface of a bundle, read from its mesh/asset.glb, as `lambent_relight.baked.mesh` does. */
 
 import { type BundleFault, exportAgain } from "./fault.js";
+import { maxAtlasSize } from "./manifest.js";
 
 /** Triangles with a place in the atlas; positions are the world's, z up. */
 export type AtlasMesh = {
@@ -8,13 +9,19 @@ export type AtlasMesh = {
   /** Pairs in [0, 1], v down from the top row of the atlas. */
   readonly uv: Float32Array<ArrayBuffer>;
   readonly indices: Uint32Array<ArrayBuffer>;
+  /** Vertex normals, and frames of the normal map as in glTF; null where the file does not have both. */
+  readonly frames: {
+    readonly normalsXyz: Float32Array<ArrayBuffer>;
+    readonly tangentsXyzw: Float32Array<ArrayBuffer>;
+  } | null;
 };
 
 type Numbers = Uint8Array | Uint16Array | Uint32Array | Float32Array;
 type Json = { readonly [key: string]: unknown };
 
-const pngSignature = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
-const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3: 3 };
+/** The signature of a PNG file, and length and name of its first chunk. */
+const pngStart = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0, 0, 0, 13, 0x49, 0x48, 0x44, 0x52];
+const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
 const itemBytes: Readonly<Record<number, 1 | 2 | 4>> = { 5121: 1, 5123: 2, 5125: 4, 5126: 4 };
 
 function invalid(what: string): BundleFault {
@@ -45,37 +52,72 @@ export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
   if (numVertices === 0 || indices.length === 0 || !indices.every((index) => index < numVertices)) {
     throw invalid("refers to vertices that are not there");
   }
-  return { positionsXyz: new Float32Array(positions), uv, indices };
+  const shading = (slot: unknown, kind: string): Float32Array<ArrayBuffer> | null => {
+    if (slot === undefined) return null;
+    const values = accessor(document, payload, slot, kind);
+    const fits = values instanceof Float32Array && values.length === components[kind]! * numVertices;
+    if (!fits || !values.every(Number.isFinite))
+      throw invalid("has normals or tangents that do not fit its positions");
+    return new Float32Array(values);
+  };
+  const normalsXyz = shading(attributes.NORMAL, "VEC3");
+  const tangentsXyzw = shading(attributes.TANGENT, "VEC4");
+  const frames = normalsXyz === null || tangentsXyzw === null ? null : { normalsXyz, tangentsXyzw };
+  return { positionsXyz: new Float32Array(positions), uv, indices, frames };
 }
+
+/** A PNG file and the size that its header states. */
+export type PngFile = {
+  readonly data: Uint8Array<ArrayBuffer>;
+  readonly width: number;
+  readonly height: number;
+};
 
 /** The PNG files of the mesh's textures. */
 export type TextureFiles = {
   /** sRGB-encoded albedo. */
-  readonly baseColour: Uint8Array<ArrayBuffer>;
+  readonly baseColour: PngFile;
   /** Occlusion, perceptual roughness and metalness. */
-  readonly packed: Uint8Array<ArrayBuffer>;
+  readonly packed: PngFile;
+  /** Normals in the frames of the tangents, -1..1 as 0..255. */
+  readonly normal: PngFile;
 };
 
-/** Return the textures of a binary glTF file; throws BundleFault where they are not there. */
+/**
+ * Return the textures of a binary glTF file, not decoded.
+ *
+ * Throws BundleFault where they are not there, or state more than `maxAtlasSize` texels a side: a file of some bytes
+ * can stand for a picture of gigabytes.
+ */
 export function texturesFromGlb(data: Uint8Array<ArrayBuffer>): TextureFiles {
   const { document, payload } = chunks(data);
-  const surface = object(object(list(document.materials)[0]).pbrMetallicRoughness);
-  const picture = (slot: unknown): Uint8Array<ArrayBuffer> => {
+  const material = object(list(document.materials)[0]);
+  const surface = object(material.pbrMetallicRoughness);
+  const picture = (slot: unknown): PngFile => {
     const texture = object(list(document.textures)[whole(object(slot).index)]);
     const image = object(list(document.images)[whole(texture.source)]);
     const view = object(list(document.bufferViews)[whole(image.bufferView)]);
     const start = whole(view.byteOffset ?? 0);
     const end = start + whole(view.byteLength);
     if (end > payload.length) throw invalid("has a texture that leaves the file");
-    const png = payload.slice(start, end);
-    if (pngSignature.some((byte, index) => png[index] !== byte))
-      throw invalid("has a texture that is no PNG");
-    return png;
+    return sizedPng(payload.slice(start, end));
   };
   return {
     baseColour: picture(surface.baseColorTexture),
     packed: picture(surface.metallicRoughnessTexture),
+    normal: picture(material.normalTexture),
   };
+}
+
+/** Return a PNG file with the size of its header (PNG specification, 11.2.2: IHDR is the first chunk). */
+function sizedPng(data: Uint8Array<ArrayBuffer>): PngFile {
+  if (data.length < 33 || pngStart.some((byte, index) => data[index] !== byte))
+    throw invalid("has a texture that is no PNG");
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+  const [width, height] = [view.getUint32(16), view.getUint32(20)];
+  if (Math.max(width, height) > maxAtlasSize)
+    throw invalid(`has a texture of ${width} x ${height} texels, more than ${maxAtlasSize} a side`);
+  return { data, width, height };
 }
 
 /** Return the box around points. */

@@ -13,7 +13,7 @@ export type FileSource = {
   readonly read: (path: string, limitBytes: number) => Promise<Bytes>;
 };
 
-/** The origin of a bundle; can be sent to a worker. */
+/** The origin of a bundle; can be sent to a worker. The secret of a share link may follow an address, after "#". */
 export type BundleOrigin =
   | { readonly kind: "url"; readonly url: string }
   | { readonly kind: "archive"; readonly file: Blob }
@@ -32,9 +32,20 @@ function tooLarge(path: string, limitBytes: number): BundleFault {
   return unsafe("bundle.too_large", `"${path}" is above ${limitBytes} bytes`);
 }
 
+/** Return the secret of a share link behind an address, or null; it goes to our server's files only, in a header. */
+export function secretOf(address: string): string | null {
+  const { hash, pathname } = new URL(address);
+  const secret = /^#(share_[a-z0-9]{1,40}\.[0-9a-f]{64})$/.exec(hash)?.[1];
+  return secret !== undefined && ourBundle.test(pathname) ? secret : null;
+}
+
+const ourBundle = /\/v1\/bundles\/[^/]+\/?$/;
+
 async function request(url: URL, headers: Record<string, string> = {}): Promise<Response> {
+  // Who reads with a secret reads with nothing else.
+  const credentials = "authorization" in headers ? "omit" : "same-origin";
   try {
-    return await fetch(url, { headers, credentials: "same-origin" });
+    return await fetch(url, { headers, credentials });
   } catch {
     throw silence(url, globalThis.navigator?.onLine ?? true);
   }
@@ -45,7 +56,9 @@ function folderSource(given: URL): FileSource {
   const base = new URL(given.href);
   base.search = "";
   base.hash = "";
-  if (/\/v1\/bundles\/[^/]+\/?$/.test(base.pathname)) {
+  const secret = secretOf(given.href);
+  const headers = secret === null ? {} : { authorization: `Bearer ${secret}` };
+  if (ourBundle.test(base.pathname)) {
     base.pathname = `${base.pathname.replace(/\/$/, "")}/files/`;
   }
   if (!base.pathname.endsWith("/")) base.pathname += "/";
@@ -53,8 +66,8 @@ function folderSource(given: URL): FileSource {
     paths: null,
     read: async (path, limitBytes) => {
       const address = new URL(path.split("/").map(encodeURIComponent).join("/"), base);
-      const response = await request(address);
-      if (!response.ok) throw refusal(response.status, path, address);
+      const response = await request(address, headers);
+      if (!response.ok) throw refusal(response.status, path, address, secret !== null);
       if (Number(response.headers.get("content-length") ?? 0) > limitBytes) throw tooLarge(path, limitBytes);
       const data = new Uint8Array(await response.arrayBuffer());
       if (data.length > limitBytes) throw tooLarge(path, limitBytes);

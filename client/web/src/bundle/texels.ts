@@ -1,5 +1,6 @@
 /**
- * The nearest covered texel of each texel of an atlas, as in `lambent_relight.baked.raster.nearest_texel`.
+ * The texels around each texel of an atlas: the nearest covered one, as in
+ * `lambent_relight.baked.raster.nearest_texel`, and those of half the resolution.
  */
 
 const around = [
@@ -12,6 +13,31 @@ const around = [
   [-1, 1],
   [-1, -1],
 ] as const;
+
+/**
+ * Return the coarse texels between which indirect light is bilinear at every texel, four each in rows of `width`
+ * texels: its own, then those beside it, above or below it, and both. As `BakedScene.blocks_around` in Python.
+ */
+export function blocksAround(
+  texelIndex: Uint32Array,
+  texelPlane: Uint32Array,
+  coarseOfTexel: Uint32Array,
+  size: number,
+): Uint32Array<ArrayBuffer> {
+  const result = new Uint32Array(4 * coarseOfTexel.length);
+  const inside = (at: number): number => Math.min(Math.max(at, 0), size - 1);
+  texelIndex.forEach((place, texel) => {
+    const [row, column] = [Math.floor(place / size), place % size];
+    const beside = inside(column + 2 * (column % 2) - 1);
+    const above = inside(row + 2 * (row % 2) - 1);
+    const block = (r: number, c: number): number => coarseOfTexel[texelPlane[r * size + c]!]!;
+    result.set(
+      [block(row, column), block(row, beside), block(above, column), block(above, beside)],
+      4 * texel,
+    );
+  });
+  return result;
+}
 
 /**
  * Return for each of size x size places the position in `texelIndex` of a covered texel near it.

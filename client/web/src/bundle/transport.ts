@@ -8,12 +8,12 @@
 
 import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type BundleFault, exportAgain } from "./fault.js";
-import { spreadTexels } from "./texels.js";
+import { maxAtlasSize } from "./manifest.js";
+import { blocksAround, spreadTexels } from "./texels.js";
 
 /** Columns of all tables. */
 export const tableWidth = 1024;
 export const numShadowDirections = 256;
-const maxAtlasSize = 8192;
 
 /** Planes of texels in layers of four. */
 export type PlaneTable = {
@@ -42,6 +42,8 @@ export type PackedTransport = {
   readonly material: PlaneTable;
   /** Number of the coarse texel of every texel, as a table. */
   readonly coarseOfTexel: Uint32Array<ArrayBuffer>;
+  /** The four coarse texels around every texel; see `blocksAround`. */
+  readonly blocksAround: Uint32Array<ArrayBuffer>;
   /** 256 bits per texel in two layers of four words, lowest bit first; null where the bundle has none. */
   readonly shadowBits: Uint32Array<ArrayBuffer> | null;
 };
@@ -93,10 +95,12 @@ export async function readTransport(stated: Transport, read: Reader): Promise<Pa
     }
     shadowBits = packShadowBits(await read(stated.shadowBitsPath), numTexels);
   }
+  const texelPlane = spreadTexels(texelIndex, size);
   return {
     size,
     numTexels,
-    texelPlane: spreadTexels(texelIndex, size),
+    texelPlane,
+    blocksAround: blocksAround(texelIndex, texelPlane, coarseOfTexel, size),
     direct,
     visibility,
     indirect,

@@ -628,7 +628,7 @@ export interface components {
         };
         /**
          * NewShare
-         * @description How long a link will work.
+         * @description How long a link will work, and whose pages may show the bundle.
          */
         NewShare: {
             /**
@@ -636,6 +636,8 @@ export interface components {
              * @default 604800
              */
             expires_in_s: number;
+            /** Frame Ancestors */
+            frame_ancestors?: string[];
         };
         /**
          * OpenedShare
@@ -1093,6 +1095,8 @@ export interface components {
             created_at: string;
             /** Expires At */
             expires_at: string;
+            /** Frame Ancestors */
+            frame_ancestors: string[];
             /** Id */
             id: string;
             /** Url */

@@ -1,5 +1,7 @@
 /** Asks the light worker. */
 
+import { startWorker } from "../page/workers.js";
+import workerUrl from "./lightWorker.ts?worker&url";
 import { Questions, type Unnumbered } from "../page/questions.js";
 import { MapFault } from "./fault.js";
 import type { LightAnswer, LightQuestion, MapOrigin } from "./lightWorker.js";
@@ -7,9 +9,7 @@ import type { PreparedLight } from "./prepare.js";
 
 /** One worker; questions are answered in order. */
 export class LightClient {
-  readonly #questions = new Questions<LightQuestion, LightAnswer>(
-    new Worker(new URL("./lightWorker.ts", import.meta.url), { type: "module" }),
-  );
+  readonly #questions = new Questions<LightQuestion, LightAnswer>(startWorker(workerUrl));
 
   /** Decode and prepare a map for transport of `bands` bands; throws MapFault. */
   async prepare(origin: MapOrigin, bands: number, dominant: number): Promise<PreparedLight> {

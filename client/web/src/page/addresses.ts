@@ -14,6 +14,11 @@ export function bundleAt(address: string, page: string): string | null {
   return /^\/v1\/bundles\/([a-z0-9_]{1,64})\/?$/.exec(url.pathname)?.[1] ?? null;
 }
 
+/** Return the address of a link with parameters of a view behind its secret. */
+export function linkWithView(url: string, view: string): string {
+  return view === "" ? url : `${url}&${view}`;
+}
+
 /** Return the address of a scene's page. */
 export function sceneAddress(sceneId: string): string {
   return `#/scenes/${sceneId}`;

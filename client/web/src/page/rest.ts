@@ -140,8 +140,11 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
       json<Schemas["BundleList"]>("GET", list("/v1/bundles", 50, cursor)),
     bundle: (id: string) => json<BundleDetail>("GET", `/v1/bundles/${id}`),
     shares: (id: string) => json<Schemas["ShareList"]>("GET", `/v1/bundles/${id}/shares`),
-    createShare: (id: string, expiresInS: number) =>
-      json<Share>("POST", `/v1/bundles/${id}/shares`, { expires_in_s: expiresInS }),
+    createShare: (id: string, expiresInS: number, frameAncestors: readonly string[] = []) =>
+      json<Share>("POST", `/v1/bundles/${id}/shares`, {
+        expires_in_s: expiresInS,
+        ...(frameAncestors.length > 0 ? { frame_ancestors: frameAncestors } : {}),
+      }),
     revokeShare: (id: string) => json<null>("DELETE", `/v1/shares/${id}`),
     openShare: (token: string) => json<Schemas["OpenedShare"]>("POST", "/v1/shares:open", { token }),
     /** A JSON file among a job's artifacts. */

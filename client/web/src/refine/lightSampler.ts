@@ -72,6 +72,8 @@ export class LightSampler {
   readonly #inside: Float64Array;
   /** Running sums of the cells' probabilities, row after row. */
   readonly #cellEnds: Float64Array;
+  /** Mean of the map under the lobe of every row. */
+  readonly #means: Float64Array;
 
   constructor(given: Brightness) {
     const { width, height, values: mass } = pixelMasses(given);
@@ -94,7 +96,16 @@ export class LightSampler {
       const solidAngle = pixelSolidAngle(Math.floor(pixel / width), height, width);
       return value / (Math.max(cellMass[cell[pixel]!]!, 1e-300) * solidAngle);
     });
-    this.#cellEnds = lobeTable(cellMass, cellDirections(cell, width, height, numCells));
+    const directions = cellDirections(cell, width, height, numCells);
+    ({ ends: this.#cellEnds, means: this.#means } = lobeTable(cellMass, directions));
+  }
+
+  /**
+   * Return the mean of the map under the lobe of a row, nearly, 1/sr: radiance over its integral, 1 / (4 pi) where the
+   * light is even.
+   */
+  mean(row: number): number {
+    return this.#means[row]!;
   }
 
   /** Draw a direction for a row of the table. Nearby uniforms mostly give nearby directions. */
@@ -241,23 +252,29 @@ function cellDirections(cell: Uint16Array, width: number, height: number, numCel
   return sums.map((value, index) => value / total[Math.floor(index / 3)]!);
 }
 
-/** Return running sums of the probability of every cell, for every lobe and axis. */
-function lobeTable(cellMass: Float64Array, directions: Float64Array): Float64Array {
+/** Return running sums of the probability of every cell, and the mean of the map, for every lobe and axis. */
+function lobeTable(cellMass: Float64Array, directions: Float64Array) {
   const [numCells, numAxes] = [cellMass.length, axesSide * axesSide];
   const table = new Float64Array((1 + lobeAlphas.length) * numAxes * numCells);
+  const means = new Float64Array((1 + lobeAlphas.length) * numAxes);
   const values = new Float64Array(numCells);
   for (let lobe = 0; lobe <= lobeAlphas.length; lobe++) {
     const sharpness = lobe > 0 ? sharpnessTimesAlphaSquared / lobeAlphas[lobe - 1]! ** 2 : 0;
+    // Integral of the lobe over the sphere.
+    const size =
+      lobe === cosineLobe ? Math.PI * 1.1 ** 2 : (2 * Math.PI * (1 - Math.exp(-2 * sharpness))) / sharpness;
     for (let bin = 0; bin < numAxes; bin++) {
       const [x, y, z] = binAxis(bin);
-      let mean = 0;
+      let [mean, lit] = [0, 0];
       for (let number = 0; number < numCells; number++) {
         const at = 3 * number;
         const cosine = x * directions[at]! + y * directions[at + 1]! + z * directions[at + 2]!;
         const value = lobe === cosineLobe ? Math.max(cosine + 0.1, 0) : Math.exp(sharpness * (cosine - 1));
         values[number] = value;
         mean += value / numCells;
+        lit += value * cellMass[number]!;
       }
+      means[lobe * numAxes + bin] = lit / size;
       // A floor keeps every lit cell possible, whatever the axis' place inside its bin. The last term is for maps of a
       // few pixels, whose cells may all lie outside a narrow lobe.
       const floor = floorShare * mean + 1e-12;
@@ -272,5 +289,5 @@ function lobeTable(cellMass: Float64Array, directions: Float64Array): Float64Arr
       table[start + numCells - 1] = Math.max(running, 1);
     }
   }
-  return table;
+  return { ends: table, means };
 }

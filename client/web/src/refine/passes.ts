@@ -2,9 +2,10 @@
 
 import type { Hits } from "./hitRadiance.js";
 import type { LightSampler } from "./lightSampler.js";
-import { evenUniforms, Randoms } from "./randoms.js";
+import { Randoms } from "./randoms.js";
 import { Scattering } from "./scattering.js";
 import type { SkyLight } from "./skyLight.js";
+import { drawSeeds, ranksOf, sobolElements } from "./sobol.js";
 import type { SurfacePoints } from "./surfacePoints.js";
 import type { Traced, Tracer } from "./tracer.js";
 import { type Vector, vector } from "./vectors.js";
@@ -80,6 +81,8 @@ function drawing(scene: RefineScene, perPass: number, seed: number, pass: number
   const { points, originOffset } = scene;
   const randoms = new Randoms();
   const u = new Float64Array(3 * perPass);
+  const seeds = new Uint32Array(6);
+  const ranks = ranksOf(points.pixel);
   const scattering = new Scattering(points, scene.sampler, scene.light.turn);
   return (from: number, to: number): Drawn => {
     const most = (to - from) * perPass;
@@ -90,9 +93,12 @@ function drawing(scene: RefineScene, perPass: number, seed: number, pass: number
     const chance = new Float32Array(most);
     let count = 0;
     for (let index = from; index < to; index++) {
-      randoms.begin(seed, pass, index);
-      evenUniforms(randoms, perPass, u);
-      scattering.aim(index, perPass);
+      // The sequence is its pixel's; what else is drawn is the point's own.
+      randoms.begin(seed, 2 * pass, points.pixel[index]!);
+      drawSeeds(randoms, seeds);
+      sobolElements(seeds, perPass * ranks[index]!, perPass, u);
+      randoms.begin(seed, 2 * pass + 1, index);
+      scattering.aim(index);
       for (let sample = 0; sample < perPass; sample++) {
         const above = scattering.draw(u[3 * sample]!, u[3 * sample + 1]!, u[3 * sample + 2]!);
         const hit = randoms.next();

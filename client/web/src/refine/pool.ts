@@ -1,6 +1,8 @@
 /** The workers of a refinement: one that adds passes up and answers, and others that compute more of them. */
 
+import { startWorker } from "../page/workers.js";
 import type { OpenQuestion, RefineAnswer, RefineQuestion } from "./messages.js";
+import workerUrl from "./refineWorker.ts?worker&url";
 import type { RefineOptions } from "./status.js";
 
 const mostWorkers = 4;
@@ -26,7 +28,7 @@ export class RefinePool {
     const channels = Array.from({ length: count - 1 }, () => new MessageChannel());
     this.#opening = count;
     for (let index = 0; index < count; index++) {
-      const worker = new Worker(new URL("./refineWorker.ts", import.meta.url), { type: "module" });
+      const worker = startWorker(workerUrl);
       this.#workers.push(worker);
       worker.onmessage = ({ data }: MessageEvent<RefineAnswer>) => this.#take(data);
       worker.onerror = (event) => {

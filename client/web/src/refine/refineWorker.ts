@@ -20,11 +20,11 @@ import type {
 import { onePass } from "./passes.js";
 import { pixelFeatures } from "./pixelFeatures.js";
 import { brightness, SkyLight } from "./skyLight.js";
-import { edited, type SurfacePoints, surfacePoints } from "./surfacePoints.js";
+import { type SurfacePoints, surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
 
 /** Directions of a point in one pass. */
-const perPass = 4;
+const perPass = 8;
 /** Passes before their differences say anything about the noise. */
 const leastPasses = 4;
 /** Pictures that are shown before are sent at most so often, ms. */
@@ -98,7 +98,7 @@ async function refine(question: StartQuestion): Promise<void> {
   if (light === null) throw new Error("a picture without light was asked for");
   const { tracer, scene, share } = opened;
   const sky = new SkyLight(light.levels, question.turn, question.intensity);
-  const points = surfacePoints(seen, edited(scene.materials, question.edit), question.edit);
+  const points = surfacePoints(seen, question.edit);
   const hits = question.indirect ? new Hits(scene, sky, question.falling, question.edit) : null;
   const { originOffset } = tracer;
   const lit = { points, light: sky, sampler: light.sampler, hits, originOffset };

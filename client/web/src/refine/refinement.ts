@@ -144,7 +144,7 @@ export class Refinement {
     const scale = Math.min(1, coarseSide / Math.max(camera.width, camera.height));
     const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
     const coarse = view.cameraOf(side(camera.width, scale), side(camera.height, scale));
-    const covered = readSamples(stage.renderer, stage.samples(coarse, 1), coarse, 1, false).place.length;
+    const covered = readSamples(stage.renderer, stage.samples(coarse, 1), coarse, 1).place.length;
     const { step, samples } = planOf(
       camera.width,
       camera.height,
@@ -153,8 +153,7 @@ export class Refinement {
     );
     const size = [side(camera.width, 1 / step), side(camera.height, 1 / step)] as const;
     const fine = step === 1 ? camera : view.cameraOf(...size);
-    const mapped = view.bundle.maps !== null;
-    const seen = readSamples(stage.renderer, stage.samples(fine, samples), fine, samples, mapped);
+    const seen = readSamples(stage.renderer, stage.samples(fine, samples), fine, samples);
     this.#layer = new RefinedLayer(camera, fine);
     const { levels } = light.prepared;
     const known = this.#sentLight === levels;

@@ -10,33 +10,41 @@ import { cosineSample, dielectricF0, ggxSample, Reflection } from "./reflection.
 import type { SurfacePoints } from "./surfacePoints.js";
 import { mirrorOf, readVector, type Rotation, rotated, vector } from "./vectors.js";
 
-/** Share of each lobe's directions that is drawn in proportion to the light as well. */
-const lightShare = 0.6;
+/** Share of the diffuse lobe's directions that is drawn in proportion to the light as well. */
+const diffuseLightShare = 0.8;
+/** The same of the specular lobe, whose own density is the better guide the narrower it is. */
+const specularLightShare = 0.3;
+/** Found by experiment, as both shares are: docs/benchmarks/asset.md. */
+const wideLobesGrazeLess = 3;
 
-/** Write the probability of every strategy for a surface, four numbers with the sum one. */
-export function strategyShares(meanAlbedo: number, metalness: number, out: Float64Array): void {
-  const specular = metalness * meanAlbedo + (1 - metalness) * dielectricF0;
-  const diffuse = (1 - metalness) * meanAlbedo;
-  const share = Math.min(Math.max(specular / Math.max(specular + diffuse, 1e-6), 0.1), 0.95);
-  out[0] = lightShare * (1 - share);
-  out[1] = (1 - lightShare) * (1 - share);
-  out[2] = (1 - lightShare) * share;
-  out[3] = lightShare * share;
-}
+/** What a surface reflects towards the viewer, and of what light. */
+export type Lit = {
+  readonly meanAlbedo: number;
+  readonly metalness: number;
+  readonly alpha: number;
+  /** Between the normal and the viewer. */
+  readonly cosine: number;
+  /** Means of the light under the cosine and under the mirror lobe, 1/sr. */
+  readonly diffuseMean: number;
+  readonly specularMean: number;
+};
 
 /**
- * Round shares so that `count` directions of a point divide without rest: a fixed number of directions for every
- * strategy has less variance than a random one. Fewer than three are left to chance.
+ * Write the probability of every strategy, four numbers with the sum one. The lobes share the directions by what they
+ * reflect if nothing is in the light's way; the specular one has a tenth at least, and 0.95 at most.
  */
-export function wholeShares(shares: Float64Array, count: number): void {
-  if (count < 3) return;
-  let [sum, before] = [0, 0];
-  for (let index = 0; index < 4; index++) {
-    sum += shares[index]!;
-    const end = index === 3 ? count : Math.round(sum * count);
-    shares[index] = (end - before) / count;
-    before = end;
-  }
+export function strategyShares(lit: Lit, out: Float64Array): void {
+  const { meanAlbedo, metalness, alpha, cosine } = lit;
+  const f0 = metalness * meanAlbedo + (1 - metalness) * dielectricF0;
+  // Schlick's term at the mirror direction, less for wide lobes, which have few microfacets at that angle.
+  const grazing = (1 - Math.min(Math.max(cosine, 0), 1)) ** 5 / (1 + wideLobesGrazeLess * alpha);
+  const specular = cosine > 0 ? (f0 + (1 - f0) * grazing) * lit.specularMean : 0;
+  const diffuse = (1 - metalness) * meanAlbedo * lit.diffuseMean;
+  const share = Math.min(Math.max(specular / Math.max(specular + diffuse, 1e-9), 0.1), 0.95);
+  out[0] = diffuseLightShare * (1 - share);
+  out[1] = (1 - diffuseLightShare) * (1 - share);
+  out[2] = (1 - specularLightShare) * share;
+  out[3] = specularLightShare * share;
 }
 
 /** Draws directions for the points of a picture under one light. */
@@ -65,8 +73,8 @@ export class Scattering {
     private readonly turn: Rotation,
   ) {}
 
-  /** Go to a point of which `count` directions will be drawn. */
-  aim(point: number, count: number): void {
+  /** Go to a point. */
+  aim(point: number): void {
     const { points } = this;
     this.#point = point;
     readVector(points.normal, point, this.#normal);
@@ -78,8 +86,18 @@ export class Scattering {
     rotated(this.turn, this.#mirror, this.#inMap, true);
     this.#mirrorRow = tableRow(this.#inMap, lobeOfAlpha(this.#alpha));
     const [red, green, blue] = [0, 1, 2].map((channel) => points.albedo[3 * point + channel]!);
-    strategyShares((red! + green! + blue!) / 3, points.metalness[point]!, this.#shares);
-    wholeShares(this.#shares, count);
+    const [normal, omegaO] = [this.#normal, this.#omegaO];
+    strategyShares(
+      {
+        meanAlbedo: (red! + green! + blue!) / 3,
+        metalness: points.metalness[point]!,
+        alpha: this.#alpha,
+        cosine: normal[0]! * omegaO[0]! + normal[1]! * omegaO[1]! + normal[2]! * omegaO[2]!,
+        diffuseMean: this.light.mean(this.#cosineRow),
+        specularMean: this.light.mean(this.#mirrorRow),
+      },
+      this.#shares,
+    );
   }
 
   /** Draw a direction from three uniforms; false where it lies below the surface and contributes nothing. */

@@ -23,11 +23,12 @@ export type SurfaceSamples = {
   readonly samples: number;
   /** Place in the grid of all samples, row * (width samples) + column from the top. */
   readonly place: Uint32Array<ArrayBuffer>;
-  readonly texel: Uint32Array<ArrayBuffer>;
+  /** Octahedral, two halves of 16 bits, as the surface's shader packs them. */
+  readonly normal: Uint32Array<ArrayBuffer>;
   /** From the camera, scene units. */
   readonly distance: Float32Array<ArrayBuffer>;
-  /** Pairs as the surface's shader packs albedo, roughness and metalness; null: those of the texels. */
-  readonly material: Uint32Array<ArrayBuffer> | null;
+  /** Pairs as the surface's shader packs albedo, roughness and metalness. */
+  readonly material: Uint32Array<ArrayBuffer>;
 };
 
 /** Changes to the bundle's material, with the bundle's own factor on albedo. */
@@ -74,13 +75,9 @@ export function edited(materials: TexelMaterials, edit: RefineEdit): TexelMateri
   };
 }
 
-/** Return the points of the samples of a picture; `materials` are those of the texels, with `edit` applied. */
-export function surfacePoints(
-  seen: SurfaceSamples,
-  materials: TexelMaterials,
-  edit: RefineEdit,
-): SurfacePoints {
-  const { camera, samples, place, texel, distance } = seen;
+/** Return the points of the samples of a picture, their materials edited. */
+export function surfacePoints(seen: SurfaceSamples, edit: RefineEdit): SurfacePoints {
+  const { camera, samples, place, distance } = seen;
   const count = place.length;
   const pose = camera.cameraToWorld;
   const points = {
@@ -101,24 +98,29 @@ export function surfacePoints(
     const x = ((column + 0.5) / samples - camera.centreX) / camera.focalX;
     const y = -((row + 0.5) / samples - camera.centreY) / camera.focalY;
     const length = Math.sqrt(x * x + y * y + 1);
-    const number = texel[index]!;
+    const normal = unfolded(seen.normal[index]!);
     let facing = 0;
     for (let axis = 0; axis < 3; axis++) {
       const away = (pose[4 * axis]! * x + pose[4 * axis + 1]! * y - pose[4 * axis + 2]!) / length;
       points.omegaO[3 * index + axis] = -away;
       points.position[3 * index + axis] = pose[4 * axis + 3]! + distance[index]! * away;
-      points.normal[3 * index + axis] = materials.normal[3 * number + axis]!;
-      points.albedo[3 * index + axis] = materials.albedo[3 * number + axis]!;
-      facing -= away * materials.normal[3 * number + axis]!;
+      points.normal[3 * index + axis] = normal[axis]!;
+      facing -= away * normal[axis]!;
     }
     if (facing < 1e-3) turnTowards(points.normal, points.omegaO, index, facing);
-    points.alpha[index] = alphaOf(materials.perceptualRoughness[number]!);
-    points.metalness[index] = materials.metalness[number]!;
-    if (seen.material !== null) {
-      unpack(points, index, seen.material[2 * index]!, seen.material[2 * index + 1]!, edit);
-    }
+    unpack(points, index, seen.material[2 * index]!, seen.material[2 * index + 1]!, edit);
   }
   return points;
+}
+
+/** Return the unit vector of two octahedral halves, signed. */
+export function unfolded(halves: number): [x: number, y: number, z: number] {
+  const half = (bits: number): number => Math.max(((bits << 16) >> 16) / 32767, -1);
+  let [x, y] = [half(halves), half(halves >>> 16)];
+  const z = 1 - Math.abs(x) - Math.abs(y);
+  if (z < 0) [x, y] = [(1 - Math.abs(y)) * (x >= 0 ? 1 : -1), (1 - Math.abs(x)) * (y >= 0 ? 1 : -1)];
+  const length = Math.hypot(x, y, z);
+  return [x / length, y / length, z / length];
 }
 
 /** Set the material of a point from the two words of its sample. */
@@ -131,7 +133,7 @@ function unpack(points: SurfacePoints, index: number, low: number, high: number,
   points.metalness[index] = clip((high >>> 24) / 255 + edit.metalnessShift);
 }
 
-/** A texel's normal may face away where the mesh does not: bring it to the edge of what is seen. */
+/** A normal may face away where the mesh does not: bring it to the edge of what is seen. */
 function turnTowards(normal: Float32Array, omegaO: Float32Array, index: number, facing: number): void {
   let length = 0;
   for (let axis = 3 * index; axis < 3 * index + 3; axis++) {

@@ -10,6 +10,7 @@ precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp sampler3D;
+precision highp sampler2DArray;
 precision highp isampler2DArray;
 precision highp usampler2DArray;
 precision highp usampler2D;
@@ -20,6 +21,16 @@ const float pi = 3.141592653589793;
 export const coverVertex = `
 in vec3 position;
 void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }
+`;
+
+/** The normal of `surface.ts` from its octahedral halves. */
+export const unfolded = `
+vec3 unfolded(uint halves) {
+  vec2 at = unpackSnorm2x16(halves);
+  float height = 1.0 - abs(at.x) - abs(at.y);
+  vec2 away = vec2(at.x >= 0.0 ? 1.0 : -1.0, at.y >= 0.0 ? 1.0 : -1.0);
+  return normalize(vec3(height >= 0.0 ? at : (1.0 - abs(at.yx)) * away, height));
+}
 `;
 
 /** Position of a texel in a table. */
@@ -176,7 +187,7 @@ export function freeShare(bands: number): string {
     (index, band, value) => `total += ${factor(band)} * open[${index >> 2}][${index & 3}] * ${value};`,
   );
   return `
-uniform isampler2DArray visibility;
+uniform sampler2DArray visibility;
 uniform vec4 visibilityScales[${layers}];
 uniform vec4 visibilityOffsets[${layers}];
 uniform sampler2D lobeTable;

@@ -1,16 +1,17 @@
 /**
- * Irradiance of every texel under a light, drawn into small tables whenever the light changes or turns.
+ * Irradiance under a light, drawn whenever the light changes or turns: into a table of every texel, and from there
+ * into pictures like the atlas, its gutters filled, for filtering by the hardware.
  *
- * direct: E = sum_k direct_k l_k + dominant lights with shadow bits; indirect: per channel, over coarse texels.
- * The same sums as `lambent_relight.baked.light`.
+ * direct: E = sum_k direct_k l_k + dominant lights with shadow bits; indirect: per channel, over coarse texels, and
+ * bilinear between those at every texel. The same sums as `lambent_relight.baked.light`.
  */
 
-import type { RawShaderMaterial, WebGLRenderTarget } from "three";
+import { LinearFilter, type RawShaderMaterial, type Texture, type WebGLRenderTarget } from "three";
 import { numShadowDirections, tableWidth } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
 import { shadowDirections, shadowWeights } from "../engine/shadows.js";
 import { maxDominant } from "../light/prepare.js";
-import { header } from "./glsl.js";
+import { header, tables } from "./glsl.js";
 import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
 import { halfFloatTarget } from "./targets.js";
 import type { BundleTextures } from "./textures.js";
@@ -88,29 +89,69 @@ void main() {
   }
 }`;
 
-function program(layers: number, lights: boolean): string {
+/** Sums of planes; the openness beside direct ones. */
+function program(layers: number, kind: "direct" | "lit" | "indirect"): string {
+  const lights = kind === "lit";
+  const open =
+    "clamp((constant.x + constant.y * float(texelFetch(planes, ivec3(where, 0), 0).r)) / (0.5 * sqrt(pi)), 0.0, 1.0)";
   return `${header}${planeSum(layers)}${lights ? shadows + lightSum : ""}
 out vec4 result;
+uniform vec2 constant;
 void main() {
   ivec2 where = ivec2(gl_FragCoord.xy);
-  result = vec4(planeSum(where)${lights ? " + lightSum(where)" : ""}, 1.0);
+  result = vec4(planeSum(where)${lights ? " + lightSum(where)" : ""}, ${kind === "indirect" ? "1.0" : open});
 }`;
 }
 
-/** Draws irradiance tables of one object. */
+/** From tables to the atlas: openness beside direct light, the factor to the surroundings' radiance beside indirect. */
+const spreadProgram = (lights: boolean): string => `${header}${tables}
+layout(location = 0) out vec4 straight;
+layout(location = 1) out vec4 again;
+${lights ? "layout(location = 2) out vec4 share;\nuniform sampler2D shares;" : ""}
+uniform usampler2D texelPlane;
+uniform usampler2D blocksAround;
+uniform sampler2D direct;
+uniform sampler2D indirect;
+vec3 block(uint index) { return texelFetch(indirect, placeOf(index), 0).rgb; }
+void main() {
+  ivec2 where = placeOf(texelFetch(texelPlane, ivec2(gl_FragCoord.xy), 0).r);
+  straight = texelFetch(direct, where, 0);
+  uvec4 around = texelFetch(blocksAround, where, 0);
+  again.rgb = 0.5625 * block(around.x) + 0.1875 * (block(around.y) + block(around.z)) + 0.0625 * block(around.w);
+  again.a = 1.0 / (pi * max(1.0 - straight.a, 0.05));
+  ${lights ? "share = texelFetch(shares, where, 0);" : ""}
+}`;
+
+/** Draws irradiance of one object. */
 export class IrradiancePasses {
   readonly #direct: RawShaderMaterial;
   readonly #indirect: RawShaderMaterial;
   readonly #shares: RawShaderMaterial | null;
+  readonly #spread: RawShaderMaterial;
+  /** What every light is drawn into first. */
+  readonly #tables: { readonly [name in "direct" | "indirect" | "shares"]: WebGLRenderTarget };
 
   constructor(private readonly textures: BundleTextures) {
     const { direct, indirect, material } = textures.transport;
     const lights = textures.shadowBits !== null;
-    this.#direct = screenProgram(program(direct.layers, lights));
-    this.#indirect = screenProgram(program(indirect.layers, false));
+    this.#tables = {
+      direct: halfFloatTarget(tableWidth, direct.rows),
+      indirect: halfFloatTarget(tableWidth, indirect.rows),
+      shares: halfFloatTarget(tableWidth, lights ? direct.rows : 1),
+    };
+    this.#direct = screenProgram(program(direct.layers, lights ? "lit" : "direct"));
+    this.#indirect = screenProgram(program(indirect.layers, "indirect"));
     this.#shares = lights ? screenProgram(shareProgram) : null;
-    this.#direct.uniforms.planes!.value = textures.direct;
-    this.#indirect.uniforms.planes!.value = textures.indirect;
+    this.#spread = screenProgram(spreadProgram(lights));
+    setUniforms(this.#direct, { planes: textures.direct, constant: [direct.offsets[0]!, direct.scales[0]!] });
+    setUniforms(this.#indirect, { planes: textures.indirect });
+    setUniforms(this.#spread, {
+      texelPlane: textures.texelPlane,
+      blocksAround: textures.blocksAround,
+      direct: this.#tables.direct.texture,
+      indirect: this.#tables.indirect.texture,
+      shares: this.#tables.shares.texture,
+    });
     for (const pass of this.programs) {
       const values = { material: textures.material, shadowBits: textures.shadowBits };
       setUniforms(pass, { ...values, materialScales: material.scales, materialOffsets: material.offsets });
@@ -119,49 +160,58 @@ export class IrradiancePasses {
 
   /** All programs. */
   get programs(): RawShaderMaterial[] {
-    return [this.#direct, this.#indirect, ...(this.#shares === null ? [] : [this.#shares])];
+    const shares = this.#shares === null ? [] : [this.#shares];
+    return [this.#direct, this.#indirect, this.#spread, ...shares];
   }
 
-  /** Draw all tables for a light. */
-  draw(screen: FullScreen, light: FallingLight, into: IrradianceTables): void {
+  /** Draw all of a light. */
+  draw(screen: FullScreen, light: FallingLight, into: AtlasLight): void {
     const { direct, indirect } = this.textures.transport;
     setUniforms(this.#direct, sumFactors(direct, light.coefficientsRgb, 1));
     if (this.#shares !== null) {
       const lights = lightUniforms(light);
       setUniforms(this.#shares, lights);
-      screen.draw(this.#shares, into.shares);
-      setUniforms(this.#direct, { ...lights, shares: into.shares.texture });
+      screen.draw(this.#shares, this.#tables.shares);
+      setUniforms(this.#direct, { ...lights, shares: this.#tables.shares.texture });
     }
     setUniforms(this.#indirect, sumFactors(indirect, bouncedCoefficients(light, indirect.bands), 3));
-    screen.draw(this.#direct, into.direct);
-    screen.draw(this.#indirect, into.indirect);
+    screen.draw(this.#direct, this.#tables.direct);
+    screen.draw(this.#indirect, this.#tables.indirect);
+    screen.draw(this.#spread, into.target);
   }
 
   dispose(): void {
-    this.#direct.dispose();
-    this.#indirect.dispose();
-    this.#shares?.dispose();
+    for (const pass of this.programs) pass.dispose();
+    for (const table of Object.values(this.#tables)) table.dispose();
   }
 }
 
-/** Irradiance of every texel under one light. */
-export class IrradianceTables {
-  readonly direct: WebGLRenderTarget;
-  readonly indirect: WebGLRenderTarget;
-  /** Share of each dominant light at every texel, one channel each. */
-  readonly shares: WebGLRenderTarget;
+/** Irradiance under one light as pictures like the atlas, filtered. */
+export class AtlasLight {
+  readonly target: WebGLRenderTarget;
 
-  constructor(textures: BundleTextures) {
-    const { rows } = textures.transport.direct;
-    this.direct = halfFloatTarget(tableWidth, rows);
-    this.indirect = halfFloatTarget(tableWidth, textures.transport.indirect.rows);
-    this.shares = halfFloatTarget(tableWidth, textures.shadowBits === null ? 1 : rows);
+  constructor({ transport, shadowBits }: BundleTextures) {
+    const count = shadowBits === null ? 2 : 3;
+    this.target = halfFloatTarget(transport.size, transport.size, LinearFilter, count);
+  }
+
+  /** Direct irradiance, and the unoccluded share of the hemisphere. */
+  get direct(): Texture {
+    return this.target.textures[0]!;
+  }
+
+  /** Indirect irradiance, and the factor from it to the mean radiance of the surroundings. */
+  get indirect(): Texture {
+    return this.target.textures[1]!;
+  }
+
+  /** Share of each dominant light, one channel each; null where they have no shadows. */
+  get shares(): Texture | null {
+    return this.target.textures[2] ?? null;
   }
 
   dispose(): void {
-    this.direct.dispose();
-    this.indirect.dispose();
-    this.shares.dispose();
+    this.target.dispose();
   }
 }
 

@@ -6,7 +6,7 @@ import type { FallingLight } from "../engine/fallingLight.js";
 import { cosineFactors, type Matrix3, rotate, rotateZ } from "../engine/harmonics.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { groundTable } from "./ground.js";
-import { IrradianceTables } from "./irradiance.js";
+import { AtlasLight } from "./irradiance.js";
 import type { LightTurn } from "./looks.js";
 import { type BundleTextures, levelsTexture } from "./textures.js";
 
@@ -31,7 +31,7 @@ export function turnMatrix({ yawDeg, pitchDeg, rollDeg }: LightTurn): Matrix3 {
 export class StageLight {
   readonly levels: DataTexture;
   readonly places: Int32Array;
-  readonly tables: IrradianceTables;
+  readonly tables: AtlasLight;
   /** Of the turn whose irradiance `tables` holds. */
   drawnTurn: string | null = null;
   /** Turn, and fineness, of the shadow that `ground` holds. */
@@ -45,7 +45,7 @@ export class StageLight {
   ) {
     this.levels = levelsTexture(prepared);
     this.places = Int32Array.from(prepared.levels.places.flat());
-    this.tables = new IrradianceTables(textures);
+    this.tables = new AtlasLight(textures);
   }
 
   /** Its shadow on the ground; created on first use. */

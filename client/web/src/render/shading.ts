@@ -14,25 +14,20 @@ import { screenProgram, setUniforms } from "./fullScreen.js";
 import { dominantUniforms } from "./irradiance.js";
 import { type StageLight, turnMatrix } from "./light.js";
 import { channels, type LightTurn, type Look, type Method, type ViewCamera } from "./looks.js";
-import type { BundleTextures } from "./textures.js";
+import { type BundleTextures, normalisedScales } from "./textures.js";
 
-function fragment(bands: number, hasGrid: boolean, mapped: boolean): string {
+function fragment(bands: number, hasGrid: boolean): string {
   const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
   const layers = Math.ceil((bands * bands) / 4);
-  return `${glsl.header}${glsl.tables}${glsl.environment}${glsl.splitSum}${glsl.glints}${glsl.freeShare(bands)}
+  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${glsl.freeShare(bands)}
 out vec4 result;
 uniform usampler2D seen;
+uniform usampler2D facing;
 uniform int samples;
 uniform vec2 size;
 uniform vec4 lens;
 uniform mat3 cameraTurn;
 uniform vec3 eye;
-uniform usampler2D coarseOfTexel;
-uniform isampler2DArray material;
-uniform vec4 materialScales[2];
-uniform vec4 materialOffsets[2];
-uniform isampler2DArray direct;
-uniform vec2 directConstant;
 uniform sampler2D irradiance;
 uniform sampler2D bounced;
 uniform sampler2D shares;
@@ -63,34 +58,30 @@ void main() {
   for (int layer = 0; layer < ${layers}; layer++) open[layer] = vec4(0.0);
   bool lit = channel <= ${channels.indirect};
   for (int index = 0; index < samples * samples; index++) {
-    uvec4 found = texelFetch(seen, first + ivec2(index % samples, index / samples), 0);
-    if (found.r == 0u) continue;
-    ivec2 where = placeOf(found.r - 1u);
+    ivec2 at = first + ivec2(index % samples, index / samples);
+    uvec4 found = texelFetch(seen, at, 0);
+    if (found.g == 0u) continue;
+    vec2 where = unpackUnorm2x16(found.r);
     count += 1.0;
     distance += uintBitsToFloat(found.g);
-    vec4 low = materialOffsets[0] + materialScales[0] * vec4(texelFetch(material, ivec3(where, 0), 0));
-    vec4 high = materialOffsets[1] + materialScales[1] * vec4(texelFetch(material, ivec3(where, 1), 0));
-    ${
-      mapped
-        ? `albedo += vec3(unpackUnorm2x16(found.b), unpackUnorm2x16(found.a).x);
+    albedo += vec3(unpackUnorm2x16(found.b), unpackUnorm2x16(found.a).x);
     roughness += float((found.a >> 16) & 0xffu) / 255.0;
-    metalness += float(found.a >> 24) / 255.0;`
-        : `albedo += clamp(low.rgb, 0.0, 1.0);
-    roughness += clamp(low.a, 0.0, 1.0);
-    metalness += clamp(high.x, 0.0, 1.0);`
-    }
-    normal += high.yzw / max(length(high.yzw), 1e-12);
-    float constant = directConstant.x + directConstant.y * float(texelFetch(direct, ivec3(where, 0), 0).r);
-    float free = clamp(constant / (0.5 * sqrt(pi)), 0.0, 1.0);
-    openness += free;
-    surroundings += 1.0 / (pi * max(1.0 - free, 0.05));
-    if (!lit || plain) continue;
+    metalness += float(found.a >> 24) / 255.0;
+    normal += unfolded(texelFetch(facing, at, 0).r);
+    if (lit ? plain : channel != ${channels.visibility}) continue;
+    vec4 straight = textureLod(irradiance, where, 0.0);
+    openness += straight.a;
+    if (!lit) continue;
+    arriving += straight.rgb;
     for (int layer = 0; layer < ${layers}; layer++) {
-      open[layer] += vec4(texelFetch(visibility, ivec3(where, layer), 0));
+      open[layer] += textureLod(visibility, vec3(where, float(layer)), 0.0);
     }
-    arriving += texelFetch(irradiance, where, 0).rgb;
-    if (numLights > 0) lightShares += texelFetch(shares, where, 0);
-    if (indirect) bounce += texelFetch(bounced, placeOf(texelFetch(coarseOfTexel, where, 0).r), 0).rgb;
+    if (numLights > 0) lightShares += textureLod(shares, where, 0.0);
+    if (indirect) {
+      vec4 again = textureLod(bounced, where, 0.0);
+      bounce += again.rgb;
+      surroundings += again.a;
+    }
   }
   if (count == 0.0) {
     result = vec4(0.0);
@@ -159,18 +150,10 @@ export class Shading {
   ) {
     const { transport } = textures;
     const grid = bundle.uncertainty;
-    this.material = screenProgram(
-      fragment(transport.visibility.bands, grid !== null, textures.albedoMap !== null),
-    );
+    this.material = screenProgram(fragment(transport.visibility.bands, grid !== null));
     setUniforms(this.material, {
-      coarseOfTexel: textures.coarseOfTexel,
-      material: textures.material,
-      materialScales: transport.material.scales,
-      materialOffsets: transport.material.offsets,
-      direct: textures.direct,
-      directConstant: [transport.direct.offsets[0]!, transport.direct.scales[0]!],
       visibility: textures.visibility,
-      visibilityScales: transport.visibility.scales,
+      visibilityScales: normalisedScales(transport.visibility),
       visibilityOffsets: transport.visibility.offsets,
       lobeTable: textures.lobeTable,
       splitSumTable,
@@ -181,8 +164,14 @@ export class Shading {
   }
 
   /** Set which samples are shaded, and for which camera. */
-  aim(seen: Texture, samples: number, camera: ViewCamera, depthRange: readonly number[]): void {
-    setUniforms(this.material, { seen, samples, depthRange, ...cameraUniforms(camera) });
+  aim(
+    textures: readonly Texture[],
+    samples: number,
+    camera: ViewCamera,
+    depthRange: readonly number[],
+  ): void {
+    const [seen, facing] = textures;
+    setUniforms(this.material, { seen, facing, samples, depthRange, ...cameraUniforms(camera) });
   }
 
   /** Set how they are lit. */
@@ -191,9 +180,9 @@ export class Shading {
     setUniforms(this.material, {
       ...lightUniforms(light, turn),
       ...dominantUniforms(light.dominant(turn)),
-      shares: light.tables.shares.texture,
-      irradiance: light.tables.direct.texture,
-      bounced: light.tables.indirect.texture,
+      shares: light.tables.shares,
+      irradiance: light.tables.direct,
+      bounced: light.tables.indirect,
       plainIrradiance: light.plainIrradiance(turn),
       channel: channels[look.channel],
       plain: method === "plain",

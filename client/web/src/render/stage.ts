@@ -24,7 +24,7 @@ import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
 import { Surface, sampleTarget } from "./surface.js";
 import { halfFloatTarget } from "./targets.js";
-import { BundleTextures, splitSumTexture } from "./textures.js";
+import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {
@@ -115,7 +115,17 @@ export class Stage {
 
   /** Show another bundle; lights go with the one before. Throws GraphicsFault where its tables do not fit. */
   setBundle(bundle: LoadedBundle): void {
-    const textures = new BundleTextures(bundle.transport, bundle.uncertainty, bundle.maps);
+    const { maxTextureSize } = this.renderer.capabilities;
+    const longest = longestSide(bundle.transport);
+    if (longest > maxTextureSize) {
+      throw new GraphicsFault(
+        `this graphics card takes textures of ${maxTextureSize} texels a side, the bundle's tables have ${longest}`,
+        "use another device, or a bundle with a smaller export.transport_size",
+      );
+    }
+    const { transport, uncertainty, maps, mesh } = bundle;
+    const framed = mesh.frames !== null;
+    const textures = new BundleTextures(transport, uncertainty, maps, framed, maxTextureSize);
     const surface = new Surface(bundle.mesh, textures);
     const shading = new Shading(bundle, textures, this.#splitSum);
     const scene = new Scene();
@@ -158,7 +168,7 @@ export class Stage {
     return this.#lights.get(name) ?? null;
   }
 
-  /** Return a target that holds which texel every sample of a picture shows, until something else is drawn. */
+  /** Return a target that holds the surface at every sample of a picture, until something else is drawn. */
   samples(camera: ViewCamera, samples: number): WebGLRenderTarget {
     if (this.#scenery === null) throw new Error("no bundle is open");
     this.#look(camera, samples, this.#scenery);
@@ -276,7 +286,8 @@ export class Stage {
     if (light === undefined || scenery === null) return;
     const { turn } = side;
     const key = turnKey(turn);
-    if (light.drawnTurn !== key && side.method === "baked") {
+    const needed = side.method === "baked" || side.look.channel === "visibility";
+    if (light.drawnTurn !== key && needed) {
       this.renderer.setScissorTest(false);
       scenery.passes.draw(this.#screen, light.falling(turn), light.tables);
       light.drawnTurn = key;
@@ -318,19 +329,17 @@ export class Stage {
     return scenery.ground.place;
   }
 
-  /** Draw which texel every sample shows, unless that is known. */
+  /** Draw the surface at every sample, unless that is known. */
   #look(camera: ViewCamera, samples: number, scenery: Scenery): void {
     const key = `${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
     const depthRange = this.#aim(camera, scenery.bundle);
-    const mapped = scenery.textures.albedoMap !== null;
-    const target = (width: number, height: number) => sampleTarget(width, height, mapped);
-    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, target);
+    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
     this.renderer.setRenderTarget(this.#seen);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
     this.renderer.render(scenery.scene, this.#camera);
-    scenery.shading.aim(this.#seen.texture, samples, camera, depthRange);
+    scenery.shading.aim(this.#seen.textures, samples, camera, depthRange);
     this.#seenKey = key;
   }
 

@@ -1,4 +1,4 @@
-/** The texel and distance at each sample of a picture: the mesh, drawn once per camera. */
+/** The surface at each sample of a picture: the mesh, drawn once per camera. */
 
 import {
   BufferAttribute,
@@ -8,19 +8,22 @@ import {
   Mesh,
   NearestFilter,
   NoBlending,
+  type PixelFormat,
   RawShaderMaterial,
+  RedIntegerFormat,
   RGBAIntegerFormat,
-  RGIntegerFormat,
+  type Texture,
   UnsignedIntType,
   WebGLRenderTarget,
 } from "three";
 import type { AtlasMesh } from "../bundle/mesh.js";
 import * as glsl from "./glsl.js";
-import type { BundleTextures } from "./textures.js";
+import { type BundleTextures, normalisedScales } from "./textures.js";
 
-const vertex = `${glsl.header}
+const vertex = (framed: boolean): string => `${glsl.header}
 in vec3 position;
 in vec2 uv;
+${framed ? "in vec3 normal;\nin vec4 tangent;\nout vec3 upright;\nout vec4 along;" : ""}
 uniform mat4 viewMatrix;
 uniform mat4 projectionMatrix;
 out vec2 place;
@@ -28,47 +31,108 @@ out vec3 world;
 void main() {
   place = uv;
   world = position;
+  ${framed ? "upright = normal;\n  along = tangent;" : ""}
   gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
 }`;
 
-// The number of the texel plus one, zero where nothing is; the bits of the distance. Where the mesh's textures
-// are the materials also these: 16 bits for each channel of linear albedo, 8 for roughness, 8 for metalness.
-const fragment = (mapped: boolean): string => `${glsl.header}
-in vec2 place;
-in vec3 world;
-out uvec4 result;
-uniform vec3 cameraPosition;
-uniform usampler2D texelPlane;
-${mapped ? "uniform sampler2D albedoMap;\nuniform sampler2D packedMap;\nuniform float lastLevel;" : ""}
-uvec2 material() {
-  ${
-    mapped
-      ? `vec2 size = vec2(textureSize(albedoMap, 0));
-  vec2 across = dFdx(place) * size, down = dFdy(place) * size;
-  float level = 0.5 * log2(max(max(dot(across, across), dot(down, down)), 1.0));
-  vec3 albedo = textureLod(albedoMap, place, min(level, lastLevel)).rgb;
-  vec2 rest = textureLod(packedMap, place, 0.0).gb;
-  uvec2 bytes = uvec2(round(clamp(rest, 0.0, 1.0) * 255.0));
-  return uvec2(packUnorm2x16(albedo.rg), (packUnorm2x16(vec2(albedo.b, 0.0)) & 0xffffu) | bytes.x << 16 | bytes.y << 24);`
-      : "return uvec2(0u);"
-  }
-}
-void main() {
-  int size = textureSize(texelPlane, 0).x;
-  ivec2 at = clamp(ivec2(place * float(size)), ivec2(0), ivec2(size - 1));
-  uint texel = texelFetch(texelPlane, at, 0).r;
-  result = uvec4(texel + 1u, floatBitsToUint(length(cameraPosition - world)), material());
+/**
+ * Looks a texture up, trilinear, but in no version whose charts lie too near to each other: `lastLevel` is the number
+ * of the last one.
+ */
+const mapAt = `
+vec4 mapAt(sampler2D map, float lastLevel) {
+  vec2 size = vec2(textureSize(map, 0));
+  vec2 across = dFdx(place), down = dFdy(place);
+  float widest = sqrt(max(dot(across * size, across * size), dot(down * size, down * size)));
+  float shrink = min(exp2(lastLevel) / max(widest, 1e-9), 1.0);
+  return textureGrad(map, place, across * shrink, down * shrink);
 }`;
 
-/** Return a target for samples; `mapped` ones carry their material. */
-export function sampleTarget(width: number, height: number, mapped: boolean): WebGLRenderTarget {
+/** Return the look-up of a texture; one with a single version needs no derivatives. */
+function lookUp(map: string, texture: Texture | null, leastSize: number): string {
+  const { width } = (texture?.image ?? { width: 1 }) as { readonly width: number };
+  const lastLevel = Math.floor(Math.log2(width / leastSize));
+  return lastLevel < 1 ? `textureLod(${map}, place, 0.0)` : `mapAt(${map}, ${lastLevel}.0)`;
+}
+
+const texels = `
+uniform sampler2DArray surface;
+uniform vec4 materialScales[2];
+uniform vec4 materialOffsets[2];
+vec4 planesAt(int layer) {
+  return materialOffsets[layer] + materialScales[layer] * texture(surface, vec3(place, float(layer)));
+}`;
+
+const mappedMaterial = (textures: BundleTextures): string => `
+  albedo = ${lookUp("albedoMap", textures.albedoMap, textures.transport.size)}.rgb;
+  rest = ${lookUp("packedMap", textures.packedMap, textures.transport.size)}.gb;`;
+
+const texelMaterial = `
+  vec4 low = planesAt(0), high = planesAt(1);
+  albedo = low.rgb;
+  rest = vec2(low.a, high.x);`;
+
+// As `BakedScene.normals_at` in Python.
+const framedNormal = (textures: BundleTextures): string => `
+  vec3 n = normalize(upright), t = normalize(along.xyz);
+  vec3 b = normalize(sign(along.w) * cross(n, t));
+  vec3 local = 2.0 * ${lookUp("normalMap", textures.normalMap, textures.transport.size)}.xyz - 1.0;
+  vec3 normal = normalize(local.x * t + local.y * b + local.z * n);`;
+
+const texelNormal = `
+  vec3 normal = planesAt(1).yzw;
+  normal /= max(length(normal), 1e-12);`;
+
+/**
+ * A sample: its place in the atlas in two halves of 16 bits; the bits of the distance, zero where nothing is; 16 bits
+ * for each channel of linear albedo, 8 for roughness, 8 for metalness. Beside it the normal in two halves, octahedral.
+ */
+function fragment(textures: BundleTextures): string {
+  const mapped = textures.albedoMap !== null;
+  const framed = textures.normalMap !== null;
+  return `${glsl.header}
+in vec2 place;
+in vec3 world;
+${framed ? "in vec3 upright;\nin vec4 along;" : ""}
+layout(location = 0) out uvec4 result;
+layout(location = 1) out uvec4 facing;
+uniform vec3 cameraPosition;
+${mapped ? `uniform sampler2D albedoMap;\nuniform sampler2D packedMap;${mapAt}` : ""}
+${framed ? "uniform sampler2D normalMap;" : texels}
+vec2 folded(vec3 n) {
+  vec2 at = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
+  vec2 away = vec2(at.x >= 0.0 ? 1.0 : -1.0, at.y >= 0.0 ? 1.0 : -1.0);
+  return n.z >= 0.0 ? at : (1.0 - abs(at.yx)) * away;
+}
+void main() {
+  vec3 albedo;
+  vec2 rest;
+  ${mapped ? mappedMaterial(textures) : texelMaterial}
+  ${framed ? framedNormal(textures) : texelNormal}
+  uvec2 bytes = uvec2(round(clamp(rest, 0.0, 1.0) * 255.0));
+  result = uvec4(
+    packUnorm2x16(place),
+    floatBitsToUint(length(cameraPosition - world)),
+    packUnorm2x16(albedo.rg),
+    (packUnorm2x16(vec2(albedo.b, 0.0)) & 0xffffu) | bytes.x << 16 | bytes.y << 24
+  );
+  facing = uvec4(packSnorm2x16(folded(normal)), 0u, 0u, 0u);
+}`;
+}
+
+/** Return a target for samples. */
+export function sampleTarget(width: number, height: number): WebGLRenderTarget {
   const target = new WebGLRenderTarget(width, height, {
-    format: mapped ? RGBAIntegerFormat : RGIntegerFormat,
+    count: 2,
+    format: RGBAIntegerFormat,
     type: UnsignedIntType,
     minFilter: NearestFilter,
     magFilter: NearestFilter,
   });
-  target.texture.internalFormat = mapped ? "RGBA32UI" : "RG32UI";
+  const [sample, facing] = target.textures;
+  sample!.internalFormat = "RGBA32UI";
+  facing!.format = RedIntegerFormat as PixelFormat;
+  facing!.internalFormat = "R32UI";
   return target;
 }
 
@@ -80,16 +144,24 @@ export class Surface {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(mesh.positionsXyz, 3));
     geometry.setAttribute("uv", new BufferAttribute(mesh.uv, 2));
+    const framed = textures.normalMap !== null;
+    if (framed) {
+      geometry.setAttribute("normal", new BufferAttribute(mesh.frames!.normalsXyz, 3));
+      geometry.setAttribute("tangent", new BufferAttribute(mesh.frames!.tangentsXyzw, 4));
+    }
     geometry.setIndex(new BufferAttribute(mesh.indices, 1));
+    const { material } = textures.transport;
     const program = new RawShaderMaterial({
       glslVersion: GLSL3,
-      vertexShader: vertex,
-      fragmentShader: fragment(textures.albedoMap !== null),
+      vertexShader: vertex(framed),
+      fragmentShader: fragment(textures),
       uniforms: {
-        texelPlane: { value: textures.texelPlane },
         albedoMap: { value: textures.albedoMap },
         packedMap: { value: textures.packedMap },
-        lastLevel: { value: textures.lastLevel },
+        normalMap: { value: textures.normalMap },
+        surface: { value: textures.surface },
+        materialScales: { value: normalisedScales(material) },
+        materialOffsets: { value: material.offsets },
       },
       side: DoubleSide,
       blending: NoBlending,

@@ -8,14 +8,16 @@ import {
   WebGLRenderTarget,
 } from "three";
 
-/** Return a target of RGBA half floats without depth, read by its nearest pixel unless `filter` says otherwise. */
+/** Return a target of `count` RGBA half floats without depth, read by its nearest pixel unless `filter` says otherwise. */
 export function halfFloatTarget(
   width: number,
   height: number,
   filter: MagnificationTextureFilter = NearestFilter,
+  count = 1,
 ): WebGLRenderTarget {
   return new WebGLRenderTarget(width, height, {
     ...{ format: RGBAFormat, type: HalfFloatType, minFilter: filter, magFilter: filter },
     depthBuffer: false,
+    count,
   });
 }

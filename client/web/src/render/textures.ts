@@ -26,6 +26,9 @@ import { ggxBands, numLobeSteps } from "../engine/lobes.js";
 import { tableSide } from "../engine/splitSum.js";
 import type { PreparedLight } from "../light/prepare.js";
 
+/** Most looks along the longer side of a pixel's footprint. */
+const anisotropy = 4;
+
 function ready<T extends Texture>(texture: T, internal: T["internalFormat"]): T {
   texture.internalFormat = internal;
   texture.needsUpdate = true;
@@ -39,39 +42,80 @@ function planes(table: PlaneTable): DataArrayTexture {
   return ready(texture, "RGBA8I");
 }
 
-function numbers(data: Uint32Array<ArrayBuffer>, width: number): DataTexture {
-  const format = RedIntegerFormat as PixelFormat;
-  return ready(new DataTexture(data, width, data.length / width, format, UnsignedIntType), "R32UI");
+function numbers(data: Uint32Array<ArrayBuffer>, width: number, channels: 1 | 4 = 1): DataTexture {
+  const format = (channels === 1 ? RedIntegerFormat : RGBAIntegerFormat) as PixelFormat;
+  const rows = data.length / (channels * width);
+  return ready(
+    new DataTexture(data, width, rows, format, UnsignedIntType),
+    channels === 1 ? "R32UI" : "RGBA32UI",
+  );
+}
+
+/**
+ * Planes laid out as the atlas, its gutters filled with the nearest covered texel, for filtering by the hardware: a
+ * value is offset + 127 scale times what is looked up.
+ */
+function atlasPlanes(table: PlaneTable, { texelPlane, size }: PackedTransport): DataArrayTexture {
+  const places = size * size;
+  const data = new Int8Array(4 * places * table.layers);
+  const from = new Int32Array(table.steps.buffer);
+  const to = new Int32Array(data.buffer);
+  for (let layer = 0; layer < table.layers; layer++) {
+    const [start, first] = [layer * table.rows * tableWidth, layer * places];
+    for (let place = 0; place < places; place++) to[first + place] = from[start + texelPlane[place]!]!;
+  }
+  const texture = new DataArrayTexture(data, size, size, table.layers);
+  texture.format = RGBAFormat;
+  texture.type = ByteType;
+  texture.minFilter = LinearFilter;
+  texture.magFilter = LinearFilter;
+  return ready(texture, "RGBA8_SNORM");
+}
+
+/** Return scales for what the hardware makes of signed bytes, -1 to 1. */
+export function normalisedScales({ scales }: PlaneTable): Float32Array<ArrayBuffer> {
+  return scales.map((value) => 127 * value);
+}
+
+/** Return the longest side of the textures that a transport's tables become; they cannot be made smaller. */
+export function longestSide({ size, direct, visibility, indirect, material }: PackedTransport): number {
+  const rows = [direct, visibility, indirect, material].map((table) => table.rows);
+  return Math.max(tableWidth, size, ...rows);
 }
 
 /** Textures of one bundle, independent of the light. */
 export class BundleTextures {
   readonly direct: DataArrayTexture;
+  /** As the atlas, filtered. */
   readonly visibility: DataArrayTexture;
   readonly indirect: DataArrayTexture;
   readonly material: DataArrayTexture;
+  /** The materials as the atlas, filtered; null where the mesh's textures are the materials and the normals. */
+  readonly surface: DataArrayTexture | null = null;
   readonly texelPlane: DataTexture;
-  readonly coarseOfTexel: DataTexture;
+  readonly blocksAround: DataTexture;
   readonly shadowBits: DataArrayTexture | null = null;
   readonly lobeTable: DataTexture;
   readonly uncertainty: Data3DTexture | null = null;
-  /** The mesh's albedo, linear when it is looked up, with smaller versions. */
+  /** The mesh's albedo, linear when it is looked up; as the next two with smaller versions. */
   readonly albedoMap: Texture | null = null;
   readonly packedMap: Texture | null = null;
-  /** The smallest version of the albedo whose charts lie apart. */
-  readonly lastLevel: number = 0;
+  readonly normalMap: Texture | null = null;
 
   constructor(
     readonly transport: PackedTransport,
     grid: UncertaintyGrid | null,
     maps: MaterialMaps | null,
+    framed: boolean,
+    /** Texels along a side of the largest texture that the graphics card takes. */
+    largestSide: number,
   ) {
     this.direct = planes(transport.direct);
-    this.visibility = planes(transport.visibility);
+    this.visibility = atlasPlanes(transport.visibility, transport);
     this.indirect = planes(transport.indirect);
     this.material = planes(transport.material);
     this.texelPlane = numbers(transport.texelPlane, transport.size);
-    this.coarseOfTexel = numbers(transport.coarseOfTexel, tableWidth);
+    this.blocksAround = numbers(transport.blocksAround, tableWidth, 4);
     if (transport.shadowBits !== null) {
       const rows = tableRows(transport.numTexels);
       const bits = new DataArrayTexture(transport.shadowBits, tableWidth, rows, 2);
@@ -82,13 +126,13 @@ export class BundleTextures {
     this.lobeTable = lobeTexture(transport.visibility.bands);
     if (grid !== null) this.uncertainty = gridTexture(grid);
     if (maps !== null) {
-      this.albedoMap = pictureTexture(maps.albedo);
+      const albedo = fitted(maps.albedo, largestSide);
+      this.albedoMap = pictureTexture(albedo);
       this.albedoMap.colorSpace = SRGBColorSpace;
-      this.albedoMap.generateMipmaps = true;
-      this.albedoMap.minFilter = LinearMipmapLinearFilter;
-      this.packedMap = pictureTexture(maps.packed);
-      this.lastLevel = Math.max(0, Math.floor(Math.log2(maps.albedo.width / transport.size)));
+      this.packedMap = pictureTexture(fitted(maps.packed, largestSide));
+      if (framed) this.normalMap = pictureTexture(fitted(maps.normal, largestSide));
     }
+    if (this.normalMap === null) this.surface = atlasPlanes(transport.material, transport);
   }
 
   /** All of them. */
@@ -112,12 +156,29 @@ function lobeTexture(bands: number): DataTexture {
   return ready(new DataTexture(data, numLobeSteps, rows, RGBAFormat, FloatType), "RGBA32F");
 }
 
+/**
+ * Return a picture halved until no side has more than `largest` pixels: means over 2 x 2 pixels of its levels as they
+ * are encoded. three.js would make it smaller too, but would not say so, and the smallest version that may be looked up belongs to the
+ * picture's size.
+ */
+export function fitted(picture: ImageBitmap, largest: number): ImageBitmap {
+  let found = picture;
+  while (Math.max(found.width, found.height) > largest) {
+    const [width, height] = [Math.ceil(found.width / 2), Math.ceil(found.height / 2)];
+    const canvas = new OffscreenCanvas(width, height);
+    canvas.getContext("2d")!.drawImage(found, 0, 0, width, height);
+    found = canvas.transferToImageBitmap();
+  }
+  return found;
+}
+
 function pictureTexture(picture: ImageBitmap): Texture {
   const texture = new Texture(picture);
   texture.flipY = false;
-  texture.generateMipmaps = false;
-  texture.minFilter = LinearFilter;
+  texture.generateMipmaps = true;
+  texture.minFilter = LinearMipmapLinearFilter;
   texture.magFilter = LinearFilter;
+  texture.anisotropy = anisotropy;
   texture.needsUpdate = true;
   return texture;
 }

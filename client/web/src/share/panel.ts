@@ -1,9 +1,11 @@
 /** Share links for one bundle. */
 
 import { button } from "../page/actions.js";
+import { linkWithView } from "../page/addresses.js";
 import { h } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
 import type { Api, Share } from "../page/rest.js";
+import { elementSnippet, frameSnippet, originsIn } from "./snippets.js";
 
 /** The callbacks of the panel. */
 export type ShareContext = {
@@ -21,11 +23,6 @@ const lifetimes: readonly [string, number][] = [
   ["one year", 365 * dayS],
 ];
 
-/** Return the address of a link with parameters of a view behind its secret. */
-export function linkWithView(url: string, view: string): string {
-  return view === "" ? url : `${url}&${view}`;
-}
-
 /** Return the panel that creates and revokes links. */
 export function sharePanel(context: ShareContext, bundleId: string): HTMLElement {
   const { api, fail } = context;
@@ -37,6 +34,12 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       h("option", { value: seconds, selected: seconds === 7 * dayS }, name),
     ),
   );
+  const sites = h("input", {
+    id: "sites",
+    type: "text",
+    placeholder: "https://shop.example",
+    maxlength: 2000,
+  });
   const list = h("ul", { class: "shares", "aria-label": "Links" });
   const news = h("p", { class: "faint", role: "status" });
 
@@ -62,17 +65,32 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       await navigator.clipboard.writeText(address.value);
       news.textContent = "The link is copied.";
     });
+    const put = (text: string, what: string) => async (): Promise<void> => {
+      if (!(await copied(text))) throw new Error(`This page cannot use the clipboard. Copy it here: ${text}`);
+      news.textContent = `The HTML of ${what} is copied.`;
+    };
+    const view = (): string => context.view?.() ?? "";
+    const origins = share.frame_ancestors ?? [];
+    const embedding =
+      origins.length === 0
+        ? []
+        : [
+            h("span", { class: "faint" }, `may be shown on ${origins.join(", ")}`),
+            button("Copy a frame", context, () => put(frameSnippet(share, view()), "a frame")()),
+            button("Copy the element", context, () => put(elementSnippet(share, view()), "the element")()),
+          ];
     const revoke = button("Take back", context, async () => {
       await api.revokeShare(share.id);
       news.textContent = "The link no longer works.";
       await load();
     });
     revoke.setAttribute("aria-label", `Take back the link that expires ${ends}`);
-    return h("li", {}, address, h("span", { class: "faint" }, `expires ${ends}`), copy, revoke);
+    const expires = h("span", { class: "faint" }, `expires ${ends}`);
+    return h("li", {}, address, expires, copy, revoke, ...embedding);
   }
 
   const make = button("Make a link", context, async () => {
-    const share = await api.createShare(bundleId, Number(lifetime.value));
+    const share = await api.createShare(bundleId, Number(lifetime.value), originsIn(sites.value));
     await load();
     news.textContent = (await copied(linkOf(share)))
       ? "The link was created and copied."
@@ -87,7 +105,15 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       { class: "faint" },
       "Anyone with the link can see this one object and nothing else until it expires.",
     ),
-    h("div", { class: "actions" }, h("label", { for: "lifetime" }, "It works for"), lifetime, make),
+    h(
+      "div",
+      { class: "actions" },
+      h("label", { for: "lifetime" }, "It expires after"),
+      lifetime,
+      h("label", { for: "sites" }, "Sites that may show it"),
+      sites,
+      make,
+    ),
     news,
     list,
   );

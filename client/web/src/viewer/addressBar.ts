@@ -17,7 +17,7 @@ export function followAddress(viewer: Viewer, signal: AbortSignal, page: Page = 
   let dirty = false;
   const write = (): void => {
     dirty = false;
-    const link = linkOf(viewer, page.location.href);
+    const link = linkOf(viewer, page.location.href, true);
     if (link !== page.location.href) page.history.replaceState(null, "", link);
   };
   const follow = (): void => {

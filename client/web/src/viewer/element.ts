@@ -1,38 +1,63 @@
 /** `<lambent-viewer>`: a bundle on any page. Documented in docs/reference/web-viewer.md. */
 
 import type { BundleOrigin } from "../bundle/source.js";
-import type { ViewCamera } from "../render/looks.js";
 import type { FilmCallbacks } from "../film/film.js";
 import type { FilmPlan } from "../film/plan.js";
+import { Fault } from "../page/fault.js";
+import type { ViewCamera } from "../render/looks.js";
 import { Interface } from "./interface.js";
-import { firstState, fromParameters, toParameters, type ViewerState } from "./state.js";
+import { Poster } from "./poster.js";
+import { type Guest, seats } from "./seats.js";
+import { firstState, fromParameters, initialState, toParameters, type ViewerState } from "./state.js";
+import { viewerSheet } from "./styles.js";
 import { Viewer } from "./viewer.js";
 
-/** The element. Attributes: `src`, `state`, `controls`, `alt`. */
+type Source = string | Blob | ReadonlyMap<string, Blob>;
+
+/** How far outside of the window a lazy element begins to load. */
+const nearMargin = "25%";
+
+/** The element. Attributes: `src`, `state`, `controls`, `alt`, `poster`, `loading`, `reveal`, `fullpage`. */
 export class LambentViewerElement extends HTMLElement {
-  static readonly observedAttributes = ["src", "state", "alt"];
+  static readonly observedAttributes = ["src", "state", "alt", "poster"];
   #viewer: Viewer | null = null;
   #interface: Interface | null = null;
   #ready: Promise<void> = Promise.resolve();
+  /** Takes the promise of what is shown, where it was promised before anything was opened. */
+  #promised: ((shown: Promise<void>) => void) | null = null;
+  /** Kept while nothing is drawn. */
+  #state: ViewerState = initialState;
+  #source: Source | null = null;
+  /** Whether it may load: it is near the window, or need not be, and someone asked for it, or need not. */
+  #wanted = false;
+  #films = 0;
+  #near: IntersectionObserver | null = null;
+  readonly #poster = new Poster(() => this.reveal());
+  readonly #guest: Guest = {
+    wake: () => this.#wake(),
+    rest: () => this.#rest(),
+    isBusy: () => this.#films > 0 || (this.#viewer?.lights.mapNames.length ?? 0) > 0,
+  };
 
   /** Resolves when the bundle of `src` is shown; rejects where it cannot be. */
   get ready(): Promise<void> {
     return this.#ready;
   }
 
-  /** The renderer; null while the element is not in a document. */
+  /** The renderer; null while the element draws nothing. */
   get viewer(): Viewer | null {
     return this.#viewer;
   }
 
   /** The state as one plain value. */
   get state(): ViewerState {
-    return this.#open().state;
+    return this.#viewer?.state ?? this.#state;
   }
 
   /** Change what is shown; resolves when a new light is there. */
   async update(change: Partial<ViewerState>): Promise<void> {
-    await this.#open().update(change);
+    if (this.#viewer !== null) await this.#viewer.update(change);
+    else this.#state = { ...this.#state, ...change };
   }
 
   /** The state as parameters of an address. */
@@ -40,13 +65,21 @@ export class LambentViewerElement extends HTMLElement {
     return toParameters(this.state).toString();
   }
 
+  /** Draw, where only the poster was shown. */
+  reveal(): void {
+    this.#want(true);
+    seats.use(this.#guest);
+  }
+
   /** Show a bundle: an address, a .relight.zip, or the files of a folder by their paths. */
-  async show(source: string | Blob | ReadonlyMap<string, Blob>): Promise<void> {
-    const viewer = this.#open();
-    const shown = viewer.open(originOf(source));
-    this.#ready = shown;
-    const again = (): void => void this.#follow(this.show(source));
-    await this.#interface!.during(shown, again);
+  async show(source: Source): Promise<void> {
+    if (this.#near === null) throw new Error("<lambent-viewer> is in no document");
+    this.#source = source;
+    if (this.#viewer !== null) this.#show(source);
+    // This shows it, too.
+    else this.reveal();
+    if (this.#viewer === null) throw new Error("all viewers of this page are busy");
+    await this.#ready;
   }
 
   /** Light the object with the bytes of an .hdr or .exr map. */
@@ -69,59 +102,184 @@ export class LambentViewerElement extends HTMLElement {
   /** Return a film of one turn of the camera, the light, or both, as MP4 or WebM; every frame of it is complete. */
   async film(options: Partial<FilmPlan> & FilmCallbacks = {}): Promise<Blob> {
     const viewer = this.#open();
-    const { makeFilm } = await import("../film/film.js");
-    return makeFilm(viewer, options, options);
+    this.#films++;
+    try {
+      const { makeFilm } = await import("../film/film.js");
+      return await makeFilm(viewer, options, options);
+    } finally {
+      this.#films--;
+    }
   }
 
   connectedCallback(): void {
-    if (this.#viewer !== null) return;
+    if (this.#near !== null) return;
     const root = this.shadowRoot ?? this.attachShadow({ mode: "open" });
-    const canvas = document.createElement("canvas");
-    this.#viewer = new Viewer(canvas);
-    this.#interface = new Interface(root, this, this.#viewer);
+    root.adoptedStyleSheets = [viewerSheet()];
+    this.#poster.source(this.getAttribute("poster"));
+    root.append(this.#poster.element);
+    this.#source = this.getAttribute("src") || this.#source;
     const state = this.getAttribute("state");
-    if (state !== null) this.#setState(state, true);
-    const source = this.getAttribute("src");
-    if (source) void this.#follow(this.show(source));
+    if (state !== null) {
+      const parameters = new URLSearchParams(state);
+      // What was shown before the element was taken out stays where the attribute says nothing.
+      const from = this.#state === initialState ? firstState(parameters) : this.#state;
+      this.#state = fromParameters(parameters, from);
+    }
+    if (this.#source !== null) {
+      this.#ready = new Promise((resolve) => {
+        this.#promised = resolve;
+      });
+      this.#ready.catch(() => {}); // Nobody may be waiting; the message tells of it.
+    }
+    const [lazy, manual] = [
+      this.getAttribute("loading") === "lazy",
+      this.getAttribute("reveal") === "manual",
+    ];
+    this.#near = new IntersectionObserver(
+      (entries) => {
+        const near = entries.at(-1)!.isIntersecting;
+        if (near && !manual) this.#want(true);
+        seats.look(this.#guest, near);
+      },
+      { rootMargin: nearMargin },
+    );
+    this.#near.observe(this);
+    if (lazy || manual) this.#poster.show(manual, this.#label);
+    else this.#want(isInWindow(this));
   }
 
   disconnectedCallback(): void {
-    this.#interface?.dispose();
-    this.#viewer?.dispose();
-    this.#interface = null;
-    this.#viewer = null;
+    this.#near?.disconnect();
+    this.#near = null;
+    this.#wanted = false;
+    if (this.#viewer !== null) this.#state = this.#viewer.state;
+    this.#close();
+    seats.leave(this.#guest);
     this.shadowRoot?.replaceChildren();
   }
 
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
-    if (this.#viewer === null || before === value) return;
-    if (name === "src" && value) void this.#follow(this.show(value));
-    if (name === "state" && value !== null) this.#setState(value);
+    if (this.#near === null || before === value) return;
+    if (name === "poster") this.#poster.source(value);
     if (name === "alt") this.#interface?.describe();
+    if (name === "state" && value !== null) {
+      const next = fromParameters(new URLSearchParams(value), this.state);
+      void this.#follow(this.update(next));
+    }
+    if (name !== "src" || !value) return;
+    this.#source = value;
+    if (this.#viewer !== null) this.#show(value);
+  }
+
+  get #label(): string {
+    return this.getAttribute("alt") ?? "Relightable object";
+  }
+
+  /** Draw from now on, if there is a seat. */
+  #want(visible: boolean): void {
+    if (this.#wanted || this.#near === null) return;
+    this.#wanted = true;
+    seats.join(this.#guest, visible);
+    // All seats are taken by others that are seen.
+    if (this.#viewer === null) this.#poster.show(true, this.#label);
+  }
+
+  #wake(): void {
+    const root = this.shadowRoot!;
+    const viewer = new Viewer(document.createElement("canvas"));
+    this.#viewer = viewer;
+    this.#interface = new Interface(root, this, viewer);
+    // The progress is above it.
+    root.querySelector(".welcome")!.before(this.#poster.element);
+    this.#poster.show(false, this.#label);
+    this.#tellOf(viewer);
+    void this.#follow(viewer.update(this.#state));
+    if (this.#source !== null) this.#show(this.#source);
+    else this.#poster.hide();
+  }
+
+  /** Give the graphics context back; the last picture stays. */
+  #rest(): void {
+    const viewer = this.#viewer!;
+    this.#state = viewer.state;
+    if (viewer.bundle !== null) {
+      viewer.drawNow(2);
+      this.#poster.keep(viewer.canvas);
+    }
+    this.#close();
+    this.shadowRoot?.replaceChildren(this.#poster.element);
+    this.#poster.show(true, this.#label);
+  }
+
+  #close(): void {
+    this.#interface?.dispose();
+    this.#viewer?.dispose();
+    this.#interface = null;
+    this.#viewer = null;
+  }
+
+  #show(source: Source): void {
+    const viewer = this.#viewer!;
+    const shown = viewer.open(originOf(source));
+    if (this.#promised === null) this.#ready = shown;
+    this.#promised?.(shown);
+    this.#promised = null;
+    void this.#follow(
+      this.#interface!.during(shown, () => this.#show(source)),
+      true,
+    );
+  }
+
+  /** Pass what happens on as events of the element. */
+  #tellOf(viewer: Viewer): void {
+    let { pose, turn, environment } = this.#state;
+    viewer.on("progress", (readBytes, totalBytes) => this.#tell("progress", { readBytes, totalBytes }));
+    viewer.on("load", ({ name }) => this.#tell("load", { name }));
+    viewer.on("draw", () => {
+      if (!this.#poster.element.hidden) this.#poster.hide();
+    });
+    viewer.on("change", () => {
+      const now = viewer.state;
+      if (now.pose !== pose) this.#tell("camera-change", { pose: now.pose });
+      if (now.turn !== turn || now.environment !== environment) {
+        this.#tell("light-change", { environment: now.environment, turn: now.turn });
+      }
+      ({ pose, turn, environment } = now);
+    });
+  }
+
+  #tell(name: string, detail: unknown): void {
+    this.dispatchEvent(new CustomEvent(name, { detail }));
   }
 
   #open(): Viewer {
+    if (this.#viewer === null && this.isConnected) {
+      throw new Error("<lambent-viewer> shows its poster; call reveal(), and wait for `ready`");
+    }
     if (this.#viewer === null) throw new Error("<lambent-viewer> is in no document");
     return this.#viewer;
   }
 
-  /** Show the state of an address; `fresh` where nothing was shown before it, so that its version says the rest. */
-  #setState(text: string, fresh = false): void {
-    const parameters = new URLSearchParams(text);
-    void this.#follow(this.update(fromParameters(parameters, fresh ? firstState(parameters) : this.state)));
-  }
-
-  /** Show errors of calls whose result is not awaited. */
-  async #follow(work: Promise<void>): Promise<void> {
+  /** Show errors of calls whose result is not awaited; with `opening`, the poster cannot stay. */
+  async #follow(work: Promise<void>, opening = false): Promise<void> {
     try {
       await work;
     } catch (error) {
+      if (error instanceof DOMException && error.name === "AbortError") return;
+      if (opening) this.#poster.hide();
       this.#interface?.problem(error);
+      const message = error instanceof Error ? error.message : String(error);
+      this.#tell("error", { code: error instanceof Fault ? error.code : "viewer.failed", message });
     }
   }
 }
 
-function originOf(source: string | Blob | ReadonlyMap<string, Blob>): BundleOrigin {
+function isInWindow(element: HTMLElement): boolean {
+  const { top, bottom } = element.getBoundingClientRect();
+  return bottom >= 0 && top <= innerHeight;
+}
+
+function originOf(source: Source): BundleOrigin {
   if (typeof source === "string") return { kind: "url", url: new URL(source, document.baseURI).href };
   return source instanceof Blob ? { kind: "archive", file: source } : { kind: "files", files: source };
 }

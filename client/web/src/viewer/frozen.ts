@@ -1,7 +1,8 @@
 /** One state of a viewer, drawn whatever is shown. */
 
 import { Fault } from "../page/fault.js";
-import type { Side } from "../render/stage.js";
+import type { ViewCamera } from "../render/looks.js";
+import type { Side, Stage } from "../render/stage.js";
 import type { ViewerState } from "./state.js";
 
 /** Draws a state with changes; returns RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
@@ -12,8 +13,30 @@ export type Frozen = (
   samples: number,
 ) => Uint8ClampedArray<ArrayBuffer>;
 
-/** Return the fault of a state that can no longer be drawn. */
-export function interrupted(): Fault {
+/** Return what draws `state` on a stage; it throws `film.interrupted` when the stage shows something else. */
+export function freeze(
+  stage: Stage,
+  cameraOf: (width: number, height: number, state: ViewerState) => ViewCamera,
+  isClosed: () => boolean,
+  state: ViewerState,
+): Frozen {
+  const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
+  const first = held();
+  const isLost = (): boolean => isClosed() || stage.renderer.getContext().isContextLost();
+  return (change, width, height, samples) => {
+    if (isLost() || held().some((each, index) => each !== first[index])) throw interrupted();
+    const now = { ...state, ...change };
+    const { overlay } = stage;
+    // A refined picture is of one camera only.
+    stage.overlay = null;
+    const pixels = stage.readBytes(cameraOf(width, height, now), sidesOf(now), samples);
+    stage.overlay = overlay;
+    if (isLost()) throw interrupted();
+    return pixels;
+  };
+}
+
+function interrupted(): Fault {
   return new Fault(
     "film.interrupted",
     "another bundle or light was shown, or the graphics card was lost, before the film was complete",

@@ -137,6 +137,12 @@ export class Interface {
       },
     };
     listenToOrbit(orbit, signal);
+    // A page keeps its scrolling until someone uses the picture.
+    const guard = (event: WheelEvent): void => {
+      const isUsed = event.ctrlKey || this.host.shadowRoot?.activeElement === canvas;
+      if (!isUsed && !this.host.hasAttribute("fullpage")) event.stopPropagation();
+    };
+    this.#view.addEventListener("wheel", guard, { signal, capture: true, passive: true });
     const size = new ResizeObserver(() => {
       this.viewer.invalidate();
       this.#show();
@@ -246,7 +252,7 @@ export class Interface {
   }
 
   async #copyLink(): Promise<void> {
-    const link = linkOf(this.viewer, location.href);
+    const link = linkOf(this.viewer, location.href, this.host.hasAttribute("fullpage"));
     try {
       await navigator.clipboard.writeText(link);
       this.#tell("The link is on the clipboard.", false);

@@ -8,6 +8,7 @@ defineViewer();
 const parameters = new URLSearchParams(location.hash.slice(1));
 const element = document.createElement("lambent-viewer") as LambentViewerElement;
 element.setAttribute("controls", "");
+element.setAttribute("fullpage", "");
 element.setAttribute("state", parameters.toString());
 const source = parameters.get("src") ?? new URLSearchParams(location.search).get("src");
 if (source !== null) element.setAttribute("src", source);

@@ -5,9 +5,12 @@ const text = `
   font: 0.9rem/1.4 system-ui, sans-serif; overflow: hidden; container-type: size; color-scheme: dark; }
 * { box-sizing: border-box; }
 .view { position: absolute; inset: 0; }
-canvas { position: absolute; inset: 0; width: 100%; height: 100%; touch-action: none; cursor: grab; display: block; }
+canvas { position: absolute; inset: 0; width: 100%; height: 100%; touch-action: pan-y !important; cursor: grab; display: block; }
+:host([fullpage]) canvas { touch-action: none !important; }
 canvas:active { cursor: grabbing; }
-:host([data-background=transparent]) canvas { background: repeating-conic-gradient(#26292d 0 25%, #1d2023 0 50%) 0 0 / 24px 24px; }
+:host([data-background=transparent]:not([fullpage])) { background: none; }
+:host([data-background=transparent]:not([fullpage])) .welcome { background: #17191c; }
+:host([fullpage][data-background=transparent]) canvas { background: repeating-conic-gradient(#26292d 0 25%, #1d2023 0 50%) 0 0 / 24px 24px; }
 :focus-visible { outline: 3px solid #8ec7ff; outline-offset: 2px; }
 canvas:focus-visible { outline-offset: -4px; }
 .panel { position: absolute; top: 0.75rem; right: 0.75rem; width: 21rem; max-height: calc(100% - 1.5rem); overflow: auto;
@@ -27,6 +30,11 @@ input[type=color] { padding: 0.1rem; }
 button { cursor: pointer; }
 button:hover { background: #394049; }
 .buttons { display: grid; grid-template-columns: 1fr 1fr; gap: 0.45rem; }
+.poster { position: absolute; inset: 0; display: grid; place-items: center; }
+.poster > img, .poster > canvas { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; cursor: auto; background: none !important; }
+.poster > button { position: relative; width: auto; min-height: 2.75rem; padding: 0 1.2rem; background: rgb(24 27 31 / 94%); }
+.poster:not([hidden], [data-asks]) ~ .welcome { background: none !important; align-content: end; }
+.poster:not([hidden], [data-asks]) ~ .welcome > :not(progress) { display: none; }
 .message { position: absolute; left: 0.75rem; bottom: 0.75rem; max-width: min(34rem, calc(100% - 1.5rem)); padding: 0.5rem 0.8rem;
   border-radius: 0.4rem; background: rgb(24 27 31 / 94%); border: 1px solid #4b525b; overflow-wrap: anywhere; }
 .message:empty { display: none; }

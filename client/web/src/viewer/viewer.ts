@@ -2,7 +2,7 @@
 
 import { loadInWorker } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
-import type { BundleOrigin } from "../bundle/source.js";
+import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
 import { MapFault } from "../light/fault.js";
@@ -14,7 +14,7 @@ import type { ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { orbitCamera, photoCamera } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
-import { type Frozen, interrupted, sidesOf } from "./frozen.js";
+import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { mainDirection } from "./turning.js";
 import { ViewerLights } from "./lights.js";
 import { initialState, type ViewerState } from "./state.js";
@@ -68,6 +68,7 @@ export class Viewer {
 
   constructor(readonly canvas: HTMLCanvasElement) {
     canvas.addEventListener("webglcontextlost", (event) => {
+      if (this.#closed) return;
       event.preventDefault();
       this.#tell("message", "The graphics card was taken away; waiting for it to come back.", true);
     });
@@ -83,9 +84,9 @@ export class Viewer {
     return this.#stage?.bundle ?? null;
   }
 
-  /** The id of the bundle that is shown, where it is one of the server that the page came from; else null. */
+  /** The id of the bundle that is shown, where it is one of our own on the server that the page came from; else null. */
   get serverBundle(): string | null {
-    if (this.bundle === null || this.#source?.kind !== "url") return null;
+    if (this.bundle === null || this.#source?.kind !== "url" || secretOf(this.#source.url)) return null;
     return bundleAt(this.#source.url, document.baseURI);
   }
 
@@ -213,21 +214,8 @@ export class Viewer {
    * `film.interrupted` where another bundle or light is shown by then, or the graphics card is gone.
    */
   frozen(state: ViewerState): Frozen {
-    const stage = this.#ready();
-    const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
-    const first = held();
-    return (change, width, height, samples) => {
-      const now = { ...state, ...change };
-      const lost = this.#closed || stage.renderer.getContext().isContextLost();
-      if (lost || held().some((each, index) => each !== first[index])) throw interrupted();
-      const { overlay } = stage;
-      // A refined picture is of one camera only.
-      stage.overlay = null;
-      const pixels = stage.readBytes(this.camera(width, height, now), sidesOf(now), samples);
-      stage.overlay = overlay;
-      if (stage.renderer.getContext().isContextLost()) throw interrupted();
-      return pixels;
-    };
+    const cameraOf = (width: number, height: number, now: ViewerState) => this.camera(width, height, now);
+    return freeze(this.#ready(), cameraOf, () => this.#closed, state);
   }
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
@@ -270,9 +258,11 @@ export class Viewer {
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
     clearTimeout(this.#still);
-    this.#stage?.dispose();
-    this.lights.dispose();
     this.#listeners.clear();
+    this.#stage?.dispose();
+    // Browsers keep few contexts, and would take one away from another picture.
+    this.#stage?.renderer.forceContextLoss();
+    this.lights.dispose();
   }
 
   /** Make what draws, while a bundle is being read. */

@@ -41,7 +41,9 @@ export class Welcome {
     this.#say("Opening the bundle…", "");
     this.#progress.hidden = false;
     this.#progress.removeAttribute("value");
-    this.#bytes.hidden = true;
+    // A line of its own from the start: nothing moves when the first bytes come.
+    this.#bytes.hidden = false;
+    this.#bytes.textContent = "\u00a0";
   }
 
   /** The bundle that is read has a name. */

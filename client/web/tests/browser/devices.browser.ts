@@ -232,3 +232,29 @@ describe("a card without memory", () => {
     await context.close();
   });
 });
+
+describe("a card with small textures", () => {
+  it("is told that the bundle's tables do not fit, with what to do", async () => {
+    const context = await browser.newContext({ viewport: small });
+    await context.addInitScript(() => {
+      const prototype = WebGL2RenderingContext.prototype;
+      const plain = prototype.getParameter;
+      prototype.getParameter = function (this: WebGL2RenderingContext, name: number) {
+        return name === WebGL2RenderingContext.MAX_TEXTURE_SIZE ? 512 : plain.call(this, name);
+      };
+    });
+    const page = await openViewer(context, {}, null);
+    await page.evaluate(() => {
+      document.querySelector("lambent-viewer")!.setAttribute("src", "data/bundle/");
+    });
+    await page.waitForFunction(() =>
+      document
+        .querySelector("lambent-viewer")!
+        .shadowRoot!.querySelector("[data-problem]")
+        ?.textContent?.includes(
+          "takes textures of 512 texels a side, the bundle's tables have 1024; use another device",
+        ),
+    );
+    await context.close();
+  });
+});

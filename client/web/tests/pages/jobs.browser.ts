@@ -204,17 +204,29 @@ describe("a job", () => {
     const link = await page.inputValue(".shares input");
     const stranger = await browser.newContext();
     const guest = await stranger.newPage();
-    await guest.goto(link);
-    await guest.waitForURL(/viewer\.html/);
-    expect(guest.url()).not.toContain("share_");
-    const bundle = decodeURIComponent(/src=([^&]+)/.exec(guest.url())![1]!);
-    const status = (path: string) => guest.evaluate(async (url) => (await fetch(url)).status, path);
+    const policy = (await guest.goto(link))!.headers()["content-security-policy"];
+    expect(policy).toContain("frame-ancestors 'none'");
+    await guest.waitForSelector("lambent-viewer");
+    const source = (await guest.locator("lambent-viewer").getAttribute("src"))!;
+    const [bundle, secret] = [new URL(source).pathname, new URL(source).hash.slice(1)];
+    const status = (path: string) =>
+      guest.evaluate(
+        async ([url, token]) => (await fetch(url, { headers: { authorization: `Bearer ${token}` } })).status,
+        [path, secret] as const,
+      );
     expect(await status(`${bundle}/manifest`)).toBe(200);
     for (const path of ["/v1/jobs", "/v1/bundles", bundle, `/v1/scenes/${scene}`])
       expect(await status(path)).toBe(401);
+    // What a link of before was: a cookie for its bundle's files.
+    await guest.goto(`${server.url}/share.html#${secret}`);
+    await guest.waitForURL(/viewer\.html/);
+    expect(guest.url()).not.toContain("share_");
+    const withCookie = async (path: string) => guest.evaluate(async (url) => (await fetch(url)).status, path);
+    expect(await withCookie(`${bundle}/manifest`)).toBe(200);
+    expect(await withCookie("/v1/jobs")).toBe(401);
     await page.click("text=Take back");
     await page.waitForSelector("text=no longer works");
-    expect(await status(`${bundle}/manifest`)).toBe(401);
+    expect(await withCookie(`${bundle}/manifest`)).toBe(401);
     await guest.goto("about:blank");
     await guest.goto(link);
     await guest.waitForSelector("text=taken back");

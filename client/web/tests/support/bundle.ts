@@ -18,30 +18,38 @@ function bytes(values: ArrayLike<number>): Bytes {
   return Uint8Array.from(values);
 }
 
-/** Return a GLB of one triangle; `pictures` are the files of its base colour, and of its other textures. */
+/**
+ * Return a GLB of one triangle; `pictures` are the files of its base colour, and of its other textures; `frames` are
+ * the numbers of its normals and tangents.
+ */
 export function triangleGlb(
   positions = [0, 0, 0, 1, 0, 0, 0, 1, 0],
   indices = [0, 1, 2],
   pictures: readonly number[][] = [],
+  frames: { readonly normals: readonly number[]; readonly tangents: readonly number[] } | null = null,
 ): Bytes {
   const numbers = Buffer.concat([
     Buffer.from(new Float32Array(positions).buffer),
     Buffer.from(new Float32Array([0, 0, 1, 0, 0, 1]).buffer),
     Buffer.from(new Uint32Array(indices).buffer),
   ]);
-  const data = Buffer.concat([numbers, ...pictures.map((picture) => Buffer.from(picture))]);
+  const shading = frames === null ? [] : [frames.normals, frames.tangents];
+  const floats = shading.map((values) => Buffer.from(new Float32Array(values).buffer));
+  const parts = [...pictures.map((picture) => Buffer.from(picture)), ...floats];
+  const data = Buffer.concat([numbers, ...parts]);
   const views = [
     { buffer: 0, byteOffset: 0, byteLength: 36 },
     { buffer: 0, byteOffset: 36, byteLength: 24 },
     { buffer: 0, byteOffset: 60, byteLength: 12 },
-    ...pictures.map((picture, index) => ({
+    ...parts.map((part, index) => ({
       buffer: 0,
-      byteOffset: numbers.length + pictures.slice(0, index).flat().length,
-      byteLength: picture.length,
+      byteOffset: numbers.length + Buffer.concat(parts.slice(0, index)).length,
+      byteLength: part.length,
     })),
   ];
   const material = {
     pbrMetallicRoughness: { baseColorTexture: { index: 0 }, metallicRoughnessTexture: { index: 1 } },
+    normalTexture: { index: 2 },
   };
   const textured = {
     materials: [material],
@@ -52,8 +60,13 @@ export function triangleGlb(
     { bufferView: 0, componentType: 5126, count: 3, type: "VEC3" },
     { bufferView: 1, componentType: 5126, count: 3, type: "VEC2" },
     { bufferView: 2, componentType: 5125, count: indices.length, type: "SCALAR" },
+    ...shading.map((values, index) => ({
+      ...{ bufferView: 3 + pictures.length + index, componentType: 5126 },
+      ...{ count: Math.floor(values.length / (3 + index)), type: index === 0 ? "VEC3" : "VEC4" },
+    })),
   ];
-  const primitives = [{ attributes: { POSITION: 0, TEXCOORD_0: 1 }, indices: 2 }];
+  const framed = frames === null ? {} : { NORMAL: 3, TANGENT: 4 };
+  const primitives = [{ attributes: { POSITION: 0, TEXCOORD_0: 1, ...framed }, indices: 2 }];
   let text = JSON.stringify({
     meshes: [{ primitives }],
     bufferViews: views,

@@ -12,7 +12,6 @@ import trimesh
 from lambent_relight import BundleError, load_bundle
 from lambent_relight.asset.draco import DRACO, NORMAL_BITS, POSITION_BITS, glb_with_draco
 from lambent_relight.asset.glb import WEBP, glb_with_textures
-from lambent_relight.asset.ktx2 import KTX2
 from lambent_relight.asset.mitsuba import ENVIRONMENT_TO_WORLD
 from lambent_relight.asset.textured_mesh import (
     pixels_of,
@@ -241,48 +240,6 @@ def test_a_mesh_that_draco_does_not_take_is_refused():
     pytest.importorskip("DracoPy", reason="needs the extra `draco`")
     with pytest.raises(BundleError, match=r"bundle\.mesh_invalid.*Draco"):
         glb_with_draco(changed(lambda d: d["meshes"][0]["primitives"][0]["attributes"].pop("TEXCOORD_0")))
-
-
-def stand_in(folder, monkeypatch, script):
-    """Put a program of the name basisu on the PATH."""
-    program = folder / "basisu"
-    program.write_text(f"#!{sys.executable}\n{script}")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(folder))
-
-
-def test_ktx2_textures_are_asked_for_with_their_colour_space(tmp_path, monkeypatch):
-    keep = "import sys, pathlib; a = sys.argv; f = pathlib.Path(a[a.index('-output_file') + 1]); "
-    keep += "f.write_bytes(b'\\xabKTX 20\\xbb\\r\\n\\x1a\\n' + ' '.join(a[1:-4]).encode())"
-    stand_in(tmp_path, monkeypatch, keep)
-    document, payload = glb_chunks(glb_with_textures(DATA, textured_mesh_from_glb(DATA), ktx2=True))
-    assert document["extensionsRequired"] == document["extensionsUsed"] == [KTX2]
-    orders = []
-    for texture in document["textures"]:
-        view = document["bufferViews"][
-            document["images"][texture["extensions"][KTX2]["source"]]["bufferView"]
-        ]
-        orders.append(payload[view["byteOffset"] + 12 : view["byteOffset"] + view["byteLength"]].decode())
-    assert all("-ktx2 -uastc" in order and "-mipmap" in order for order in orders)
-    assert ["-linear" in order for order in orders] == [False, True, True]
-
-
-@pytest.mark.parametrize("script", ["raise SystemExit(3)", "print('out of memory')"])
-def test_a_texture_that_is_not_written_ends_the_export(bundle, tmp_path, monkeypatch, script):
-    stand_in(tmp_path, monkeypatch, script)
-    with pytest.raises(ExportError, match=r"export\.ktx2: basisu did not write"):
-        write_formats(load_bundle(bundle), tmp_path / "out", ["glb"], ktx2=True)
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-def test_without_basisu_and_with_odd_sizes_ktx2_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ExportError, match=r"export\.ktx2_missing.*npm install"):
-        glb_with_textures(DATA, textured_mesh_from_glb(DATA), ktx2=True)
-    stand_in(tmp_path, monkeypatch, "")
-    mesh = replace(textured_mesh_from_glb(DATA), base_colour_png=png_of(np.zeros((30, 30, 3))))
-    with pytest.raises(ExportError, match=r"export\.ktx2_size.*30 x 30"):
-        glb_with_textures(DATA, mesh, ktx2=True)
 
 
 def test_another_library_reads_the_obj_with_y_up_and_its_textures(written):

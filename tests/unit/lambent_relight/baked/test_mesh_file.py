@@ -33,6 +33,26 @@ def test_a_mesh_is_read_as_it_was_written():
     np.testing.assert_array_equal(mesh.uv, UV)
 
 
+def test_normals_and_tangents_are_read_where_there_are_some_and_must_fit():
+    def framed(document):
+        document["accessors"].append({**document["accessors"][0], "bufferView": 0})
+        primitive(document)["attributes"]["NORMAL"] = 3
+
+    def short(document):
+        framed(document)
+        document["accessors"][3]["count"] = 3
+
+    def whole(document):
+        framed(document)
+        document["accessors"][3].update(bufferView=2, componentType=5125, count=2)
+
+    assert mesh_from_glb(changed(lambda _: None)).normals is None
+    np.testing.assert_array_equal(mesh_from_glb(changed(framed)).normals, VERTICES)
+    for spoil in (short, whole):
+        with pytest.raises(BundleError, match="normals or tangents that do not fit"):
+            mesh_from_glb(changed(spoil))
+
+
 def primitive(document):
     return document["meshes"][0]["primitives"][0]
 

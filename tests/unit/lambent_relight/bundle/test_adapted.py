@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -111,6 +112,18 @@ def test_a_picture_says_where_its_bounced_light_came_from(made, caplog):
         renderer.render(camera, SKY, bounces="adapted", **way)
     with pytest.raises(SettingError, match="no adapted caches"):
         Renderer(plain).render(camera, SKY, bounces="adapted", **way)
+
+
+@pytest.mark.parametrize("occlusion", ["mesh", "cache", "auto"])
+def test_a_mesh_that_was_asked_for_in_vain_is_told_once(made, caplog, monkeypatch, occlusion):
+    renderer, camera = Renderer(made[0]), made[0].cameras()[0].resized(4, 4)
+    # The bundle has no mesh; an adapted cache does not look at it.
+    monkeypatch.setattr(renderer, "baked", lambda: SimpleNamespace(traced=None))
+    with caplog.at_level(logging.WARNING, "lambent_relight"):
+        for _ in range(2):
+            way = {"spp": 4, "antialias": 1, "occlusion": occlusion}
+            assert renderer.render(camera, SKY, rotate_deg=30.0, **way).bounces == "adapted:studio"
+    assert caplog.text.count('occlusion="mesh" has no effect') == (occlusion == "mesh")
 
 
 @pytest.mark.parametrize(

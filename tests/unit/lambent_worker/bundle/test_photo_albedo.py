@@ -158,11 +158,20 @@ def test_clipped_pixels_are_left_to_other_photographs(views, fine):
 
 def test_atlases_are_as_fine_as_the_photographs():
     side = BOX.texel_size * BOX.size
-    assert automatic_size(BOX, 0.0) == 1024
-    assert automatic_size(BOX, side / 200) == 1024
-    assert automatic_size(BOX, side / 2048) == 2048
-    assert automatic_size(BOX, side / 3000) == 4096
-    assert automatic_size(BOX, side / 50000) == 8192
+    assert automatic_size(BOX, 0.0, "full") == 1024
+    assert automatic_size(BOX, side / 200, "full") == 1024
+    assert automatic_size(BOX, side / 2048, "lite") == 2048
+    assert automatic_size(BOX, side / 3000, "full") == 4096
+
+
+def test_atlases_are_no_larger_than_a_tier_allows():
+    pixel = BOX.texel_size * BOX.size / 50000
+    sizes = {tier: automatic_size(BOX, pixel, tier) for tier in ("lite", "full", "none")}
+    assert sizes == {"lite": 2048, "full": 4096, "none": 4096}
+
+
+def test_atlases_are_no_coarser_than_transport():
+    assert automatic_size(replace(BOX, size=3000), 0.0, "lite") == 4096
 
 
 def test_each_photograph_is_opened_twice_and_one_at_a_time(views):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from lambent_worker.bundle.atlas import Unwrapped
 from lambent_worker.edited import fine_albedo as module
-from lambent_worker.edited.fine_albedo import MAX_SIZE, albedo_size, fine_albedo
+from lambent_worker.edited.fine_albedo import albedo_size, fine_albedo
 from lambent_worker.edited.glb_file import GivenMesh
 from lambent_worker.edited.glb_maps import Maps
 from support.given_glb import SQUARE, SQUARE_FACES, SQUARE_UV
@@ -85,9 +85,9 @@ def test_a_much_larger_picture_is_averaged_down():
         (((30, 40), (30, 40), (20, 5)), False, 50),
         (((4, 4),), True, 32),
         ((), True, 32),
-        (((MAX_SIZE + 1, 2),), True, MAX_SIZE),
+        (((513, 2),), True, 512),
     ],
 )
 def test_the_size_is_that_of_the_pictures(sides, kept, expected):
     pictures = [maps(np.zeros((*side, 3), np.uint8)) for side in sides]
-    assert albedo_size(given(None, maps(), *pictures), kept_uv=kept, least=32) == expected
+    assert albedo_size(given(None, maps(), *pictures), kept_uv=kept, least=32, most=512) == expected

@@ -1,6 +1,7 @@
 """The folder and the device of a run are there or refused with what to do; a trained run has a bundle."""
 
 import pytest
+from flashcache.config import with_overrides
 from flashcache.errors import ConfigError
 from lambent_worker.errors import UsageError
 from lambent_worker.files import write_json
@@ -62,6 +63,23 @@ def finished_run(tmp_path):
 def test_a_bundle_that_is_there_is_copied_without_our_marks(tmp_path):
     export_run(finished_run(tmp_path), tmp_path / "out", RecordingReporter())
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
+
+
+def test_what_is_to_be_said_of_a_bundle_is_said_when_it_is_copied_too(tmp_path):
+    folder = finished_run(tmp_path)
+    config = with_overrides(kept_run(tmp_path).config, {"export.atlas_size": "2048"})
+    inputs = task_inputs("export", "trained", config, 0)
+    begin_task(folder, "export", inputs)
+    write_json(task_folder(folder, "export") / "manifest.json", {"atlas": {"size": 512}})
+    finish_task(folder, "export", inputs)
+    reporter = RecordingReporter()
+    export_run(folder, tmp_path / "out", reporter, atlas="2048")
+    assert [fields["code"] for fields in reporter.named("finding")] == ["export.atlas_unused"]
+
+
+def test_a_texture_coarser_than_transport_is_refused_and_does_not_make_that_coarser(tmp_path):
+    with pytest.raises(ConfigError, match=r"at least export\.transport_size.*256 and 512"):
+        export_run(finished_run(tmp_path), tmp_path / "out", RecordingReporter(), atlas="256")
 
 
 def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, monkeypatch):

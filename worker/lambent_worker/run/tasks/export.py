@@ -43,6 +43,7 @@ from lambent_worker.errors import WorkerError
 from lambent_worker.files import read_record
 from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.context import TaskContext
+from lambent_worker.run.export_notes import tell_about
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import scene_hash
 from lambent_worker.run.tasks.training import load_final, read_scene
@@ -67,16 +68,19 @@ def run(context: TaskContext) -> None:
     for name in FOLDERS:
         (partial / name).mkdir(parents=True)
     try:
-        write_bundle(context, scene, model, partial)
+        manifest = write_bundle(context, scene, model, partial)
         shutil.rmtree(context.folder, ignore_errors=True)
         partial.rename(context.folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     context.reporter.artifact("asset.glb", context.folder / "mesh" / "asset.glb")
+    tell_about(context.reporter, manifest, context.spec.config.export)
 
 
-def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder: Path) -> None:
-    """Fill `folder`, whose sub-folders exist, with everything a bundle has."""
+def write_bundle(
+    context: TaskContext, scene: Scene, model: InverseModel, folder: Path
+) -> bundle_pb2.BundleManifest:
+    """Fill `folder`, whose sub-folders exist, with everything a bundle has; return its manifest."""
     settings = context.spec.config.export
     box = occupied_box(model)
     _advance(context, 1)
@@ -146,6 +150,7 @@ def write_bundle(context: TaskContext, scene: Scene, model: InverseModel, folder
     write_manifest(folder, manifest, sorted(files))
     _advance(context, NUM_PARTS)
     context.reporter.log("exported", **{name: round(value, 6) for name, value in manifest.metrics.items()})
+    return manifest
 
 
 def _write_surface(
@@ -218,7 +223,8 @@ def _photographed_albedo(
     if finer < FINER:
         context.reporter.log("texture.nothing_finer", finer=round(finer, 3))
         return None, {}
-    size = context.spec.config.export.atlas_size or automatic_size(surface, pixel_size(cameras, box))
+    settings = context.spec.config.export
+    size = settings.atlas_size or automatic_size(surface, pixel_size(cameras, box), settings.transport_tier)
     done = 0
 
     def read_one() -> None:

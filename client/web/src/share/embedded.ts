@@ -1,0 +1,28 @@
+/** The page of a share link, by itself or in a frame of another site. */
+
+import { defineViewer } from "../viewer/element.js";
+import { sharedView } from "./link.js";
+
+const place = document.querySelector("main");
+const framed = window.parent !== window;
+document.documentElement.classList.toggle("framed", framed);
+const bundleId = document.querySelector<HTMLMetaElement>("meta[name=lambent-bundle]")?.content ?? "";
+const shown = sharedView(location, bundleId);
+if ("message" in shown) {
+  const text = document.createElement("p");
+  text.role = "alert";
+  text.textContent = shown.message;
+  place?.classList.add("alone");
+  place?.replaceChildren(text);
+} else {
+  defineViewer();
+  const element = document.createElement("lambent-viewer");
+  element.setAttribute("alt", document.title);
+  element.setAttribute("state", shown.state);
+  element.setAttribute("src", shown.source);
+  element.setAttribute("poster", shown.poster);
+  // In a frame there is seldom room for controls, and the wheel is the page's.
+  element.toggleAttribute("controls", shown.controls ?? !framed);
+  element.toggleAttribute("fullpage", !framed);
+  place?.append(element);
+}

@@ -1,0 +1,37 @@
+/** What the page of a share link shows. */
+
+export type SharedView = {
+  /** The bundle's address, with the secret. */
+  readonly source: string;
+  readonly poster: string;
+  /** Parameters of the view. */
+  readonly state: string;
+  /** Whether there are controls; null where the link does not say. */
+  readonly controls: boolean | null;
+};
+
+/**
+ * Return what to show, or what to tell the visitor: the fragment of the page's address is the secret and, after "&", the
+ * view. `bundleId` comes with the page; it is empty after the end of the link.
+ */
+export function sharedView(
+  { pathname, hash, origin }: Pick<Location, "pathname" | "hash" | "origin">,
+  bundleId: string,
+): SharedView | { readonly message: string } {
+  const [secret = "", view = ""] = hash.replace(/^#/, "").split(/&(.*)/s);
+  if (bundleId === "") {
+    return { message: "This link is invalid, has expired, or was taken back. Ask the sender for a new one." };
+  }
+  if (secret === "")
+    return { message: "This address is incomplete. Open the complete link that you received." };
+  const parameters = new URLSearchParams(view);
+  const controls = parameters.get("controls");
+  parameters.delete("controls");
+  parameters.delete("src");
+  return {
+    source: `${origin}/v1/bundles/${encodeURIComponent(bundleId)}#${secret}`,
+    poster: `${origin}${pathname.replace(/\/$/, "")}/picture`,
+    state: parameters.toString(),
+    controls: controls === null ? null : controls === "1",
+  };
+}
