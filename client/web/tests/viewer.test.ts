@@ -40,8 +40,8 @@ describe("an address", () => {
     expect(fromParameters(new URLSearchParams(toParameters(other).toString()))).toEqual(other);
   });
   it("says nothing of what is as at the start, and nothing of files that are at no address", () => {
-    expect(toParameters(initialState).toString()).toBe("");
-    expect(toParameters({ ...initialState, environment: "file:my.exr" }).toString()).toBe("");
+    expect(toParameters(initialState).toString()).toBe("v=2");
+    expect(toParameters({ ...initialState, environment: "file:my.exr" }).toString()).toBe("v=2");
   });
   it("is kept within limits, and nonsense is ignored", () => {
     const text = "ev=99&camera=1,2&tone=none&rotate=725,0,0&intensity=NaN&split=-1&gain=9,9,9&compare=x";

@@ -18,6 +18,13 @@ export class LightClient {
     return answer.light;
   }
 
+  /** Return a ball in a light, see `ballPicture`; throws MapFault. */
+  async thumbnail(origin: MapOrigin, side: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
+    const answer = await this.#ask({ ask: "thumbnail", origin, side });
+    if (answer.kind !== "thumbnail") throw new Error("another answer than was asked for");
+    return answer.pixels;
+  }
+
   /** Compute the split-sum table. */
   async splitSum(): Promise<Float32Array<ArrayBuffer>> {
     const answer = await this.#ask({ ask: "splitSum" });

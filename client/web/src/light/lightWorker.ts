@@ -4,9 +4,11 @@ import { buffersOf } from "../page/buffers.js";
 import { splitSumTable } from "../engine/splitSum.js";
 import { readExr } from "./exrInput.js";
 import { MapFault, mapTold } from "./fault.js";
-import { type PreparedLight, prepareLight } from "./prepare.js";
+import type { EnvironmentMap } from "../engine/environmentMap.js";
+import { type PreparedLight, prepareLight, usableMap } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { readRgbe } from "./rgbe.js";
+import { ballPicture, smallMap } from "./thumbnail.js";
 
 /** The source of a map; the format is detected from the first bytes. */
 export type MapOrigin =
@@ -22,10 +24,12 @@ export type LightQuestion =
       readonly bands: number;
       readonly dominant: number;
     }
+  | { readonly id: number; readonly ask: "thumbnail"; readonly origin: MapOrigin; readonly side: number }
   | { readonly id: number; readonly ask: "splitSum" };
 
 export type LightAnswer =
   | { readonly id: number; readonly kind: "light"; readonly light: PreparedLight }
+  | { readonly id: number; readonly kind: "thumbnail"; readonly pixels: Uint8ClampedArray<ArrayBuffer> }
   | { readonly id: number; readonly kind: "splitSum"; readonly table: Float32Array<ArrayBuffer> }
   | { readonly id: number; readonly kind: "failed"; readonly code: string; readonly message: string };
 
@@ -42,6 +46,11 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
       answer({ id, kind: "splitSum", table }, [table.buffer]);
       return;
     }
+    if (question.ask === "thumbnail") {
+      const pixels = ballPicture(await openSmallMap(question.origin), question.side);
+      answer({ id, kind: "thumbnail", pixels }, [pixels.buffer]);
+      return;
+    }
     const light = prepareLight(await openMap(question.origin), question.bands, question.dominant);
     answer({ id, kind: "light", light }, buffersOf(light));
   } catch (error) {
@@ -49,9 +58,23 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
   }
 };
 
-async function openMap(origin: MapOrigin) {
+async function openMap(origin: MapOrigin): Promise<EnvironmentMap> {
   if (origin.kind === "preset") return presetMap(origin.name);
-  return decode(origin.kind === "bytes" ? origin.data : await fetched(origin.url));
+  if (origin.kind === "bytes") return decode(origin.data);
+  const map = await decode(await fetched(origin.url));
+  // Its small picture need not be fetched again.
+  small.set(origin.url, smallMap(usableMap(map).map));
+  for (const url of [...small.keys()].slice(0, -mostSmall)) small.delete(url);
+  return map;
+}
+
+/** Small versions of the maps of the addresses that were read last. */
+const small = new Map<string, EnvironmentMap>();
+const mostSmall = 8;
+
+async function openSmallMap(origin: MapOrigin): Promise<EnvironmentMap> {
+  const known = origin.kind === "url" ? small.get(origin.url) : undefined;
+  return known ?? smallMap(usableMap(await openMap(origin)).map);
 }
 
 function decode(data: Uint8Array<ArrayBuffer>) {

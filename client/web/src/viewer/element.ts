@@ -9,7 +9,7 @@ import type { ViewCamera } from "../render/looks.js";
 import { Interface } from "./interface.js";
 import { Poster } from "./poster.js";
 import { type Guest, seats } from "./seats.js";
-import { fromParameters, initialState, toParameters, type ViewerState } from "./state.js";
+import { firstState, fromParameters, initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { Viewer } from "./viewer.js";
 
@@ -38,7 +38,7 @@ export class LambentViewerElement extends HTMLElement {
   readonly #guest: Guest = {
     wake: () => this.#wake(),
     rest: () => this.#rest(),
-    isBusy: () => this.#works > 0 || (this.#viewer?.mapNames.length ?? 0) > 0,
+    isBusy: () => this.#works > 0 || (this.#viewer?.lights.mapNames.length ?? 0) > 0,
   };
 
   /** Resolves when the bundle of `src` is shown; rejects where it cannot be. */
@@ -87,7 +87,7 @@ export class LambentViewerElement extends HTMLElement {
   /** Light the object with the bytes of an .hdr or .exr map. */
   async setEnvironmentFile(file: File): Promise<void> {
     const viewer = this.#open();
-    const name = viewer.addMap(file.name, new Uint8Array(await file.arrayBuffer()));
+    const name = viewer.lights.addMap(file.name, new Uint8Array(await file.arrayBuffer()));
     await viewer.update({ environment: name });
   }
 
@@ -128,7 +128,12 @@ export class LambentViewerElement extends HTMLElement {
     root.append(this.#poster.element);
     this.#source = this.getAttribute("src") || this.#source;
     const state = this.getAttribute("state");
-    if (state !== null) this.#state = fromParameters(new URLSearchParams(state), this.#state);
+    if (state !== null) {
+      const parameters = new URLSearchParams(state);
+      // What was shown before the element was taken out stays where the attribute says nothing.
+      const from = this.#state === initialState ? firstState(parameters) : this.#state;
+      this.#state = fromParameters(parameters, from);
+    }
     if (this.#source !== null) {
       this.#ready = new Promise((resolve) => {
         this.#promised = resolve;

@@ -1,14 +1,15 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
-import { linkWithView } from "../page/addresses.js";
 import { Fault } from "../page/fault.js";
+import { Controls } from "./controls.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { listenToOrbit, type OrbitHost } from "./orbit.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
 import { lightText } from "./lightTexts.js";
-import { initialState, toParameters, type ViewerState } from "./state.js";
+import { linkOf } from "./links.js";
+import type { ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
@@ -30,6 +31,8 @@ export class Interface {
   readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
   readonly #panel: { element: HTMLElement; show: () => void };
   readonly #stop = new AbortController();
+  readonly #dock = make("div", { className: "dock" });
+  readonly #controls: Controls | null = null;
   #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
   #photoShown = "";
   #reading: Promise<void> | null = null;
@@ -48,9 +51,7 @@ export class Interface {
       change: (change) => this.#change(change),
       openBundle: () => this.#choose(".zip,.relight.zip", false),
       openFolder: () => this.#choose("", true),
-      openMap: () => this.#choose(".hdr,.exr,.pic,.rgbe", false),
-      openAddress: (address) => this.#change({ environment: `url:${address}` }),
-      reset: () => this.#change({ ...initialState, environment: viewer.state.environment }),
+      reset: (part) => this.#controls?.reset(part),
       savePng: (...size) => this.#save(root, "png", size, () => pngOf(viewer, ...size)),
       saveExr: (...size) => this.#save(root, "exr", size, async () => exrOf(viewer, ...size)),
       film: () => void this.#film(root),
@@ -61,7 +62,17 @@ export class Interface {
     canvas.setAttribute("role", "application");
     this.#view.append(canvas, this.#photo, this.#split, this.#sides);
     root.replaceChildren(this.#view, this.#welcome.element, this.#message);
-    if (host.hasAttribute("controls")) root.append(this.#panel.element);
+    if (host.hasAttribute("controls")) {
+      const act = {
+        change: (change: Partial<ViewerState>) => this.#change(change),
+        openMap: () => this.#choose(".hdr,.exr,.pic,.rgbe", false),
+      };
+      this.#controls = new Controls(viewer, host, act, this.#stop.signal);
+      const { tools, strip } = this.#controls.elements;
+      this.#view.append(tools);
+      this.#dock.append(strip, this.#panel.element);
+      root.append(this.#dock);
+    }
     // On a telephone the picture comes first.
     this.#panel.element.toggleAttribute("open", host.clientWidth >= 640);
     this.#listen(canvas);
@@ -88,7 +99,7 @@ export class Interface {
     // A bundle that is shown stays until the next one is there.
     if (this.viewer.bundle === null) {
       this.#welcome.reading();
-      this.#panel.element.hidden = true;
+      this.#dock.hidden = true;
     }
     try {
       await work;
@@ -121,7 +132,8 @@ export class Interface {
       state: () => this.viewer.state,
       change: (next) => this.#change(next),
       moving: (moving) => {
-        this.viewer.moving = moving;
+        if (this.#controls === null) this.viewer.moving = moving;
+        else this.#controls.moving(moving);
       },
     };
     listenToOrbit(orbit, signal);
@@ -147,7 +159,7 @@ export class Interface {
     this.viewer.on("progress", (...bytes) => this.#welcome.arrived(...bytes));
     this.viewer.on("load", () => {
       this.#welcome.element.hidden = true;
-      this.#panel.element.hidden = false;
+      this.#dock.hidden = false;
       this.#tell("", false);
       this.describe();
     });
@@ -198,7 +210,7 @@ export class Interface {
         this.#tell("That is neither a .relight.zip, a bundle's folder, nor a .hdr or .exr map.", true);
       } else if (dropped.kind === "map") {
         const data = new Uint8Array(await dropped.file.arrayBuffer());
-        await this.viewer.update({ environment: this.viewer.addMap(dropped.file.name, data) });
+        await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
         this.#tell(`Lit by ${dropped.file.name}.`, false);
       } else {
         await this.during(this.viewer.open(dropped));
@@ -245,19 +257,12 @@ export class Interface {
   }
 
   async #copyLink(): Promise<void> {
-    const address = new URL(location.href);
-    const parameters = toParameters(this.viewer.state);
-    const fragment = address.hash.slice(1);
-    const source = new URLSearchParams(fragment).get("src");
-    if (source !== null) parameters.set("src", source);
-    // The page of a share link has its secret in front.
-    const secret = /^share_[^&=]*/.exec(fragment)?.[0];
-    address.hash = secret === undefined ? parameters.toString() : linkWithView(secret, parameters.toString());
+    const link = linkOf(this.viewer, location.href, this.host.hasAttribute("fullpage"));
     try {
-      await navigator.clipboard.writeText(address.href);
+      await navigator.clipboard.writeText(link);
       this.#tell("The link is on the clipboard.", false);
     } catch {
-      this.#tell(address.href, false);
+      this.#tell(link, false);
     }
   }
 
@@ -265,6 +270,7 @@ export class Interface {
   #show(): void {
     const { state } = this.viewer;
     this.#panel.show();
+    this.#controls?.show();
     this.host.setAttribute("data-background", state.look.background);
     const photo = this.#showPhoto();
     const comparing = state.compare === "photo" ? photo : state.compare !== "off";

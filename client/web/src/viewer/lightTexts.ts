@@ -6,15 +6,17 @@ import type { Viewer } from "./viewer.js";
 /** Return all lights that can be chosen now, by their name in the state, and what people read. */
 export function lightTexts(viewer: Viewer): [string, string][] {
   const { environment, environmentB } = viewer.state;
-  const addresses = new Set([environment, environmentB].filter((name) => name.startsWith("url:")));
+  const named = [environment, environmentB].filter((name) => name.startsWith("url:"));
+  const addresses = new Set([...viewer.lights.addresses, ...named]);
+  const trained = viewer.bundle?.trainedMaps ?? [];
   return [
-    ...(viewer.bundle?.trainedMaps ?? []).map(({ name }): [string, string] => [
+    ...trained.map(({ name }): [string, string] => [
       `trained:${name}`,
-      `As photographed (${name})`,
+      trained.length === 1 ? "As photographed" : `As photographed (${name})`,
     ]),
     ...Object.entries(presetNames).map(([name, text]): [string, string] => [`preset:${name}`, text]),
-    ...viewer.mapNames.map((name): [string, string] => [`file:${name}`, name]),
-    ...[...addresses].map((name): [string, string] => [name, name.split("/").at(-1) ?? name]),
+    ...viewer.lights.mapNames.map((name): [string, string] => [`file:${name}`, name]),
+    ...[...addresses].map((name): [string, string] => [name, name.split("/").at(-1) || name]),
   ];
 }
 

@@ -1,5 +1,6 @@
 /** The viewer's page: one element that fills it, and an address that remembers what is shown. */
 
+import { followAddress } from "./addressBar.js";
 import { defineViewer, type LambentViewerElement } from "./element.js";
 
 defineViewer();
@@ -15,3 +16,6 @@ document.querySelector("main")?.append(element);
 element.viewer?.on("load", (bundle) => {
   document.title = `${bundle.name} · Lambent viewer`;
 });
+if (element.viewer !== null) followAddress(element.viewer, new AbortController().signal);
+// Someone typed another address, or went back to one.
+addEventListener("hashchange", () => location.reload());

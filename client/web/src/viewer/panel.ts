@@ -3,6 +3,7 @@
 import type { BackgroundKind, Channel, LightTurn, Look, MaterialEdit, ToneCurve } from "../render/looks.js";
 import { button, check, choice, type Field, make, section, slider } from "./fields.js";
 import { lightTexts } from "./lightTexts.js";
+import type { ResetPart } from "./resets.js";
 import { sharing } from "./sharing.js";
 import { type Comparison, limits, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
@@ -13,9 +14,7 @@ export type PanelActions = {
   readonly change: (change: Partial<ViewerState>) => void;
   readonly openBundle: () => void;
   readonly openFolder: () => void;
-  readonly openMap: () => void;
-  readonly openAddress: (address: string) => void;
-  readonly reset: () => void;
+  readonly reset: (part: ResetPart) => void;
   readonly savePng: (width: number, height: number) => void;
   readonly saveExr: (width: number, height: number) => void;
   readonly film: () => void;
@@ -71,19 +70,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
   const ofTurn = fieldsOf((state) => state.turn, turn);
 
   const environments = () => lightTexts(viewer);
-  const lights = choice("Environment", environments, (environment) => act.change({ environment }));
   const lightsB = choice("On the right", environments, (environmentB) => act.change({ environmentB }));
-  const address = make("input", {
-    type: "url",
-    placeholder: "https://…/map.exr",
-    ariaLabel: "Address of a map",
-  });
-  const useAddress = (): void => {
-    if (address.value !== "") act.openAddress(address.value);
-  };
-  address.addEventListener("keydown", (event) => {
-    if (event.key === "Enter") useAddress();
-  });
   const angle = (label: string, part: "yawDeg" | "pitchDeg" | "rollDeg"): HTMLElement =>
     ofTurn(part, (change) => slider(label, limits.angle, 1, change, "°"));
   const photos = choice(
@@ -92,12 +79,12 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     (photo) => act.change({ photo }),
   );
   const compare = choice<Comparison>(
-    "Compare",
+    "Compare with",
     () => [
       ["off", "Nothing"],
-      ["environment", "Two environments"],
-      ["plain", "With plain image-based light"],
-      ...(photoNames(viewer).length > 0 ? ([["photo", "With a photograph"]] as const) : []),
+      ["environment", "Another light"],
+      ["plain", "Image-based light"],
+      ...(photoNames(viewer).length > 0 ? ([["photo", "A photograph"]] as const) : []),
     ],
     (next) => {
       const photo = viewer.state.photo || (photoNames(viewer)[0] ?? "");
@@ -107,11 +94,11 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
   const share = sharing(viewer);
   shown.unshift(() => {
     share.show();
-    for (const list of [lights, lightsB, compare, photos]) list.refill();
+    for (const list of [lightsB, compare, photos]) list.refill();
   });
-  const pixels = (value: string, ariaLabel: string): HTMLInputElement =>
-    make("input", { type: "number", value, min: "16", max: "8192", ariaLabel });
-  const size = [pixels("1600", "Width in pixels"), pixels("1200", "Height in pixels")];
+  const pixels = (value: string): HTMLInputElement =>
+    make("input", { type: "number", value, min: "16", max: "8192" });
+  const size = [pixels("1600"), pixels("1200")];
   const inSize = (save: (width: number, height: number) => void) => () => {
     const [width, height] = size.map((field) =>
       Math.min(Math.max(Math.round(field.valueAsNumber), 16), 8192),
@@ -134,11 +121,9 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     section(
       "Light",
       true,
-      follow(lights, (state) => state.environment),
-      make("div", { className: "row" }, button("Use address", useAddress), address),
-      buttons(button("Open map…", act.openMap), button("Reset", act.reset)),
       angle("Rotate", "yawDeg"),
       ofTurn("intensity", (change) => slider("Intensity", limits.intensity, 0.05, change)),
+      button("Reset light", () => act.reset("light")),
     ),
     section("Tilt of the light", false, angle("About y", "pitchDeg"), angle("About x", "rollDeg")),
     section(
@@ -152,10 +137,16 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
         colourField((backgroundSrgb) => look({ backgroundSrgb, background: "colour" })),
         (state) => state.look.backgroundSrgb,
       ),
-      ofLook("indirect", (change) => check("Light from other parts of the object", change)),
+      ofLook("indirect", (change) => check("Bounce light", change)),
       ofState("refine", (change) => check("Refine while nothing moves", change)),
       refining,
       ofLook("ground", (change) => check("Shadow on the ground", change)),
+      button("Reset picture", () => act.reset("picture")),
+    ),
+    section(
+      "Camera",
+      false,
+      button("Reset camera", () => act.reset("camera")),
     ),
     section(
       "Material",
@@ -166,6 +157,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       ),
       ofEdit("roughnessScale", (change) => slider("Roughness ×", limits.roughness, 0.05, change)),
       ofEdit("metalnessShift", (change) => slider("Metalness +", limits.metalness, 0.05, change)),
+      button("Reset material", () => act.reset("material")),
     ),
     section(
       "Compare",
@@ -178,7 +170,8 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     section(
       "Save",
       false,
-      buttons(...size),
+      make("label", {}, "Width (pixels)", size[0]!),
+      make("label", {}, "Height (pixels)", size[1]!),
       buttons(button("Save PNG", inSize(act.savePng)), button("Save EXR", inSize(act.saveExr))),
       button("Make a film…", act.film),
       button("Copy link to this view", act.copyLink),
@@ -223,7 +216,7 @@ function colourField(change: (rgb: readonly [number, number, number]) => void): 
     change([byte(1), byte(3), byte(5)]);
   });
   return {
-    element: make("label", {}, "Its colour", input),
+    element: make("label", {}, "Background colour", input),
     show: (rgb) => {
       const hex = rgb.map((value) =>
         Math.round(255 * value)

@@ -13,13 +13,13 @@ canvas:active { cursor: grabbing; }
 :host([fullpage][data-background=transparent]) canvas { background: repeating-conic-gradient(#26292d 0 25%, #1d2023 0 50%) 0 0 / 24px 24px; }
 :focus-visible { outline: 3px solid #8ec7ff; outline-offset: 2px; }
 canvas:focus-visible { outline-offset: -4px; }
-.panel { position: absolute; top: 0.75rem; right: 0.75rem; width: 19rem; max-height: calc(100% - 1.5rem); overflow: auto;
+.panel { position: absolute; top: 0.75rem; right: 0.75rem; width: 21rem; max-height: calc(100% - 1.5rem); overflow: auto;
   background: rgb(24 27 31 / 94%); border: 1px solid #4b525b; border-radius: 0.6rem; padding: 0.25rem 0.75rem; }
 .panel > summary { padding: 0.4rem 0; font-weight: 600; cursor: pointer; }
 .panel details > summary { cursor: pointer; padding: 0.35rem 0; color: #dfe4ea; }
 .panel details { border-top: 1px solid #3a4048; }
 .fields { display: grid; gap: 0.45rem; padding-bottom: 0.6rem; }
-label, .row { display: grid; grid-template-columns: 6.5rem 1fr; align-items: center; gap: 0.5rem; }
+label, .row { display: grid; grid-template-columns: 7rem 1fr; align-items: center; gap: 0.5rem; }
 label.check { grid-template-columns: 1.2rem 1fr; }
 .slide { display: grid; grid-template-columns: 1fr 4.4rem; gap: 0.4rem; }
 input, select, button { font: inherit; color: inherit; background: #2a2f36; border: 1px solid #6b7480; border-radius: 0.35rem;
@@ -52,8 +52,29 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .split::before { content: ""; position: absolute; top: 0; bottom: 0; left: -1px; width: 2px; background: #fff; box-shadow: 0 0 3px #000; }
 .handle { position: absolute; top: 50%; left: -1.4rem; width: 2.8rem; height: 2.8rem; margin-top: -1.4rem; border-radius: 50%;
   background: #17191c; border: 2px solid #fff; pointer-events: auto; touch-action: none; cursor: ew-resize; display: grid; place-content: center; }
-.sides { position: absolute; top: 0.75rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
+.sides { position: absolute; top: 4rem; left: 0.75rem; right: 0.75rem; display: flex; justify-content: space-between; gap: 0.5rem; pointer-events: none; }
 .sides span { background: rgb(24 27 31 / 94%); border-radius: 0.3rem; padding: 0.15rem 0.5rem; }
+.tools { position: absolute; top: 0.75rem; left: 0.75rem; display: flex; gap: 0.35rem; }
+.tools button { width: 2.75rem; min-height: 2.75rem; padding: 0; font-size: 1.25rem; background: rgb(24 27 31 / 94%); border-color: #4b525b; }
+.tools [aria-disabled=true] { color: #8d96a1; cursor: default; }
+.dock { display: contents; }
+.strip { position: absolute; left: 0.75rem; right: 0.75rem; bottom: 0.75rem; display: grid; gap: 0.4rem; pointer-events: none; }
+.line { display: flex; align-items: center; gap: 0.6rem; min-width: 0; }
+.line > *, .adding { pointer-events: auto; }
+.chips { display: flex; gap: 0.4rem; overflow-x: auto; min-width: 0; margin-right: auto; padding: 0.3rem; scrollbar-width: thin;
+  background: rgb(24 27 31 / 88%); border: 1px solid #4b525b; border-radius: 0.8rem; overscroll-behavior-x: contain; }
+.chip { flex: none; width: 5.6rem; display: grid; justify-items: center; align-content: start; gap: 0.15rem; padding: 0.3rem 0.2rem;
+  background: none; border-color: transparent; border-radius: 0.6rem; font-size: 0.75rem; line-height: 1.2; }
+.chip canvas { position: static; width: 3rem; height: 3rem; cursor: inherit; touch-action: auto; border-radius: 50%; background: #3a4048; }
+.chip span { max-width: 100%; overflow: hidden; display: -webkit-box; -webkit-line-clamp: 2; -webkit-box-orient: vertical; overflow-wrap: anywhere; }
+.chip[aria-pressed=true] { border-color: #8ec7ff; background: #22384d; }
+.chip .plus { display: grid; place-content: center; width: 3rem; height: 3rem; border-radius: 50%; border: 2px dashed #7b858f; font-size: 1.4rem; }
+.adding { display: grid; gap: 0.45rem; width: min(22rem, 100%); padding: 0.7rem; background: rgb(24 27 31 / 96%); border: 1px solid #4b525b; border-radius: 0.6rem; }
+.ball { flex: none; position: relative; width: 4.5rem; height: 4.5rem; border-radius: 50%; border: 2px solid #dfe4ea; background-color: #2a2f36;
+  cursor: grab; touch-action: none; box-shadow: 0 0 0 1px #17191c; }
+.ball:active { cursor: grabbing; }
+.ball .dot { position: absolute; width: 0.8rem; height: 0.8rem; margin: -0.4rem; border-radius: 50%; background: #ffd873; border: 2px solid #17191c; }
+.ball.behind .dot { background: #17191c; border-color: #ffd873; }
 .photo { position: absolute; object-fit: fill; pointer-events: none; }
 .fields h3 { font-size: 1rem; margin: 0; }
 .hint, .faint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
@@ -65,10 +86,15 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }
 [hidden] { display: none; }
-@container (min-width: 40rem) { .view:has(~ .panel[open]) { right: 20.5rem; } }
+:host([controls]) .message { bottom: 8rem; }
+@container (min-width: 40rem) {
+  .view:has(~ .dock > .panel[open]), .dock:has(> .panel[open]) > .strip { right: 22.5rem; }
+}
 @container (max-width: 40rem) {
-  .panel { top: auto; bottom: 0; right: 0; left: 0; width: auto; max-height: 55%; border-radius: 0.8rem 0.8rem 0 0; }
-  .message { bottom: 3.4rem; }
+  .dock:not([hidden]) { position: absolute; left: 0; right: 0; bottom: 0; display: flex; flex-direction: column; max-height: 70%; }
+  .strip { position: static; padding: 0 0.5rem 0.4rem; }
+  .panel { position: static; width: auto; max-height: none; min-height: 2.75rem; border-radius: 0.8rem 0.8rem 0 0; }
+  :host([controls]) .message { bottom: 10.5rem; }
   label, .row { grid-template-columns: 7.5rem 1fr; }
 }
 @media (prefers-reduced-motion: no-preference) { .panel { transition: opacity 0.15s; } }

@@ -4,9 +4,8 @@ import { loadInWorker } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
-import { LightClient } from "../light/client.js";
+import type { Direction } from "../engine/environment.js";
 import { MapFault } from "../light/fault.js";
-import type { MapOrigin } from "../light/lightWorker.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import type { StillHost } from "../refine/still.js";
@@ -15,9 +14,11 @@ import { type Ball, ballOf } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { orbitCamera, photoCamera, sizeOf } from "./camera.js";
-import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
+import { lightFor } from "./earlyLight.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
-import { initialState, isPreset, type ViewerState } from "./state.js";
+import { mainDirection } from "./turning.js";
+import { ViewerLights } from "./lights.js";
+import { initialState, type ViewerState } from "./state.js";
 
 /** The events of a viewer. */
 export type ViewerEvents = {
@@ -43,14 +44,19 @@ const stillAfterMs = 150;
 /** Draws one bundle. */
 export class Viewer {
   readonly #listeners = new Map<keyof ViewerEvents, Set<(...values: never[]) => void>>();
-  readonly #lights = new LightClient();
-  readonly #files = new Map<string, Uint8Array<ArrayBuffer>>();
-  readonly #shown = new Map<"a" | "b", string>();
+  /** Its lights, and the maps that were dropped. */
+  readonly lights = new ViewerLights({
+    stage: () => this.#stage,
+    state: () => this.#state,
+    lit: (notes) => {
+      if (notes.length > 0) this.#tell("message", notes.join(" "), false);
+      this.invalidate();
+    },
+  });
   #state: ViewerState = initialState;
   #stage: Stage | null = null;
   #ball: Ball = { centre: [0, 0, 0], radius: 1 };
   #loading: AbortController | null = null;
-  #early: EarlyLight | null = null;
   #frame = 0;
   #still = 0;
   #moving = false;
@@ -84,6 +90,11 @@ export class Viewer {
     return bundleAt(this.#source.url, document.baseURI);
   }
 
+  /** Where the bundle that is shown comes from, or null. */
+  get source(): BundleOrigin | null {
+    return this.bundle === null ? null : this.#source;
+  }
+
   /** The current state. */
   get state(): ViewerState {
     return this.#state;
@@ -102,11 +113,7 @@ export class Viewer {
     this.#loading?.abort(new DOMException("another bundle was opened", "AbortError"));
     const loading = new AbortController();
     this.#loading = loading;
-    const early = new EarlyLight({
-      wanted: () => this.#state.environment,
-      originOf: (name) => this.#origin(name),
-      prepare: (...asked) => this.#lights.prepare(...asked),
-    });
+    const early = this.lights.early();
     const hear = (news: BundleNews): void => {
       if (news.kind === "progress") {
         this.#tell("progress", news.readBytes, news.totalBytes);
@@ -123,24 +130,23 @@ export class Viewer {
       this.#setStage(loading.signal),
     ]);
     loading.signal.throwIfAborted();
-    this.#early = early;
     this.#stage!.setBundle(bundle);
     this.#source = origin;
-    this.#shown.clear();
+    this.lights.forget(early);
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
     const trained = bundle.trainedMaps.map(({ name }) => name);
     this.#state = { ...this.#state, environment: lightFor(this.#state.environment, trained) };
     this.#keepRefined();
     let trouble: MapFault | null = null;
     try {
-      await this.#applyLights();
+      await this.lights.apply();
     } catch (error) {
       if (!(error instanceof MapFault)) throw error;
       // A link may name a map that is gone: the object is shown all the same, in a light that is there.
       trouble = error;
       const light = lightFor("", trained);
       this.#state = { ...this.#state, environment: light, environmentB: light };
-      await this.#applyLights();
+      await this.lights.apply();
     }
     this.#tell("load", bundle);
     this.#tell("change");
@@ -155,7 +161,7 @@ export class Viewer {
     this.#state = asked;
     this.invalidate();
     try {
-      await this.#applyLights();
+      await this.lights.apply();
     } catch (error) {
       // Settings changed in the meantime are kept.
       const now = this.#state;
@@ -166,19 +172,6 @@ export class Viewer {
       throw error;
     }
     this.#tell("change");
-  }
-
-  /** Keep a dropped map and return the name it has from now on. */
-  addMap(name: string, data: Uint8Array<ArrayBuffer>): string {
-    this.#files.set(name, data);
-    // A map that was changed on disk and dropped again is another one.
-    for (const [slot, shown] of this.#shown) if (shown === `file:${name}`) this.#shown.delete(slot);
-    return `file:${name}`;
-  }
-
-  /** Names of maps that were dropped. */
-  get mapNames(): string[] {
-    return [...this.#files.keys()];
   }
 
   /** Whether someone moves something now: pictures are then drawn with one sample per pixel. */
@@ -249,6 +242,12 @@ export class Viewer {
     this.#tell("draw");
   }
 
+  /** Where the main light of the picture comes from, as the map has it; null where it has no direction, or none is there. */
+  get mainLight(): Direction | null {
+    const prepared = this.#stage?.light("a")?.prepared;
+    return prepared === undefined ? null : mainDirection(prepared);
+  }
+
   /** Counts of what lies on the graphics card. */
   get memory(): { readonly geometries: number; readonly textures: number; readonly programs: number } {
     const { memory, programs } = this.#ready().renderer.info;
@@ -265,13 +264,13 @@ export class Viewer {
     this.#stage?.dispose();
     // Browsers keep few contexts, and would take one away from another picture.
     this.#stage?.renderer.forceContextLoss();
-    this.#lights.dispose();
+    this.lights.dispose();
   }
 
   /** Make what draws, while a bundle is being read. */
   async #setStage(signal: AbortSignal): Promise<void> {
     if (this.#stage !== null) return;
-    const table = await this.#lights.splitSum();
+    const table = await this.lights.splitSum();
     if (!signal.aborted) this.#stage ??= new Stage(this.canvas, table);
   }
 
@@ -342,52 +341,5 @@ export class Viewer {
       moving: this.#moving,
       options: this.refineOptions,
     };
-  }
-
-  /** Prepare the lights that the state names and that are not there yet. */
-  async #applyLights(): Promise<void> {
-    const { environment, environmentB, compare } = this.#state;
-    const wanted: ["a" | "b", string][] = [["a", environment]];
-    if (compare === "environment") wanted.push(["b", environmentB]);
-    else {
-      this.#stage?.dropLight("b");
-      this.#shown.delete("b");
-    }
-    await Promise.all(
-      wanted.map(async ([slot, name]) => {
-        const stage = this.#stage;
-        const bundle = stage?.bundle;
-        if (stage == null || bundle == null || this.#shown.get(slot) === name) return;
-        this.#shown.set(slot, name);
-        const { direct, shadowBits } = bundle.transport;
-        try {
-          const dominant = dominantFor(shadowBits !== null);
-          const prepared = await (this.#early?.take(name, direct.bands, dominant) ??
-            this.#lights.prepare(this.#origin(name), direct.bands, dominant));
-          // Another light may have been chosen, or another bundle opened, in the meantime.
-          if (this.#shown.get(slot) !== name || stage.bundle !== bundle) return;
-          stage.setLight(slot, prepared);
-          if (prepared.notes.length > 0) this.#tell("message", prepared.notes.join(" "), false);
-          this.invalidate();
-        } catch (error) {
-          // Ignore errors of a light that is no longer wanted.
-          if (this.#shown.get(slot) !== name) return;
-          this.#shown.delete(slot);
-          throw error;
-        }
-      }),
-    );
-  }
-
-  #origin(name: string): MapOrigin {
-    const [kind, rest] = [name.slice(0, name.indexOf(":")), name.slice(name.indexOf(":") + 1)];
-    if (kind === "preset" && isPreset(rest)) return { kind: "preset", name: rest };
-    if (kind === "url") return { kind: "url", url: new URL(rest, document.baseURI).href };
-    const trained = this.bundle?.trainedMaps.find((map) => map.name === rest)?.data;
-    const data = kind === "trained" ? trained : kind === "file" ? this.#files.get(rest) : undefined;
-    if (data === undefined) {
-      throw new MapFault("environment.missing", `there is no light "${name}"`, "choose or drop another one");
-    }
-    return { kind: "bytes", data };
   }
 }

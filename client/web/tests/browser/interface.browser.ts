@@ -164,8 +164,8 @@ describe("pictures", () => {
   it("as PNG are what is seen", async () => {
     await openPart("Controls");
     await openPart("Save");
-    await page.getByLabel("Width in pixels").fill(String(size.width));
-    await page.getByLabel("Height in pixels").fill(String(size.height));
+    await page.getByLabel("Width (pixels)").fill(String(size.width));
+    await page.getByLabel("Height (pixels)").fill(String(size.height));
     const [download] = await Promise.all([
       page.waitForEvent("download"),
       page.getByRole("button", { name: "Save PNG" }).click(),

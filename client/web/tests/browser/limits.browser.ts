@@ -23,13 +23,13 @@ beforeAll(async () => {
 afterAll(() => closePages(browser));
 
 describe("the scripts that a page loads before it refines", () => {
-  it("are those that are counted, and weigh 250 KB at most", () => {
+  it("are those that are counted, and weigh 300 KB at most", () => {
     const counted = scriptBytes(inject("pages"));
     expect([...loaded].sort()).toEqual(Object.keys(counted).sort());
     const total = Object.values(counted).reduce((sum, size) => sum + size, 0);
     console.log(`${(total / 1000).toFixed(1)} KB of JavaScript, gzip -9`);
     expect(total).toBeGreaterThan(100_000);
-    expect(total).toBeLessThanOrEqual(250_000);
+    expect(total).toBeLessThanOrEqual(300_000);
   });
 });
 
@@ -142,8 +142,10 @@ describe("memory", () => {
     await light(6);
     const before = { ...(await held()), card: await card() };
     await light(22);
+    await light(22);
     await open(20);
-    await light(22 + 6);
+    // As much to undo as before.
+    await light(6);
     const after = { ...(await held()), card: await card() };
     console.log("memory before and after", JSON.stringify([before, after]));
     expect(before.card.Texture).toBeGreaterThan(10);

@@ -82,7 +82,7 @@ describe("the picture", () => {
     const found = await pictureOf(page, camera);
     const name = await page.evaluate((text) => {
       const { viewer } = document.querySelector("lambent-viewer")!;
-      return viewer!.addMap(
+      return viewer!.lights.addMap(
         "turned.exr",
         Uint8Array.from(atob(text), (c) => c.charCodeAt(0)),
       );

@@ -1,0 +1,160 @@
+/** The lights that can be chosen, as a row of buttons with pictures of them. */
+
+import { button, make } from "./fields.js";
+import { lightTexts } from "./lightTexts.js";
+import type { Viewer } from "./viewer.js";
+
+/** What the row asks for. */
+export type StripActions = {
+  readonly choose: (light: string) => void;
+  readonly openMap: () => void;
+  readonly openAddress: (address: string) => void;
+};
+
+/** Side of a picture in pixels; it is shown at half of that. */
+const side = 96;
+
+type Chip = { readonly element: HTMLButtonElement; readonly picture: HTMLCanvasElement; key: string };
+
+/** Build the row; `show` follows the viewer's state, and `element` closes with `signal`. */
+export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSignal) {
+  const chips = new Map<string, Chip>();
+  const add = make("button", { type: "button", className: "chip add", ariaExpanded: "false" });
+  add.append(make("span", { className: "plus", textContent: "+", ariaHidden: "true" }), "Add a light");
+  const row = make("div", { className: "chips", role: "toolbar", ariaLabel: "Light" });
+  const adding = addForm(act, () => open(false));
+  const line = make("div", { className: "line" }, row);
+  const element = make("div", { className: "strip" }, adding, line);
+
+  function open(on: boolean): void {
+    adding.hidden = !on;
+    add.ariaExpanded = String(on);
+    if (on) adding.querySelector("button")?.focus();
+    else if (element.contains(deepFocus(element))) add.focus();
+  }
+  add.addEventListener("click", () => open(adding.hidden === true));
+  adding.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    event.stopPropagation();
+    open(false);
+  });
+  row.addEventListener("keydown", (event) => {
+    const all = [...row.querySelectorAll("button")];
+    const at = all.indexOf(event.target as HTMLButtonElement);
+    const next = { ArrowLeft: at - 1, ArrowRight: at + 1, Home: 0, End: all.length - 1 }[event.key];
+    if (next === undefined || at < 0) return;
+    event.preventDefault();
+    all.at(next % all.length)!.focus();
+  });
+  // One button of the row is reached by Tab, the others from it by arrows.
+  row.addEventListener("focusin", (event) => {
+    for (const each of row.querySelectorAll("button")) each.tabIndex = each === event.target ? 0 : -1;
+  });
+
+  function chipOf(light: string): Chip {
+    const known = chips.get(light);
+    if (known !== undefined) return known;
+    const picture = make("canvas", { width: side, height: side, ariaHidden: "true" });
+    const made = make("button", { type: "button", className: "chip" }, picture, make("span"));
+    made.addEventListener("click", () => act.choose(light));
+    const chip = { element: made, picture, key: "" };
+    chips.set(light, chip);
+    return chip;
+  }
+
+  let listed = "";
+  function show(): void {
+    const { environment } = viewer.state;
+    const texts = lightTexts(viewer);
+    const key = JSON.stringify(texts);
+    if (key !== listed) {
+      listed = key;
+      for (const name of [...chips.keys()]) if (!texts.some(([light]) => light === name)) chips.delete(name);
+      row.replaceChildren(...texts.map(([light]) => chipOf(light).element), add);
+      for (const [light, text] of texts) {
+        const { element: chip } = chipOf(light);
+        chip.querySelector("span")!.textContent = text;
+        chip.title = text;
+      }
+    }
+    for (const [light, { element: chip }] of chips) {
+      const pressed = light === environment;
+      if (chip.ariaPressed === String(pressed)) continue;
+      chip.ariaPressed = String(pressed);
+      if (pressed && !row.contains(deepFocus(row))) {
+        for (const each of row.querySelectorAll("button")) each.tabIndex = each === chip ? 0 : -1;
+        scrollTo(row, chip);
+      }
+    }
+  }
+
+  let working = false;
+  /** Make the pictures that are missing, one after another, so that a chosen light waits for one of them at most. */
+  async function paint(): Promise<void> {
+    if (working) return;
+    working = true;
+    const keyOf = (light: string): string => {
+      const of = light.startsWith("trained:") ? viewer.bundle?.sceneId : viewer.lights.version(light);
+      return `${light} ${of}`;
+    };
+    try {
+      for (;;) {
+        const next = [...chips].find(([light, chip]) => chip.key !== keyOf(light));
+        if (next === undefined || signal.aborted || viewer.bundle === null) return;
+        const [light, chip] = next;
+        chip.key = keyOf(light);
+        const pixels = await viewer.lights.thumbnail(light, side).catch(() => null);
+        // A map that cannot be used says so when it is chosen.
+        if (pixels === null) chip.picture.getContext("2d")?.clearRect(0, 0, side, side);
+        else chip.picture.getContext("2d")?.putImageData(new ImageData(pixels, side, side), 0, 0);
+      }
+    } finally {
+      working = false;
+    }
+  }
+  // The picture that someone waits for comes first.
+  const stop = viewer.on("draw", () => void paint());
+  signal.addEventListener("abort", stop);
+  return { element, row: line, show };
+}
+
+function addForm(act: StripActions, done: () => void): HTMLElement {
+  const address = make("input", { type: "url", placeholder: "https://…/map.exr" });
+  const use = (): void => {
+    if (address.value === "") return;
+    act.openAddress(address.value);
+    address.value = "";
+    done();
+  };
+  address.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    // The button that gets the focus is not pressed by the same key.
+    event.preventDefault();
+    use();
+  });
+  const file = button("Open a .hdr or .exr map…", () => {
+    done();
+    act.openMap();
+  });
+  const form = make(
+    "div",
+    { className: "adding", hidden: true, role: "group", ariaLabel: "Add a light" },
+    file,
+    make("label", {}, "Or from an address", address),
+    button("Use address", use),
+  );
+  return form;
+}
+
+/** Return what has the focus in the tree that an element is in, or null. */
+function deepFocus(element: HTMLElement): Element | null {
+  const root = element.getRootNode();
+  return root instanceof ShadowRoot || root instanceof Document ? root.activeElement : null;
+}
+
+/** Bring a button of the row into it; never scrolls the page. */
+function scrollTo(row: HTMLElement, chip: HTMLElement): void {
+  const [from, to] = [chip.offsetLeft - row.offsetLeft, chip.offsetLeft - row.offsetLeft + chip.offsetWidth];
+  if (from < row.scrollLeft) row.scrollLeft = from - 16;
+  else if (to > row.scrollLeft + row.clientWidth) row.scrollLeft = to - row.clientWidth + 16;
+}

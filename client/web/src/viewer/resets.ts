@@ -1,0 +1,20 @@
+/** Parts of the state that are put back to their start, each for itself. */
+
+import { initialState, type ViewerState } from "./state.js";
+
+export type ResetPart = "light" | "camera" | "material" | "picture";
+
+/** Return the change that puts one part back; the chosen environment, and what is compared, stay. */
+export function resetOf(part: ResetPart, { look }: ViewerState): Partial<ViewerState> {
+  const first = initialState;
+  switch (part) {
+    case "light":
+      return { turn: first.turn };
+    case "camera":
+      return { pose: first.pose };
+    case "material":
+      return { look: { ...look, edit: first.look.edit } };
+    case "picture":
+      return { look: { ...first.look, edit: look.edit }, refine: first.refine };
+  }
+}
