@@ -7,8 +7,8 @@ A finished one goes into `tests/golden/bundles` and is never written again. `bal
 
     python -m support.golden_bundle redraw FOLDER
 
-draws the pictures `preview` and `baked` of all bundles in FOLDER again, after a deliberate change of how baked
-transport is drawn; the bundles, and their refined pictures, stay.
+draws the pictures `preview` and `baked` of all bundles in FOLDER again, after a deliberate change of how
+baked transport is drawn; the bundles, and their refined pictures, stay.
 """
 
 from __future__ import annotations

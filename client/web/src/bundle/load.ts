@@ -51,7 +51,6 @@ export type BundleNews =
   | {
       readonly kind: "opened";
       readonly bands: number;
-      readonly hasShadowBits: boolean;
       /** Lights with a map. */
       readonly lights: readonly string[];
     }
@@ -101,7 +100,7 @@ export async function loadBundle(
     return map;
   };
   const bands = stated.planes.find(({ name }) => name === "direct")?.bands ?? 0;
-  tell({ kind: "opened", bands, hasShadowBits: stated.shadowBitsPath !== "", lights });
+  tell({ kind: "opened", bands, lights });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
   const textured = (manifest.atlas?.albedoSource ?? "") !== "";

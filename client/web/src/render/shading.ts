@@ -14,12 +14,13 @@ import { screenProgram, setUniforms } from "./fullScreen.js";
 import { dominantUniforms } from "./irradiance.js";
 import { type StageLight, turnMatrix } from "./light.js";
 import { channels, type LightTurn, type Look, type Method, type ViewCamera } from "./looks.js";
+import { type ShadowCaster, shadowLook } from "./shadowMaps.js";
 import { type BundleTextures, normalisedScales } from "./textures.js";
 
 function fragment(bands: number, hasGrid: boolean): string {
   const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
   const layers = Math.ceil((bands * bands) / 4);
-  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${glsl.freeShare(bands)}
+  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${shadowLook}${glsl.freeShare(bands)}
 out vec4 result;
 uniform usampler2D seen;
 uniform usampler2D facing;
@@ -30,7 +31,6 @@ uniform mat3 cameraTurn;
 uniform vec3 eye;
 uniform sampler2D irradiance;
 uniform sampler2D bounced;
-uniform sampler2D shares;
 uniform vec3 plainIrradiance[9];
 uniform int channel;
 uniform bool plain;
@@ -46,6 +46,11 @@ vec3 plainSum(vec3 n) {
   vec3 sum = vec3(0.0);
   ${plain}
   return max(sum, 0.0);
+}
+
+/** The ray of a place in the picture, in the camera's axes. */
+vec3 rayOf(vec2 place) {
+  return vec3((place.x - lens.z) / lens.x, -(size.y - place.y - lens.w) / lens.y, -1.0);
 }
 
 void main() {
@@ -67,7 +72,8 @@ void main() {
     albedo += vec3(unpackUnorm2x16(found.b), unpackUnorm2x16(found.a).x);
     roughness += float((found.a >> 16) & 0xffu) / 255.0;
     metalness += float(found.a >> 24) / 255.0;
-    normal += unfolded(texelFetch(facing, at, 0).r);
+    vec3 facet = unfolded(texelFetch(facing, at, 0).r);
+    normal += facet;
     if (lit ? plain : channel != ${channels.visibility}) continue;
     vec4 straight = textureLod(irradiance, where, 0.0);
     openness += straight.a;
@@ -76,7 +82,18 @@ void main() {
     for (int layer = 0; layer < ${layers}; layer++) {
       open[layer] += textureLod(visibility, vec3(where, float(layer)), 0.0);
     }
-    if (numLights > 0) lightShares += textureLod(shares, where, 0.0);
+    if (numLights > 0) {
+      vec2 place = (vec2(at) + 0.5) / float(samples);
+      vec3 position = eye + uintBitsToFloat(found.g) * normalize(cameraTurn * rayOf(place));
+      float turn = patternTurn(vec2(at.x, size.y * float(samples) - 1.0 - float(at.y)));
+      for (int light = 0; light < numLights; light++) {
+        float cosine = dot(facet, lightDirections[light]);
+        if (cosine <= 0.0) continue;
+        float share = shadowShare(light, position, facet, turn);
+        lightShares += share * vec4(equal(ivec4(light), ivec4(0, 1, 2, 3)));
+        arriving += share * cosine * lightIrradiance[light];
+      }
+    }
     if (indirect) {
       vec4 again = textureLod(bounced, where, 0.0);
       bounce += again.rgb;
@@ -93,8 +110,7 @@ void main() {
   metalness = clamp(metalness * share + metalnessShift, 0.0, 1.0);
   openness *= share;
   distance *= share;
-  vec3 ray = vec3((pixel.x - lens.z) / lens.x, -(size.y - pixel.y - lens.w) / lens.y, -1.0);
-  vec3 toViewer = -normalize(cameraTurn * ray);
+  vec3 toViewer = -normalize(cameraTurn * rayOf(pixel));
   normal = normalize(normal * share);
   // A mean normal may face away at a silhouette, where the true one cannot.
   normal = normalize(normal - min(dot(normal, toViewer) - 1e-3, 0.0) * toViewer);
@@ -175,12 +191,12 @@ export class Shading {
   }
 
   /** Set how they are lit. */
-  light(look: Look, method: Method, light: StageLight, turn: LightTurn): void {
+  light(look: Look, method: Method, light: StageLight, turn: LightTurn, caster: ShadowCaster): void {
     const gain = look.edit.albedoGain.map((value, channel) => value * this.bundle.albedoScaleRgb[channel]!);
     setUniforms(this.material, {
       ...lightUniforms(light, turn),
       ...dominantUniforms(light.dominant(turn)),
-      shares: light.tables.shares,
+      ...caster.uniforms(light.cast(turn), light.shadows),
       irradiance: light.tables.direct,
       bounced: light.tables.indirect,
       plainIrradiance: light.plainIrradiance(turn),

@@ -22,6 +22,7 @@ import { StageLight } from "./light.js";
 import type { LightTurn, Look, Method, ViewCamera } from "./looks.js";
 import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
+import { ShadowCaster } from "./shadowMaps.js";
 import { Surface, sampleTarget } from "./surface.js";
 import { halfFloatTarget } from "./targets.js";
 import { BundleTextures, splitSumTexture } from "./textures.js";
@@ -44,6 +45,7 @@ type Scenery = {
   readonly surface: Surface;
   readonly shading: Shading;
   readonly scene: Scene;
+  readonly caster: ShadowCaster;
   /** Created on first use. */
   ground: Ground | null;
 };
@@ -134,7 +136,8 @@ export class Stage {
       this.#screen.compile(each);
     }
     this.#clear();
-    this.#scenery = { bundle, textures, passes, surface, shading, scene, ground: null };
+    const caster = new ShadowCaster(surface.mesh.geometry, ballOf(bundle.boundsMin, bundle.boundsMax));
+    this.#scenery = { bundle, textures, passes, surface, shading, scene, caster, ground: null };
     for (const texture of textures.all) this.renderer.initTexture(texture);
     const gl = this.renderer.getContext();
     for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
@@ -220,6 +223,7 @@ export class Stage {
   #clear(): void {
     for (const name of [...this.#lights.keys()]) this.dropLight(name);
     this.#scenery?.ground?.dispose();
+    this.#scenery?.caster.dispose();
     this.#scenery?.surface.dispose();
     this.#scenery?.shading.dispose();
     this.#scenery?.passes.dispose();
@@ -285,13 +289,14 @@ export class Stage {
     if (light.drawnTurn !== key && needed) {
       this.renderer.setScissorTest(false);
       scenery.passes.draw(this.#screen, light.falling(turn), light.tables);
+      if (light.shadows !== null) scenery.caster.draw(this.renderer, light.cast(turn), light.shadows);
       light.drawnTurn = key;
     }
     const { width, height } = camera;
     this.#look(camera, samples, scenery);
     this.#radiance = this.#fitting(this.#radiance, width, height, halfFloatTarget);
     const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
-    scenery.shading.light(side.look, side.method, light, turn);
+    scenery.shading.light(side.look, side.method, light, turn, scenery.caster);
     this.#scissor(this.#radiance, columns, height);
     const finer = side.light === "a" && side.method === "baked" ? this.overlay : null;
     if (!finer?.draw(this.#screen, camera, side.look, this.#radiance)) {
@@ -316,7 +321,7 @@ export class Stage {
       light.drawnGround !== `${key} ${still ? "still" : "moving"}`
     ) {
       const falling = light.falling(turn);
-      const discs = { directions: falling.directions, radiiRad: light.prepared.lightRadiiRad };
+      const discs = light.cast(turn);
       this.renderer.setScissorTest(false);
       scenery.ground.draw(this.renderer, this.#screen, groundLight(falling), discs, light.ground, still);
       light.drawnGround = `${key} ${still ? "still" : "moving"}`;

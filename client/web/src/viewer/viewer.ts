@@ -5,6 +5,7 @@ import type { BundleNews, LoadedBundle } from "../bundle/load.js";
 import type { BundleOrigin } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import { LightClient } from "../light/client.js";
+import { maxDominant } from "../light/prepare.js";
 import { MapFault } from "../light/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
@@ -14,7 +15,7 @@ import { type Ball, ballOf } from "../render/ball.js";
 import type { ViewCamera } from "../render/looks.js";
 import { type Side, Stage } from "../render/stage.js";
 import { orbitCamera, photoCamera } from "./camera.js";
-import { dominantFor, EarlyLight, lightFor } from "./earlyLight.js";
+import { EarlyLight, lightFor } from "./earlyLight.js";
 import { initialState, isPreset, type ViewerState } from "./state.js";
 
 /** The events of a viewer. */
@@ -101,7 +102,7 @@ export class Viewer {
     const early = new EarlyLight({
       wanted: () => this.#state.environment,
       originOf: (name) => this.#origin(name),
-      prepare: (...asked) => this.#lights.prepare(...asked),
+      prepare: (origin, bands) => this.#lights.prepare(origin, bands, maxDominant),
     });
     const hear = (news: BundleNews): void => {
       if (news.kind === "progress") this.#tell("progress", news.readBytes / Math.max(news.totalBytes, 1));
@@ -354,11 +355,10 @@ export class Viewer {
         const bundle = stage?.bundle;
         if (stage == null || bundle == null || this.#shown.get(slot) === name) return;
         this.#shown.set(slot, name);
-        const { direct, shadowBits } = bundle.transport;
+        const { bands } = bundle.transport.direct;
         try {
-          const dominant = dominantFor(shadowBits !== null);
-          const prepared = await (this.#early?.take(name, direct.bands, dominant) ??
-            this.#lights.prepare(this.#origin(name), direct.bands, dominant));
+          const prepared = await (this.#early?.take(name, bands) ??
+            this.#lights.prepare(this.#origin(name), bands, maxDominant));
           // Another light may have been chosen, or another bundle opened, in the meantime.
           if (this.#shown.get(slot) !== name || stage.bundle !== bundle) return;
           stage.setLight(slot, prepared);
