@@ -24,6 +24,8 @@ function fragment(bands: number, hasGrid: boolean): string {
 out vec4 result;
 uniform usampler2D seen;
 uniform usampler2D facing;
+uniform sampler2D mask;
+uniform bool masked;
 uniform int samples;
 uniform vec2 size;
 uniform vec4 lens;
@@ -56,6 +58,18 @@ vec3 rayOf(vec2 place) {
 void main() {
   vec2 pixel = gl_FragCoord.xy;
   ivec2 first = ivec2(pixel) * samples;
+  // A border that misses the middle of a pixel is like the surface beside it.
+  float covered = masked ? texelFetch(mask, first, 0).r : 1.0;
+  if (masked && covered > 0.0 && texelFetch(seen, first, 0).g == 0u) {
+    ivec2 last = textureSize(seen, 0) - 1;
+    for (int side = 0; side < 8; side++) {
+      int around = side < 4 ? side : side + 1;
+      ivec2 beside = clamp(first + ivec2(around % 3, around / 3) - 1, ivec2(0), last);
+      if (texelFetch(seen, beside, 0).g == 0u) continue;
+      first = beside;
+      break;
+    }
+  }
   float count = 0.0, distance = 0.0, roughness = 0.0, metalness = 0.0, openness = 0.0, surroundings = 0.0;
   vec3 albedo = vec3(0.0), normal = vec3(0.0), arriving = vec3(0.0), bounce = vec3(0.0);
   vec4 lightShares = vec4(0.0);
@@ -100,7 +114,7 @@ void main() {
       surroundings += again.a;
     }
   }
-  if (count == 0.0) {
+  if (count == 0.0 || covered == 0.0) {
     result = vec4(0.0);
     return;
   }
@@ -150,7 +164,7 @@ void main() {
     vec3 world = eye - distance * toViewer;
     shown = vec3(${hasGrid ? "min(texture(uncertainty, (world - gridLow) / gridSize).r, 1.0)" : "0.0"});
   }
-  float coverage = count / float(samples * samples);
+  float coverage = masked ? covered : count / float(samples * samples);
   result = vec4(shown * coverage, coverage);
 }`;
 }
@@ -179,15 +193,23 @@ export class Shading {
     });
   }
 
-  /** Set which samples are shaded, and for which camera. */
+  /** Set which samples are shaded, and for which camera: their two textures, and what is covered, or null. */
   aim(
-    textures: readonly Texture[],
+    textures: readonly (Texture | null)[],
     samples: number,
     camera: ViewCamera,
     depthRange: readonly number[],
   ): void {
-    const [seen, facing] = textures;
-    setUniforms(this.material, { seen, facing, samples, depthRange, ...cameraUniforms(camera) });
+    const [seen, facing, mask] = textures;
+    setUniforms(this.material, {
+      seen,
+      facing,
+      mask,
+      masked: mask !== null,
+      samples,
+      depthRange,
+      ...cameraUniforms(camera),
+    });
   }
 
   /** Set how they are lit. */

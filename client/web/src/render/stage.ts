@@ -2,7 +2,6 @@
 
 import {
   HalfFloatType,
-  Matrix4,
   PerspectiveCamera,
   RGBAFormat,
   Scene,
@@ -23,8 +22,9 @@ import type { LightTurn, Look, Method, ViewCamera } from "./looks.js";
 import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
 import { ShadowCaster } from "./shadowMaps.js";
-import { Surface, sampleTarget } from "./surface.js";
+import { maskTarget, Surface, sampleTarget } from "./surface.js";
 import { halfFloatTarget } from "./targets.js";
+import { aim } from "./projection.js";
 import { BundleTextures, splitSumTexture } from "./textures.js";
 
 /** One half of the picture, or all of it. */
@@ -79,10 +79,13 @@ export class Stage {
   readonly #splitSum: DataTexture;
   readonly #camera = new PerspectiveCamera();
   readonly #lights = new Map<string, StageLight>();
+  /** Whether pictures of 8 bits are dithered. */
+  dither = true;
   /** Draws a finer picture in place of the baked one, where it has one. */
   overlay: Overlay | null = null;
   #radiance: WebGLRenderTarget | null = null;
   #seen: WebGLRenderTarget | null = null;
+  #mask: WebGLRenderTarget | null = null;
   /** Camera and samples that `#seen` holds. */
   #seenKey = "";
   #scenery: Scenery | null = null;
@@ -214,6 +217,7 @@ export class Stage {
     this.#clear();
     this.#radiance?.dispose();
     this.#seen?.dispose();
+    this.#mask?.dispose();
     this.#splitSum.dispose();
     this.#resolve.dispose();
     this.#screen.dispose();
@@ -303,7 +307,16 @@ export class Stage {
       this.#screen.draw(scenery.shading.material, this.#radiance);
     }
     const ground = this.#ground(side, light, samples > 1, scenery);
-    this.#resolve.prepare(this.#radiance.texture, camera, side.look, light, turn, output, ground);
+    this.#resolve.prepare(
+      this.#radiance.texture,
+      camera,
+      side.look,
+      light,
+      turn,
+      output,
+      ground,
+      this.dither,
+    );
     this.#scissor(target, columns, height);
     this.#screen.draw(this.#resolve.material, target);
     this.#scissor(null, null, 0);
@@ -333,14 +346,27 @@ export class Stage {
   #look(camera: ViewCamera, samples: number, scenery: Scenery): void {
     const key = `${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
-    const depthRange = this.#aim(camera, scenery.bundle);
+    const depthRange = aim(this.#camera, camera, scenery.bundle);
     this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
     this.renderer.setRenderTarget(this.#seen);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
     this.renderer.render(scenery.scene, this.#camera);
-    scenery.shading.aim(this.#seen.textures, samples, camera, depthRange);
+    if (samples === 1) this.#drawMask(camera, scenery);
+    const mask = samples === 1 ? this.#mask!.texture : null;
+    scenery.shading.aim([...this.#seen.textures, mask], samples, camera, depthRange);
     this.#seenKey = key;
+  }
+
+  /** Draw how much of every pixel the mesh covers, for pictures with one sample to a pixel. */
+  #drawMask({ width, height }: ViewCamera, { scene, surface }: Scenery): void {
+    this.#mask = this.#fitting(this.#mask, width, height, maskTarget);
+    this.renderer.setRenderTarget(this.#mask);
+    this.renderer.clear();
+    const { mesh } = surface;
+    mesh.material = surface.mask;
+    this.renderer.render(scene, this.#camera);
+    mesh.material = surface.program;
   }
 
   #scissor(target: WebGLRenderTarget | null, columns: readonly number[] | null, height: number): void {
@@ -353,28 +379,6 @@ export class Stage {
       target.scissorTest = on;
       target.scissor.set(from!, 0, to! - from!, height);
     }
-  }
-
-  /** Set the camera and return the range of distances of the object. */
-  #aim(camera: ViewCamera, { boundsMin, boundsMax }: LoadedBundle): readonly [number, number] {
-    const pose = camera.cameraToWorld;
-    const { centre, radius } = ballOf(boundsMin, boundsMax);
-    const away = Math.hypot(...centre.map((value, axis) => value - pose[4 * axis + 3]!));
-    const near = Math.max(away - radius, 0.01 * radius);
-    const far = away + 1.1 * radius;
-    const { focalX, focalY, centreX, centreY, width, height } = camera;
-    const matrix = new Matrix4().fromArray(pose as number[]).transpose();
-    this.#camera.matrixWorld.copy(matrix);
-    this.#camera.matrixWorldInverse.copy(matrix).invert();
-    this.#camera.projectionMatrix.makePerspective(
-      (-centreX / focalX) * near,
-      ((width - centreX) / focalX) * near,
-      (centreY / focalY) * near,
-      (-(height - centreY) / focalY) * near,
-      near,
-      far,
-    );
-    return [Math.max(away - radius, 0), away + radius];
   }
 
   #fitting(
