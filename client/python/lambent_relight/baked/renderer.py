@@ -3,12 +3,14 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent_relight.baked.edges import with_soft_edges
 from lambent_relight.baked.hits import BakedHits, HitFinder
 from lambent_relight.baked.light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
 from lambent_relight.baked.scene import load_baked_scene
 from lambent_relight.baked.shading import Lobes, lobes_of, shade
+from lambent_relight.baked.shadow_maps import ShadowMap, shadow_map
 from lambent_relight.baked.surface_bounce import SurfaceBlocks
 from lambent_relight.baked.traced_surface import Settled, TracedSurface
 from lambent_relight.baked.transport import shadow_directions
@@ -25,6 +27,8 @@ from lambent_relight.refined.scattering import SurfacePoints
 
 _KEPT_PIXELS = 2_000_000
 """Maximum number of pixels in cached views; about 400 bytes each."""
+_KEPT_SHADOWS = 3 * MAX_DOMINANT
+"""Number of cached shadow maps, 4 MB each."""
 _KEPT_LIGHTS = 3
 """Number of cached environments, enough to compare two side by side."""
 
@@ -46,6 +50,7 @@ class BakedRenderer:
         self._traced: TracedSurface | None = None
         self._blocks: SurfaceBlocks | None = None
         self._cells: tuple[Environment, SkyCells] | None = None
+        self._shadows: dict[tuple[bytes, float], ShadowMap] = {}
         self._lights: list[tuple[Environment, int, BakedLight]] = []
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
@@ -154,19 +159,28 @@ class BakedRenderer:
         it does in a `preview`.
         """
         view = self.view(camera, antialias, soft_edges=soft_edges and not preview)
-        can_split = self.scene.transport.shadow_bits is not None and not preview
-        light = self.light(environment, MAX_DOMINANT if can_split else 0)
+        light = self.light(environment, 0 if preview else MAX_DOMINANT)
         known = self._prepared(view, edit, preview=preview)
         found = shade(
             view,
             known.lit,
             known.lobes,
             light,
+            [self._shadow_map(*each) for each in zip(light.directions, light.radii_rad, strict=True)],
             preview=preview,
             indirect=indirect,
             bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
         )
         return replace(known.still, **found)
+
+    def _shadow_map(self, direction: NDArray[np.float32], radius_rad: float) -> ShadowMap:
+        """Return the shadows of a dominant light; the last few are cached."""
+        key = (direction.tobytes(), float(radius_rad))
+        if key not in self._shadows:
+            while len(self._shadows) >= _KEPT_SHADOWS:
+                self._shadows.pop(next(iter(self._shadows)))
+            self._shadows[key] = shadow_map(self.scene.mesh, direction, float(radius_rad))
+        return self._shadows[key]
 
     def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
         """Return the materials and texels of a view; cached for the last view and edit."""

@@ -180,6 +180,12 @@ export class Viewer {
     this.invalidate();
   }
 
+  /** Whether pictures of 8 bits are dithered, so that gradients have no bands. */
+  set dither(on: boolean) {
+    this.#ready().dither = on;
+    this.invalidate();
+  }
+
   /** Draw again, soon. */
   invalidate(): void {
     clearTimeout(this.#still);
