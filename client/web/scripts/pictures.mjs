@@ -116,7 +116,7 @@ try {
   await page.waitForURL(/#\/jobs\//);
   await page.waitForSelector(".chart polyline");
   // The first pictures are fog.
-  await page.waitForFunction(() => document.querySelectorAll(".stack img").length > 7);
+  await page.waitForFunction(() => document.querySelectorAll(".stack img").length > 3);
   await page.evaluate(() => scrollTo(0, 0));
   await keep(page, "web-progress");
 
