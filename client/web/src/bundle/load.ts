@@ -85,7 +85,6 @@ export async function loadBundle(
     "mesh/asset.glb",
     stated.texelsPath,
     ...stated.planes.map((planes) => planes.path),
-    stated.shadowBitsPath,
     manifest.uncertainty?.path ?? "",
     cameraPath ?? "",
     ...lights.map((light) => `env/trained_${light}.exr`),

@@ -8,7 +8,6 @@ import type { PreparedLight } from "../light/prepare.js";
 import { turnMatrix } from "../render/light.js";
 import type { LightTurn, Look, ViewCamera } from "../render/looks.js";
 import type { Stage } from "../render/stage.js";
-import { bouncedCoefficients, type FallingLight } from "../engine/fallingLight.js";
 import type { RefinedPicture } from "./accumulation.js";
 import type { RefineAnswer } from "./messages.js";
 import { mostPoints, planOf } from "./plan.js";
@@ -165,7 +164,7 @@ export class Refinement {
       levels: known ? null : levels,
       turn: turnMatrix(turn).flat(),
       intensity: turn.intensity,
-      falling: bundle.transport.shadowBits === null ? whole(light.falling(turn)) : light.falling(turn),
+      falling: light.falling(turn),
       edit: { ...look.edit, albedoScaleRgb: bundle.albedoScaleRgb },
       indirect: look.indirect,
       seen,
@@ -199,16 +198,6 @@ export class Refinement {
     this.#set({ phase: done ? "done" : "running", samplesPerPixel, relativeError });
     this.host.redraw();
   }
-}
-
-/** Return a light with its dominant lights among the harmonics: without bits their shadows are not known at texels. */
-function whole(light: FallingLight): FallingLight {
-  return {
-    ...light,
-    coefficientsRgb: bouncedCoefficients(light, light.bands),
-    directions: [],
-    irradianceRgb: [],
-  };
 }
 
 /** Return a text that is another one where the refined picture would be. */
