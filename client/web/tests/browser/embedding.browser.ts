@@ -132,7 +132,10 @@ describe("an element on a page of somebody else", () => {
     await page.mouse.wheel(0, 60);
     await page.waitForFunction(() => scrollY > 0);
     expect((await now()).distance).toBe(first.distance);
+    // The browser keeps a gesture of the wheel, and its animation, with what it began to scroll.
+    await page.waitForTimeout(1000);
     await page.evaluate(() => scrollTo(0, 0));
+    await page.waitForFunction(() => scrollY === 0);
     await page.keyboard.down("Control");
     await page.mouse.wheel(0, 60);
     await page.keyboard.up("Control");
