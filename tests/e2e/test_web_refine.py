@@ -108,7 +108,7 @@ def test_it_starts_rises_stops_and_gives_way_to_input(opened):
     page.page.evaluate(f"viewer.update({{ look: {{ ...{look}, exposureEv: 0, channel: 'indirect' }} }})")
     page.page.evaluate(f"viewer.update({{ look: {{ ...{look}, channel: 'final' }} }})")
     assert np.array_equal(page.picture(), refined)
-    assert page.page.evaluate("viewer.refinedCamera.width") == SIZE[0]
+    assert page.page.evaluate("viewer.refined.width") == SIZE[0]
 
     at_input = page.press(*LEFT)
     assert (at_input["refined"], at_input["phase"]) == (False, "waiting")
