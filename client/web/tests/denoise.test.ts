@@ -30,8 +30,8 @@ const noisy: RefinedPicture = {
 };
 
 describe("smoothing a refined picture", () => {
-  it("is what Python does", () => {
-    const { directRgb, indirectRgb, visibility } = denoised(noisy, features);
+  it("is what Python does", async () => {
+    const { directRgb, indirectRgb, visibility } = await denoised(noisy, features);
     for (const [found, wanted] of [
       [directRgb, golden.out.direct],
       [indirectRgb, golden.out.indirect],
@@ -43,10 +43,10 @@ describe("smoothing a refined picture", () => {
     }
   });
 
-  it("changes nothing where there is no noise, and leaves its input alone", () => {
+  it("changes nothing where there is no noise, and leaves its input alone", async () => {
     const before = noisy.directRgb.slice();
     const quiet = { ...noisy, standardErrorRgb: new Float32Array(noisy.standardErrorRgb.length) };
-    const { directRgb } = denoised(quiet, features);
+    const { directRgb } = await denoised(quiet, features);
     directRgb.forEach((value, index) => {
       expect(value).toBeCloseTo(before[index]!, 3);
     });

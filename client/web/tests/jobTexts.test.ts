@@ -89,7 +89,7 @@ describe("numbers", () => {
     expect(told(6.21, "normal/mae_mask", "deg")).toEqual({
       about: "Shape",
       figure: "6.2° off",
-      words: "right in the large, with small dents",
+      words: "right overall, with small dents",
     });
     expect(told(0.3, "roughness/rmse", "1")!.words).toBe("gloss is not to be relied on");
     expect(told(0.9, "nvs/ssim", "1")).toBeUndefined();

@@ -41,7 +41,7 @@ export async function codecFor(format: FilmFormat, size: Size): Promise<VideoCod
   if (typeof VideoEncoder === "undefined") {
     throw new Fault(
       "film.unsupported",
-      "this browser offers this page no encoder of films",
+      "this page cannot encode films in this browser",
       "open the page over https or from this computer, with a browser that has WebCodecs",
     );
   }

@@ -94,6 +94,8 @@ async function logIn(): Promise<void> {
 
 let wasAway = false;
 const logOut = button("Log out", context, async () => {
+  // What the page says is deleted must be, and only a session can do that.
+  await removals.flush();
   await api.logOut();
   location.reload();
 });
@@ -129,7 +131,7 @@ async function run(): Promise<void> {
   store.listen(changed);
   main.after(removalNotices(removals));
   // Also when a phone puts the page away, after which it may never come back.
-  addEventListener("pagehide", () => removals.flush());
+  addEventListener("pagehide", () => void removals.flush());
   addEventListener("hashchange", () => {
     // A login link that was pasted into the page that is open.
     if (location.hash.startsWith("#code=")) location.reload();

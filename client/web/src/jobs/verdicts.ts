@@ -35,7 +35,7 @@ const pictures: Scale = [
 ];
 const angles: Scale = [
   [5, "smooth and right to the eye"],
-  [10, "right in the large, with small dents"],
+  [10, "right overall, with small dents"],
   [20, "rough"],
   [worse, "wrong in large parts"],
 ];

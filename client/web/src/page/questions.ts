@@ -36,8 +36,12 @@ export class Questions<Question extends { readonly id: number }, Answer extends 
     });
   }
 
-  /** End the worker; what is not answered yet stays so. */
+  /** End the worker; what is not answered yet is rejected with an AbortError, and so is what is asked later. */
   close(): void {
     this.worker.terminate();
+    const fault = new DOMException("the page's part that answers was closed", "AbortError");
+    this.#fault = fault;
+    for (const { reject } of this.#waiting.values()) reject(fault);
+    this.#waiting.clear();
   }
 }

@@ -62,8 +62,8 @@ export class Removals {
   }
 
   /** Delete at once what is waiting: the visitor leaves the page. */
-  flush(): void {
-    for (const id of [...this.#waiting.keys()]) void this.#send(id, true);
+  async flush(): Promise<void> {
+    await Promise.all([...this.#waiting.keys()].map((id) => this.#send(id, true)));
   }
 
   async #send(id: string, keepalive: boolean): Promise<void> {

@@ -31,12 +31,18 @@ const furthest = 9;
 /** Share of a radiance squared that is always taken for noise, so that nothing is divided by zero. */
 const least = 1e-4;
 const numFeatures = 7;
+/** Messages are let in so often, ms. */
+const pauseEveryMs = 40;
 
 /**
  * Return a picture with less noise in its radiance and visibility; its standard errors stay, for the weights are from
- * them. Pixels that the object does not cover stay as they are.
+ * them. Pixels that the object does not cover stay as they are, and so do the rest once `stopped` says so.
  */
-export function denoised(picture: RefinedPicture, features: PixelFeatures): RefinedPicture {
+export async function denoised(
+  picture: RefinedPicture,
+  features: PixelFeatures,
+  stopped: () => boolean = () => false,
+): Promise<RefinedPicture> {
   const { width, height, directRgb, indirectRgb, visibility, coverage } = picture;
   const rgb = directRgb.map((value, index) => value + indirectRgb[index]!);
   const variance = evenVariance(picture);
@@ -47,7 +53,12 @@ export function denoised(picture: RefinedPicture, features: PixelFeatures): Refi
     visibility: visibility.slice(),
   };
   const sums = new Float64Array(numFeatures);
-  for (let row = 0; row < height; row++) {
+  let pausedAt = performance.now();
+  for (let row = 0; row < height && !stopped(); row++) {
+    if (performance.now() - pausedAt > pauseEveryMs) {
+      await new Promise((resolve) => setTimeout(resolve));
+      pausedAt = performance.now();
+    }
     for (let column = 0; column < width; column++) {
       const pixel = row * width + column;
       if (coverage[pixel]! <= 0) continue;

@@ -48,7 +48,10 @@ export type StartQuestion = {
   readonly options: RefineOptions;
 };
 
-export type RefineQuestion = OpenQuestion | StartQuestion | { readonly ask: "stop" };
+/** Stop refining; `id` is that of the only picture that is meant, where not any. */
+export type StopQuestion = { readonly ask: "stop"; readonly id?: number };
+
+export type RefineQuestion = OpenQuestion | StartQuestion | StopQuestion;
 
 export type RefineAnswer =
   | { readonly kind: "opened"; readonly backend: Backend; readonly note: string; readonly slow: boolean }

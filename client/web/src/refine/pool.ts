@@ -58,6 +58,6 @@ export class RefinePool {
     if (answer.kind === "failed") this.close();
     this.hear(answer);
     // What the others compute further is of no use.
-    if (answer.kind === "picture" && answer.done) this.ask({ ask: "stop" });
+    if (answer.kind === "picture" && answer.done) this.ask({ ask: "stop", id: answer.id });
   }
 }

@@ -47,8 +47,12 @@ function answer(message: RefineAnswer, transfer: Transferable[] = []): void {
 }
 
 self.onmessage = ({ data }: MessageEvent<RefineQuestion>) => {
+  if (data.ask === "stop") {
+    // A picture that was done late must not end the next one.
+    if (data.id === undefined || data.id === current) current = 0;
+    return;
+  }
   current = data.ask === "start" ? data.id : 0;
-  if (data.ask === "stop") return;
   const before = work;
   work = before.then(async () => {
     try {
@@ -124,7 +128,7 @@ async function refine(question: StartQuestion): Promise<void> {
       continue;
     }
     collector.sums.add(means);
-    if (collector.tell()) return;
+    if (await collector.tell(stopped)) return;
   }
 }
 
@@ -155,8 +159,8 @@ class Collector {
     this.#features = pixelFeatures(points, seen);
   }
 
-  /** Send the picture if it is time; returns whether it is good enough. */
-  tell(): boolean {
+  /** Send the picture if it is time; returns whether it is good enough, or not wanted any more. */
+  async tell(stopped: () => boolean): Promise<boolean> {
     const { id, options, seen } = this.question;
     const { numPasses } = this.sums;
     if (numPasses < 2) return false;
@@ -167,7 +171,8 @@ class Collector {
     if (!enough && early) return false;
     const picture = this.sums.picture(perPass);
     const quiet = numPasses >= leastPasses && picture.relativeError <= options.relativeError;
-    const shown = options.denoise ? denoised(picture, this.#features) : null;
+    const shown = options.denoise ? await denoised(picture, this.#features, stopped) : null;
+    if (stopped()) return true;
     const done = enough || quiet;
     this.#sentAt = performance.now();
     this.#smoothAt = 2 * numPasses;

@@ -75,10 +75,10 @@ export class Refinement {
   }
 
   /** The picture at rest was drawn: begin soon, unless this picture is refined already. */
-  rest(): void {
+  rest(afterMs = restMs): void {
     if (this.#key !== "" || this.#status.phase === "failed") return;
     clearTimeout(this.#rest);
-    this.#rest = setTimeout(() => this.#begin(), restMs) as unknown as number;
+    this.#rest = setTimeout(() => this.#begin(), afterMs) as unknown as number;
   }
 
   dispose(): void {

@@ -66,7 +66,7 @@ export function statusText(status: RefineStatus): string {
   const { phase, backend, note, samplesPerPixel, relativeError, message } = status;
   if (phase === "off") return "";
   if (phase === "waiting") return "Starts when nothing moves.";
-  if (phase === "loading") return "Fetching the networks…";
+  if (phase === "loading") return "Preparing…";
   if (phase === "failed") return `Cannot refine: ${message}`;
   const by = backend === null ? "" : `, by ${places[backend]}${note === "" ? "" : ` (${note})`}`;
   const progress = `${samplesPerPixel} samples a pixel, noise ${(100 * relativeError).toPrecision(2)} %${by}`;

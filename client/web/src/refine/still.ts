@@ -111,11 +111,11 @@ export async function refinedStill<T extends Pixels>(
       await new Promise<void>((resolve, reject) => {
         const stop = (): void => reject(signal?.reason);
         signal?.addEventListener("abort", stop, { once: true });
-        hear = (status) => {
+        const follow = (status: RefineStatus): void => {
           onProgress?.(index + 1, parts.length, status);
-          if (signal?.aborted) return stop();
-          if (held().some((each, place) => each !== first[place])) return reject(interrupted());
-          if (status.phase === "failed") return reject(new Error(status.message));
+          if (signal?.aborted) throw signal.reason;
+          if (held().some((each, place) => each !== first[place])) throw interrupted();
+          if (status.phase === "failed") throw new Error(status.message);
           if (status.phase !== "done") return;
           signal?.removeEventListener("abort", stop);
           const sides = host.sides.map((side) => ({
@@ -134,9 +134,16 @@ export async function refinedStill<T extends Pixels>(
           );
           resolve();
         };
+        hear = (status) => {
+          try {
+            follow(status);
+          } catch (error) {
+            reject(error);
+          }
+        };
         if (signal?.aborted) return stop();
         refinement.changed();
-        refinement.rest();
+        refinement.rest(0);
       });
       hear = () => {};
     }

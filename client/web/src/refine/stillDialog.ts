@@ -40,6 +40,8 @@ export async function saveRefined(
   } catch (error) {
     if (!stop.signal.aborted) throw error;
   } finally {
+    // Closing it gives the focus back.
+    element.close();
     element.remove();
   }
 }

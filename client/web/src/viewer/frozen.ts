@@ -29,10 +29,13 @@ export function freeze(
     const { overlay } = stage;
     // A refined picture is of one camera only.
     stage.overlay = null;
-    const pixels = stage.readBytes(cameraOf(width, height, now), sidesOf(now), samples);
-    stage.overlay = overlay;
-    if (isLost()) throw interrupted();
-    return pixels;
+    try {
+      const pixels = stage.readBytes(cameraOf(width, height, now), sidesOf(now), samples);
+      if (isLost()) throw interrupted();
+      return pixels;
+    } finally {
+      stage.overlay = overlay;
+    }
   };
 }
 

@@ -83,8 +83,8 @@ describe("a refined picture", () => {
   it("is saved in the size that was asked for, with its progress, and can be cancelled", async () => {
     await page.evaluate(() => document.querySelector("lambent-viewer")!.update({ refine: true }));
     await page.click("summary:text-is('Save')");
-    await page.fill("input[aria-label='Width in pixels']", "48");
-    await page.fill("input[aria-label='Height in pixels']", "36");
+    await page.getByLabel("Width (pixels)").fill("48");
+    await page.getByLabel("Height (pixels)").fill("36");
     for (const kind of ["PNG", "EXR"]) {
       const [download] = await Promise.all([page.waitForEvent("download"), page.click(`text=Save ${kind}`)]);
       const chunks: Buffer[] = [];
@@ -100,8 +100,8 @@ describe("a refined picture", () => {
       await page.getByRole("dialog").waitFor({ state: "detached" });
     }
     await page.setViewportSize({ width: 700, height: 400 });
-    await page.fill("input[aria-label='Width in pixels']", "4000");
-    await page.fill("input[aria-label='Height in pixels']", "3000");
+    await page.getByLabel("Width (pixels)").fill("4000");
+    await page.getByLabel("Height (pixels)").fill("3000");
     await page.click("text=Save PNG");
     const dialog = page.getByRole("dialog", { name: "Refining a picture" });
     await dialog.getByText(/Part \d+ of 252/).waitFor();
