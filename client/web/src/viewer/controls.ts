@@ -41,6 +41,11 @@ export class Controls {
     return { tools: this.#undo.element, strip: this.#strip.element };
   }
 
+  /** The row at the bottom. */
+  get line(): HTMLElement {
+    return this.#strip.row;
+  }
+
   /** Someone has taken hold of something, or lets go. */
   moving(on: boolean): void {
     this.viewer.moving = on;
@@ -55,6 +60,8 @@ export class Controls {
 
   /** Follow the viewer's state. */
   show(): void {
+    const isThere = this.viewer.bundle !== null;
+    for (const each of [this.#undo.element, this.#strip.element]) each.hidden = !isThere;
     this.#strip.show();
     this.#ball.show();
   }

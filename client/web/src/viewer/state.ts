@@ -52,6 +52,7 @@ export const initialState: ViewerState = {
     channel: "final",
     tone: "neutral",
     exposureEv: 0,
+    autoExposure: true,
     background: "blurred",
     backgroundSrgb: [0.93, 0.93, 0.93],
     edit: { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 },
@@ -125,6 +126,7 @@ export function flat(state: ViewerState): Record<string, string> {
     channel: look.channel,
     tone: look.tone,
     ev: round(look.exposureEv),
+    auto: look.autoExposure ? "1" : "0",
     background: look.background,
     colour: look.backgroundSrgb.map(round).join(","),
     gain: look.edit.albedoGain.map(round).join(","),
@@ -173,6 +175,7 @@ export function fromParameters(
       channel: choice("channel", Object.keys(channels) as Channel[], look.channel),
       tone: choice("tone", Object.keys(toneCurves) as ToneCurve[], look.tone),
       exposureEv: one("ev", look.exposureEv, limits.exposure),
+      autoExposure: flag("auto", look.autoExposure),
       background: choice("background", Object.keys(backgrounds) as BackgroundKind[], look.background),
       backgroundSrgb: rgb(numbers("colour", look.backgroundSrgb), [0, 1]),
       edit: {

@@ -10,6 +10,7 @@ export const version1: ViewerState = {
     channel: "final",
     tone: "neutral",
     exposureEv: 0,
+    autoExposure: false,
     background: "blurred",
     backgroundSrgb: [0.93, 0.93, 0.93],
     edit: { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 },

@@ -5,19 +5,21 @@ import type { BundleNews, LoadedBundle } from "../bundle/load.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
+import { exposureFor } from "../light/exposure.js";
 import { MapFault } from "../light/fault.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
-import type { ViewCamera } from "../render/looks.js";
+import type { Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
-import { orbitCamera, photoCamera } from "./camera.js";
+import { beside, type Inset, noInset, orbitCamera, photoCamera } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
-import { mainDirection } from "./turning.js";
 import { ViewerLights } from "./lights.js";
+import { besidePhotograph } from "./photograph.js";
 import { initialState, type ViewerState } from "./state.js";
+import { mainDirection } from "./turning.js";
 
 /** The events of a viewer. */
 export type ViewerEvents = {
@@ -60,6 +62,8 @@ export class Viewer {
   #frame = 0;
   #still = 0;
   #moving = false;
+  #inset = noInset;
+  #photoEdge: Rgb | null = null;
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
   #closed = false;
@@ -82,6 +86,11 @@ export class Viewer {
   /** The bundle that is shown, or null. */
   get bundle(): LoadedBundle | null {
     return this.#stage?.bundle ?? null;
+  }
+
+  /** The sphere around the bundle that is shown. */
+  get ball(): Ball {
+    return this.#ball;
   }
 
   /** The id of the bundle that is shown, where it is one of our own on the server that the page came from; else null. */
@@ -193,6 +202,18 @@ export class Viewer {
     return photo ? photoCamera(photo, width, height) : orbitCamera(state.pose, this.#ball, width, height);
   }
 
+  /** The camera of the picture on the canvas, or on one of another size that is like it. */
+  canvasCamera({ width, height } = this.#size()): ViewCamera {
+    return beside(this.#inset, width, height, (...size) => this.camera(...size));
+  }
+
+  /** What lies on the canvas; the object stands in the middle of the rest. */
+  set inset(inset: Inset) {
+    if (Object.entries(inset).every(([edge, share]) => this.#inset[edge as keyof Inset] === share)) return;
+    this.#inset = inset;
+    this.invalidate();
+  }
+
   /** Return the camera of the photograph that is compared with, or null. */
   photoCamera({ compare, photo } = this.#state) {
     if (compare !== "photo") return null;
@@ -201,12 +222,12 @@ export class Viewer {
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#state), samples);
+    return this.#ready().readBytes(this.#savedCamera(width, height), sidesOf(this.#drawn()), samples);
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(camera, sidesOf(this.#state), samples);
+    return this.#ready().readBytes(camera, sidesOf(this.#drawn()), samples);
   }
 
   /**
@@ -215,12 +236,12 @@ export class Viewer {
    */
   frozen(state: ViewerState): Frozen {
     const cameraOf = (width: number, height: number, now: ViewerState) => this.camera(width, height, now);
-    return freeze(this.#ready(), cameraOf, () => this.#closed, state);
+    return freeze(this.#ready(), cameraOf, () => this.#closed, this.#drawn(state));
   }
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#state), samples);
+    return this.#ready().readHalf(this.#savedCamera(width, height), sidesOf(this.#drawn()), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -235,9 +256,20 @@ export class Viewer {
 
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
-    const { width, height } = this.#size();
-    this.#ready().draw(this.camera(width, height), sidesOf(this.#state), samples);
+    this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn()), samples);
     this.#tell("draw");
+  }
+
+  /** The exposure that the light decides, in EV; 0 without a light. */
+  get lightExposure(): number {
+    const prepared = this.#stage?.light("a")?.prepared;
+    return prepared === undefined ? 0 : exposureFor(prepared, mainDirection(prepared));
+  }
+
+  /** The colour behind the photograph that is compared with, sRGB 0 to 1, or null where it has more than one. */
+  set photoEdge(edge: Rgb | null) {
+    this.#photoEdge = edge;
+    this.invalidate();
   }
 
   /** Where the main light of the picture comes from, as the map has it; null where it has no direction, or none is there. */
@@ -270,6 +302,20 @@ export class Viewer {
     if (this.#stage !== null) return;
     const table = await this.lights.splitSum();
     if (!signal.aborted) this.#stage ??= new Stage(this.canvas, table);
+  }
+
+  /** Return a state as it is drawn: exposed for the light on the left, and beside a photograph as that is. */
+  #drawn(state = this.#state): ViewerState {
+    const besides = this.photoCamera(state) !== null;
+    const look = besides ? besidePhotograph(state.look, this.#photoEdge) : state.look;
+    const exposureEv = look.exposureEv + (look.autoExposure ? this.lightExposure : 0);
+    return { ...state, look: { ...look, exposureEv } };
+  }
+
+  /** Return the camera of a saved picture; the refined one is saved as it is shown. */
+  #savedCamera(width: number, height: number): ViewCamera {
+    const shown = this.refinedCamera;
+    return shown?.width === width && shown.height === height ? shown : this.camera(width, height);
   }
 
   #ready(): Stage {
@@ -333,13 +379,12 @@ export class Viewer {
   }
 
   #refineView() {
-    const { width, height } = this.#size();
     const { turn, look } = this.#state;
     return {
       bundle: this.bundle!,
       origin: this.#source!,
-      camera: this.camera(width, height),
-      cameraOf: (w: number, h: number) => this.camera(w, h),
+      camera: this.canvasCamera(),
+      cameraOf: (width: number, height: number) => this.canvasCamera({ width, height }),
       turn,
       look,
       moving: this.#moving,
