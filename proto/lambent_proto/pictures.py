@@ -46,7 +46,7 @@ Side = Annotated[int, Field(ge=0, le=16384), WHOLE]
 Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
 Bounces = Annotated[
-    Literal["auto", "adapted", "transport", "one", "1", "2", "3", "4", "5", "6", "7", "8"],
+    Literal["auto", "adapted", "baked", "transport", "one", "1", "2", "3", "4", "5", "6", "7", "8"],
     BeforeValidator(_word),
 ]
 Occlusion = Literal["auto", "mesh", "cache"]
@@ -146,14 +146,16 @@ class RenderSettings(Wanted):
     spp: Annotated[int, Field(ge=2, le=65536), WHOLE] = 64
     """Light directions per pixel."""
     until_stderr: Annotated[float, Field(ge=0.0, le=0.999)] = 0.0
-    """Continue until the standard error is this share of the radiance; 0: do not."""
+    """Continue until the mean standard error is this share of the mean radiance, with more directions where
+    there is more noise; 0: do not."""
     antialias: Annotated[int, Field(ge=1, le=8), WHOLE] = 2
     """Rays per pixel along each side, at the object."""
     indirect: bool = True
     """Whether indirect light is included."""
     bounces: Bounces = "auto"
-    """Source of indirect light in refined pictures (auto: an adapted cache, else baked transport), or how
-    often light may be reflected, as random paths: 1 is direct light alone."""
+    """Source of indirect light in refined pictures (auto: an adapted cache, else baked transport, diffusely
+    reflected in part as it was baked), or how often light may be reflected, as random paths: 1 is direct
+    light alone."""
     occlusion: Occlusion = "auto"
     """What is in the way of light in refined pictures: the mesh or the fast cache; auto: the mesh where the
     bundle has baked transport, but with an adapted cache what that cache sees."""

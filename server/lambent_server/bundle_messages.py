@@ -22,6 +22,8 @@ class Bundle(Shown):
     created_at: str
     num_files: int
     size_bytes: float
+    thumbnail_url: str | None
+    """A small picture of the object; null if the bundle has none."""
 
 
 class BundleList(Shown):

@@ -1,6 +1,8 @@
 """Database rows of bundles: lists of bundles, and the files of one."""
 
+from collections.abc import Sequence
 from typing import Any
+from urllib.parse import quote
 
 from sqlalchemy import Connection, func
 
@@ -9,6 +11,9 @@ from lambent_server.clock import rfc3339
 from lambent_server.database.schema import bundle_files, bundles, scenes
 from lambent_server.database.tenancy import Tenant, find, rows
 from lambent_server.problems import not_found
+
+POSTERS = ("thumbnail.webp", "poster.webp")
+"""Pictures that were made to stand for the object, the smaller one first."""
 
 
 def require_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> dict[str, Any]:
@@ -21,18 +26,57 @@ def require_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> di
 
 def show(connection: Connection, tenant: Tenant, row: Any) -> Bundle:
     """Return a bundle in the form of the REST interface."""
-    scene = find(connection, tenant, scenes, row["scene_id"])
-    sums = rows(tenant, bundle_files, func.count(), func.sum(bundle_files.c.size_bytes))
-    count, size = connection.execute(sums.where(bundle_files.c.bundle_id == row["id"])).one()
-    return Bundle(
-        id=row["id"],
-        job_id=row["job_id"],
-        scene_id=row["scene_id"],
-        scene_name="" if scene is None else scene["name"],
-        created_at=rfc3339(row["created_at"]),
-        num_files=count,
-        size_bytes=size or 0.0,
+    return show_all(connection, tenant, [row])[0]
+
+
+def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> list[Bundle]:
+    """Return bundles in the form of the REST interface."""
+    identifiers = [row["id"] for row in found]
+    mine = bundle_files.c.bundle_id.in_(identifiers)
+    columns = (bundle_files.c.bundle_id, func.count(), func.sum(bundle_files.c.size_bytes))
+    sums = rows(tenant, bundle_files, *columns).where(mine).group_by(bundle_files.c.bundle_id)
+    sizes = {bundle_id: (count, size) for bundle_id, count, size in connection.execute(sums)}
+    scene_ids = {row["scene_id"] for row in found}
+    named = rows(tenant, scenes, scenes.c.id, scenes.c.name).where(scenes.c.id.in_(scene_ids))
+    names = dict(iter(connection.execute(named)))
+    pictures = _pictures(connection, tenant, identifiers)
+    return [
+        Bundle(
+            id=row["id"],
+            job_id=row["job_id"],
+            scene_id=row["scene_id"],
+            scene_name=names.get(row["scene_id"], ""),
+            created_at=rfc3339(row["created_at"]),
+            num_files=sizes.get(row["id"], (0, 0.0))[0],
+            size_bytes=sizes.get(row["id"], (0, 0.0))[1],
+            thumbnail_url=_file_url(row["id"], pictures[row["id"]]) if row["id"] in pictures else None,
+        )
+        for row in found
+    ]
+
+
+def _pictures(connection: Connection, tenant: Tenant, identifiers: Sequence[str]) -> dict[str, str]:
+    """Return the path of the picture that stands for each bundle.
+
+    That is its poster, or in bundles from before there were posters the first rendering of a view.
+    """
+    path = bundle_files.c.path
+    renderings = (path.like("preview/%.png")) & (path.not_like("preview/photo\\_%", escape="\\"))
+    statement = rows(tenant, bundle_files, bundle_files.c.bundle_id, path).where(
+        bundle_files.c.bundle_id.in_(identifiers), path.in_(POSTERS) | renderings
     )
+    found: dict[str, str] = {}
+    for bundle_id, name in sorted(connection.execute(statement), key=lambda each: _rank(each[1])):
+        found.setdefault(bundle_id, name)
+    return found
+
+
+def _rank(path: str) -> tuple[int, str]:
+    return (POSTERS.index(path) if path in POSTERS else len(POSTERS), path)
+
+
+def _file_url(bundle_id: str, path: str) -> str:
+    return f"/v1/bundles/{bundle_id}/files/{quote(path)}"
 
 
 def show_files(connection: Connection, tenant: Tenant, row: Any) -> BundleDetail:
@@ -42,7 +86,7 @@ def show_files(connection: Connection, tenant: Tenant, row: Any) -> BundleDetail
     files = [
         BundleFile(
             **{name: each[name] for name in ("path", "sha256", "size_bytes", "media_type")},
-            url=f"/v1/bundles/{row['id']}/files/{each['path']}",
+            url=_file_url(row["id"], each["path"]),
         )
         for each in found
     ]

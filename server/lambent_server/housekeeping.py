@@ -1,6 +1,8 @@
 """Removal of blobs without references, abandoned uploads, and old sessions and keys."""
 
-from sqlalchemy import Connection, Table, delete, exists, select
+from typing import Any
+
+from sqlalchemy import Column, Connection, delete, exists, select
 
 from lambent_server import scene_rows
 from lambent_server.clock import now
@@ -22,14 +24,15 @@ from lambent_server.database.schema import (
 from lambent_server.database.tenancy import Tenant, across_tenants, remove, rows
 from lambent_server.services import Services
 
-_REFERENCES: tuple[Table, ...] = (
-    scene_files,
-    scene_figures,
-    checkpoint_files,
-    artifacts,
-    bundle_files,
-    environments,
-    events,
+_REFERENCES: tuple[Column[Any], ...] = (
+    scene_files.c.sha256,
+    scene_figures.c.sha256,
+    scenes.c.thumbnail_sha256,
+    checkpoint_files.c.sha256,
+    artifacts.c.sha256,
+    bundle_files.c.sha256,
+    environments.c.sha256,
+    events.c.sha256,
 )
 
 
@@ -59,9 +62,9 @@ def _expire(services: Services) -> None:
 def _referenced(connection: Connection, tenant: Tenant, sha256: str) -> bool:
     return any(
         connection.execute(
-            select(exists(rows(tenant, table, table.c.sha256).where(table.c.sha256 == sha256)))
+            select(exists(rows(tenant, column.table, column).where(column == sha256)))
         ).scalar_one()
-        for table in _REFERENCES
+        for column in _REFERENCES
     )
 
 

@@ -1,12 +1,12 @@
 """Queries of jobs, and the submission of new ones."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, func, or_, select
 
 from lambent_server import bake_rows
 from lambent_server.clock import new_id, now, rfc3339
@@ -28,6 +28,7 @@ from lambent_server.messages import Event, Job, NewJob, Preset
 from lambent_server.pagination import select_newest
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
+from lambent_server.store import blob_url
 
 Row = dict[str, Any]
 
@@ -61,8 +62,21 @@ def _time(at: float | None) -> str | None:
     return None if at is None else rfc3339(at)
 
 
-def show(row: Any) -> Job:
+def show(connection: Connection, tenant: Tenant, row: Any) -> Job:
     """Return the job in the form of the REST interface."""
+    return show_all(connection, tenant, [row])[0]
+
+
+def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> list[Job]:
+    """Return jobs in the form of the REST interface; their scenes are looked up together."""
+    wanted = {row["scene_id"] for row in found}
+    columns = (scenes.c.id, scenes.c.name, scenes.c.thumbnail_sha256)
+    known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted))).mappings()
+    by_id = {scene["id"]: scene for scene in known}
+    return [_show(row, by_id.get(row["scene_id"])) for row in found]
+
+
+def _show(row: Any, scene: Any) -> Job:
     return Job(
         **{
             name: row[name]
@@ -83,7 +97,9 @@ def show(row: Any) -> Job:
                 "bundle_id",
             ]
         },
+        scene_name="" if scene is None else scene["name"],
         batch_id=row["order_id"] if row["kind"] == "batch" else None,
+        thumbnail_url=blob_url(row["preview_sha256"] or (scene and scene["thumbnail_sha256"])),
         created_at=rfc3339(row["created_at"]),
         started_at=_time(row["started_at"]),
         finished_at=_time(row["finished_at"]),
@@ -228,22 +244,31 @@ def select_page(
     connection: Connection,
     tenant: Tenant,
     *,
-    states: Sequence[str],
-    labels: Sequence[tuple[str, ...]],
-    having: Mapping[str, str | None],
+    states: Sequence[str] = (),
+    kinds: Sequence[str] = (),
+    labels: Sequence[tuple[str, ...]] = (),
+    scene_id: str | None = None,
+    words: str = "",
+    oldest_first: bool = False,
     limit: int,
     cursor: str | None,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` jobs, newest first, and the cursor of the next page.
+    """Return up to `limit` jobs, newest or oldest first, and the cursor of the next page.
 
-    `having` are columns and their values; None for any.
+    `words` are part of the scene's name, in any case, or begin the job's id or its preset's name.
     """
-    given = {name: value for name, value in having.items() if value is not None}
 
     def narrow(statement: Any) -> Any:
-        statement = statement.filter_by(**given)
+        if scene_id is not None:
+            statement = statement.where(jobs.c.scene_id == scene_id)
         if states:
             statement = statement.where(jobs.c.state.in_(states))
+        if kinds:
+            statement = statement.where(jobs.c.kind.in_(kinds))
+        if words:
+            named = rows(tenant, scenes, scenes.c.id).where(scenes.c.name.icontains(words, autoescape=True))
+            begins = (column.startswith(words, autoescape=True) for column in (jobs.c.id, jobs.c.preset))
+            statement = statement.where(or_(jobs.c.scene_id.in_(named), *begins))
         for name, value in labels:
             labelled = rows(tenant, job_labels, job_labels.c.job_id).where(
                 job_labels.c.name == name, job_labels.c.value == value
@@ -251,4 +276,6 @@ def select_page(
             statement = statement.where(jobs.c.id.in_(labelled))
         return statement
 
-    return select_newest(connection, tenant, jobs, limit=limit, cursor=cursor, narrow=narrow)
+    return select_newest(
+        connection, tenant, jobs, limit=limit, cursor=cursor, narrow=narrow, oldest_first=oldest_first
+    )

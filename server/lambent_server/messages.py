@@ -62,6 +62,8 @@ class Scene(Shown):
     num_files: int
     size_bytes: float
     content_sha256: str | None
+    thumbnail_url: str | None
+    """A small photograph of the scene; null before its first check."""
 
 
 class SceneList(Shown):
@@ -193,6 +195,8 @@ class Job(Shown):
     id: str
     kind: JobKind
     scene_id: str
+    scene_name: str
+    """Empty if the scene was deleted."""
     preset: str
     params: dict[str, str]
     gpus: int
@@ -210,6 +214,8 @@ class Job(Shown):
     bundle_id: str | None
     batch_id: str | None
     """The batch of which the job renders a part."""
+    thumbnail_url: str | None
+    """The newest preview, or the photograph of the scene; null if there is neither."""
     last_event: int
 
 

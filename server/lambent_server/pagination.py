@@ -1,4 +1,4 @@
-"""Pagination of lists: newest rows first, with a cursor for the next page."""
+"""Pagination of lists: in the order of their creation, with a cursor for the next page."""
 
 import base64
 from typing import Annotated, Any
@@ -42,14 +42,17 @@ def select_newest(
     limit: int,
     cursor: str | None,
     narrow: Any = None,
+    oldest_first: bool = False,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` rows, newest first, and the cursor of the next page.
+    """Return up to `limit` rows, newest or oldest first, and the cursor of the next page.
 
     Identifiers sort by creation time. `narrow` adds conditions to the selection.
     """
-    statement: Select[Any] = rows(tenant, table).order_by(table.c.id.desc()).limit(limit + 1)
+    order = table.c.id.asc() if oldest_first else table.c.id.desc()
+    statement: Select[Any] = rows(tenant, table).order_by(order).limit(limit + 1)
     if cursor is not None:
-        statement = statement.where(table.c.id < _from_cursor(cursor))
+        last = _from_cursor(cursor)
+        statement = statement.where(table.c.id > last if oldest_first else table.c.id < last)
     if narrow is not None:
         statement = narrow(statement)
     found = [dict(row) for row in connection.execute(statement).mappings()]

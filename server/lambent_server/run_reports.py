@@ -24,6 +24,7 @@ from lambent_server.problems import Problem, invalid
 from lambent_server.rest_json import enum_text, to_rest
 from lambent_server.run_inputs import inputs_of
 from lambent_server.scene_figures import store_figures
+from lambent_server.scene_rows import set_thumbnail
 from lambent_server.settings import Settings
 from lambent_server.store import BlobStore, find_blob
 
@@ -86,6 +87,9 @@ def store_report(
         if due or stage_ended or progress["stage"] != (job["progress"] or {}).get("stage"):
             values["progress_event_at"] = now()
             append_event(connection, job, NewEvent(type="progress", progress=progress))
+    previews = [event.sha256 for event in report.events if event.type == "preview" and event.sha256]
+    if previews:
+        values["preview_sha256"] = previews[-1]
     set_fields(connection, job, **values)
     for event in report.events:
         if event.type not in _WORKER_EVENTS:
@@ -124,6 +128,7 @@ def store_scene_report(connection: Connection, job: Job, request: worker_pb2.Rep
     connection.execute(statement.values(report=fresh, layout=report.layout or None, state=state))
     figures = request.figures if request.HasField("figures") else None
     store_figures(connection, owner(job), scene["id"], figures, request.page_sha256)
+    set_thumbnail(connection, owner(job), scene, request.thumbnail_sha256)
 
 
 def store_failure(

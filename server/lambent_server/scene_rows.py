@@ -18,7 +18,7 @@ from lambent_server.paths import check_path, folded, is_scene_file
 from lambent_server.problems import Detail, Problem, conflict, not_found
 from lambent_server.scene_figures import forget_figures
 from lambent_server.settings import Settings
-from lambent_server.store import touch
+from lambent_server.store import blob_url, find_blob, touch
 
 Row = Mapping[str, Any]
 
@@ -60,7 +60,25 @@ def show(row: Row) -> Scene:
         num_files=row["num_files"],
         size_bytes=row["size_bytes"],
         content_sha256=row["content_sha256"],
+        thumbnail_url=thumbnail_url(row),
     )
+
+
+def thumbnail_url(row: Row) -> str | None:
+    """Return the address of a scene's photograph; None if there is none."""
+    return blob_url(row["thumbnail_sha256"])
+
+
+def set_thumbnail(connection: Connection, tenant: Tenant, scene: Row, sha256: str) -> None:
+    """Replace the photograph of the scene; an empty hash keeps the one it has."""
+    if not sha256 or sha256 == scene["thumbnail_sha256"]:
+        return
+    if find_blob(connection, tenant, sha256) is None:
+        raise Problem(422, "blob_missing", f"thumbnail: blob {sha256} was never uploaded")
+    if scene["thumbnail_sha256"]:
+        discard(connection, tenant, scene["thumbnail_sha256"])
+    update = change(tenant, scenes).where(scenes.c.id == scene["id"])
+    connection.execute(update.values(thumbnail_sha256=sha256))
 
 
 def create(connection: Connection, tenant: Tenant, name: str) -> Row:
@@ -222,6 +240,8 @@ def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
     if job_id is not None:
         raise conflict("scene_in_use", f"job {job_id} uses this scene; cancel it first")
     _forget_files(connection, tenant, scene["id"])
+    if scene["thumbnail_sha256"]:
+        discard(connection, tenant, scene["thumbnail_sha256"])
     forget_figures(connection, tenant, scene["id"])
     drop_checkpoints_of_scene(connection, tenant, scene["id"])
     connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))

@@ -198,6 +198,11 @@ def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:
     return None if size is None else int(size)
 
 
+def blob_url(sha256: str | None) -> str | None:
+    """Return the address of a blob; None without a hash."""
+    return f"/v1/blobs/{sha256}" if sha256 else None
+
+
 def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | None:
     """Return a blob's metadata, or None if the tenant has no blob of this hash."""
     row = (

@@ -80,7 +80,7 @@ def test_the_manifest_describes_the_bundle(exported, model):
         assert graph.parity.num_samples >= 250
     assert {file.role for file in manifest.files} == {
         *("graph", "weights", "mesh", "environment", "cameras", "preview", "uncertainty", "transport"),
-        "mask",
+        *("mask", "poster"),
     }
     previews = {file.path for file in manifest.files if file.path.startswith("preview/")}
     views = {f"preview/{kind}test_00{number}.png" for kind in ("", "photo_") for number in (0, 1)}

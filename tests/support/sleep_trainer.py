@@ -3,7 +3,8 @@
 `python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer
 it: `num_steps`, `until` (a file: once it is there, the step in work is the last), `step_s`, `stage`,
 `checkpoint_every`, `hang_at`, `fail_at` (with `fail_how`, and `fail_once`: a file that the first failure
-makes), and `touch`: a file that gets a line each time the pipeline comes to its end.
+makes), `touch`: a file that gets a line each time the pipeline comes to its end, and `bundle`: an archive of
+a bundle to publish in place of one that only counts.
 """
 
 import hashlib
@@ -11,6 +12,7 @@ import json
 import os
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 from google.protobuf.json_format import MessageToJson
@@ -90,6 +92,11 @@ def pipeline(order: Order) -> Path:
 def write_result(order: Order, num_steps: int) -> Path:
     """Write a bundle and an artifact."""
     bundle = order.run_dir / "bundle"
+    if "bundle" in order.spec.params:
+        with zipfile.ZipFile(order.spec.params["bundle"]) as archive:
+            archive.extractall(bundle)
+        _add_rendering(bundle)
+        return bundle
     (bundle / "models").mkdir(parents=True)
     weights = bytes(range(256)) * 40
     (bundle / "models" / "weights.bin").write_bytes(weights)
@@ -113,6 +120,17 @@ def write_result(order: Order, num_steps: int) -> Path:
         with Path(order.spec.params["touch"]).open("a") as file:
             file.write(f"{order.run_dir.name}\n")
     return bundle
+
+
+def _add_rendering(bundle: Path) -> None:
+    """Add a picture to a bundle that may have none."""
+    (bundle / "preview").mkdir(exist_ok=True)
+    (bundle / "preview" / "000.png").write_bytes(PNG)
+    manifest = json.loads((bundle / "manifest.json").read_text())
+    digest = hashlib.sha256(PNG).hexdigest()
+    entry = {"path": "preview/000.png", "size_bytes": len(PNG), "sha256": digest}
+    manifest["files"].append(entry | {"media_type": "image/png", "role": "preview"})
+    (bundle / "manifest.json").write_text(json.dumps(manifest))
 
 
 def check(scene_dir: Path) -> CaptureCheck:

@@ -117,6 +117,6 @@ def small_context(tmp_path: Path, model: InverseModel, monkeypatch: pytest.Monke
     )
     made.folder.mkdir(parents=True)
     (made.run_dir / "previews").mkdir()
-    for name in ("cache.png", "evaluation.png"):
+    for name in ("cache.png", "evaluation.png", "turning_cache.png"):
         (made.run_dir / "previews" / name).write_bytes(b"\x89PNG")
     return made

@@ -221,7 +221,7 @@ class ExportConfig:
     """Most triangles where their number is not given; more take minutes to cut into charts."""
     atlas_size: int = 0
     """Texels along each side of the albedo texture, a multiple of 16 from `transport_size` to 8192; 0: as
-    many as the photographs have pixels on the surface, a power of two from 1024 to 4096 (lite: to 2048)."""
+    many as the photographs have pixels on the surface, a power of two from 1024 to 4096 (lite: 1024)."""
     transport_size: int = DEFAULT_TRANSPORT_SIZE
     """Texels along each side of the same atlas for baked transport, roughness, metalness and normals, whose
     detail is the model's, a multiple of 16; fewer where charts fill the atlas, so that files keep their

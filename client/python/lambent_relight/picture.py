@@ -42,9 +42,10 @@ class RelitPicture:
     coverage: Image
     """Coverage by the object in [0, 1], [height, width, 1], independent of the background."""
     num_samples: int
-    """Light directions behind every fully covered pixel; 0 where the light is not sampled."""
+    """Light directions behind a fully covered pixel, a mean over pixels; 0 where the light is not sampled."""
     bounces: str = ""
-    """Source of indirect light: `adapted:<light>`, `transport`, `one`, or empty without indirect light."""
+    """Source of indirect light: `adapted:<light>`, `baked` (in part as it was baked at the surface itself),
+    `transport` (of what rays hit), `one`, a number of bounces, or empty without indirect light."""
 
     def __repr__(self) -> str:
         """Return size, samples and source of bounced light in one line."""

@@ -150,9 +150,9 @@ class Renderer:
         finished fraction.
 
         Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
-        least); with `until_stderr` up to 64 times as many. The picture's `bounces` says where bounced light
-        came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such quality,
-        or no baked transport) or BundleError.
+        least); with `until_stderr` up to 64 times as many, where they help. `bounces` says where bounced
+        light came from. Equal seeds give equal pictures. Raises SettingError, UnsupportedQuality (no such
+        quality, or no baked transport) or BundleError.
         """
         instance(camera, Camera, "camera", "use turntable, load_cameras or Bundle.cameras")
         environment = as_environment(environment)
@@ -218,10 +218,11 @@ class Renderer:
             caches, num_threads = caches.in_callers_thread(), caches.num_threads
             adapted = caches.adapted
         has_transport = self.bundle.manifest.HasField("transport")
+        offset = self.bundle.manifest.secondary_rays.origin_offset
         if settings.occlusion == "mesh" or (settings.occlusion == "auto" and has_transport):
             around: Surroundings = MeshSurroundings(self.baked().traced, edit)
         else:
-            around = CacheSurroundings(caches, self.bundle.manifest.secondary_rays.origin_offset, edit)
+            around = CacheSurroundings(caches, offset, edit)
         plain = Scene(around, num_threads=num_threads)
         bounces = settings.bounces
         if bounces.isdecimal():
@@ -233,13 +234,12 @@ class Renderer:
             light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
             if light is not None:
                 # The adapted cache's opacities belong to its radiance, and to its own start of rays.
-                offset = self.bundle.manifest.secondary_rays.origin_offset
                 around = CacheSurroundings(caches, offset, edit)
                 adapted = functools.partial(adapted, light.name)
                 if settings.occlusion == "mesh":
+                    says = f'the fast cache adapted to "{light.name}" says what is in the way of its light'
                     self._tell(
-                        f'occlusion="mesh" has no effect: the fast cache adapted to "{light.name}" says '
-                        'what is in the way of its light; bounces="transport" leaves that to the mesh'
+                        f'occlusion="mesh" has no effect: {says}; bounces="transport" leaves that to the mesh'
                     )
                 return Scene(around, adapted, num_threads=num_threads), f"adapted:{light.name}"
             if insists:
@@ -248,16 +248,15 @@ class Renderer:
                 raise SettingError("relight.light_not_adapted", found, advice)
             if why_not:
                 self._tell(f"no adapted fast cache fits this picture: {why_not}")
-        if bounces == "one":
+        if bounces == "one" or (not has_transport and bounces not in ("baked", "transport")):
             return replace(plain, most_bounces=2), "one"
-        if has_transport:
-            hits = self.baked().hits(environment, edit)
-            if isinstance(around, MeshSurroundings):
-                return replace(plain, around=replace(around, texels=hits.at_texels)), "transport"
-            return replace(plain, around=replace(around, hits=hits)), "transport"
-        if bounces == "transport":
-            self.baked()
-        return plain, "one"
+        hits = self.baked().hits(environment, edit)
+        # The cache's occlusion is not that of the bake, so there it is taken only where it is asked for.
+        if isinstance(around, MeshSurroundings):
+            around, as_baked = replace(around, texels=hits.at_texels), bounces != "transport"
+        else:
+            around, as_baked = replace(around, hits=hits), bounces == "baked"
+        return replace(plain, around=around), "baked" if as_baked else "transport"
 
     def _refined(
         self,
@@ -272,9 +271,10 @@ class Renderer:
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
         scene, bounces = self._scene(environment, edit, settings)
-        position = view.origin + seen.distance * view.direction
-        if isinstance(scene.around, MeshSurroundings):
-            position = scene.around.traced.settled(view.origin, view.direction, seen.distance)
+        position, settled = view.origin + seen.distance * view.direction, None
+        if isinstance(scene.around, MeshSurroundings) or bounces == "baked":
+            settled = self.baked().traced.settled(view.origin, view.direction, seen.distance)
+            position = settled.position
         points = SurfacePoints(
             position,
             seen.normal,
@@ -282,7 +282,12 @@ class Renderer:
             materials_from_roughness(albedo, roughness, seen.metalness),
         )
         pixels = PixelRays.of(view.pixel, seen.opacity)
-        radiance = estimated(points, pixels, scene, light, settings, progress)
+        known = None
+        if settled is not None:
+            hits = self.baked().hits(environment, edit) if bounces == "baked" else None
+            sky = environment if isinstance(scene.around, MeshSurroundings) else None
+            known = self.baked().known_light(points, settled, hits=hits, sky=sky)
+        radiance = estimated(points, pixels, scene, light, settings, progress, known)
         coverage, distance = view.coverage(), view.mean(seen.distance)
         direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
         specular = view.mean(radiance.specular)
@@ -302,7 +307,7 @@ class Renderer:
             distance=distance,
             depth=camera.depth_along_axis(distance),
             coverage=coverage,
-            num_samples=radiance.num_samples * settings.antialias**2,
+            num_samples=radiance.mean_samples * settings.antialias**2,
             bounces=bounces,
         )
 

@@ -67,7 +67,7 @@ const frames = (page, kind, count) =>
 async function open(name) {
   const page = await browser.newPage({ viewport: { width: 900, height: 600 } });
   page.on("pageerror", (error) => console.error(error));
-  const state = "env=preset:sky&camera=30,20,2.2,0,0,0";
+  const state = "env=preset:sunset&camera=30,20,2.2,0,0,0";
   await page.goto(`${site}/${name}/viewer.html#src=${site}/bundle/&${state}`);
   await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer != null);
   await page.evaluate(() => document.querySelector("lambent-viewer").ready);

@@ -115,13 +115,15 @@ try {
   await page.click("text=Start the job");
   await page.waitForURL(/#\/jobs\//);
   await page.waitForSelector(".chart polyline");
-  await page.waitForFunction(() => document.querySelector(".live img")?.naturalWidth > 1);
+  // The first pictures are fog.
+  await page.waitForFunction(() => document.querySelectorAll(".stack img").length > 3);
   await page.evaluate(() => scrollTo(0, 0));
   await keep(page, "web-progress");
 
   await page.waitForSelector('h1 .state:text-is("done")');
-  await page.waitForSelector("#figures td:has-text('dB')");
+  await page.waitForSelector("#figures dd:has-text('dB')");
   await page.locator("#results").scrollIntoViewIfNeeded();
+  await page.waitForSelector(".viewer lambent-viewer:not(.arriving)");
   await page.evaluate(() => document.querySelector("#results").scrollIntoView());
   await keep(page, "web-results");
 

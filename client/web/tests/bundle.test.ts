@@ -8,7 +8,7 @@ import { meshFromGlb } from "../src/bundle/mesh.js";
 import { sha256, sha256Hex } from "../src/bundle/sha256.js";
 import { openSource } from "../src/bundle/source.js";
 import { blocksAround, spreadTexels } from "../src/bundle/texels.js";
-import { tableWidth } from "../src/bundle/transport.js";
+import { tableWidth, withShadowBits } from "../src/bundle/transport.js";
 import { readUncertainty } from "../src/bundle/uncertainty.js";
 import {
   allFiles,
@@ -99,7 +99,9 @@ describe("a bundle", () => {
       expect(bundle.name).toBe("tiny");
       expect(shares.at(-1)).toBe(1);
       expect([...bundle.mesh.indices]).toEqual([0, 1, 2]);
-      const { direct, shadowBits, coarseOfTexel } = bundle.transport;
+      const { manifest, read } = await openBundle(await openSource(origin));
+      const { shadowBits } = await withShadowBits(bundle.transport, manifest.transport!, read);
+      const { direct, coarseOfTexel } = bundle.transport;
       // One plane: the first of four in its layer; the second texel is the second value of the file.
       expect([direct.steps[0], direct.steps[4], direct.steps[1]]).toEqual([0, 7, 0]);
       expect(direct.steps.length).toBe(4 * tableWidth);
@@ -163,6 +165,17 @@ describe("a bundle", () => {
     expect((await faultOf(open(bundle))).code).toBe("bundle.manifest_unreadable");
   });
 
+  it("has shadow bits of the right length, or they are refused when they are read", async () => {
+    const bundle = tinyBundle();
+    bundle.files.set("transport/shadow_bits.bin", new Uint8Array(3));
+    listFiles(bundle);
+    const origin = { kind: "archive", file: new Blob([zipOf(allFiles(bundle))]) } as const;
+    const { transport } = await loadBundle(origin, () => {}, decoded);
+    const { manifest, read } = await openBundle(await openSource(origin));
+    const fault = await faultOf(withShadowBits(transport, manifest.transport!, read));
+    expect(fault.code).toBe("bundle.transport_invalid");
+  });
+
   it("is refused with the reader's codes", async () => {
     const cases: [string, (bundle: TinyBundle) => void][] = [
       ["bundle.version_unknown", ({ manifest }) => (manifest.schema_version = "2.0")],
@@ -177,7 +190,10 @@ describe("a bundle", () => {
       ],
       ["bundle.transport_invalid", ({ files }) => files.set("transport/texels.bin", new Uint8Array(3))],
       ["bundle.transport_invalid", ({ files }) => files.set("transport/material.bin", new Uint8Array(3))],
-      ["bundle.transport_invalid", ({ files }) => files.set("transport/shadow_bits.bin", new Uint8Array(3))],
+      [
+        "bundle.transport_invalid",
+        ({ manifest }) => ((manifest.transport as Record<string, unknown>).num_shadow_directions = 128),
+      ],
       ["bundle.transport_missing", ({ manifest }) => delete manifest.transport],
       ["bundle.mesh_invalid", ({ files }) => files.set("mesh/asset.glb", new Uint8Array(64))],
       ["bundle.mesh_invalid", ({ files }) => files.set("mesh/asset.glb", triangleGlb(undefined, [0, 1, 3]))],

@@ -1,21 +1,14 @@
 import { describe, expect, it } from "vitest";
 import type { MapOrigin } from "../src/light/lightWorker.js";
 import type { PreparedLight } from "../src/light/prepare.js";
-import { dominantFor, EarlyLight, lightFor } from "../src/viewer/earlyLight.js";
+import { EarlyLight, lightFor } from "../src/viewer/earlyLight.js";
 
-const opened = {
-  kind: "opened",
-  name: "box",
-  totalBytes: 1,
-  bands: 7,
-  hasShadowBits: true,
-  lights: ["sky"],
-} as const;
+const opened = { kind: "opened", name: "box", totalBytes: 1, bands: 7, lights: ["sky"] } as const;
 const map = { kind: "map", map: { name: "sky", data: new Uint8Array([1]) } } as const;
 
 /** Return one that hears of a bundle, and what it asked to be prepared. */
 function listening(wanted: string, prepare = async () => ({ bands: 7 }) as PreparedLight) {
-  const asked: [MapOrigin, number, number][] = [];
+  const asked: [MapOrigin, number][] = [];
   const early = new EarlyLight({
     wanted: () => wanted,
     originOf: (name) => {
@@ -46,23 +39,23 @@ describe("light that is prepared early", () => {
     early.hear(opened);
     expect(asked).toEqual([]);
     early.hear(map);
-    expect(asked).toEqual([[{ kind: "bytes", data: map.map.data }, 7, dominantFor(true)]]);
-    expect(early.take("trained:sky", 7, 0)).toBeNull();
+    expect(asked).toEqual([[{ kind: "bytes", data: map.map.data }, 7]]);
+    expect(early.take("trained:sky", 6)).toBeNull();
   });
 
   it("fits only what was asked for", async () => {
     const { early } = listening("");
     early.hear(opened);
     early.hear(map);
-    const light = early.take("trained:sky", 7, dominantFor(true));
+    const light = early.take("trained:sky", 7);
     expect(await light).toEqual({ bands: 7 });
-    expect(early.take("trained:sky", 7, dominantFor(true))).toBeNull();
+    expect(early.take("trained:sky", 7)).toBeNull();
   });
 
   it("does not wait for the bundle where it is another one", () => {
     const { early, asked } = listening("preset:sky");
-    early.hear({ ...opened, hasShadowBits: false });
-    expect(asked).toEqual([[{ kind: "url", url: "preset:sky" }, 7, 0]]);
+    early.hear(opened);
+    expect(asked).toEqual([[{ kind: "url", url: "preset:sky" }, 7]]);
     early.hear(map);
     expect(asked.length).toBe(1);
   });
@@ -71,10 +64,10 @@ describe("light that is prepared early", () => {
     const failing = listening("", () => Promise.reject(new Error("no map")));
     failing.early.hear(opened);
     failing.early.hear(map);
-    await expect(failing.early.take("trained:sky", 7, dominantFor(true))).rejects.toThrow("no map");
+    await expect(failing.early.take("trained:sky", 7)).rejects.toThrow("no map");
     const { early } = listening("file:gone");
     early.hear(opened);
-    expect(early.take("file:gone", 7, dominantFor(true))).toBeNull();
+    expect(early.take("file:gone", 7)).toBeNull();
     const odd = listening("preset:sky");
     odd.early.hear({ ...opened, bands: 99 });
     expect(odd.asked).toEqual([]);

@@ -2,14 +2,18 @@ import { readdirSync, readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import { BundleFault } from "../src/bundle/fault.js";
 import { loadBundle } from "../src/bundle/load.js";
+import { openBundle } from "../src/bundle/manifest.js";
+import { openSource } from "../src/bundle/source.js";
+import { withShadowBits } from "../src/bundle/transport.js";
 
 // Bundles of earlier versions; tests/unit/lambent_relight/bundle/test_bundle_versions.py reads the same.
 const folder = new URL("../../../tests/golden/bundles/", import.meta.url);
 const names = readdirSync(folder).filter((name) => name.endsWith(".relight.zip"));
 // None of them has textures that the viewer reads.
 const noPicture = () => Promise.reject(new Error("a picture was decoded"));
-const open = (name: string) =>
-  loadBundle({ kind: "archive", file: new Blob([readFileSync(new URL(name, folder))]) }, () => {}, noPicture);
+const originOf = (name: string) =>
+  ({ kind: "archive", file: new Blob([readFileSync(new URL(name, folder))]) }) as const;
+const open = (name: string) => loadBundle(originOf(name), () => {}, noPicture);
 
 describe("golden bundles", () => {
   it("are of every version", () => {
@@ -32,7 +36,10 @@ describe("golden bundles", () => {
     expect(bundle.mesh.indices.length / 3).toBe(numFaces);
     expect(bundle.transport.numTexels).toBe(numTexels);
     expect(bundle.transport.direct.bands).toBe(bands);
-    expect(bundle.transport.shadowBits !== null).toBe(hasBits);
+    expect(bundle.transport.shadowBits).toBe(null);
+    const { manifest, read } = await openBundle(await openSource(originOf(name)));
+    const whole = await withShadowBits(bundle.transport, manifest.transport!, read);
+    expect(whole.shadowBits !== null).toBe(hasBits);
     expect(bundle.trainedMaps.length).toBe(numMaps);
     expect(bundle.uncertainty !== null).toBe(numMaps > 0);
     expect(bundle.cameras.length).toBe(1);

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { chart, thinned } from "../src/jobs/curves.js";
 import { progressText } from "../src/jobs/jobLine.js";
-import { stageSeconds, stageStates } from "../src/jobs/live.js";
+import { byStage, stageSeconds, stageStates } from "../src/jobs/live.js";
 import { JobStore, type Sample } from "../src/jobs/store.js";
 import type { Job, JobEvent, Progress } from "../src/page/rest.js";
 
@@ -22,6 +22,7 @@ function job(values: Partial<Job> = {}): Job {
     id: "job_a",
     kind: "train",
     scene_id: "scene_a",
+    scene_name: "a scene",
     preset: "tiny",
     params: {},
     gpus: 0,
@@ -38,6 +39,7 @@ function job(values: Partial<Job> = {}): Job {
     error: null,
     bundle_id: null,
     batch_id: null,
+    thumbnail_url: null,
     last_event: 0,
     ...values,
   };
@@ -96,6 +98,7 @@ describe("JobStore", () => {
     store.receive(message(server.history[0]!));
     await settle();
     expect(store.get("job_a")!.previews).toEqual([{ sha256: "ab", name: "view" }]);
+    expect(store.get("job_a")!.job.thumbnail_url).toBe("/v1/blobs/ab");
     expect(store.get("job_a")!.psnr).toHaveLength(1);
   });
 
@@ -189,6 +192,17 @@ describe("stages", () => {
     expect(stageSeconds(record, "ingest")).toBe(10);
     expect(stageSeconds(record, "cache")).toBe(50);
     expect(stageSeconds(record, "export")).toBeNull();
+  });
+});
+
+describe("samples", () => {
+  it("make a curve for each stage, in the order in which they began", () => {
+    const sample = (stage: string, value: number): Sample => ({ atS: value, stage, value });
+    const found = byStage([sample("joint", 1), sample("joint", 2), sample("cache", 3)]);
+    expect([...found].map(([stage, samples]) => [stage, samples.map(({ value }) => value)])).toEqual([
+      ["joint", [1, 2]],
+      ["cache", [3]],
+    ]);
   });
 });
 

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { estimateText, parseSettings } from "../src/jobs/orderForm.js";
 import { measured, ordered } from "../src/jobs/report.js";
-import { metricRows } from "../src/jobs/results.js";
+import { metricRows, verdicts } from "../src/jobs/verdicts.js";
 import { explain } from "../src/page/actions.js";
 import { bundleAt, jobAddress, placeOf, sceneAddress, viewerAddress } from "../src/page/addresses.js";
 import { formatAbout, formatDuration, formatSize } from "../src/page/format.js";
@@ -66,6 +66,35 @@ describe("numbers", () => {
       ["nvs/ssim", "0.9877", ""],
     ]);
     expect(metricRows({})).toEqual([]);
+  });
+
+  it("of an evaluation are told in words that follow from the error, the worst last", () => {
+    const told = (value: number, name = "nvs/psnr", unit = "dB") =>
+      verdicts({ metrics: [{ name, value, unit }] })[0];
+    expect(told(27.31)).toEqual({
+      about: "New views",
+      figure: "27.3 dB",
+      words: "very close to the photographs",
+    });
+    expect([40, 29.9, 26, 22, 18, 12].map((value) => told(value)!.words.split(/[;,]/)[0])).toEqual([
+      "hard to tell from the photographs",
+      "very close to the photographs",
+      "very close to the photographs",
+      "close",
+      "recognisable",
+      "far from the photographs",
+    ]);
+    expect(told(20, "training_views/psnr")!.about).toBe("Views it was trained on");
+    expect(told(35, "relight/psnr")!.words).toBe("hard to tell from the real pictures");
+    expect(told(6.21, "normal/mae_mask", "deg")).toEqual({
+      about: "Shape",
+      figure: "6.2° off",
+      words: "right in the large, with small dents",
+    });
+    expect(told(0.3, "roughness/rmse", "1")!.words).toBe("gloss is not to be relied on");
+    expect(told(0.9, "nvs/ssim", "1")).toBeUndefined();
+    expect(told(Number.NaN)).toBeUndefined();
+    expect(verdicts({})).toEqual([]);
   });
 });
 

@@ -28,7 +28,7 @@ from lambent_proto.v1 import render_pb2 as lambent__proto_dot_v1_dot_render__pb2
 from lambent_proto.v1 import scene_pb2 as lambent__proto_dot_v1_dot_scene__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/worker.proto\x12\x10lambent_proto.v1\x1a\x1elambent_proto/v1/capture.proto\x1a\x1alambent_proto/v1/job.proto\x1a\x1dlambent_proto/v1/render.proto\x1a\x1clambent_proto/v1/scene.proto\"$\n\x05\x46\x65nce\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03run\x18\x02 \x01(\r\"n\n\x0fRegisterRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0b\n\x03pid\x18\x02 \x01(\r\x12\x18\n\x10process_identity\x18\x03 \x01(\t\x12\x0c\n\x04host\x18\x04 \x01(\t\"\'\n\x10RegisterResponse\x12\x13\n\x0bheartbeat_s\x18\x01 \x01(\x01\"L\n\x0cStartRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x14\n\x0c\x63ode_version\x18\x02 \x01(\t\"\xf3\x02\n\rStartResponse\x12\'\n\x04spec\x18\x01 \x01(\x0b\x32\x19.lambent_proto.v1.JobSpec\x12*\n\x05\x66iles\x18\x02 \x03(\x0b\x32\x1b.lambent_proto.v1.SceneFile\x12\x39\n\x0b\x63heckpoints\x18\x03 \x03(\x0b\x32$.lambent_proto.v1.CheckpointManifest\x12\x13\n\x0b\x63heck_scene\x18\x04 \x01(\x08\x12\x0e\n\x06\x64\x65vice\x18\x05 \x01(\t\x12\x32\n\x0b\x61\x64justments\x18\x06 \x01(\x0b\x32\x1d.lambent_proto.v1.Adjustments\x12\x1b\n\x13progress_interval_s\x18\x07 \x01(\x01\x12\x1a\n\x12preview_interval_s\x18\x08 \x01(\x01\x12\x12\n\nscene_name\x18\t \x01(\t\x12,\n\x06render\x18\n \x01(\x0b\x32\x1c.lambent_proto.v1.RenderTask\"\xe0\x01\n\x0b\x41\x64justments\x12\x15\n\tray_chunk\x18\x01 \x01(\x01\x42\x02\x18\x01\x12\x19\n\rlearning_rate\x18\x02 \x01(\x01\x42\x02\x18\x01\x12\x11\n\x05stage\x18\x03 \x01(\tB\x02\x18\x01\x12\x39\n\x06stages\x18\x04 \x03(\x0b\x32).lambent_proto.v1.Adjustments.StagesEntry\x1aQ\n\x0bStagesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\x31\n\x05value\x18\x02 \x01(\x0b\x32\".lambent_proto.v1.StageAdjustments:\x02\x38\x01\"<\n\x10StageAdjustments\x12\x11\n\tray_chunk\x18\x01 \x01(\x01\x12\x15\n\rlearning_rate\x18\x02 \x01(\x01\"=\n\tSceneFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\":\n\x10HeartbeatRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\"!\n\x11HeartbeatResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xa0\x01\n\rReportRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x10\n\x08sequence\x18\x02 \x01(\r\x12,\n\x08progress\x18\x03 \x01(\x0b\x32\x1a.lambent_proto.v1.Progress\x12\'\n\x06\x65vents\x18\x04 \x03(\x0b\x32\x17.lambent_proto.v1.Event\"\x1e\n\x0eReportResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xb3\x01\n\x12ReportSceneRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12-\n\x06report\x18\x02 \x01(\x0b\x32\x1d.lambent_proto.v1.SceneReport\x12\x31\n\x07\x66igures\x18\x03 \x01(\x0b\x32 .lambent_proto.v1.CaptureFigures\x12\x13\n\x0bpage_sha256\x18\x04 \x01(\t\"\x15\n\x13ReportSceneResponse\"[\n\x0ePutBlobRequest\x12.\n\x06header\x18\x01 \x01(\x0b\x32\x1c.lambent_proto.v1.BlobHeaderH\x00\x12\x0e\n\x04\x64\x61ta\x18\x02 \x01(\x0cH\x00\x42\t\n\x07\x63ontent\"l\n\nBlobHeader\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\"\n\x0fPutBlobResponse\x12\x0f\n\x07\x63reated\x18\x01 \x01(\x08\"H\n\x0eGetBlobRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\"\x1f\n\x0fGetBlobResponse\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\"y\n\x17\x43ommitCheckpointRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x36\n\x08manifest\x18\x02 \x01(\x0b\x32$.lambent_proto.v1.CheckpointManifest\"\x1a\n\x18\x43ommitCheckpointResponse\"U\n\rPublishedFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\xa3\x01\n\x0ePublishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x35\n\x0c\x62undle_files\x18\x02 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\x12\x32\n\tartifacts\x18\x03 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\"$\n\x0fPublishResponse\x12\x11\n\tbundle_id\x18\x01 \x01(\t\"c\n\rFinishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x07outcome\x18\x02 \x01(\x0e\x32\x19.lambent_proto.v1.Outcome\"\x10\n\x0e\x46inishResponse\"\x80\x01\n\x0b\x46\x61ilRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x05\x63\x61use\x18\x02 \x01(\x0e\x32\x1b.lambent_proto.v1.FailCause\x12\x0c\n\x04\x63ode\x18\x03 \x01(\t\x12\x0f\n\x07message\x18\x04 \x01(\t\"\x0e\n\x0c\x46\x61ilResponse*N\n\x07Outcome\x12\x17\n\x13OUTCOME_UNSPECIFIED\x10\x00\x12\x15\n\x11OUTCOME_SUCCEEDED\x10\x01\x12\x13\n\x0fOUTCOME_STOPPED\x10\x02*\xe5\x01\n\tFailCause\x12\x1a\n\x16\x46\x41IL_CAUSE_UNSPECIFIED\x10\x00\x12\x17\n\x13\x46\x41IL_CAUSE_INTERNAL\x10\x01\x12\x18\n\x14\x46\x41IL_CAUSE_BAD_SCENE\x10\x02\x12\x19\n\x15\x46\x41IL_CAUSE_BAD_CONFIG\x10\x03\x12\x1c\n\x18\x46\x41IL_CAUSE_OUT_OF_MEMORY\x10\x04\x12 \n\x1c\x46\x41IL_CAUSE_GPU_OUT_OF_MEMORY\x10\x05\x12\x17\n\x13\x46\x41IL_CAUSE_DIVERGED\x10\x06\x12\x15\n\x11\x46\x41IL_CAUSE_KILLED\x10\x07\x32\x9e\x07\n\rWorkerService\x12Q\n\x08Register\x12!.lambent_proto.v1.RegisterRequest\x1a\".lambent_proto.v1.RegisterResponse\x12H\n\x05Start\x12\x1e.lambent_proto.v1.StartRequest\x1a\x1f.lambent_proto.v1.StartResponse\x12T\n\tHeartbeat\x12\".lambent_proto.v1.HeartbeatRequest\x1a#.lambent_proto.v1.HeartbeatResponse\x12K\n\x06Report\x12\x1f.lambent_proto.v1.ReportRequest\x1a .lambent_proto.v1.ReportResponse\x12Z\n\x0bReportScene\x12$.lambent_proto.v1.ReportSceneRequest\x1a%.lambent_proto.v1.ReportSceneResponse\x12P\n\x07PutBlob\x12 .lambent_proto.v1.PutBlobRequest\x1a!.lambent_proto.v1.PutBlobResponse(\x01\x12P\n\x07GetBlob\x12 .lambent_proto.v1.GetBlobRequest\x1a!.lambent_proto.v1.GetBlobResponse0\x01\x12i\n\x10\x43ommitCheckpoint\x12).lambent_proto.v1.CommitCheckpointRequest\x1a*.lambent_proto.v1.CommitCheckpointResponse\x12N\n\x07Publish\x12 .lambent_proto.v1.PublishRequest\x1a!.lambent_proto.v1.PublishResponse\x12K\n\x06\x46inish\x12\x1f.lambent_proto.v1.FinishRequest\x1a .lambent_proto.v1.FinishResponse\x12\x45\n\x04\x46\x61il\x12\x1d.lambent_proto.v1.FailRequest\x1a\x1e.lambent_proto.v1.FailResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/worker.proto\x12\x10lambent_proto.v1\x1a\x1elambent_proto/v1/capture.proto\x1a\x1alambent_proto/v1/job.proto\x1a\x1dlambent_proto/v1/render.proto\x1a\x1clambent_proto/v1/scene.proto\"$\n\x05\x46\x65nce\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03run\x18\x02 \x01(\r\"n\n\x0fRegisterRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0b\n\x03pid\x18\x02 \x01(\r\x12\x18\n\x10process_identity\x18\x03 \x01(\t\x12\x0c\n\x04host\x18\x04 \x01(\t\"\'\n\x10RegisterResponse\x12\x13\n\x0bheartbeat_s\x18\x01 \x01(\x01\"L\n\x0cStartRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x14\n\x0c\x63ode_version\x18\x02 \x01(\t\"\xf3\x02\n\rStartResponse\x12\'\n\x04spec\x18\x01 \x01(\x0b\x32\x19.lambent_proto.v1.JobSpec\x12*\n\x05\x66iles\x18\x02 \x03(\x0b\x32\x1b.lambent_proto.v1.SceneFile\x12\x39\n\x0b\x63heckpoints\x18\x03 \x03(\x0b\x32$.lambent_proto.v1.CheckpointManifest\x12\x13\n\x0b\x63heck_scene\x18\x04 \x01(\x08\x12\x0e\n\x06\x64\x65vice\x18\x05 \x01(\t\x12\x32\n\x0b\x61\x64justments\x18\x06 \x01(\x0b\x32\x1d.lambent_proto.v1.Adjustments\x12\x1b\n\x13progress_interval_s\x18\x07 \x01(\x01\x12\x1a\n\x12preview_interval_s\x18\x08 \x01(\x01\x12\x12\n\nscene_name\x18\t \x01(\t\x12,\n\x06render\x18\n \x01(\x0b\x32\x1c.lambent_proto.v1.RenderTask\"\xe0\x01\n\x0b\x41\x64justments\x12\x15\n\tray_chunk\x18\x01 \x01(\x01\x42\x02\x18\x01\x12\x19\n\rlearning_rate\x18\x02 \x01(\x01\x42\x02\x18\x01\x12\x11\n\x05stage\x18\x03 \x01(\tB\x02\x18\x01\x12\x39\n\x06stages\x18\x04 \x03(\x0b\x32).lambent_proto.v1.Adjustments.StagesEntry\x1aQ\n\x0bStagesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\x31\n\x05value\x18\x02 \x01(\x0b\x32\".lambent_proto.v1.StageAdjustments:\x02\x38\x01\"<\n\x10StageAdjustments\x12\x11\n\tray_chunk\x18\x01 \x01(\x01\x12\x15\n\rlearning_rate\x18\x02 \x01(\x01\"=\n\tSceneFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\":\n\x10HeartbeatRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\"!\n\x11HeartbeatResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xa0\x01\n\rReportRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x10\n\x08sequence\x18\x02 \x01(\r\x12,\n\x08progress\x18\x03 \x01(\x0b\x32\x1a.lambent_proto.v1.Progress\x12\'\n\x06\x65vents\x18\x04 \x03(\x0b\x32\x17.lambent_proto.v1.Event\"\x1e\n\x0eReportResponse\x12\x0c\n\x04stop\x18\x01 \x01(\x08\"\xcd\x01\n\x12ReportSceneRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12-\n\x06report\x18\x02 \x01(\x0b\x32\x1d.lambent_proto.v1.SceneReport\x12\x31\n\x07\x66igures\x18\x03 \x01(\x0b\x32 .lambent_proto.v1.CaptureFigures\x12\x13\n\x0bpage_sha256\x18\x04 \x01(\t\x12\x18\n\x10thumbnail_sha256\x18\x05 \x01(\t\"\x15\n\x13ReportSceneResponse\"[\n\x0ePutBlobRequest\x12.\n\x06header\x18\x01 \x01(\x0b\x32\x1c.lambent_proto.v1.BlobHeaderH\x00\x12\x0e\n\x04\x64\x61ta\x18\x02 \x01(\x0cH\x00\x42\t\n\x07\x63ontent\"l\n\nBlobHeader\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\"\n\x0fPutBlobResponse\x12\x0f\n\x07\x63reated\x18\x01 \x01(\x08\"H\n\x0eGetBlobRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x0e\n\x06sha256\x18\x02 \x01(\t\"\x1f\n\x0fGetBlobResponse\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\"y\n\x17\x43ommitCheckpointRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x36\n\x08manifest\x18\x02 \x01(\x0b\x32$.lambent_proto.v1.CheckpointManifest\"\x1a\n\x18\x43ommitCheckpointResponse\"U\n\rPublishedFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01\x12\x12\n\nmedia_type\x18\x04 \x01(\t\"\xa3\x01\n\x0ePublishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12\x35\n\x0c\x62undle_files\x18\x02 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\x12\x32\n\tartifacts\x18\x03 \x03(\x0b\x32\x1f.lambent_proto.v1.PublishedFile\"$\n\x0fPublishResponse\x12\x11\n\tbundle_id\x18\x01 \x01(\t\"c\n\rFinishRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x07outcome\x18\x02 \x01(\x0e\x32\x19.lambent_proto.v1.Outcome\"\x10\n\x0e\x46inishResponse\"\x80\x01\n\x0b\x46\x61ilRequest\x12&\n\x05\x66\x65nce\x18\x01 \x01(\x0b\x32\x17.lambent_proto.v1.Fence\x12*\n\x05\x63\x61use\x18\x02 \x01(\x0e\x32\x1b.lambent_proto.v1.FailCause\x12\x0c\n\x04\x63ode\x18\x03 \x01(\t\x12\x0f\n\x07message\x18\x04 \x01(\t\"\x0e\n\x0c\x46\x61ilResponse*N\n\x07Outcome\x12\x17\n\x13OUTCOME_UNSPECIFIED\x10\x00\x12\x15\n\x11OUTCOME_SUCCEEDED\x10\x01\x12\x13\n\x0fOUTCOME_STOPPED\x10\x02*\xe5\x01\n\tFailCause\x12\x1a\n\x16\x46\x41IL_CAUSE_UNSPECIFIED\x10\x00\x12\x17\n\x13\x46\x41IL_CAUSE_INTERNAL\x10\x01\x12\x18\n\x14\x46\x41IL_CAUSE_BAD_SCENE\x10\x02\x12\x19\n\x15\x46\x41IL_CAUSE_BAD_CONFIG\x10\x03\x12\x1c\n\x18\x46\x41IL_CAUSE_OUT_OF_MEMORY\x10\x04\x12 \n\x1c\x46\x41IL_CAUSE_GPU_OUT_OF_MEMORY\x10\x05\x12\x17\n\x13\x46\x41IL_CAUSE_DIVERGED\x10\x06\x12\x15\n\x11\x46\x41IL_CAUSE_KILLED\x10\x07\x32\x9e\x07\n\rWorkerService\x12Q\n\x08Register\x12!.lambent_proto.v1.RegisterRequest\x1a\".lambent_proto.v1.RegisterResponse\x12H\n\x05Start\x12\x1e.lambent_proto.v1.StartRequest\x1a\x1f.lambent_proto.v1.StartResponse\x12T\n\tHeartbeat\x12\".lambent_proto.v1.HeartbeatRequest\x1a#.lambent_proto.v1.HeartbeatResponse\x12K\n\x06Report\x12\x1f.lambent_proto.v1.ReportRequest\x1a .lambent_proto.v1.ReportResponse\x12Z\n\x0bReportScene\x12$.lambent_proto.v1.ReportSceneRequest\x1a%.lambent_proto.v1.ReportSceneResponse\x12P\n\x07PutBlob\x12 .lambent_proto.v1.PutBlobRequest\x1a!.lambent_proto.v1.PutBlobResponse(\x01\x12P\n\x07GetBlob\x12 .lambent_proto.v1.GetBlobRequest\x1a!.lambent_proto.v1.GetBlobResponse0\x01\x12i\n\x10\x43ommitCheckpoint\x12).lambent_proto.v1.CommitCheckpointRequest\x1a*.lambent_proto.v1.CommitCheckpointResponse\x12N\n\x07Publish\x12 .lambent_proto.v1.PublishRequest\x1a!.lambent_proto.v1.PublishResponse\x12K\n\x06\x46inish\x12\x1f.lambent_proto.v1.FinishRequest\x1a .lambent_proto.v1.FinishResponse\x12\x45\n\x04\x46\x61il\x12\x1d.lambent_proto.v1.FailRequest\x1a\x1e.lambent_proto.v1.FailResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -43,10 +43,10 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_ADJUSTMENTS'].fields_by_name['learning_rate']._serialized_options = b'\030\001'
   _globals['_ADJUSTMENTS'].fields_by_name['stage']._loaded_options = None
   _globals['_ADJUSTMENTS'].fields_by_name['stage']._serialized_options = b'\030\001'
-  _globals['_OUTCOME']._serialized_start=2716
-  _globals['_OUTCOME']._serialized_end=2794
-  _globals['_FAILCAUSE']._serialized_start=2797
-  _globals['_FAILCAUSE']._serialized_end=3026
+  _globals['_OUTCOME']._serialized_start=2742
+  _globals['_OUTCOME']._serialized_end=2820
+  _globals['_FAILCAUSE']._serialized_start=2823
+  _globals['_FAILCAUSE']._serialized_end=3052
   _globals['_FENCE']._serialized_start=172
   _globals['_FENCE']._serialized_end=208
   _globals['_REGISTERREQUEST']._serialized_start=210
@@ -74,37 +74,37 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REPORTRESPONSE']._serialized_start=1425
   _globals['_REPORTRESPONSE']._serialized_end=1455
   _globals['_REPORTSCENEREQUEST']._serialized_start=1458
-  _globals['_REPORTSCENEREQUEST']._serialized_end=1637
-  _globals['_REPORTSCENERESPONSE']._serialized_start=1639
-  _globals['_REPORTSCENERESPONSE']._serialized_end=1660
-  _globals['_PUTBLOBREQUEST']._serialized_start=1662
-  _globals['_PUTBLOBREQUEST']._serialized_end=1753
-  _globals['_BLOBHEADER']._serialized_start=1755
-  _globals['_BLOBHEADER']._serialized_end=1863
-  _globals['_PUTBLOBRESPONSE']._serialized_start=1865
-  _globals['_PUTBLOBRESPONSE']._serialized_end=1899
-  _globals['_GETBLOBREQUEST']._serialized_start=1901
-  _globals['_GETBLOBREQUEST']._serialized_end=1973
-  _globals['_GETBLOBRESPONSE']._serialized_start=1975
-  _globals['_GETBLOBRESPONSE']._serialized_end=2006
-  _globals['_COMMITCHECKPOINTREQUEST']._serialized_start=2008
-  _globals['_COMMITCHECKPOINTREQUEST']._serialized_end=2129
-  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_start=2131
-  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_end=2157
-  _globals['_PUBLISHEDFILE']._serialized_start=2159
-  _globals['_PUBLISHEDFILE']._serialized_end=2244
-  _globals['_PUBLISHREQUEST']._serialized_start=2247
-  _globals['_PUBLISHREQUEST']._serialized_end=2410
-  _globals['_PUBLISHRESPONSE']._serialized_start=2412
-  _globals['_PUBLISHRESPONSE']._serialized_end=2448
-  _globals['_FINISHREQUEST']._serialized_start=2450
-  _globals['_FINISHREQUEST']._serialized_end=2549
-  _globals['_FINISHRESPONSE']._serialized_start=2551
-  _globals['_FINISHRESPONSE']._serialized_end=2567
-  _globals['_FAILREQUEST']._serialized_start=2570
-  _globals['_FAILREQUEST']._serialized_end=2698
-  _globals['_FAILRESPONSE']._serialized_start=2700
-  _globals['_FAILRESPONSE']._serialized_end=2714
-  _globals['_WORKERSERVICE']._serialized_start=3029
-  _globals['_WORKERSERVICE']._serialized_end=3955
+  _globals['_REPORTSCENEREQUEST']._serialized_end=1663
+  _globals['_REPORTSCENERESPONSE']._serialized_start=1665
+  _globals['_REPORTSCENERESPONSE']._serialized_end=1686
+  _globals['_PUTBLOBREQUEST']._serialized_start=1688
+  _globals['_PUTBLOBREQUEST']._serialized_end=1779
+  _globals['_BLOBHEADER']._serialized_start=1781
+  _globals['_BLOBHEADER']._serialized_end=1889
+  _globals['_PUTBLOBRESPONSE']._serialized_start=1891
+  _globals['_PUTBLOBRESPONSE']._serialized_end=1925
+  _globals['_GETBLOBREQUEST']._serialized_start=1927
+  _globals['_GETBLOBREQUEST']._serialized_end=1999
+  _globals['_GETBLOBRESPONSE']._serialized_start=2001
+  _globals['_GETBLOBRESPONSE']._serialized_end=2032
+  _globals['_COMMITCHECKPOINTREQUEST']._serialized_start=2034
+  _globals['_COMMITCHECKPOINTREQUEST']._serialized_end=2155
+  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_start=2157
+  _globals['_COMMITCHECKPOINTRESPONSE']._serialized_end=2183
+  _globals['_PUBLISHEDFILE']._serialized_start=2185
+  _globals['_PUBLISHEDFILE']._serialized_end=2270
+  _globals['_PUBLISHREQUEST']._serialized_start=2273
+  _globals['_PUBLISHREQUEST']._serialized_end=2436
+  _globals['_PUBLISHRESPONSE']._serialized_start=2438
+  _globals['_PUBLISHRESPONSE']._serialized_end=2474
+  _globals['_FINISHREQUEST']._serialized_start=2476
+  _globals['_FINISHREQUEST']._serialized_end=2575
+  _globals['_FINISHRESPONSE']._serialized_start=2577
+  _globals['_FINISHRESPONSE']._serialized_end=2593
+  _globals['_FAILREQUEST']._serialized_start=2596
+  _globals['_FAILREQUEST']._serialized_end=2724
+  _globals['_FAILRESPONSE']._serialized_start=2726
+  _globals['_FAILRESPONSE']._serialized_end=2740
+  _globals['_WORKERSERVICE']._serialized_start=3055
+  _globals['_WORKERSERVICE']._serialized_end=3981
 # @@protoc_insertion_point(module_scope)

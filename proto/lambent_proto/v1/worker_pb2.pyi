@@ -165,16 +165,18 @@ class ReportResponse(_message.Message):
     def __init__(self, stop: _Optional[bool] = ...) -> None: ...
 
 class ReportSceneRequest(_message.Message):
-    __slots__ = ("fence", "report", "figures", "page_sha256")
+    __slots__ = ("fence", "report", "figures", "page_sha256", "thumbnail_sha256")
     FENCE_FIELD_NUMBER: _ClassVar[int]
     REPORT_FIELD_NUMBER: _ClassVar[int]
     FIGURES_FIELD_NUMBER: _ClassVar[int]
     PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    THUMBNAIL_SHA256_FIELD_NUMBER: _ClassVar[int]
     fence: Fence
     report: _scene_pb2.SceneReport
     figures: _capture_pb2.CaptureFigures
     page_sha256: str
-    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., report: _Optional[_Union[_scene_pb2.SceneReport, _Mapping]] = ..., figures: _Optional[_Union[_capture_pb2.CaptureFigures, _Mapping]] = ..., page_sha256: _Optional[str] = ...) -> None: ...
+    thumbnail_sha256: str
+    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., report: _Optional[_Union[_scene_pb2.SceneReport, _Mapping]] = ..., figures: _Optional[_Union[_capture_pb2.CaptureFigures, _Mapping]] = ..., page_sha256: _Optional[str] = ..., thumbnail_sha256: _Optional[str] = ...) -> None: ...
 
 class ReportSceneResponse(_message.Message):
     __slots__ = ()

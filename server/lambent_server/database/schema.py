@@ -85,6 +85,9 @@ scenes = Table(
     Column("size_bytes", Double, nullable=False, default=0),
     # SceneReport as REST shows it
     Column("report", JSON),
+    # One of its photographs, small
+    _optional_text("thumbnail_sha256"),
+    Index(None, "thumbnail_sha256"),
 )
 
 scene_files = Table(
@@ -154,7 +157,11 @@ jobs = Table(
     # The order of pictures and the part of it that the job renders; null for other kinds.
     _optional_text("order_id"),
     Column("shard", Integer),
+    # The newest preview; its event holds the blob.
+    _optional_text("preview_sha256"),
     Index(None, "tenant_id", "id"),
+    # Of pages of jobs in one state among thousands of others.
+    Index(None, "tenant_id", "state", "id"),
     Index(None, "state"),
     Index(None, "order_id"),
     Index(None, "scene_id"),

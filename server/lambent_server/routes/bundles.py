@@ -28,7 +28,7 @@ def list_bundles(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFi
     """List bundles, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(connection, tenant, bundles, limit=given.limit, cursor=given.cursor)
-        items = [bundle_rows.show(connection, tenant, row) for row in found]
+        items = bundle_rows.show_all(connection, tenant, found)
     return BundleList(items=items, next_cursor=cursor)
 
 

@@ -17,6 +17,7 @@ from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, across_tenants, rows
 from lambent_server.job_rows import read_events
+from lambent_server.messages import Job
 from lambent_server.metrics import OPEN_STREAMS
 from lambent_server.problems import Problem, invalid
 from lambent_server.routes.common import ServicesOf, TenantOf, problems
@@ -155,20 +156,20 @@ class _Stream:
                     job_queries.require_job(connection, self._tenant, name) for name in sorted(self._names)
                 ]
             else:
-                found, _ = job_queries.select_page(
-                    connection, self._tenant, states=(), labels=(), having={}, limit=RECENT, cursor=None
-                )
+                found, _ = job_queries.select_page(connection, self._tenant, limit=RECENT, cursor=None)
+            unknown = [job for job in found if job["id"] not in self._known]
+            shown = {job.id: job for job in job_queries.show_all(connection, self._tenant, unknown)}
         messages = []
         for job in found:
             if job["id"] in self._known:
                 self._told[job["id"]] = min(self._known[job["id"]], job["event_seq"])
             else:
-                messages.append(self._snapshot(job))
+                messages.append(self._snapshot(shown[job["id"]]))
         return messages
 
-    def _snapshot(self, job: dict[str, Any]) -> str:
-        self._told[job["id"]] = job["event_seq"]
-        return self._message("snapshot", job_queries.show(job).model_dump())
+    def _snapshot(self, job: Job) -> str:
+        self._told[job.id] = job.last_event
+        return self._message("snapshot", job.model_dump())
 
     def _message(self, event: str, data: dict[str, Any]) -> str:
         identifier = ",".join(f"{job_id}:{seq}" for job_id, seq in self._told.items())
@@ -200,7 +201,8 @@ class _Stream:
             looked_at = now()
             for job_id, seq in connection.execute(statement.order_by(jobs.c.id)).all():
                 if job_id not in self._told:
-                    messages.append(self._snapshot(job_queries.require_job(connection, self._tenant, job_id)))
+                    job = job_queries.require_job(connection, self._tenant, job_id)
+                    messages.append(self._snapshot(job_queries.show(connection, self._tenant, job)))
                 while self._told[job_id] < seq:
                     found = read_events(connection, self._tenant, job_id, self._told[job_id], BATCH)
                     if not found:

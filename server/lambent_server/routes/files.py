@@ -1,18 +1,21 @@
 """Bundles, artifacts and previews: immutable bytes, so their hash is their ETag."""
 
+import hashlib
 import re
 from typing import Annotated, Any
+from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import StreamingResponse
 
-from lambent_server.bundle_rows import require_bundle
+from lambent_server import zip_stream
+from lambent_server.bundle_rows import require_bundle, show
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.problems import Problem, not_found
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, problems
 from lambent_server.services import Services
-from lambent_server.store import Blob, find_blob
+from lambent_server.store import Blob, damaged, find_blob
 
 router = APIRouter(tags=["files"])
 
@@ -69,10 +72,8 @@ def send_blob(
         # Files of scenes and runs are data, never pages of this site.
         "content-security-policy": "default-src 'none'; sandbox",
     }
-    if if_none_match is not None:
-        tags = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
-        if etag in tags or "*" in tags:
-            return Response(status_code=304, headers=headers)
+    if _matches(etag, if_none_match):
+        return Response(status_code=304, headers=headers)
     part = parse_range(range_, blob.size_bytes) if range_ and if_range in (None, etag) else None
     start, end = part or (0, blob.size_bytes)
     headers["content-length"] = str(end - start)
@@ -82,6 +83,11 @@ def send_blob(
     return StreamingResponse(
         content, status_code=206 if part else 200, headers=headers, media_type=blob.media_type
     )
+
+
+def _matches(etag: str, if_none_match: str | None) -> bool:
+    tags = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
+    return etag in tags or "*" in tags
 
 
 def _send_from_bundle(
@@ -139,6 +145,61 @@ def get_bundle_file(
     """Return a file of a bundle, or a range of it."""
     blob = _bundle_file(services, tenant, bundle_id, path)
     return _send_from_bundle(services, request, blob, range_, if_none_match, if_range)
+
+
+_ARCHIVE: dict[int | str, dict[str, Any]] = {
+    **problems(404, 410, 413),
+    200: {
+        "description": "The archive.",
+        "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+    },
+    304: {"description": "The client's copy is current."},
+}
+
+
+@router.get("/v1/bundles/{bundle_id:id}/archive", response_class=Response, responses=_ARCHIVE)
+def get_bundle_archive(
+    services: ServicesOf, tenant: TenantOf, bundle_id: Id, if_none_match: MatchHeader = None
+) -> Response:
+    """Return all files of a bundle as one zip archive, which every client opens as it is."""
+    with services.database.read() as connection:
+        row = require_bundle(connection, tenant, bundle_id)
+        name = show(connection, tenant, row).scene_name or bundle_id
+        statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == bundle_id)
+        files = connection.execute(statement.order_by(bundle_files.c.path)).mappings().all()
+    entries = [_entry(services, file) for file in files]
+    if not zip_stream.fits(entries):
+        raise Problem(
+            413,
+            "archive_too_large",
+            "the bundle is above 4 GiB, the most that such an archive can hold; use `lambent fetch`",
+        )
+    etag = f'"{hashlib.sha256("".join(f["path"] + f["sha256"] for f in files).encode()).hexdigest()}"'
+    headers = {
+        "etag": etag,
+        "cache-control": "private, max-age=31536000, immutable",
+        "content-disposition": f"attachment; filename*=UTF-8''{_named(name)}",
+        "content-length": str(zip_stream.length_of(entries)),
+    }
+    if _matches(etag, if_none_match):
+        del headers["content-length"]
+        return Response(status_code=304, headers=headers)
+    # Before the response begins: a missing file is a problem then, and a broken download later.
+    lost = services.store.damaged({file["sha256"]: int(file["size_bytes"]) for file in files})
+    if lost:
+        raise damaged(lost[0])
+    pieces = zip_stream.zip_pieces(entries, row["created_at"])
+    return StreamingResponse(pieces, headers=headers, media_type="application/zip")
+
+
+def _entry(services: Services, file: Any) -> zip_stream.Entry:
+    size = int(file["size_bytes"])
+    return zip_stream.Entry(file["path"], size, lambda: services.store.read(file["sha256"], size))
+
+
+def _named(name: str) -> str:
+    """Return the file name of an archive, percent-encoded; without what file systems give a meaning."""
+    return quote(re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]+', "_", name).strip(". ") or "bundle") + ".relight.zip"
 
 
 @router.get("/v1/blobs/{sha256}", response_class=Response, responses=_RESPONSES)

@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 from anyio import to_thread
 from fastapi import APIRouter, Header, Query, Response
@@ -53,7 +53,16 @@ class JobFilter(PageFilter):
         Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
     ]
     scene: Annotated[str | None, Field(pattern="^[a-z0-9_]{1,64}$", description="Only jobs of it.")] = None
-    kind: JobKind | None = None
+    kind: Annotated[list[JobKind], Field(max_length=6, default_factory=list)]
+    q: Annotated[
+        str,
+        Field(
+            max_length=100,
+            pattern=r"^[^\x00-\x1f\x7f]*$",
+            description="Part of the name of the job's scene, or how its id or its preset's name begins.",
+        ),
+    ] = ""
+    sort: Literal["newest", "oldest"] = "newest"
 
 
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
@@ -63,8 +72,9 @@ def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: Idempo
     digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
     with services.database.write() as connection:
         job = job_queries.submit_once(connection, tenant, body, services, key, digest)
+        shown = job_queries.show(connection, tenant, job)
     services.wakeups.signal()
-    return job_queries.show(job)
+    return shown
 
 
 @router.post("/v1/estimates", responses=problems(400, 403, 413, 422))
@@ -77,24 +87,28 @@ def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> E
 
 @router.get("/v1/jobs", responses=problems(422))
 def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter, Query()]) -> JobList:
-    """List jobs, newest first."""
+    """List jobs, newest first unless `sort` says otherwise."""
     labels = [tuple(each.split("=", 1)) for each in given.label]
     with services.database.read() as connection:
         found, cursor = job_queries.select_page(
             connection,
             tenant,
             states=given.state,
+            kinds=given.kind,
             labels=labels,
-            having={"scene_id": given.scene, "kind": given.kind},
+            scene_id=given.scene,
+            words=given.q.strip(),
+            oldest_first=given.sort == "oldest",
             limit=given.limit,
             cursor=given.cursor,
         )
-    return JobList(items=[job_queries.show(job) for job in found], next_cursor=cursor)
+        items = job_queries.show_all(connection, tenant, found)
+    return JobList(items=items, next_cursor=cursor)
 
 
-def _load(services: Services, tenant: Tenant, job_id: str) -> dict[str, Any]:
+def _load(services: Services, tenant: Tenant, job_id: str) -> Job:
     with services.database.read() as connection:
-        return job_queries.require_job(connection, tenant, job_id)
+        return job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
 
 
 @router.get("/v1/jobs/{job_id:id}", responses=problems(404, 422))
@@ -109,8 +123,8 @@ async def get_job(
     while True:
         job = await to_thread.run_sync(_load, services, tenant, job_id)
         left = deadline - now()
-        if job["state"] in FINAL or left <= 0 or services.wakeups.closing:
-            return job_queries.show(job)
+        if job.state in FINAL or left <= 0 or services.wakeups.closing:
+            return job
         await services.wakeups.wait(min(left, services.settings.stream_poll_s))
 
 
@@ -133,9 +147,9 @@ def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
         if job["state"] in (SUCCEEDED, FAILED):
             raise conflict("job_final", f"job {job_id} has {job['state']}; that is final")
         job_queries.cancel(connection, job)
-        job = job_queries.require_job(connection, tenant, job_id)
+        shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
     services.wakeups.signal()
-    return job_queries.show(job)
+    return shown
 
 
 @router.post("/v1/jobs/{job_id:id}:retry", status_code=202, responses=problems(404, 409, 429, 507))
@@ -152,8 +166,9 @@ def retry_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
             fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
         else:
             fresh = render_rows.queue_again(connection, tenant, job, services)
+        shown = job_queries.show(connection, tenant, fresh)
     services.wakeups.signal()
-    return job_queries.show(fresh)
+    return shown
 
 
 @router.get("/v1/jobs/{job_id:id}/events", responses=problems(404, 422))
@@ -187,8 +202,8 @@ def get_log(
     """Return the end of the output of each of a job's run processes."""
     job = _load(services, tenant, job_id)
     parts = []
-    for run in range(1, job["run"] + 1):
-        path = services.settings.runs / job["id"] / f"run-{run}.log"
+    for run in range(1, job.run + 1):
+        path = services.settings.runs / job.id / f"run-{run}.log"
         if path.exists():
             with path.open("rb") as file:
                 file.seek(max(path.stat().st_size - tail_bytes, 0))

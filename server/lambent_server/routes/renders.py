@@ -42,8 +42,9 @@ def submit_render(services: ServicesOf, tenant: TenantOf, body: NewRender, key: 
             connection, tenant, order, services, key, _digest(render_rows.RENDER, body)
         )
         job = render_rows.first_job(connection, tenant, row["id"])
+        shown = job_queries.show(connection, tenant, job)
     services.wakeups.signal()
-    return job_queries.show(job)
+    return shown
 
 
 @router.post("/v1/batches", status_code=202, responses=problems(400, 403, 404, 413, 422, 429, 507))

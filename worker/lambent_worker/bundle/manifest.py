@@ -30,6 +30,7 @@ _KINDS = {
     ("transport", ".bin"): ("application/octet-stream", "transport"),
     ("env", ".exr"): ("image/x-exr", "environment"),
     ("", ".json"): ("application/json", "cameras"),
+    ("", ".webp"): ("image/webp", "poster"),
     ("preview", ".png"): ("image/png", "preview"),
     ("uncertainty", ".npy"): ("application/octet-stream", "uncertainty"),
 }

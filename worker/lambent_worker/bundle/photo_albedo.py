@@ -26,7 +26,7 @@ from lambent_worker.bundle.surface import AtlasSurface
 
 LEAST_SIZE = 1024
 """Texels along a side of the smallest texture that is chosen automatically."""
-LARGEST_SIZE = {"lite": 2048, "full": 4096, "none": 4096}
+LARGEST_SIZE = {"lite": 1024, "full": 4096, "none": 4096}
 """Texels along a side of the largest, by tier: a lite bundle should have 10 MB, and an albedo of 4096 alone
 has more."""
 ROWS_AT_ONCE = 256
@@ -102,8 +102,8 @@ def albedo_texture(
 
     `scene` is the baked surface, with the model's materials; `photographs` opens the views, whose pictures of
     `light` are used, and `radiance` is the map recovered for it. `advance` is called after each photograph
-    and may raise to stop. Memory: 40 bytes for each texel of the texture, 24 for each node and photograph,
-    and one photograph with two reduced copies.
+    and may raise to stop. Memory: 40 bytes for each texel of the texture, 40 for each node and photograph
+    while they are chosen and 27 afterwards, and one photograph with two reduced copies.
     """
     nodes = nodes_of(surface.size, surface.texel_index, surface.positions, surface.texel_normals)
     under = SurfaceUnderLight(scene, radiance)

@@ -88,6 +88,7 @@ class SurfaceUnderLight:
             harmonics.project(rotated, self._bands),
             np.zeros((0, 3), np.float32),
             np.zeros((0, 3), np.float32),
+            np.zeros(0, np.float32),
         )
         return self._lit(light, turn)
 

@@ -36,19 +36,8 @@ def judge_qualities(
     bundle lies in `folder`; its manifest may still lack its files. Without `networks`, baked pictures are
     those of a bundle from which they will have been taken.
     """
-    listed = bundle_pb2.BundleManifest()
-    listed.CopyFrom(manifest)
-    del listed.files[:]
-    for path in folder.rglob("*"):
-        if path.is_file():
-            listed.files.add(path=path.relative_to(folder).as_posix())
-    renderer = Renderer(Bundle(path=folder, manifest=listed, source=open_source(folder)))
-    shipped = renderer
-    if not networks:
-        lite = bundle_pb2.BundleManifest()
-        lite.CopyFrom(listed)
-        del lite.graphs[:]
-        shipped = Renderer(Bundle(path=folder, manifest=lite, source=open_source(folder)))
+    renderer = Renderer(opened(folder, manifest))
+    shipped = renderer if networks else Renderer(opened(folder, manifest, networks=False))
     figures: dict[str, float] = {}
     small = [_reduced(camera) for camera in cameras]
     for name, light in judging_lights(trained).items():
@@ -62,6 +51,23 @@ def judge_qualities(
             figures[f"{quality}_psnr_refined_{name}"] = float(-10.0 * np.log10(error + 1e-12))
             figures[f"{quality}_worst_refined_{name}"] = worst
     return figures
+
+
+def opened(folder: Path, manifest: bundle_pb2.BundleManifest, *, networks: bool = True) -> Bundle:
+    """Return the unchecked bundle in `folder`, whose manifest may still lack its files.
+
+    Without `networks` it is the bundle from which these will have been taken.
+    """
+    listed = bundle_pb2.BundleManifest()
+    listed.CopyFrom(manifest)
+    del listed.files[:]
+    for path in folder.rglob("*"):
+        if path.is_file():
+            name = path.relative_to(folder).as_posix()
+            listed.files.add(path=name, role="cameras" if name == "cameras.json" else "")
+    if not networks:
+        del listed.graphs[:]
+    return Bundle(path=folder, manifest=listed, source=open_source(folder))
 
 
 def judging_lights(trained: Mapping[str, Float[ndarray, "rows columns 3"]]) -> dict[str, Environment]:

@@ -26,6 +26,7 @@ MAX_WALL_S = 900
 MAX_DEATHS = 5
 """Maximum number of files that may crash the child before the check gives up."""
 MAX_THUMBNAIL_CHARACTERS = 64 * 1024
+MAX_PORTRAIT_CHARACTERS = 256 * 1024
 _BASE64 = re.compile(r"[A-Za-z0-9+/]+={0,2}")
 
 
@@ -87,12 +88,15 @@ def _run_child(
         output = (expired.stdout or b"").decode(errors="replace")
     reading, figures = None, None
     thumbnails: dict[str, str] = {}
+    portrait = ""
     left_out: tuple[str, ...] = ()
     for line in output.splitlines():
         kind, _, rest = line.partition(" ")
         if kind == "report":
             report = json_format.Parse(rest, scene_pb2.SceneReport())
-            check = CaptureCheck(report=report, figures=figures, thumbnails=thumbnails, left_out=left_out)
+            check = CaptureCheck(
+                report=report, figures=figures, thumbnails=thumbnails, portrait=portrait, left_out=left_out
+            )
             return check, None
         if kind == "left_out":
             left_out = tuple(str(path) for path in json.loads(rest))
@@ -100,6 +104,8 @@ def _run_child(
             figures = json_format.Parse(rest, capture_pb2.CaptureFigures())
         if kind == "thumbnail":
             thumbnails |= _thumbnail(json.loads(rest))
+        if kind == "portrait":
+            portrait = _jpeg(json.loads(rest), MAX_PORTRAIT_CHARACTERS) or ""
         if kind == "reading":
             reading = json.loads(rest)
     return None, reading
@@ -107,7 +113,13 @@ def _run_child(
 
 def _thumbnail(value: dict[str, Any]) -> dict[str, str]:
     """Return a thumbnail by its frame, if it is valid: the child has read untrusted files."""
-    name, data = value.get("name"), value.get("jpeg")
-    if not isinstance(name, str) or not isinstance(data, str):
-        return {}
-    return {name: data} if len(data) <= MAX_THUMBNAIL_CHARACTERS and _BASE64.fullmatch(data) else {}
+    name, data = value.get("name"), _jpeg(value.get("jpeg"), MAX_THUMBNAIL_CHARACTERS)
+    return {name: data} if isinstance(name, str) and data is not None else {}
+
+
+def _jpeg(data: object, max_characters: int) -> str | None:
+    """Return a small picture in base64, if that is what the child has sent."""
+    if not isinstance(data, str) or len(data) > max_characters:
+        return None
+    # "/9j/" begins every JPEG.
+    return data if data.startswith("/9j/") and _BASE64.fullmatch(data) else None

@@ -1,8 +1,8 @@
 """The child process of `check`: reads an order on standard input, writes lines to standard output.
 
 Lines are `reading "path"` before each file is decoded; `left_out ["path", ...]`; where the capture can be
-used `figures {CaptureFigures as ProtoJSON}` and `thumbnail {"name", "jpeg"}` for each frame; and at the end
-`report {SceneReport}`.
+used `figures {CaptureFigures as ProtoJSON}`, `thumbnail {"name", "jpeg"}` for each frame and
+`portrait "jpeg"`; and at the end `report {SceneReport}`.
 """
 
 import json
@@ -40,7 +40,7 @@ def main() -> None:
         looked = check_photographs(folder, masks, killers, announce)
         tell("left_out", looked.left_out)
         if looked.figures is not None:
-            tell_measured(looked.figures, looked.thumbnails)
+            tell_measured(looked.figures, looked.thumbnails, looked.portrait)
         tell("report", MessageToDict(looked.report))
         return
     found = inspect_files(folder, layout, killers, announce, masks, cameras)
@@ -67,14 +67,15 @@ def measure(folder: Path, manifest: scene_pb2.SceneManifest, report: scene_pb2.S
     from lambent_worker.capture_qa.review import review
 
     examination = review(folder, manifest, report, CaptureLimits(), announce)
-    tell_measured(examination.figures, examination.thumbnails)
+    tell_measured(examination.figures, examination.thumbnails, examination.portrait)
 
 
-def tell_measured(figures: capture_pb2.CaptureFigures, thumbnails: Mapping[str, str]) -> None:
-    """Write the figures and the thumbnails of a capture that can be used."""
+def tell_measured(figures: capture_pb2.CaptureFigures, thumbnails: Mapping[str, str], portrait: str) -> None:
+    """Write the figures and the small pictures of a capture that can be used."""
     tell("figures", MessageToDict(figures))
     for name, jpeg in thumbnails.items():
         tell("thumbnail", {"name": name, "jpeg": jpeg})
+    tell("portrait", portrait)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,8 @@ class CaptureCheck:
     """None where the capture cannot be used: then there is nothing to measure."""
     thumbnails: Mapping[str, str] = field(default_factory=dict)
     """JPEG in base64 by name of the frame."""
+    portrait: str = ""
+    """The first picture, by which people recognise the capture: JPEG in base64; empty where there is none."""
     left_out: tuple[str, ...] = ()
     """Pictures that cannot be decoded, few enough to do without; for `describe_scene`."""
 

@@ -31,6 +31,8 @@ class Examination:
     figures: capture_pb2.CaptureFigures
     thumbnails: Mapping[str, str]
     """JPEG in base64 by name of the frame."""
+    portrait: str = ""
+    """The picture by which people recognise the capture, JPEG in base64."""
 
 
 def examine_capture(
@@ -49,6 +51,7 @@ def examine_capture(
     return Examination(
         figures=measure(observations, manifest, limits),
         thumbnails={each.frame.name: each.thumbnail for each in observations},
+        portrait=next((each.portrait for each in observations), ""),
     )
 
 

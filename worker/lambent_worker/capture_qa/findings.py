@@ -185,12 +185,13 @@ def _note(
         for each in worst:
             problems.warning(code, f'frame "{each.name}": {each.what}; {advice}', each.subject)
         return
-    named = ", ".join(f'"{each.name}"' for each in worst[: limits.max_named_views])
-    problems.warning(
-        code,
-        f"{len(worst)} pictures have this problem; the worst are {named}, the first because {worst[0].what}; "
-        + advice,
-    )
+    views = list(dict.fromkeys(each.name for each in worst))
+    # A view that was photographed in several lights may complain once for each.
+    counted = f"{len(views)} views have this problem"
+    if len(worst) > len(views):
+        counted += f" ({len(worst)} pictures, because each light counts)"
+    named = ", ".join(f'"{name}"' for name in views[: limits.max_named_views])
+    problems.warning(code, f"{counted}; the worst are {named}, the first because {worst[0].what}; {advice}")
 
 
 def _percent(share: float) -> str:

@@ -24,6 +24,10 @@ from lambent_worker.scenes.upright import upright_turns
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 _RIM = 3
 """Pixels left out along the outline when sharpness is measured: the outline is the mask's, not the lens's."""
+PORTRAIT_SIDE = 320
+"""Longer side of the picture by which people recognise a capture, pixels."""
+_PORTRAIT_BEHIND = 232.0
+"""What is behind an object that is cut out, an encoded grey."""
 _LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
 
 
@@ -53,6 +57,8 @@ class Observation:
     pictures: tuple[PictureObservation, ...]
     thumbnail: str
     """JPEG, base64, upright."""
+    portrait: str = ""
+    """The first frame's picture by which people recognise the capture: JPEG, base64, upright; else empty."""
 
     @property
     def mask(self) -> Bool[ndarray, "height width"]:
@@ -80,7 +86,8 @@ def observe(
     for frame in manifest.frames:
         images = [image for image in frame.images if image.light in manifest.lights]
         if images:
-            observations.append(_observe_frame(folder, frame, images, limits, announce))
+            is_first = not observations
+            observations.append(_observe_frame(folder, frame, images, limits, announce, is_first=is_first))
     return observations
 
 
@@ -90,6 +97,8 @@ def _observe_frame(
     images: list[scene_pb2.Image],
     limits: CaptureLimits,
     announce: Callable[[str], None],
+    *,
+    is_first: bool,
 ) -> Observation:
     camera = PictureCamera.of_frame(frame)
     size = reduced_size(camera.width, camera.height, limits.silhouette_side)
@@ -97,7 +106,8 @@ def _observe_frame(
     if frame.mask:
         announce(frame.mask)
         mask = read_coverage(folder / frame.mask, frame.mask_encoding)
-    pictures, coverage, thumbnail = [], np.ones((size[1], size[0]), dtype=np.float32), ""
+    pictures, coverage = [], np.ones((size[1], size[0]), dtype=np.float32)
+    thumbnail = portrait = ""
     for image in images:
         announce(image.path)
         encoded, alpha, is_linear = read_small(folder / image.path, limits.detail_side)
@@ -122,18 +132,17 @@ def _observe_frame(
         if not thumbnail:
             coverage = small
             turns = upright_turns(camera.camera_to_world)
-            thumbnail = thumbnail_of(
-                np.rot90(encoded, turns),
-                np.rot90(alpha, turns),
-                is_linear=is_linear,
-                side=limits.thumbnail_side,
-            )
+            upright, cover = np.rot90(encoded, turns), np.rot90(alpha, turns)
+            thumbnail = thumbnail_of(upright, cover, is_linear=is_linear, side=limits.thumbnail_side)
+            if is_first:
+                portrait = portrait_of(upright, cover, is_linear=is_linear)
     return Observation(
         frame=frame,
         camera=camera.resized(*size),
         coverage=coverage,
         pictures=tuple(pictures),
         thumbnail=thumbnail,
+        portrait=portrait,
     )
 
 
@@ -209,8 +218,26 @@ def thumbnail_of(
 ) -> str:
     """Return `outlined_picture` as JPEG, base64."""
     encoded = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if is_linear else pixels
+    return _jpeg(Image.fromarray(outlined_picture(encoded, alpha, side)), quality=75)
+
+
+def portrait_of(
+    pixels: UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"],
+    alpha: Float32[ndarray, "height width"],
+    *,
+    is_linear: bool,
+) -> str:
+    """Return a picture of at most `PORTRAIT_SIDE` pixels over light grey, as JPEG in base64."""
+    encoded = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if is_linear else pixels
+    over = encoded * alpha[..., None] + _PORTRAIT_BEHIND * (1.0 - alpha[..., None])
+    size = reduced_size(alpha.shape[1], alpha.shape[0], PORTRAIT_SIDE)
+    image = Image.fromarray(np.round(over).astype(np.uint8)).resize(size, Image.Resampling.BOX)
+    return _jpeg(image, quality=80)
+
+
+def _jpeg(image: Image.Image, *, quality: int) -> str:
     buffer = io.BytesIO()
-    Image.fromarray(outlined_picture(encoded, alpha, side)).save(buffer, "JPEG", quality=75)
+    image.save(buffer, "JPEG", quality=quality)
     return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 

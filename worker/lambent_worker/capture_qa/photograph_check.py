@@ -28,6 +28,8 @@ class PhotographCheck:
     """JPEG in base64 by name of the frame."""
     left_out: tuple[str, ...]
     """Photographs that cannot be used, few enough to do without."""
+    portrait: str = ""
+    """The picture by which people recognise the capture, JPEG in base64."""
 
 
 def check_photographs(
@@ -62,7 +64,7 @@ def check_photographs(
     masked = any(frame.mask for frame in frames)
     figures = _figures(seen, names, masked=masked)
     thumbnails = {names[path]: jpeg for path, jpeg in seen.thumbnails.items()}
-    return PhotographCheck(report, figures, thumbnails, seen.left_out)
+    return PhotographCheck(report, figures, thumbnails, seen.left_out, seen.portrait)
 
 
 def _figures(

@@ -15,7 +15,7 @@ from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 
 from lambent_worker.capture_qa import photograph_measures as measures
-from lambent_worker.capture_qa.observe import read_small, thumbnail_of
+from lambent_worker.capture_qa.observe import portrait_of, read_small, thumbnail_of
 from lambent_worker.capture_qa.photograph_limits import PhotographLimits
 from lambent_worker.files import file_sha256
 from lambent_worker.scenes.exif import ExifFacts, exif_facts
@@ -70,6 +70,8 @@ class PhotographsFigures:
     """Between the 5th and 95th percentile of the median brightness."""
     thumbnails: Mapping[str, str]
     """JPEG in base64 by name."""
+    portrait: str
+    """The first usable photograph, by which people recognise them: JPEG in base64; empty without any."""
 
     @property
     def usable(self) -> tuple[PhotographFigures, ...]:
@@ -105,6 +107,7 @@ class _Seen:
     small: UInt8[ndarray, "32 32"]
     bits: int
     thumbnail: str
+    portrait: str
 
 
 def look(
@@ -130,7 +133,7 @@ def look(
             row |= {"fault": "scene.image_too_large", "reason": reason}
             continue
         try:
-            seen[name] = _read(folder / name, limits, row)
+            seen[name] = _read(folder / name, limits, row, is_first=not seen)
             row |= seen[name].figures
         except PictureError as error:
             row |= {"fault": error.code, "reason": str(error)}
@@ -151,10 +154,11 @@ def look(
         lenses=Counter(_lens(each) for each in usable),
         exposure_range_ev=float(high - low),
         thumbnails={name: each.thumbnail for name, each in seen.items()},
+        portrait=next((each.portrait for each in seen.values()), ""),
     )
 
 
-def _read(path: Path, limits: PhotographLimits, row: dict[str, Any]) -> _Seen:
+def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], *, is_first: bool) -> _Seen:
     """Return what a photograph shows, after filling in its size; raises `PictureError` where it is
     unusable."""
     row["width"], row["height"] = size = picture_size(path)
@@ -189,6 +193,7 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any]) -> _Seen:
         thumbnail=thumbnail_of(
             shown, np.ones(luma.shape, dtype=np.float32), is_linear=False, side=limits.thumbnail_side
         ),
+        portrait=portrait_of(shown, alpha, is_linear=False) if is_first else "",
     )
 
 

@@ -5,6 +5,7 @@ import resource
 import signal
 import sys
 import traceback
+from base64 import b64decode
 from importlib.metadata import version
 from pathlib import Path
 
@@ -197,9 +198,22 @@ def _report_scene(connection: Connection, name: str, checked: CaptureCheck) -> N
         path.write_text(build_page(name, checked, CaptureLimits()), encoding="utf-8")
         page_sha256 = connection.put_file(path, "text/html").sha256
     request = worker_pb2.ReportSceneRequest(
-        fence=identity.fence, report=checked.report, figures=checked.figures, page_sha256=page_sha256
+        fence=identity.fence,
+        report=checked.report,
+        figures=checked.figures,
+        page_sha256=page_sha256,
+        thumbnail_sha256=_send_thumbnail(connection, checked),
     )
     connection.call(connection.stub.ReportScene, request)
+
+
+def _send_thumbnail(connection: Connection, checked: CaptureCheck) -> str:
+    """Send the photograph by which people recognise the scene; return its hash, empty where there is none."""
+    if not checked.portrait:
+        return ""
+    path = connection.identity.work_dir / "thumbnail.jpg"
+    path.write_bytes(b64decode(checked.portrait))
+    return connection.put_file(path, "image/jpeg").sha256
 
 
 def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent: Path) -> Path:

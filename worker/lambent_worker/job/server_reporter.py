@@ -23,6 +23,7 @@ _MEDIA_TYPES = {
     ".hdr": "image/vnd.radiance",
     ".npy": "application/x-npy",
     ".onnx": "application/onnx",
+    ".webp": "image/webp",
 }
 
 

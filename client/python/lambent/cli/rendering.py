@@ -36,6 +36,7 @@ class Shot:
 _BOUNCES = {
     "": "without bounced light",
     "adapted": "bounced light from the fast cache that was adapted to it",
+    "baked": "bounced light from baked transport, of the diffuse lobe as it was baked at the surface",
     "transport": "bounced light from baked transport",
     "one": "light that bounced once",
 }

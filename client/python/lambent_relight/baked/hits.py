@@ -43,7 +43,9 @@ class BakedHits:
         bands = round(len(scene.transport.direct) ** 0.5)
         gain = edit.bounce_gain(scene.mean_albedo)
         lit = finder.lit
-        bounced = np.maximum(coarse_bounce(lit, light) * gain, 0.0)[lit.coarse]
+        self.indirect: NDArray[np.float32] = np.maximum(coarse_bounce(lit, light) * gain, np.float32(0.0))
+        """Irradiance from other surfaces at every block of 2 x 2 texels, [block, 3]."""
+        bounced = self.indirect[lit.coarse]
         arriving = np.maximum(texel_irradiance(lit, light, bands), 0.0) + bounced
         albedo, self._roughness = edit.apply(scene.albedo, scene.perceptual_roughness)
         self._diffuse = (1.0 - scene.metalness) * albedo * arriving / np.float32(np.pi)

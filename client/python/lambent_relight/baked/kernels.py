@@ -9,16 +9,16 @@ Rows = NDArray[np.float32]
 
 def shade_pixels(
     places: tuple[NDArray[np.int64], NDArray[np.int32], Rows, NDArray[np.int64]],
-    light: tuple[Rows, Rows, Rows, Rows],
+    light: tuple[Rows, Rows, Rows, Rows, Rows],
     lobes: tuple[Rows, Rows, Rows],
     num_pixels: int,
 ) -> tuple[Rows, ...]:
     """Return the radiance of all `num_pixels` pixels: whole, direct, indirect, diffuse, specular, [pixel, 3].
 
     `places`: pixels that show the object, their texels, how much each of these counts, where each pixel's
-    begin. `light`: direct and indirect irradiance per texel, prefiltered radiance and reflected dominant
-    lights per shown pixel. `lobes`: factors of diffuse, free and surrounded reflection
-    (`lambent_relight.baked.shading.Lobes`).
+    begin. `light`: irradiance by the sky and by other surfaces per texel; by dominant lights, prefiltered
+    radiance and reflected dominant lights per shown pixel. `lobes`: factors of diffuse, free and surrounded
+    reflection (`lambent_relight.baked.shading.Lobes`).
     """
     out = np.zeros((5, num_pixels, 3), np.float32)
     _shade_pixels(*places, *light, *lobes, out)
@@ -27,14 +27,14 @@ def shade_pixels(
 
 @compiled()
 def _shade_pixels(
-    pixel, texel, share, first, straight, bounced, prefiltered, glint, diffuse, free, around, out
+    pixel, texel, share, first, straight, bounced, lamps, prefiltered, glint, diffuse, free, around, out
 ):
     zero = np.float32(0.0)
     for number in range(len(pixel)):
         start, end = first[number], first[number + 1]
         p = pixel[number]
         for channel in range(3):
-            arriving, bounce = np.float32(0.0), np.float32(0.0)
+            arriving, bounce = lamps[number, channel], np.float32(0.0)
             for place in range(start, end):
                 t = texel[place]
                 arriving += share[place] * straight[t, channel]

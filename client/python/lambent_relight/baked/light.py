@@ -37,6 +37,8 @@ class BakedLight:
     """Towards the dominant lights, [light, 3]."""
     irradiance: NDArray[np.float32]
     """Of a surface that faces the light, [light, 3]."""
+    radii_rad: NDArray[np.float32]
+    """Of discs as wide as the lights, [light]."""
 
     def rotated(self, degrees: float) -> "BakedLight":
         """Return the same light turned by a further +`degrees` about +z."""
@@ -45,6 +47,7 @@ class BakedLight:
             harmonics.rotate_z(self.coefficients, degrees),
             rotate_about_z(self.directions, degrees),
             self.irradiance,
+            self.radii_rad,
         )
 
 
@@ -61,6 +64,7 @@ def prepare_light(
         harmonics.project(lights.residual, bands),
         lights.directions,
         lights.radiance_solid_angle,
+        lights.radii_rad,
     )
 
 
@@ -85,14 +89,14 @@ def lit_texels(scene: BakedScene, texels: NDArray[np.integer] | None = None) -> 
     transport = scene.transport
     which: NDArray[np.integer] | slice = slice(None) if texels is None else texels
     blocks, around = np.unique(scene.blocks_around[which], return_inverse=True)
-    around = around.reshape(-1, 4).astype(np.int32)
+    nearby = around.reshape(-1, 4).astype(np.int32)
     indirect = np.ascontiguousarray(transport.indirect[:, :, blocks].transpose(1, 0, 2))
     bits = transport.shadow_bits
     return LitTexels(
         np.ascontiguousarray(transport.direct[:, which]),
         indirect,
-        np.ascontiguousarray(around[:, 0]),
-        around,
+        np.ascontiguousarray(nearby[:, 0]),
+        nearby,
         scene.normal[which],
         None if bits is None else bits[which],
     )
@@ -115,13 +119,18 @@ def texel_irradiance(
     Fewer `bands` than there are give a smoother, cheaper result. `seen` is `seen_lights`, if known.
     """
     seen = seen_lights(lit, light) if seen is None else seen
-    planes = lit.direct[: bands**2]
-    coefficients = light.coefficients[: len(planes)].T.astype(np.float32)
-    result = np.ascontiguousarray((coefficients @ planes[: coefficients.shape[1]]).T)
+    result = sky_irradiance(lit, light, bands)
     for direction, irradiance, share in zip(light.directions, light.irradiance, seen, strict=True):
         cosine = np.maximum(lit.normal @ direction, np.float32(0.0)) * share
         result += cosine[:, None] * irradiance
     return result
+
+
+def sky_irradiance(lit: LitTexels, light: BakedLight, bands: int) -> NDArray[np.float32]:
+    """Return the direct irradiance of every texel without the dominant lights, [texel, 3], not clipped."""
+    planes = lit.direct[: bands**2]
+    coefficients = light.coefficients[: len(planes)].T.astype(np.float32)
+    return np.ascontiguousarray((coefficients @ planes[: coefficients.shape[1]]).T)
 
 
 def coarse_bounce(lit: LitTexels, light: BakedLight) -> NDArray[np.float32]:

@@ -3,13 +3,17 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent_relight.baked.edges import with_soft_edges
 from lambent_relight.baked.hits import BakedHits, HitFinder
 from lambent_relight.baked.light import MAX_DOMINANT, BakedLight, LitTexels, lit_texels, prepare_light
 from lambent_relight.baked.scene import load_baked_scene
 from lambent_relight.baked.shading import Lobes, lobes_of, shade
-from lambent_relight.baked.traced_surface import TracedSurface
+from lambent_relight.baked.shadow_maps import ShadowMap, shadow_map
+from lambent_relight.baked.surface_bounce import SurfaceBlocks
+from lambent_relight.baked.traced_surface import Settled, TracedSurface
+from lambent_relight.baked.transport import shadow_directions
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import SurfaceCaches
@@ -17,9 +21,14 @@ from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
+from lambent_relight.refined.known_light import KnownLight
+from lambent_relight.refined.known_sky import KnownSky, SkyCells
+from lambent_relight.refined.scattering import SurfacePoints
 
 _KEPT_PIXELS = 2_000_000
 """Maximum number of pixels in cached views; about 400 bytes each."""
+_KEPT_SHADOWS = 3 * MAX_DOMINANT
+"""Number of cached shadow maps, 4 MB each."""
 _KEPT_LIGHTS = 3
 """Number of cached environments, enough to compare two side by side."""
 
@@ -39,6 +48,9 @@ class BakedRenderer:
         self._known: _Prepared | None = None
         self._finder: HitFinder | None = None
         self._traced: TracedSurface | None = None
+        self._blocks: SurfaceBlocks | None = None
+        self._cells: tuple[Environment, SkyCells] | None = None
+        self._shadows: dict[tuple[bytes, float], ShadowMap] = {}
         self._lights: list[tuple[Environment, int, BakedLight]] = []
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
@@ -98,6 +110,38 @@ class BakedRenderer:
         light = self.light(environment, MAX_DOMINANT if can_split else 0)
         return BakedHits(self._finder, light, edit)
 
+    def known_light(
+        self,
+        points: SurfacePoints,
+        settled: Settled,
+        *,
+        hits: BakedHits | None,
+        sky: Environment | None,
+    ) -> KnownLight:
+        """Return what `points` reflect diffusely of the light that was baked around them.
+
+        `settled` says where the points are on the mesh; `hits` has the light of other surfaces and `sky` that
+        of the environment, where they are to be known.
+        """
+        if self._blocks is None:
+            self._blocks = SurfaceBlocks(self.scene)
+        materials = points.materials
+        reflected = (1.0 - materials.metalness) * materials.albedo / np.float32(np.pi)
+        light = KnownLight.nothing(len(points.position))
+        if hits is not None:
+            around = self._blocks.around(points.position, points.normal, settled.uv)
+            known = around.known & settled.near[:, None]
+            radiance = np.where(known, reflected * around.mean(hits.indirect), np.float32(0.0))
+            light = KnownLight(radiance.astype(np.float32), known[:, 0])
+        bits = self.scene.transport.shadow_bits
+        if sky is None or bits is None:
+            return light
+        if self._cells is None or self._cells[0] is not sky:
+            self._cells = (sky, SkyCells.of(sky, shadow_directions()))
+        # Bits of any texel will do: where they are wrong they only make noise.
+        bits = bits[self.scene.texels_at(settled.uv)]
+        return replace(light, sky=KnownSky.of(self._cells[1], bits, points.normal, reflected))
+
     def render(
         self,
         camera: Camera,
@@ -115,19 +159,28 @@ class BakedRenderer:
         it does in a `preview`.
         """
         view = self.view(camera, antialias, soft_edges=soft_edges and not preview)
-        can_split = self.scene.transport.shadow_bits is not None and not preview
-        light = self.light(environment, MAX_DOMINANT if can_split else 0)
+        light = self.light(environment, 0 if preview else MAX_DOMINANT)
         known = self._prepared(view, edit, preview=preview)
         found = shade(
             view,
             known.lit,
             known.lobes,
             light,
+            [self._shadow_map(*each) for each in zip(light.directions, light.radii_rad, strict=True)],
             preview=preview,
             indirect=indirect,
             bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
         )
         return replace(known.still, **found)
+
+    def _shadow_map(self, direction: NDArray[np.float32], radius_rad: float) -> ShadowMap:
+        """Return the shadows of a dominant light; the last few are cached."""
+        key = (direction.tobytes(), float(radius_rad))
+        if key not in self._shadows:
+            while len(self._shadows) >= _KEPT_SHADOWS:
+                self._shadows.pop(next(iter(self._shadows)))
+            self._shadows[key] = shadow_map(self.scene.mesh, direction, float(radius_rad))
+        return self._shadows[key]
 
     def _prepared(self, view: BakedView, edit: MaterialEdit, *, preview: bool) -> "_Prepared":
         """Return the materials and texels of a view; cached for the last view and edit."""

@@ -10,6 +10,7 @@ from the prefiltered map and reflected one by one, each with its own shadow (`ba
 docs/reference/conventions.md.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,10 +22,10 @@ from lambent_relight.baked.light import (
     PREVIEW_BANDS,
     BakedLight,
     LitTexels,
-    seen_lights,
+    sky_irradiance,
     texel_bounce,
-    texel_irradiance,
 )
+from lambent_relight.baked.shadow_maps import ShadowMap, pattern_turns
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.baked.view import BakedView
@@ -83,6 +84,7 @@ def shade(
     lit: LitTexels,
     lobes: Lobes,
     light: BakedLight,
+    shadows: Sequence[ShadowMap],
     *,
     preview: bool,
     indirect: bool,
@@ -90,31 +92,45 @@ def shade(
 ) -> dict[str, NDArray[np.float32]]:
     """Return the radiance of the pixels of `view` under `light`; `lit` are its used texels.
 
+    `shadows` are those of its dominant lights.
+
     Pictures [height, width, 3] by the name of their pass, black outside the object: rgb, direct, indirect,
     diffuse and specular. `bounce_gain` [3] is the effect of an edit of all albedos on bounced light.
     """
     bands = PREVIEW_BANDS if preview else round(len(lit.direct) ** 0.5)
-    seen = seen_lights(lit, light)
-    straight = texel_irradiance(lit, light, bands, seen)
+    straight = sky_irradiance(lit, light, bands)
     bounced = texel_bounce(lit, light) * bounce_gain
     if preview or not indirect:
         bounced = np.zeros_like(bounced)
     prefiltered = light.prefiltered.lookup(lobes.mirror, lobes.perceptual_roughness[:, 0])
-    glint = np.zeros_like(prefiltered)
+    glint, lamps = np.zeros_like(prefiltered), np.zeros_like(prefiltered)
     if len(light.directions):
-        shares = np.stack([view.mean(row[:, None])[:, 0] for row in seen])
+        shares, cosines = _lit_shares(view, shadows)
+        lamps = cosines @ light.irradiance
         prefiltered, glint = glints(
             (view.normal, view.omega_o, lobes.mirror),
             (lobes.alpha, lobes.lobe_scale, lobes.f0),
-            (light.directions, light.irradiance, shares),
+            (light.directions, light.irradiance, shares.T),
             prefiltered,
         )
     parts = baked_kernels.shade_pixels(
         (view.pixel, view.texel, view.share, view.first),
-        (straight, bounced, prefiltered, glint),
+        (straight, bounced, lamps, prefiltered, glint),
         (lobes.diffuse, lobes.free, lobes.surrounded),
         view.camera.height * view.camera.width,
     )
     shape = (view.camera.height, view.camera.width, 3)
     names = ("rgb", "direct", "indirect", "diffuse", "specular")
     return {name: part.reshape(shape) for name, part in zip(names, parts, strict=True)}
+
+
+def _lit_shares(
+    view: BakedView, shadows: Sequence[ShadowMap]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the shares of lights that reach pixels, and the same times the cosine, [pixel, light] each."""
+    points = view.points
+    turn = pattern_turns(points.row, points.column)
+    shares = np.stack([each.shares(points.position, points.normal, turn) for each in shadows], axis=-1)
+    towards = np.stack([each.axes[2] for each in shadows]).astype(np.float32)
+    cosine = np.maximum(points.normal @ towards.T, np.float32(0.0))
+    return view.mean_of_points(shares), view.mean_of_points(shares * cosine)

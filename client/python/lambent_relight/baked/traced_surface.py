@@ -18,6 +18,7 @@ from lambent_relight.refined.surroundings import Met
 
 if TYPE_CHECKING:
     from lambent_relight.baked.scene import BakedScene
+    from lambent_relight.tracing.mesh_rays import MeshRays
 
 Rows = NDArray[np.float32]
 
@@ -25,6 +26,18 @@ MESH_OFFSET = 1e-4
 """Rays start this far above a mesh, as a share of its size: rounding is a hundredth of it."""
 SAME_SURFACE = 0.03
 """As a share of the mesh's size: a camera ray that ends this near to the mesh ends on it."""
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Where camera rays end."""
+
+    position: Rows
+    """[ray, 3]."""
+    uv: Rows
+    """Place in the atlas, [ray, 2]; meaningless away from the mesh."""
+    near: NDArray[np.bool_]
+    """Whether it is on the mesh, [ray]."""
 
 
 class TracedSurface:
@@ -50,15 +63,22 @@ class TracedSurface:
         found = self.rays(origin, direction)
         texel = np.zeros(len(origin), np.int32)
         hit = np.flatnonzero(found.blocked)
-        uv = np.einsum("nc,nci->ni", found.weights[hit], self._uv[found.face[hit]])
-        texel[hit] = self.scene.texels_at(uv)
+        texel[hit] = self.texels(found.face[hit], found.weights[hit])
         return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
 
-    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Rows:
-        """Return the points [ray, 3] of camera rays at `distance` [ray, 1], on the mesh where it is near."""
-        found = self.rays(origin, direction).distance[:, None]
-        near = np.abs(found - distance) < SAME_SURFACE * self.rays.size
-        return (origin + np.where(near, found, distance) * direction).astype(np.float32)
+    def texels(self, face: NDArray[np.int32], weights: Rows) -> NDArray[np.int32]:
+        """Return the texels [ray] at places of faces [ray] by the weights of their corners [ray, 3]."""
+        return self.scene.texels_at(np.einsum("nc,nci->ni", weights, self._uv[face]))
+
+    def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Settled:
+        """Return the points of camera rays [ray, 3] at `distance` [ray, 1], on the mesh where it is near."""
+        found = self.rays(origin, direction)
+        far = found.distance[:, None]
+        near = np.abs(far - distance) < SAME_SURFACE * self.rays.size
+        position = (origin + np.where(near, far, distance) * direction).astype(np.float32)
+        # The face of a ray that misses is -1, and means nothing.
+        uv = np.einsum("nc,nci->ni", found.weights, self._uv[found.face])
+        return Settled(position, np.where(near, uv, np.float32(0.0)), near[:, 0])
 
 
 @dataclass(frozen=True)
@@ -79,6 +99,17 @@ class MeshSurroundings:
     def has_radiance(self) -> bool:
         """Whether the light of all bounces is known."""
         return self.texels is not None
+
+    @property
+    def mesh(self) -> "MeshRays":
+        """The mesh that holds light back."""
+        return self.traced.rays
+
+    def met(self, face: NDArray[np.int32], where: Rows) -> Met:
+        """Return what rays met at faces [ray], at (distance, u, v) [ray, 3]."""
+        weights = np.stack([1.0 - where[:, 1] - where[:, 2], where[:, 1], where[:, 2]], axis=1)
+        opaque = np.ones((len(face), 1), np.float32)
+        return Met(opaque, where[:, :1], self.traced.texels(face, weights.astype(np.float32)))
 
     def meet(self, origin: Rows, direction: Rows) -> Met:
         """Return what rays [ray, 3] from offset surface points meet."""

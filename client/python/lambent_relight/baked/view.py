@@ -18,6 +18,21 @@ from lambent_relight.directions import dot, normalise
 
 
 @dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """The fragments of a view, pixel after pixel."""
+
+    first: NDArray[np.int64]
+    """Where each pixel's begin, [pixel + 1]."""
+    position: NDArray[np.float32]
+    """World coordinates, [fragment, 3]."""
+    normal: NDArray[np.float32]
+    """Unit, [fragment, 3]."""
+    row: NDArray[np.int64]
+    """In the picture of all samples, [fragment]; so is `column`."""
+    column: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
 class BakedView:
     """Pixels that show the surface, in rising order, and what they show."""
 
@@ -45,6 +60,13 @@ class BakedView:
     """Harmonics of the sky's visibility, [pixel, coefficient]."""
     openness: NDArray[np.float32]
     surroundings: NDArray[np.float32]
+    points: "SurfacePoints"
+    """The fragments, for lights that are looked up on the surface."""
+    near: NDArray[np.int64]
+    """The pixel of `points` that each pixel takes such light from, [pixel]."""
+    far: NDArray[np.int64]
+    """Another one, for the rest of it; the same where there is none, [pixel]."""
+    share_of_near: NDArray[np.float32]
 
     @property
     def num_pixels(self) -> int:
@@ -54,6 +76,12 @@ class BakedView:
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the mean of values per used texel [used, n] over the texels of every pixel, [pixel, n]."""
         return weighted_sums(values, self.texel, self.share, self.first)
+
+    def mean_of_points(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the mean of values per fragment [fragment, n] over those of every pixel, [pixel, n]."""
+        means = _means(values, self.points.first)
+        share = self.share_of_near[:, None]
+        return share * means[self.near] + (1.0 - share) * means[self.far]
 
     def image(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return values per pixel [pixel, n] as a picture [height, width, n], zero elsewhere."""
@@ -73,6 +101,7 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     if antialias > 1:
         order = np.argsort(owner, kind="stable")
         owner, depth, places = owner[order], depth[order], places[order]
+        row, column = row[order], column[order]
     footprint = depth / np.float32(fine.focal_x)
     albedo, roughness, metalness = scene.materials_at(places.uv, footprint)
     pixel, start = np.unique(owner, return_index=True)
@@ -80,6 +109,10 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     count = np.diff(first)
     texel, share, begin = blended_texels(scene.texel_plane, places.uv, first)
     used, place = np.unique(texel, return_inverse=True)
+
+    normal = scene.normals_at(places, footprint)
+    points = SurfacePoints(first, places(scene.mesh.vertices), normal, row, column)
+    every = np.arange(len(pixel))
 
     def blended(values: NDArray[np.float32]) -> NDArray[np.float32]:
         return weighted_sums(values, texel, share, begin)
@@ -95,13 +128,17 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
         coverage=(count[:, None] / antialias**2).astype(np.float32),
         distance=_means(depth[:, None], first),
         omega_o=omega_o,
-        normal=turned_to(omega_o, normalise(_means(scene.normals_at(places, footprint), first))),
+        normal=turned_to(omega_o, normalise(_means(normal, first))),
         albedo=_means(albedo, first),
         perceptual_roughness=_means(roughness, first),
         metalness=_means(metalness, first),
         visibility=blended(scene.visibility),
         openness=blended(scene.openness),
         surroundings=blended(scene.surroundings),
+        points=points,
+        near=every,
+        far=every,
+        share_of_near=np.ones(len(pixel), np.float32),
     )
 
 

@@ -37,6 +37,8 @@ class DominantLights:
     """Irradiance of a surface that faces the light, [light, 3]."""
     residual: Environment
     """The environment without them."""
+    radii_rad: NDArray[np.float32]
+    """Of even discs that are spread about their middles as the lights are in the map, [light]."""
 
 
 def energy(radiance: Array) -> NDArray[np.float64]:
@@ -52,7 +54,7 @@ def split(environment: Environment, count: int) -> DominantLights:
     image = environment.radiance.astype(np.float64)
     total = float(energy(image).sum())
     candidates = image.sum(axis=-1)
-    lights: list[tuple[float, Array, Array]] = []
+    lights: list[tuple[float, Array, Array, float]] = []
     for _ in range(_MAX_TRIALS if count and total > 0.0 else 0):
         peak = int(np.argmax(candidates))
         if len(lights) == count or candidates.flat[peak] <= 0.0:
@@ -72,13 +74,18 @@ def split(environment: Environment, count: int) -> DominantLights:
             continue
         image[disk, disk_columns] -= taken
         centre = flux.sum(axis=1) @ window.directions[window.disk]
-        lights.append((float(flux.sum()), centre / np.linalg.norm(centre), flux.sum(axis=0)))
+        centre /= np.linalg.norm(centre)
+        away = flux.sum(axis=1) @ (1.0 - window.directions[window.disk] @ centre) / flux.sum()
+        # The mean of 1 - cosine over a small disc is a quarter of its radius squared.
+        radius = 2.0 * math.sqrt(max(away, 0.0))
+        lights.append((float(flux.sum()), centre, flux.sum(axis=0), radius))
     lights.sort(key=lambda light: -light[0])
     directions = np.array([light[1] for light in lights]).reshape(-1, 3)
     return DominantLights(
         rotate_about_z(directions, environment.rotate_deg).astype(np.float32),
         np.array([light[2] for light in lights], np.float32).reshape(-1, 3),
         replace(environment, radiance=image.astype(np.float32)),
+        np.array([light[3] for light in lights], np.float32),
     )
 
 

@@ -63,6 +63,12 @@ class PixelRays:
         """The largest number of rays of a pixel; one if there are none."""
         return int(np.bincount(self.pixel).max(initial=1))
 
+    def chosen(self, which: NDArray[np.bool_]) -> "tuple[NDArray[np.intp], NDArray[np.intp], PixelRays]":
+        """Return the numbers of some pixels and of their points, and these as rays of their own."""
+        points = np.flatnonzero(which[self.pixel])
+        number = np.cumsum(which) - 1
+        return np.flatnonzero(which), points, PixelRays(number[self.pixel[points]], self.share[points])
+
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the mean of `values` [point, n] over the rays of every pixel, [pixel, n]."""
         count = len(self.first)

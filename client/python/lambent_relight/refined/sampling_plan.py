@@ -1,18 +1,30 @@
-"""Sampling budget of a refined picture: a fixed number of directions, or a target standard error."""
+"""Sampling budget of a refined picture: a fixed number of directions, or a target standard error.
 
-import math
-from collections.abc import Callable
+A mean of errors is lowest, for a number of directions in all, where every pixel has as many as the 2/3 power
+of what its error would be after one. So a first round measures all pixels alike, and the next ones give each
+what it lacks. The numbers come from means over neighbours, so that they hardly depend on a pixel's own noise.
+"""
 
+from collections.abc import Callable, Iterator
+
+import numpy as np
 from lambent_proto.pictures import RenderSettings
+from numpy.typing import NDArray
 
+from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.pixel_rays import PixelRays
+from lambent_relight.refined.running import Running
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Radiance, Scene, outgoing_radiance
+from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
 
 MAX_FACTOR = 64
-"""A picture that is still noisier than requested is returned after this many times `spp` directions."""
+"""A pixel that is still noisier than requested gets no more than this many times `spp` directions."""
 GROWTH = 3
 """Largest ratio of a round to all before it, which say how much is needed, and a short one says little."""
+AIM = 0.98
+"""Share of the target that rounds are planned for, so that chance seldom asks for another."""
+_STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48])
+"""Lengths of a round, in first rounds: pixels that need about as much are sampled together."""
 _NEXT_ROUND = 1_000_003
 
 
@@ -23,35 +35,82 @@ def estimated(
     light: Light,
     settings: RenderSettings,
     progress: Callable[[float], None] | None,
-) -> Radiance:
+    known: KnownLight | None = None,
+) -> Running:
     """Return the radiance of `points`, the rays of `pixels`, after one round, or as many as the target needs.
 
     The rays of a pixel share its directions, two each at least.
     """
     per_ray = max(2, -(-settings.spp // settings.antialias**2))
-    total: Radiance | None = None
-    number, spent, wanted, needed = 0, 0, per_ray, float(per_ray)
+    known = KnownLight.nothing(len(points.position)) if known is None else known
+    total, number, shares = Running.of(pixels), 0, None
+    every = np.full(len(pixels.first), per_ray)
+    wanted, done, left = every, 0.0, float(every.sum())
     while True:
+        for length in _lengths(wanted):
+            chosen, there, rays = pixels.chosen(wanted == length)
+            work = float(length * len(chosen))
 
-        def advance(share: float, spent: int = spent, wanted: int = wanted, needed: float = needed) -> None:
-            if progress is not None:
-                progress(min(1.0, (spent + share * wanted) / max(needed, spent + wanted)))
+            def advance(part: float, done: float = done, work: float = work, left: float = left) -> None:
+                if progress is not None:
+                    progress(min(1.0, (done + part * work) / max(done + left, 1e-9)))
 
-        found = outgoing_radiance(
-            points,
-            scene,
-            light,
-            num_samples=wanted,
-            seed=settings.seed + _NEXT_ROUND * number,
-            indirect=settings.indirect,
-            pixels=pixels,
-            progress=advance,
-        )
-        total = found if total is None else total.combined(found)
-        number, spent = number + 1, total.num_samples
-        error = total.relative_error(pixels)
-        if not settings.until_stderr or error <= settings.until_stderr or spent >= MAX_FACTOR * per_ray:
+            found = outgoing_radiance(
+                points[there],
+                scene,
+                light,
+                num_samples=int(length),
+                seed=settings.seed + _NEXT_ROUND * number,
+                indirect=settings.indirect,
+                pixels=rays,
+                known=known[there],
+                shares=None if shares is None else shares[:, chosen],
+                progress=advance,
+            )
+            total.add(found, chosen, there)
+            shares = found.shares if shares is None else shares
+            number, done, left = number + 1, done + work, left - work
+        target = settings.until_stderr
+        if not target or not len(every) or total.relative_error() <= target:
             return total
-        # Errors fall with the root of the directions, or faster.
-        needed = min(spent * (error / settings.until_stderr) ** 2, float(MAX_FACTOR * per_ray))
-        wanted = min(max(math.ceil(needed) - spent, per_ray), GROWTH * spent)
+        most = MAX_FACTOR * per_ray
+        if int(total.num_samples.min()) >= most:
+            return total
+        mean = float(pixels.mean(total.direct + total.indirect).mean())
+        needed = numbers_for(total.spread(), total.num_samples, AIM * target * mean, most)
+        left = float((needed - total.num_samples).sum())
+        wanted = per_ray * _steps((needed - total.num_samples) / per_ray, total.num_samples / per_ray)
+
+
+def numbers_for(
+    spread: NDArray[np.float64], spent: NDArray[np.int64], error: float, most: int
+) -> NDArray[np.float64]:
+    """Return how many directions every pixel should have, [pixel], from `spent` to `most`.
+
+    They are the fewest that make the mean of spread / sqrt(number) as low as `error`, or all.
+    """
+    share = np.maximum(spread, 1e-12 * max(float(spread.max(initial=0.0)), 1e-30)) ** (2.0 / 3.0)
+    high = float(most / share.min())
+    low = 1e-18 * high
+    for _ in range(60):
+        middle = (low * high) ** 0.5
+        number = np.clip(middle * share, spent, most)
+        enough = float((spread / np.sqrt(number)).mean()) <= error
+        low, high = (low, middle) if enough else (middle, high)
+    return np.clip(high * share, spent, most)
+
+
+def _steps(lacking: NDArray[np.float64], spent: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the length of the next round of every pixel in first rounds, [pixel]; 0: none."""
+    wanted = np.minimum(lacking, GROWTH * spent)
+    nearest = np.argmin(np.abs(np.log(np.maximum(wanted, 1e-9))[:, None] - np.log(_STEPS)), axis=1)
+    steps = np.where(wanted >= 0.5, _STEPS[nearest], 0)
+    if steps.any():
+        return steps
+    # All of them nearly there: those that lack most.
+    return np.where(lacking >= np.quantile(lacking, 0.75), 1, 0)
+
+
+def _lengths(wanted: NDArray[np.integer]) -> Iterator[int]:
+    """Yield the different lengths of a round, the longest first."""
+    yield from (int(length) for length in np.unique(wanted)[::-1] if length > 0)

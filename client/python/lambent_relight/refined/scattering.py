@@ -15,9 +15,9 @@ from lambent_relight.brdf import DIELECTRIC_F0, Materials
 from lambent_relight.directions import Array, dot
 from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
 
-DIFFUSE_LIGHT_SHARE = 0.8
+DIFFUSE_LIGHT_SHARE = 0.9
 """Share of the diffuse lobe's directions that is drawn in proportion to the light as well."""
-SPECULAR_LIGHT_SHARE = 0.3
+SPECULAR_LIGHT_SHARE = 0.4
 """The same of the specular lobe, whose own density is the better guide the narrower it is."""
 WIDE_LOBES_GRAZE_LESS = 3.0
 """Found by experiment, as both shares are: docs/benchmarks/asset.md."""

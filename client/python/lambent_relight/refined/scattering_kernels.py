@@ -132,8 +132,11 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
 
 
 @compiled(fastmath=False)
-def add_up(active, per_point, diffuse, specular, arriving, bouncing, cosine, free, out):
-    """Write means over the `per_point` rays of each point to `out` [4, point, 3].
+def add_up(active, per_point, known, diffuse, specular, arriving, bouncing, cosine, free, out):
+    """Write means over the `per_point` rays of each point to the first five of `out` [6, point, 3].
+
+    Direct radiance, radiance from surfaces, the specular part of both, the free share, and what the diffuse
+    lobe reflects of radiance from surfaces where that is `known` [point], which the second then lacks.
 
     `active` are the rays that were traced. `diffuse` and `specular` are of all rays; light that arrives
     directly and from surfaces, the weight of visibility and the free share are of the active ones.
@@ -142,8 +145,11 @@ def add_up(active, per_point, diffuse, specular, arriving, bouncing, cosine, fre
         r = active[i]
         p = r // per_point
         for k in range(3):
-            weight, light = diffuse[r, k] + specular[r, k], arriving[i, k] + bouncing[i, k]
+            light = arriving[i, k] + bouncing[i, k]
+            weight = diffuse[r, k] + specular[r, k]
             out[0, p, k] += weight * arriving[i, k] / per_point
-            out[1, p, k] += weight * bouncing[i, k] / per_point
+            out[1, p, k] += (specular[r, k] if known[p] else weight) * bouncing[i, k] / per_point
+            if known[p]:
+                out[4, p, k] += diffuse[r, k] * bouncing[i, k] / per_point
             out[2, p, k] += specular[r, k] * light / per_point
             out[3, p, k] += cosine[i] * free[i, 0] / per_point

@@ -11,7 +11,6 @@ finds after a limited number of reflections. The estimate is unbiased but for th
 Source: paper Eq. 1 with the visibility of supplement 2.1; docs/reference/conventions.md.
 """
 
-import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -20,43 +19,16 @@ import numpy as np
 from lambent_compute.threads import in_order
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import cosine_pdf
-from lambent_relight.bundle.graphs import AdaptedHits
-from lambent_relight.environment.light_sampling import LightSampler
-from lambent_relight.environment.maps import Environment
+from lambent_relight.refined.known_light import KnownLight, Shares, Spread
+from lambent_relight.refined.passes import Light, Scene, one_pass
 from lambent_relight.refined.pixel_rays import PixelRays
-from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares
-from lambent_relight.refined.surroundings import Met, Surroundings
+from lambent_relight.refined.scattering import SurfacePoints
 
 RAYS_PER_CHUNK = 1 << 16
 """Maximum number of secondary rays in memory, or a pixel's more."""
 EVEN = 128
 """Directions of a pixel after which another pass is worth more than a longer one, which is even already."""
 MAX_PASSES = 8
-FOLLOWED = 0.25
-"""Rays blocked with at least this probability are always followed to the hit, others by chance."""
-
-
-@dataclass(frozen=True)
-class Light:
-    """An environment and its sampler."""
-
-    environment: Environment
-    sampler: LightSampler
-
-
-@dataclass(frozen=True)
-class Scene:
-    """The object that is lit."""
-
-    around: Surroundings
-    """What secondary rays meet."""
-    adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
-    """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `around`."""
-    most_bounces: int = 0
-    """Reflections of light on its way to the eye, as random paths; 0: all that `around` knows, else two."""
-    num_threads: int = 1
-    """Threads that may call these functions at once."""
 
 
 @dataclass(frozen=True)
@@ -75,28 +47,8 @@ class Radiance:
     """Directions per point."""
     freedom: int
     """Degrees of freedom of `standard_error`: independent passes less one."""
-
-    def combined(self, other: "Radiance") -> "Radiance":
-        """Return the mean with an independent estimate, weighted by the number of samples."""
-        total = self.num_samples + other.num_samples
-        a, b = self.num_samples / total, other.num_samples / total
-        names = ("direct", "indirect", "specular", "visibility")
-        means = [np.float32(a) * getattr(self, n) + np.float32(b) * getattr(other, n) for n in names]
-        error = np.sqrt((a * self.standard_error) ** 2 + (b * other.standard_error) ** 2)
-        return Radiance(*means, error.astype(np.float32), total, self.freedom + other.freedom)
-
-    def relative_error(self, pixels: PixelRays) -> float:
-        """Return the mean standard error of `pixels` over their mean radiance, of all channels.
-
-        The root of an unbiased variance is too small on average: 20 % with two passes, 4 % with eight. It is
-        corrected as for normal errors.
-        """
-        if not len(self.direct):
-            return 0.0
-        mean = float(pixels.mean(self.direct + self.indirect).mean())
-        half = 0.5 * self.freedom
-        root = math.exp(math.lgamma(half + 0.5) - math.lgamma(half)) / math.sqrt(half)
-        return float(self.standard_error.mean(dtype=np.float64)) / (root * mean) if mean > 0.0 else 0.0
+    shares: Shares
+    """Of the known light that was mixed in, as `Spread.best_shares` says, [2, pixel]."""
 
 
 def split_samples(num_samples: int, rays_per_pixel: int) -> tuple[int, int]:
@@ -118,26 +70,31 @@ def outgoing_radiance(
     seed: int,
     indirect: bool,
     pixels: PixelRays | None = None,
+    known: KnownLight | None = None,
+    shares: Shares | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Radiance:
     """Return the radiance that `points` reflect towards their `omega_o`, with its standard error.
 
     `num_samples`, the directions per point (at least 2), is rounded up to whole passes. `pixels` says which
-    points are rays of one pixel (default: every point is one of its own). Passes are independent; inside a
-    pass the directions of a pixel are an even sequence. Equal seeds give equal results, whatever the number
-    of threads.
+    points are rays of one pixel (default: every point is one of its own). `known` is what they reflect
+    diffusely of light that is known (default: none), and `shares` how much of it makes up for noise (default:
+    as makes least). Passes are independent; inside a pass the directions of a pixel are an even sequence.
+    Equal seeds give equal results, whatever the number of threads.
     """
     num_points = len(points.position)
     pixels = PixelRays.alone(num_points) if pixels is None else pixels
     num_passes, per_pass = split_samples(num_samples, pixels.most)
-    sums, squares = np.zeros((4, num_points, 3)), np.zeros((len(pixels.first), 3))
+    known = KnownLight.nothing(num_points) if known is None else known
+    sums, spread = np.zeros((6, num_points, 3)), Spread.of(len(pixels.first))
     parts = pixels.parts(RAYS_PER_CHUNK // per_pass)
     tasks = [(number, index) for number in range(num_passes) for index in range(len(parts))]
 
     def work(task: tuple[int, int]) -> NDArray[np.float32]:
         rng = np.random.default_rng([seed, *task])
         run, rays = parts[task[1]]
-        return _one_pass(points[run], rays, scene, light, per_pass, rng, indirect)
+        u = rays.uniforms(per_pass, rng)
+        return one_pass(points[run], u, scene, light, rng, indirect, known[run])
 
     # In the order of the tasks, so that sums are the same for any number of threads.
     with closing(in_order(work, tasks, scene.num_threads)) as results:
@@ -145,91 +102,18 @@ def outgoing_radiance(
             run, rays = parts[index]
             sums[:, run] += found
             first = pixels.pixel[run.start]
-            squares[first : first + len(rays.first)] += rays.mean(found[0].astype(np.float64) + found[1]) ** 2
+            here = slice(first, first + len(rays.first))
+            rest = rays.mean(found[0].astype(np.float64) + found[1])
+            spread.add(here, rest, rays.mean(found[4]), rays.mean(found[5]))
             if progress is not None:
                 progress((done + 1) / len(tasks))
     means = sums / num_passes
-    mean = pixels.mean(means[0] + means[1])
-    variance = np.maximum(squares / num_passes - mean**2, 0.0) / (num_passes - 1)
-    error = np.sqrt(variance).astype(np.float32)
-    return Radiance(*means.astype(np.float32), error, num_passes * per_pass, num_passes - 1)
-
-
-def _one_pass(
-    points: SurfacePoints,
-    pixels: PixelRays,
-    scene: Scene,
-    light: Light,
-    per_pass: int,
-    rng: np.random.Generator,
-    indirect: bool,
-) -> NDArray[np.float32]:
-    """Return means over `per_pass` directions of points [point, 3], [4, point, 3].
-
-    Direct radiance, once-reflected radiance, the specular part of both, and the free share.
-    """
-    from lambent_relight.refined import scattering_kernels as kernels
-
-    count = len(points.position)
-    u = pixels.uniforms(per_pass, rng)
-    drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
-    active = drawn.active
-    owner = active // per_pass
-    normal, direction = points.normal[owner], drawn.omega_i[active]
-    origin = points.position[owner] + np.float32(scene.around.origin_offset) * normal
-    adapted = scene.adapted(origin, direction) if indirect and scene.adapted is not None else None
-    seen = scene.around.meet(origin, direction) if adapted is None else Met(adapted.opacity, adapted.distance)
-    arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
-    bouncing = np.zeros_like(arriving) if adapted is None else adapted.radiance
-    if indirect and adapted is None:
-        # Below `FOLLOWED`, a hit of opacity a is followed with probability a / FOLLOWED, at weight FOLLOWED:
-        # the mean is that of following all at weight a.
-        hit = np.flatnonzero(FOLLOWED * rng.random(len(active)) < seen.opacity[:, 0])
-        if scene.most_bounces == 0 and scene.around.has_radiance:
-            position = origin[hit] + seen.distance[hit] * direction[hit]
-            bouncing[hit] = scene.around.radiance(seen[hit], position, -direction[hit])
-        else:
-            left = (scene.most_bounces or 2) - 1
-            bouncing[hit] = _path_radiance(seen[hit], origin[hit], direction[hit], scene, light, rng, left)
-        bouncing[hit] *= np.maximum(seen.opacity[hit], np.float32(FOLLOWED))
-    cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
-    result = np.zeros((4, count, 3))
-    lobes = (drawn.diffuse, drawn.specular)
-    free = 1.0 - seen.opacity
-    kernels.add_up(active, per_pass, *lobes, arriving, bouncing, cosine, free, result)
-    return result.astype(np.float32)
-
-
-def _path_radiance(
-    met: Met,
-    origin: NDArray[np.float32],
-    direction: NDArray[np.float32],
-    scene: Scene,
-    light: Light,
-    rng: np.random.Generator,
-    most_bounces: int,
-) -> NDArray[np.float32]:
-    """Return unbiased estimates of what comes back along rays that met something, [ray, 3].
-
-    A path goes on from each hit in one direction, and is followed with the probability of its opacity: light
-    that reaches the hits after at most `most_bounces` reflections, theirs included.
-    """
-    if most_bounces < 1 or len(origin) == 0:
-        return np.zeros((len(origin), 3), np.float32)
-    points = scene.around.surface(met, origin + met.distance * direction, -direction)
-    drawn = draw_directions(
-        points, light.sampler, rng.random((len(origin), 3)), strategy_shares(points, light.sampler)
-    )
-    active = drawn.active
-    start = points.position[active] + np.float32(scene.around.origin_offset) * points.normal[active]
-    onwards = drawn.omega_i[active]
-    seen = scene.around.meet(start, onwards)
-    arriving = (1.0 - seen.opacity) * light.environment.lookup(onwards)
-    if most_bounces > 1:
-        hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
-        arriving[hit] += _path_radiance(
-            seen[hit], start[hit], onwards[hit], scene, light, rng, most_bounces - 1
-        )
-    radiance = np.zeros((len(origin), 3), np.float32)
-    radiance[active] = drawn.weight[active] * arriving
-    return radiance
+    if shares is None:
+        shares = spread.best_shares(pixels.mean(means[0] + means[1] + known.radiance))
+    from_rays, taken_out = shares[:, pixels.pixel, None]
+    if indirect:
+        means[1] += from_rays * means[4] + (1.0 - from_rays) * known.radiance
+    if known.sky is not None:
+        means[0] -= taken_out * (means[5] - known.sky.radiance)
+    error = np.sqrt(spread.variance(shares)).astype(np.float32)
+    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1, shares)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,10 @@ from lambent_relight.bundle.graphs import SurfaceCaches
 from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.refined.scattering import SurfacePoints
+
+if TYPE_CHECKING:
+    # Compiled code takes a second to import, which programs that only look at bundles do not pay.
+    from lambent_relight.tracing.mesh_rays import MeshRays
 
 Rows = NDArray[np.float32]
 
@@ -35,6 +39,13 @@ class Met:
 
 class Surroundings(Protocol):
     """What is around the points that are lit."""
+
+    @property
+    def mesh(self) -> "MeshRays | None":
+        """The mesh that holds light back, or None where that is something else."""
+
+    def met(self, face: NDArray[np.int32], where: Rows) -> Met:
+        """Return what rays met at faces [ray] of `mesh`, at (distance, u, v) [ray, 3]."""
 
     @property
     def origin_offset(self) -> float:
@@ -63,6 +74,15 @@ class CacheSurroundings:
     edit: MaterialEdit
     hits: Callable[[Rows, Rows], Rows] | None = None
     """Radiance of points [n, 3] towards directions [n, 3]."""
+
+    @property
+    def mesh(self) -> None:
+        """None: there is no mesh."""
+        return None
+
+    def met(self, face: NDArray[np.int32], where: Rows) -> Met:
+        """Not to be called: there is no mesh."""
+        raise AssertionError("there is no mesh")
 
     @property
     def has_radiance(self) -> bool:

@@ -56,7 +56,6 @@ export type BundleNews =
       readonly name: string;
       readonly totalBytes: number;
       readonly bands: number;
-      readonly hasShadowBits: boolean;
       /** Lights with a map. */
       readonly lights: readonly string[];
     }
@@ -86,7 +85,6 @@ export async function loadBundle(
     "mesh/asset.glb",
     stated.texelsPath,
     ...stated.planes.map((planes) => planes.path),
-    stated.shadowBitsPath,
     manifest.uncertainty?.path ?? "",
     cameraPath ?? "",
     ...lights.map((light) => `env/trained_${light}.exr`),
@@ -106,14 +104,7 @@ export async function loadBundle(
     return map;
   };
   const bands = stated.planes.find(({ name }) => name === "direct")?.bands ?? 0;
-  tell({
-    kind: "opened",
-    name: manifest.name,
-    totalBytes: total,
-    bands,
-    hasShadowBits: stated.shadowBitsPath !== "",
-    lights,
-  });
+  tell({ kind: "opened", name: manifest.name, totalBytes: total, bands, lights });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
   const atlas = (manifest.atlas?.albedoSource ?? "") !== "" ? manifest.atlas : undefined;

@@ -44,7 +44,7 @@ export type PackedTransport = {
   readonly coarseOfTexel: Uint32Array<ArrayBuffer>;
   /** The four coarse texels around every texel; see `blocksAround`. */
   readonly blocksAround: Uint32Array<ArrayBuffer>;
-  /** 256 bits per texel in two layers of four words, lowest bit first; null where the bundle has none. */
+  /** 256 bits per texel in two layers of four words, lowest bit first; null until `withShadowBits` has read them. */
   readonly shadowBits: Uint32Array<ArrayBuffer> | null;
 };
 
@@ -62,7 +62,7 @@ export function tableRows(count: number): number {
   return Math.max(1, Math.ceil(count / tableWidth));
 }
 
-/** Read and check the transport that a manifest states. */
+/** Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first. */
 export async function readTransport(stated: Transport, read: Reader): Promise<PackedTransport> {
   const { size } = stated;
   if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(`has an atlas of ${size} texels along a side`);
@@ -88,12 +88,8 @@ export async function readTransport(stated: Transport, read: Reader): Promise<Pa
     load("material"),
   ]);
   if (indirect.bands > direct.bands) throw invalid("has more bands of indirect than of direct transfer");
-  let shadowBits: Uint32Array<ArrayBuffer> | null = null;
-  if (stated.shadowBitsPath !== "") {
-    if (stated.numShadowDirections !== numShadowDirections) {
-      throw invalid(`has ${stated.numShadowDirections} shadow directions`);
-    }
-    shadowBits = packShadowBits(await read(stated.shadowBitsPath), numTexels);
+  if (stated.shadowBitsPath !== "" && stated.numShadowDirections !== numShadowDirections) {
+    throw invalid(`has ${stated.numShadowDirections} shadow directions`);
   }
   const texelPlane = spreadTexels(texelIndex, size);
   return {
@@ -106,8 +102,19 @@ export async function readTransport(stated: Transport, read: Reader): Promise<Pa
     indirect,
     material,
     coarseOfTexel,
-    shadowBits,
+    shadowBits: null,
   };
+}
+
+/** Return a transport with its shadow bits; without any where the manifest states none. */
+export async function withShadowBits(
+  transport: PackedTransport,
+  stated: Transport,
+  read: Reader,
+): Promise<PackedTransport> {
+  if (stated.shadowBitsPath === "") return transport;
+  const data = await read(stated.shadowBitsPath);
+  return { ...transport, shadowBits: packShadowBits(data, transport.numTexels) };
 }
 
 /** Return the places of covered texels, rising, from one bit per place, lowest first. */

@@ -111,6 +111,8 @@ export interface components {
             scene_name: string;
             /** Size Bytes */
             size_bytes: number;
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * BundleDetail
@@ -133,6 +135,8 @@ export interface components {
             scene_name: string;
             /** Size Bytes */
             size_bytes: number;
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * BundleFile
@@ -385,6 +389,8 @@ export interface components {
             run: number;
             /** Scene Id */
             scene_id: string;
+            /** Scene Name */
+            scene_name: string;
             /** Seed */
             seed: number;
             /** Started At */
@@ -394,6 +400,8 @@ export interface components {
              * @enum {string}
              */
             state: "queued" | "running" | "cancelling" | "retry_wait" | "succeeded" | "failed" | "cancelled";
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * JobError
@@ -951,12 +959,13 @@ export interface components {
             background: "transparent" | "environment" | "white";
             /**
              * Bounces
-             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport), or how
-             *     often light may be reflected, as random paths: 1 is direct light alone.
+             * @description Source of indirect light in refined pictures (auto: an adapted cache, else baked transport, diffusely
+             *     reflected in part as it was baked), or how often light may be reflected, as random paths: 1 is direct
+             *     light alone.
              * @default auto
              * @enum {string}
              */
-            bounces: "auto" | "adapted" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
+            bounces: "auto" | "adapted" | "baked" | "transport" | "one" | "1" | "2" | "3" | "4" | "5" | "6" | "7" | "8";
             /**
              * Denoise
              * @description Smooth what noise is left in a refined picture, guided by albedo and normals; not for measuring.
@@ -1016,7 +1025,8 @@ export interface components {
             tone_mapping: "linear" | "neutral" | "aces" | "agx";
             /**
              * Until Stderr
-             * @description Continue until the standard error is this share of the radiance; 0: do not.
+             * @description Continue until the mean standard error is this share of the mean radiance, with more directions where
+             *     there is more noise; 0: do not.
              * @default 0
              */
             until_stderr: number;
@@ -1047,6 +1057,8 @@ export interface components {
              * @enum {string}
              */
             state: "open" | "uploaded" | "ready" | "rejected";
+            /** Thumbnail Url */
+            thumbnail_url: string | null;
         };
         /**
          * SceneList

@@ -22,27 +22,8 @@ const motionTexts: readonly (readonly [Motion, string])[] = [
 ];
 const formatTexts: Readonly<Record<FilmFormat, string>> = { mp4: "MP4", webm: "WebM" };
 
-const style = `
-.film { width: min(30rem, calc(100% - 2rem)); max-height: calc(100% - 2rem); overflow: auto; color: #f2f3f5; background: #181b1f;
-  border: 1px solid #4b525b; border-radius: 0.6rem; padding: 1rem; }
-.film::backdrop { background: rgb(0 0 0 / 60%); }
-.film h2 { font-size: 1.1rem; margin: 0 0 0.6rem; }
-.film fieldset { border: 0; margin: 0; padding: 0; }
-.film form { display: grid; gap: 0.45rem; }
-.film canvas { position: static; inset: auto; width: 100%; height: auto; max-height: 14rem; object-fit: contain; cursor: auto; touch-action: auto;
-  background: #101214; border-radius: 0.35rem; }
-.film progress { width: 100%; }
-.film .problem { color: #ffb4ab; }
-`;
-
-/** Return the dialog of a viewer, with its look. */
-export function filmDialog(viewer: Viewer): {
-  element: HTMLDialogElement;
-  sheet: CSSStyleSheet;
-  show: () => void;
-} {
-  const sheet = new CSSStyleSheet();
-  sheet.replaceSync(style);
+/** Return the dialog of a viewer. */
+export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: () => void } {
   let plan: FilmPlan = defaultPlan;
   let size: SizeName = "1080p";
   let running: AbortController | null = null;
@@ -113,7 +94,7 @@ export function filmDialog(viewer: Viewer): {
   });
   const form = make("form", { method: "dialog", noValidate: true }, fields, preview, bar, news);
   form.append(make("div", { className: "buttons" }, close, start));
-  const element = make("dialog", { className: "film" }, make("h2", { textContent: "Make a film" }), form);
+  const element = make("dialog", { className: "work" }, make("h2", { textContent: "Make a film" }), form);
   element.setAttribute("aria-label", "Make a film");
 
   const say = (text: string, problem = false): void => {
@@ -194,7 +175,6 @@ export function filmDialog(viewer: Viewer): {
   });
   return {
     element,
-    sheet,
     show: () => {
       if (element.open) return;
       preview.hidden = true;

@@ -4,6 +4,7 @@ import { jobAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
+import { thumbnail } from "../page/thumbnail.js";
 import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
 
@@ -40,8 +41,8 @@ export function isListed(job: Job): boolean {
 }
 
 /** Return a job's name in lists: that of its scene, if it has one. */
-export function jobName(job: Job, sceneName: string | undefined): string {
-  return sceneName ?? (job.scene_id || purpose(job));
+export function jobName(job: Job): string {
+  return job.scene_name || job.scene_id || purpose(job);
 }
 
 /** Return the duration or progress of a job; empty if unknown. */
@@ -70,13 +71,19 @@ export function jobLine(first: Job, name: string): { element: HTMLLIElement; upd
   const state = h("span");
   const bar = h("progress", { max: 1, "aria-label": "share of the job that is done" });
   const figures = h("p", { class: "figures" });
+  const picture = thumbnail();
   const element = h(
     "li",
-    { class: "card" },
-    h("div", { class: "line" }, h("h3", {}, h("a", { href: jobAddress(first.id) }, name)), state),
-    h("p", { class: "faint" }, `${purpose(first)} · ${formatTime(first.created_at)}`),
-    bar,
-    figures,
+    { class: "card pictured" },
+    picture.element,
+    h(
+      "div",
+      {},
+      h("div", { class: "line" }, h("h3", {}, h("a", { href: jobAddress(first.id) }, name)), state),
+      h("p", { class: "faint" }, `${purpose(first)} · ${formatTime(first.created_at)}`),
+      bar,
+      figures,
+    ),
   );
   const update = (job: Job) => {
     replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
@@ -84,6 +91,7 @@ export function jobLine(first: Job, name: string): { element: HTMLLIElement; upd
     bar.hidden = isFinal(job) || job.state === "queued";
     setText(figures, progressText(job));
     figures.hidden = figures.textContent === "";
+    picture.show(job.thumbnail_url);
   };
   update(first);
   return { element, update };

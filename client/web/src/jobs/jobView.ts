@@ -6,8 +6,9 @@ import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
-import { curves, previews, stageList } from "./live.js";
+import { curves, stageList } from "./live.js";
 import { logView } from "./log.js";
+import { previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
 import { type Context, stateLabel, stateNames, type View } from "./view.js";
@@ -19,7 +20,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   const first = store.get(jobId)!.job;
   // A scene that was removed has no name any more, and some jobs have none; the jobs stay.
   const scene = first.scene_id === "" ? null : await api.scene(first.scene_id).catch(() => null);
-  const name = jobName(first, scene?.name);
+  const name = jobName(first);
 
   const state = h("span");
   const news = h("p", { class: "sr", role: "status" });
@@ -37,8 +38,19 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     location.hash = jobAddress(fresh.id);
   });
 
+  const remove = button("Delete the job", context, async () => {
+    context.removals.ask({
+      id: jobId,
+      what: `the job "${name}"`,
+      send: (keepalive) => api.deleteJob(jobId, keepalive),
+      gone: () => store.forget(jobId),
+    });
+    location.hash = "#/";
+  });
+
   function draw(): void {
-    const record = store.get(jobId)!;
+    const record = store.get(jobId);
+    if (record === undefined) return;
     const { job } = record;
     replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
     setText(news, `Job ${stateNames.get(job.state) ?? job.state}`);
@@ -49,10 +61,15 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     stages.element.hidden = job.kind !== "train" || job.started_at === null;
     for (const part of parts) part.update(record);
     cancel.hidden = isFinal(job) || job.state === "cancelling";
+    remove.hidden = !isFinal(job);
     retry.hidden = job.state !== "failed" && job.state !== "cancelled";
     replaceKeyed(results, `${job.state} ${job.bundle_id}`, () => [resultSection(context, job, name)]);
     log.update(job);
   }
+  const live = h("div", { class: "live" }, pictures.element, plots.element);
+  const progressed = isFinal(first)
+    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), live, stages.element)
+    : section("Progress", {}, live, stages.element);
   draw();
 
   return {
@@ -75,14 +92,18 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       fault,
       h("div", { class: "actions" }, cancel, retry, scene !== null && hasMasks(first) && masksLink(scene.id)),
       results,
-      section("Progress", {}, stages.element, h("div", { class: "live" }, pictures.element, plots.element)),
+      progressed,
       log.element,
+      h("section", { "aria-label": "Job" }, h("div", { class: "actions" }, remove)),
     ),
     update: (changed) => {
       if (changed === null) store.loadHistory(jobId).catch(fail);
       else if (changed === jobId) draw();
     },
-    close: log.close,
+    close: () => {
+      log.close();
+      pictures.close();
+    },
   };
 }
 

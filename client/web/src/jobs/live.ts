@@ -12,7 +12,7 @@ const height = 100;
 const maxSamples = 240;
 const svgSpace = "http://www.w3.org/2000/svg";
 
-type Part = { readonly element: HTMLElement; readonly update: (record: JobRecord) => void };
+export type Part = { readonly element: HTMLElement; readonly update: (record: JobRecord) => void };
 export type StageState = "done" | "now" | "waiting";
 
 /** Return the state of each stage of a job, in their order. */
@@ -71,53 +71,58 @@ export function stageList(): Part {
   };
 }
 
-/** The pictures that a run has sent: the latest, and the others with a slider. */
-export function previews(): Part {
-  const image = h("img", { alt: "" });
-  const caption = h("figcaption", { class: "faint" });
-  const slider = h("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": "earlier pictures" });
-  const element = h("figure", { hidden: true }, image, caption, slider);
-  let shown: JobRecord | null = null;
-  let follows = true;
-  const draw = () => {
-    const all = shown?.previews ?? [];
-    const place = Math.min(Number(slider.value), all.length - 1);
-    const preview = all[place];
-    if (preview === undefined) return;
-    const source = `/v1/blobs/${preview.sha256}`;
-    if (image.getAttribute("src") !== source) image.src = source;
-    image.alt = `Rendering of the model: ${preview.name || "preview"}, picture ${place + 1} of ${all.length}`;
-    setText(caption, `${preview.name || "preview"} · picture ${place + 1} of ${all.length}`);
+/**
+ * PSNR of each stage in a plot of its own, and the losses a click away.
+ *
+ * The stages draw different pictures (what the cache has stored; what materials and light give), so that the second
+ * begins lower: in one plot that reads as a failure.
+ */
+export function curves(): Part {
+  const element = h("div", { class: "charts" });
+  const losses = h("div", { class: "charts" });
+  const folded = h("details", { hidden: true }, h("summary", {}, "Losses"), losses);
+  const plots = new Map<string, ReturnType<typeof plot>>();
+  const plotOf = (kind: "psnr" | "loss", stage: string) => {
+    const key = `${kind} ${stage}`;
+    let found = plots.get(key);
+    if (found === undefined) {
+      const title = titleOf(stage);
+      found =
+        kind === "psnr"
+          ? plot(`${title}: PSNR on training pixels`, "dB", 1, false)
+          : plot(`${title}: loss (logarithmic)`, "", 4, true);
+      plots.set(key, found);
+      if (kind === "psnr") element.insertBefore(found.element, folded);
+      else losses.append(found.element);
+    }
+    return found;
   };
-  slider.addEventListener("input", () => {
-    follows = Number(slider.value) === Number(slider.max);
-    draw();
-  });
+  element.append(folded);
   return {
     element,
     update: (record) => {
-      shown = record;
-      const last = record.previews.length - 1;
-      element.hidden = last < 0;
-      slider.hidden = last < 1;
-      slider.max = String(Math.max(last, 0));
-      if (follows) slider.value = slider.max;
-      draw();
+      for (const kind of ["psnr", "loss"] as const) {
+        for (const [stage, samples] of byStage(record[kind])) plotOf(kind, stage).update(samples);
+      }
+      folded.hidden = record.loss.length < 2;
     },
   };
 }
 
-/** PSNR and loss over time, a curve for each stage. */
-export function curves(): Part {
-  const psnr = plot("PSNR on training pixels", "dB", 1, false);
-  const loss = plot("Loss (logarithmic)", "", 4, true);
-  return {
-    element: h("div", { class: "charts" }, psnr.element, loss.element),
-    update: (record) => {
-      psnr.update(record.psnr);
-      loss.update(record.loss);
-    },
-  };
+/** Return the samples of each stage, in the order in which the stages began. */
+export function byStage(samples: readonly Sample[]): Map<string, Sample[]> {
+  const found = new Map<string, Sample[]>();
+  for (const sample of samples) {
+    const mine = found.get(sample.stage);
+    if (mine === undefined) found.set(sample.stage, [sample]);
+    else mine.push(sample);
+  }
+  return found;
+}
+
+function titleOf(stage: string): string {
+  const name = stageNames.get(stage) ?? stage;
+  return name.charAt(0).toUpperCase() + name.slice(1);
 }
 
 function plot(name: string, unit: string, digits: number, logarithmic: boolean) {

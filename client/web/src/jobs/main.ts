@@ -4,6 +4,7 @@ import { maskEditor } from "../masks/editor.js";
 import { button, explain } from "../page/actions.js";
 import { placeOf } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
+import { removalNotices, Removals } from "../page/removals.js";
 import { createApi, Refused } from "../page/rest.js";
 import { createUploads } from "../upload/uploads.js";
 import { jobView } from "./jobView.js";
@@ -21,19 +22,16 @@ const message = document.querySelector<HTMLElement>("#message")!;
 const connection = document.querySelector<HTMLElement>("#connection")!;
 const main = document.querySelector<HTMLElement>("#main")!;
 
-const context: Context = {
-  api,
-  store,
-  uploads: createUploads(api),
-  fail: (error) => {
-    if (error instanceof Refused && error.status === 401) {
-      lock();
-      return;
-    }
-    message.textContent = explain(error);
-    message.hidden = false;
-  },
+const fail = (error: unknown): void => {
+  if (error instanceof Refused && error.status === 401) {
+    lock();
+    return;
+  }
+  message.textContent = explain(error);
+  message.hidden = false;
 };
+const removals = new Removals(fail);
+const context: Context = { api, store, uploads: createUploads(api), removals, fail };
 
 let shown: View | null = null;
 let number = 0;
@@ -129,6 +127,9 @@ async function run(): Promise<void> {
     // The link was used before; this browser may have been the one that used it.
   }
   store.listen(changed);
+  main.after(removalNotices(removals));
+  // Also when a phone puts the page away, after which it may never come back.
+  addEventListener("pagehide", () => removals.flush());
   addEventListener("hashchange", () => {
     // A login link that was pasted into the page that is open.
     if (location.hash.startsWith("#code=")) location.reload();

@@ -1,79 +1,111 @@
-/** Results of a job: metrics, downloads, the viewer, and share links. */
+/** Results of a job: the viewer, one-file downloads, share links, and what the figures mean. */
 
-import { viewerAddress } from "../page/addresses.js";
+import { archiveAddress, viewerAddress } from "../page/addresses.js";
 import { h, section } from "../page/dom.js";
 import { formatSize } from "../page/format.js";
 import type { Artifact, BundleDetail, Job } from "../page/rest.js";
 import { sharePanel } from "../share/panel.js";
+import { resultViewer } from "./resultViewer.js";
+import { metricRows, type Report, verdicts } from "./verdicts.js";
 import type { Context } from "./view.js";
 
-/** The part of report.json (lambent_proto.v1.EvaluationReport) that is shown. */
-export type Report = {
-  readonly metrics?: readonly {
-    readonly name: string;
-    readonly value: number;
-    readonly unit?: string;
-    readonly standard_error?: number;
-  }[];
-  readonly num_views?: number;
-  readonly notes?: readonly string[];
-};
-
-/** Return the rows of the table of figures: name, value with unit, standard error. */
-export function metricRows(report: Report): [string, string, string][] {
-  return (report.metrics ?? []).map(({ name, value, unit = "", standard_error: error = 0 }) => {
-    const suffix = unit === "" || unit === "1" ? "" : ` ${unit}`;
-    const digits = unit === "dB" || unit === "deg" ? 2 : 4;
-    return [name, `${value.toFixed(digits)}${suffix}`, error > 0 ? `± ${error.toFixed(digits)}` : ""];
-  });
-}
-
-/** Figures that are seen at once; the others are a click away. */
-const headlines: ReadonlySet<string> = new Set([
-  "nvs/psnr",
-  "nvs/ssim",
-  "albedo_rgb_ratio/psnr_gamma",
-  "normal/mae_mask",
-  "roughness/rmse",
-]);
+/** Files of a bundle that other programs open, by their path: what the button says. */
+const assets: readonly [string, string][] = [
+  ["mesh/asset.glb", "Download .glb"],
+  ["mesh/asset.usdz", "Download .usdz"],
+];
+const posters: readonly string[] = ["poster.webp", "thumbnail.webp"];
 
 /** Return the section; empty for a job without results. */
 export function resultSection(context: Context, job: Job, name: string): HTMLElement {
   if (job.state !== "succeeded" || job.kind === "check") return h("div");
   const { api, fail } = context;
   const bundleId = job.bundle_id;
+  const place = h("div");
+  const buttons = h("div", { class: "actions", id: "results-actions" });
   const figures = h("div", { id: "figures" });
-  const downloads = h("ul", { class: "downloads", "aria-label": "Downloads" });
+  const files = h("div");
 
   async function load(): Promise<void> {
     const [{ items }, bundle] = await Promise.all([
       api.artifacts(job.id),
       bundleId === null ? null : api.bundle(bundleId),
     ]);
+    if (bundle !== null) place.replaceChildren(resultViewer(shownOf(bundle, name)));
+    buttons.replaceChildren(...actionsOf(items, bundle));
     // The page of masks shows those.
-    const files = items.filter(({ name }) => !name.startsWith("preparation/"));
-    downloads.replaceChildren(...downloadLines(files, bundle?.files ?? []));
+    const artifacts = items.filter((artifact) => !artifact.name.startsWith("preparation/"));
+    files.replaceChildren(...downloads(artifacts, bundle?.files ?? []));
     const report = items.find((artifact) => artifact.name === "report.json");
-    if (report !== undefined) figures.replaceChildren(...metricTable(await api.document<Report>(report.url)));
+    if (report !== undefined) figures.replaceChildren(...told(await api.document<Report>(report.url)));
   }
   load().catch(fail);
 
   return section(
     "Results",
     { id: "results" },
-    bundleId !== null &&
-      h(
-        "div",
-        { class: "actions" },
-        h("a", { class: "button first", href: viewerAddress(bundleId) }, `Open ${name} in the viewer`),
-      ),
+    place,
+    buttons,
     figures,
-    h("h3", {}, "Downloads"),
-    downloads,
-    bundleId !== null &&
-      h("p", { class: "faint" }, "All at once: ", h("code", {}, `lambent fetch ${job.id} -o bundle`)),
-    bundleId !== null && sharePanel(context, bundleId),
+    bundleId !== null && fold("Share a link", sharePanel(context, bundleId)),
+    files,
   );
+}
+
+function shownOf(bundle: BundleDetail, name: string) {
+  const path = posters.find((each) => bundle.files.some((file) => file.path === each));
+  const poster = bundle.files.find((file) => file.path === path)?.url ?? bundle.thumbnail_url;
+  return { bundleId: bundle.id, name, poster };
+}
+
+/** Return the buttons below the viewer. */
+function actionsOf(artifacts: readonly Artifact[], bundle: BundleDetail | null): HTMLElement[] {
+  const report = artifacts.find((artifact) => artifact.name === "report.html");
+  const found: HTMLElement[] = [];
+  if (bundle !== null) {
+    found.push(h("a", { class: "button first", href: viewerAddress(bundle.id) }, "Open the full viewer"));
+    for (const [path, text] of assets) {
+      const file = bundle.files.find((each) => each.path === path);
+      if (file !== undefined)
+        found.push(downloadButton(text, file.url, path.split("/").at(-1)!, file.size_bytes));
+    }
+    found.push(downloadButton("Download .relight.zip", archiveAddress(bundle.id), "", bundle.size_bytes));
+  }
+  if (report !== undefined) {
+    const link = { class: "button", href: report.url, target: "_blank", rel: "noopener" };
+    found.push(h("a", link, "Report", h("span", { class: "sr" }, " (opens in a new tab)")));
+  }
+  return found;
+}
+
+function downloadButton(text: string, url: string, name: string, sizeBytes: number): HTMLElement {
+  // An empty name leaves it to the server, which knows the scene's.
+  return h(
+    "a",
+    { class: "button", href: url, download: name },
+    text,
+    h("span", { class: "faint" }, ` ${formatSize(sizeBytes)}`),
+  );
+}
+
+function fold(title: string, ...children: readonly HTMLElement[]): HTMLElement {
+  return h("details", { class: "fold" }, h("summary", {}, title), ...children);
+}
+
+function downloads(artifacts: readonly Artifact[], files: BundleDetail["files"]): HTMLElement[] {
+  const lines = downloadLines(artifacts, files);
+  if (lines.length === 0) return [];
+  return [
+    fold(`All ${lines.length} files`, h("ul", { class: "downloads", "aria-label": "Downloads" }, ...lines)),
+  ];
+}
+
+/** Return what the figures mean, and the figures themselves a click away. */
+function told(report: Report): HTMLElement[] {
+  const words = verdicts(report).map(({ about, figure, words }) =>
+    h("div", {}, h("dt", {}, about), h("dd", {}, h("b", {}, figure), `, ${words}`)),
+  );
+  return [...(words.length > 0 ? [h("dl", { class: "verdicts" }, ...words)] : []), ...metricTable(report)];
 }
 
 function downloadLines(artifacts: readonly Artifact[], files: BundleDetail["files"]): HTMLElement[] {
@@ -96,17 +128,8 @@ function downloadLines(artifacts: readonly Artifact[], files: BundleDetail["file
 function metricTable(report: Report): HTMLElement[] {
   const rows = metricRows(report);
   if (rows.length === 0) return [];
-  const first = rows.filter(([name]) => headlines.has(name));
   const views = report.num_views ? `, mean of ${report.num_views} views` : "";
-  if (first.length === 0 || first.length === rows.length) return [table(rows, "Evaluation", views)];
-  const rest = rows.filter(([name]) => !headlines.has(name));
-  const more = h(
-    "details",
-    {},
-    h("summary", {}, "All other figures"),
-    table(rest, "All other figures", views),
-  );
-  return [table(first, "Evaluation", views), more];
+  return [fold("All figures", table(rows, "All figures", views))];
 }
 
 function table(rows: readonly [string, string, string][], label: string, views: string): HTMLElement {

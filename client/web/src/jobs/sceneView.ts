@@ -26,7 +26,14 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
   const order = h("div");
   const jobs = jobList("Jobs of this scene, the newest first", purpose);
   const jobsSection = section("Jobs", {}, jobs.element);
-  const remove = button("Delete the scene", context, () => deleteScene(context, scene));
+  const remove = button("Delete the scene", context, async () => {
+    context.removals.ask({
+      id: sceneId,
+      what: `the scene "${scene.name}"`,
+      send: (keepalive) => api.deleteScene(sceneId, keepalive),
+    });
+    location.hash = "#/";
+  });
 
   const seen = new Map<string, string>();
   const mine = () => store.all().filter(({ job }) => job.scene_id === sceneId);
@@ -51,11 +58,19 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
     jobsSection.hidden = jobs.element.hidden;
   }
 
+  // The stream begins with the newest jobs of all scenes, which may leave out these.
+  async function loadJobs(): Promise<void> {
+    const { items } = await api.jobs(null, new URLSearchParams({ scene: sceneId }));
+    for (const job of items) store.put(job);
+    draw();
+  }
+
   async function reload(): Promise<void> {
     [scene, report] = await Promise.all([api.scene(sceneId), api.report(sceneId)]);
     draw();
   }
   draw();
+  loadJobs().catch(fail);
 
   return {
     title: scene.name,
@@ -71,7 +86,12 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
       findings,
       order,
       jobsSection,
-      h("section", { "aria-label": "Scene" }, h("div", { class: "actions" }, remove)),
+      h(
+        "section",
+        { "aria-label": "Scene" },
+        h("div", { class: "actions" }, remove),
+        h("p", { class: "faint" }, "Bundles made from it stay."),
+      ),
     ),
     update: (jobId) => {
       if (jobId === null) {
@@ -94,10 +114,4 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
 
 async function startCheck({ api, store }: Context, sceneId: string): Promise<void> {
   store.put(await api.submit({ scene_id: sceneId, kind: "check" }, `check-${sceneId}-${Date.now()}`));
-}
-
-async function deleteScene({ api }: Context, scene: Scene): Promise<void> {
-  if (!confirm(`Delete the photographs of "${scene.name}"? Bundles made from them stay.`)) return;
-  await api.deleteScene(scene.id);
-  location.hash = "#/";
 }

@@ -4,8 +4,10 @@ import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
 import { h, section } from "../page/dom.js";
 import { formatSize, formatTime, plural } from "../page/format.js";
-import type { Bundle, Job, Scene } from "../page/rest.js";
-import { isListed, jobList, jobName } from "./jobLine.js";
+import type { Bundle, Scene } from "../page/rest.js";
+import { thumbnailOf } from "../page/thumbnail.js";
+import { jobsPanel } from "./jobsPanel.js";
+import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
 
@@ -14,36 +16,32 @@ type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | nu
 /** Return the start of the page. */
 export function startView(context: Context): View {
   const { api, store, fail } = context;
-  const names = new Map<string, string>();
   const panel = uploadPanel(context, null);
-  const jobs = jobList("Jobs, the newest first", (job: Job) => jobName(job, names.get(job.scene_id)));
-  const noJobs = h("p", { class: "faint" }, "None yet.");
+  const jobs = jobsPanel(context);
   const scenes = pagedList("Scenes, the newest first", sceneLine, api.scenes, context);
-  const bundles = pagedList("Bundles, the newest first", bundleLine, api.bundles, context);
-
-  const drawJobs = () => {
-    const found = store.all().filter(({ job }) => isListed(job));
-    jobs.update(found.map(({ job }) => job));
-    noJobs.hidden = found.length > 0;
-  };
-
-  const putAll = (jobs: readonly Job[]) => {
-    for (const job of jobs) store.put(job);
-  };
-  const older = nextPages("Show older jobs", api.jobs, putAll, context);
+  const bundles = pagedList(
+    "Bundles, the newest first",
+    (bundle) => bundleLine(context, bundle),
+    api.bundles,
+    context,
+  );
 
   async function load(): Promise<void> {
-    // The names first: a job is shown by that of its scene.
-    const found = await scenes.load();
-    for (const scene of found) names.set(scene.id, scene.name);
-    const [page] = await Promise.all([api.jobs(), bundles.load()]);
-    older.after(page);
-    putAll(page.items);
-    drawJobs();
+    await Promise.all([jobs.load(), scenes.load(), bundles.load()]);
   }
   load().catch(fail);
 
-  const seen = new Set<string>();
+  const seen = new Map<string, string>();
+  // The stream begins with a hundred jobs at once, which is one reason to look again and not a hundred.
+  const lists = soon(() => {
+    scenes.load().catch(() => {});
+    bundles.load().catch(() => {});
+  });
+  const stopRemovals = context.removals.listen(() => {
+    jobs.update();
+    scenes.draw();
+    bundles.draw();
+  });
   const stopUploads = context.uploads.listen(() => void scenes.load().catch(() => {}));
   return {
     title: "Lambent",
@@ -52,13 +50,9 @@ export function startView(context: Context): View {
       {},
       h("h1", { tabindex: -1 }, "Relight your photographs"),
       h("section", { "aria-label": "New scene" }, panel.element),
-      section("Jobs", {}, noJobs, jobs.element, h("div", { class: "actions" }, older.button)),
-      h(
-        "div",
-        { class: "columns" },
-        section("Scenes", {}, scenes.element),
-        section("Bundles", {}, bundles.element),
-      ),
+      jobs.element,
+      section("Bundles", {}, bundles.element),
+      section("Scenes", {}, scenes.element),
     ),
     update: (jobId) => {
       if (jobId === null) {
@@ -67,20 +61,38 @@ export function startView(context: Context): View {
       }
       const record = store.get(jobId);
       if (record === undefined) return;
-      if (record.job.scene_id !== "" && !names.has(record.job.scene_id) && !seen.has(jobId)) {
-        seen.add(jobId);
-        load().catch(() => {});
+      // A new job may be the first of a scene that another program has sent. One that has ended has given the
+      // scene a photograph, or has made a bundle.
+      const news = isFinal(record.job) ? "ended" : "made";
+      if (seen.get(jobId) !== news) {
+        seen.set(jobId, news);
+        lists.ask();
       }
-      if (record.job.state === "succeeded" && !seen.has(`${jobId} done`)) {
-        seen.add(`${jobId} done`);
-        bundles.load().catch(() => {});
-      }
-      drawJobs();
+      jobs.update();
     },
     close: () => {
       panel.close();
+      jobs.close();
       stopUploads();
+      stopRemovals();
+      lists.stop();
     },
+  };
+}
+
+const soonMs = 400;
+
+/** Return what calls `act` once, a moment after it was first asked. */
+function soon(act: () => void): { ask: () => void; stop: () => void } {
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  return {
+    ask: () => {
+      timer ??= setTimeout(() => {
+        timer = undefined;
+        act();
+      }, soonMs);
+    },
+    stop: () => clearTimeout(timer),
   };
 }
 
@@ -89,7 +101,8 @@ function sceneLine(scene: Scene): HTMLLIElement {
     scene.num_files > 0 ? `${plural(scene.num_files, "file")}, ${formatSize(scene.size_bytes)} · ` : "";
   return h(
     "li",
-    { class: "card" },
+    { class: "card tile" },
+    thumbnailOf(scene.thumbnail_url),
     h(
       "div",
       { class: "line" },
@@ -100,63 +113,91 @@ function sceneLine(scene: Scene): HTMLLIElement {
   );
 }
 
-function bundleLine(bundle: Bundle): HTMLLIElement {
+function bundleLine(context: Context, bundle: Bundle): HTMLLIElement {
   const name = bundle.scene_name || bundle.scene_id;
+  const remove = button("Delete", context, async () =>
+    context.removals.ask({
+      id: bundle.id,
+      what: `the bundle "${name}"`,
+      send: (keepalive) => context.api.deleteBundle(bundle.id, keepalive),
+    }),
+  );
+  remove.setAttribute("aria-label", `Delete the bundle ${name}`);
   return h(
     "li",
-    { class: "card" },
+    { class: "card tile" },
+    thumbnailOf(bundle.thumbnail_url),
     h("div", { class: "line" }, h("h3", {}, h("a", { href: jobAddress(bundle.job_id) }, name))),
     h("p", { class: "faint" }, `${formatSize(bundle.size_bytes)} · ${formatTime(bundle.created_at)}`),
-    h("div", {}, h("a", { class: "button", href: viewerAddress(bundle.id) }, `View ${name}`)),
+    h(
+      "div",
+      { class: "actions" },
+      h(
+        "a",
+        { class: "button", href: viewerAddress(bundle.id) },
+        "View",
+        h("span", { class: "sr" }, ` ${name}`),
+      ),
+      remove,
+    ),
   );
 }
 
-/** Return the button that fetches the page after the last one; `after` tells which that was. */
-function nextPages<T>(
-  text: string,
-  ask: (cursor: string | null) => Promise<Page<T>>,
-  take: (items: readonly T[]) => void,
-  context: Context,
-) {
-  let cursor: string | null = null;
-  const more = button(text, context, async () => {
-    const page = await ask(cursor);
-    after(page);
-    take(page.items);
-  });
-  more.hidden = true;
-  function after(page: Page<T>): void {
-    cursor = page.next_cursor;
-    more.hidden = cursor === null;
-  }
-  return { button: more, after };
-}
-
-/** Return a list that is loaded page by page. */
-function pagedList<T>(
+/** Return a list that is loaded page by page; what is being deleted is left out. */
+function pagedList<T extends { readonly id: string }>(
   label: string,
   line: (item: T) => HTMLLIElement,
   ask: (cursor: string | null) => Promise<Page<T>>,
   context: Context,
 ) {
-  const list = h("ol", { class: "list", "aria-label": label });
+  const list = h("ol", { class: "list tiles", "aria-label": label });
   const empty = h("p", { class: "faint", hidden: true }, "None yet.");
-  const more = nextPages("Show older ones", ask, (items) => list.append(...items.map(line)), context);
-  let shown = "";
+  const more = button("Show older ones", context, async () => {
+    const page = await ask(cursor);
+    items = [...(items ?? []), ...page.items];
+    cursor = page.next_cursor;
+    draw();
+  });
+  more.hidden = true;
+  let items: readonly T[] | null = null;
+  let cursor: string | null = null;
+  let first = "";
+  const lines = new Map<string, { readonly text: string; readonly element: HTMLLIElement }>();
+
+  function draw(): void {
+    if (items === null) return;
+    const shown = items.filter((item) => !context.removals.hides(item.id));
+    const elements = shown.map((item) => {
+      const text = JSON.stringify(item);
+      let known = lines.get(item.id);
+      if (known?.text !== text) {
+        known = { text, element: line(item) };
+        lines.set(item.id, known);
+      }
+      return known.element;
+    });
+    // Those that stay keep their place in the document, and with it the focus.
+    for (const element of [...list.children]) if (!elements.includes(element as never)) element.remove();
+    elements.forEach((element, place) => {
+      if (list.children[place] !== element) list.insertBefore(element, list.children[place] ?? null);
+    });
+    more.hidden = cursor === null;
+    empty.hidden = shown.length > 0;
+    list.hidden = shown.length === 0;
+  }
+
   return {
-    element: h("div", {}, empty, list, h("div", { class: "actions" }, more.button)),
+    element: h("div", {}, empty, list, h("div", { class: "actions" }, more)),
+    draw,
     /** Fetch the first page again. */
-    load: async (): Promise<readonly T[]> => {
+    load: async (): Promise<void> => {
       const page = await ask(null);
       const text = JSON.stringify(page);
-      if (text !== shown) {
-        shown = text;
-        list.replaceChildren(...page.items.map(line));
-        more.after(page);
-        empty.hidden = page.items.length > 0;
-        list.hidden = page.items.length === 0;
-      }
-      return page.items;
+      if (text === first) return;
+      first = text;
+      items = page.items;
+      cursor = page.next_cursor;
+      draw();
     },
   };
 }

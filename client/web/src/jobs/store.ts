@@ -1,6 +1,7 @@
 /** The page's state of jobs: updated by the stream, read by the views. */
 
 import type { Api, Job, JobEvent } from "../page/rest.js";
+import { blobAddress } from "../page/addresses.js";
 import type { StreamMessage } from "./stream.js";
 
 /** A value of a curve; `atS` is Unix seconds. */
@@ -67,6 +68,11 @@ export class JobStore {
     this.#tell(job.id);
   }
 
+  /** Forget a job that was deleted. */
+  forget(jobId: string): void {
+    if (this.#records.delete(jobId)) this.#tell(jobId);
+  }
+
   /** Ask the server for a job. */
   async refresh(jobId: string): Promise<void> {
     this.put(await this.api.job(jobId));
@@ -112,7 +118,11 @@ export class JobStore {
       this.refresh(event.job_id).catch(() => {});
     } else if (event.seq > record.job.last_event) {
       const progress = event.progress ?? record.job.progress;
-      record.job = { ...record.job, progress, run: event.run || record.job.run, last_event: event.seq };
+      const run = event.run || record.job.run;
+      record.job = { ...record.job, progress, run, last_event: event.seq };
+      if (event.type === "preview" && event.sha256 !== "") {
+        record.job.thumbnail_url = blobAddress(event.sha256);
+      }
     }
     if (record === undefined) return;
     if (record.seq >= 0) {

@@ -2,6 +2,7 @@
 
 import { h } from "../page/dom.js";
 import type { Api } from "../page/rest.js";
+import type { Removals } from "../page/removals.js";
 import type { Uploads } from "../upload/uploads.js";
 import type { JobStore } from "./store.js";
 
@@ -9,6 +10,7 @@ export type Context = {
   readonly api: Api;
   readonly store: JobStore;
   readonly uploads: Uploads;
+  readonly removals: Removals;
   /** Report a problem with an action of the visitor. */
   readonly fail: (error: unknown) => void;
 };

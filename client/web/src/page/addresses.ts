@@ -19,6 +19,16 @@ export function linkWithView(url: string, view: string): string {
   return view === "" ? url : `${url}&${view}`;
 }
 
+/** Return the address of a bundle as one file. */
+export function archiveAddress(bundleId: string): string {
+  return `/v1/bundles/${bundleId}/archive`;
+}
+
+/** Return the address of bytes that the server names by their hash. */
+export function blobAddress(sha256: string): string {
+  return `/v1/blobs/${sha256}`;
+}
+
 /** Return the address of a scene's page. */
 export function sceneAddress(sceneId: string): string {
   return `#/scenes/${sceneId}`;

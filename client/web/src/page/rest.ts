@@ -86,6 +86,11 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     return response.status === 204 ? (null as T) : ((await response.json()) as T);
   }
 
+  async function remove(path: string, keepalive: boolean): Promise<null> {
+    await request("DELETE", path, { keepalive });
+    return null;
+  }
+
   const list = (path: string, limit: number, cursor: string | null) =>
     `${path}?limit=${limit}${cursor === null ? "" : `&cursor=${encodeURIComponent(cursor)}`}`;
 
@@ -114,11 +119,15 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
       return (await response.json()) as Scene;
     },
     commit: (id: string) => json<Scene>("POST", `/v1/scenes/${id}:commit`),
-    deleteScene: (id: string) => json<null>("DELETE", `/v1/scenes/${id}`),
+    /** With `keepalive` the request outlives the page. */
+    deleteScene: (id: string, keepalive = false) => remove(`/v1/scenes/${id}`, keepalive),
+    deleteBundle: (id: string, keepalive = false) => remove(`/v1/bundles/${id}`, keepalive),
     presets: () => json<Schemas["PresetList"]>("GET", "/v1/presets"),
     limits: () => json<Schemas["Limits"]>("GET", "/v1/limits"),
     estimate: (preset: string) => json<Estimate>("POST", "/v1/estimates", { preset }),
-    jobs: (cursor: string | null = null) => json<Schemas["JobList"]>("GET", list("/v1/jobs", 50, cursor)),
+    /** `given` narrows the list, as the parameters of the server do. */
+    jobs: (cursor: string | null = null, given = new URLSearchParams()) =>
+      json<Schemas["JobList"]>("GET", `${list("/v1/jobs", 50, cursor)}${given.size > 0 ? `&${given}` : ""}`),
     job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
     /** Jobs of a scene, the newest first. */
     jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
@@ -126,7 +135,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     /** The job once it has ended, or as it is after half a minute. */
     waitForJob: async (id: string, signal: AbortSignal) =>
       (await (await request("GET", `/v1/jobs/${id}?wait=30`, { signal })).json()) as Job,
-    deleteJob: (id: string) => json<null>("DELETE", `/v1/jobs/${id}`),
+    deleteJob: (id: string, keepalive = false) => remove(`/v1/jobs/${id}`, keepalive),
     /** The same `key` never makes a second job. */
     submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
       json<Job>("POST", "/v1/jobs", order, { "idempotency-key": key }),

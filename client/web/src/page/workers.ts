@@ -4,7 +4,7 @@ const begun = new Map<string, string>();
 
 /**
  * Start the module at `address` as a worker. Browsers refuse workers whose script is of another origin than the page;
- * there a script of the page's own, a blob, imports it, which needs `worker-src blob:` in a strict policy of that page.
+ * there a script of the page's own, a blob, imports it, which needs `worker-src` with `blob:` and our origin in a strict policy of that page.
  */
 export function startWorker(address: string): Worker {
   return new Worker(workerScript(new URL(address, location.href), location.origin), { type: "module" });

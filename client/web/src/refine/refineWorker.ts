@@ -3,6 +3,8 @@
 import { BundleFault } from "../bundle/fault.js";
 import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
+import { withShadowBits } from "../bundle/transport.js";
+import { bouncedCoefficients, type FallingLight } from "../engine/fallingLight.js";
 import { buffersOf } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { Accumulation, type RefinedPicture } from "./accumulation.js";
@@ -61,10 +63,17 @@ self.onmessage = ({ data }: MessageEvent<RefineQuestion>) => {
 };
 
 async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQuestion): Promise<void> {
+  const files = await openBundle(await openSource(origin));
+  const { manifest } = files;
+  if (manifest.sceneId !== sceneId) {
+    throw new BundleFault("bundle.digest_mismatch", "the bundle is another one by now", "reload the page");
+  }
+  const stated = manifest.transport;
+  const lit = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
   let [tracer, note] = [null as Tracer | null, ""];
   if (backend === "auto" || backend === "mesh") tracer = openMesh(mesh, transport);
-  else ({ tracer, note } = await openTracer(await cacheFiles(origin, sceneId), backend));
-  opened = { tracer, scene: new HitScene(transport, mesh), share };
+  else ({ tracer, note } = await openTracer(await cacheFiles(files), backend));
+  opened = { tracer, scene: new HitScene(lit, mesh), share };
   if (share.index === 0) {
     for (const port of share.ports) port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
   }
@@ -72,11 +81,7 @@ async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQu
 }
 
 /** Fetch and check a fast cache; any of them will do, since no light changes what rays hit. */
-async function cacheFiles(origin: OpenQuestion["origin"], sceneId: string): Promise<CacheFiles> {
-  const { manifest, read } = await openBundle(await openSource(origin));
-  if (manifest.sceneId !== sceneId) {
-    throw new BundleFault("bundle.digest_mismatch", "the bundle is another one by now", "reload the page");
-  }
+async function cacheFiles({ manifest, read }: Awaited<ReturnType<typeof openBundle>>): Promise<CacheFiles> {
   const graph = manifest.graphs.find(({ name }) => name === "fast_cache");
   if (graph === undefined) {
     throw new BundleFault(
@@ -99,7 +104,8 @@ async function refine(question: StartQuestion): Promise<void> {
   const { tracer, scene, share } = opened;
   const sky = new SkyLight(light.levels, question.turn, question.intensity);
   const points = surfacePoints(seen, question.edit);
-  const hits = question.indirect ? new Hits(scene, sky, question.falling, question.edit) : null;
+  const falling = scene.transport.shadowBits === null ? whole(question.falling) : question.falling;
+  const hits = question.indirect ? new Hits(scene, sky, falling, question.edit) : null;
   const { originOffset } = tracer;
   const lit = { points, light: sky, sampler: light.sampler, hits, originOffset };
   const collector = share.index === 0 ? new Collector(question, points) : null;
@@ -120,6 +126,16 @@ async function refine(question: StartQuestion): Promise<void> {
     collector.sums.add(means);
     if (collector.tell()) return;
   }
+}
+
+/** Return a light with its dominant lights among the harmonics: without bits their shadows are not known at texels. */
+function whole(light: FallingLight): FallingLight {
+  return {
+    ...light,
+    coefficientsRgb: bouncedCoefficients(light, light.bands),
+    directions: [],
+    irradianceRgb: [],
+  };
 }
 
 /** Adds the passes of one picture up, and sends it. */

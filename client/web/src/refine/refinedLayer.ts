@@ -3,6 +3,7 @@
 import { DataTexture, FloatType, RGBAFormat, type WebGLRenderTarget } from "three";
 import { type FullScreen, screenProgram, setUniforms } from "../render/fullScreen.js";
 import { header } from "../render/glsl.js";
+import { refinedChannels } from "./status.js";
 import { channels, type Look, type ViewCamera } from "../render/looks.js";
 import type { RefinedPicture } from "./accumulation.js";
 
@@ -25,9 +26,6 @@ void main() {
   if (channel == ${channels.visibility}) shown = vec3(again.a);
   result = vec4(shown, straight.a);
 }`;
-
-/** Channels of which there is a refined picture; the others are not about light. */
-export const refinedChannels: ReadonlySet<string> = new Set(["final", "direct", "indirect", "visibility"]);
 
 /** One refined picture on the graphics card. */
 export class RefinedLayer {

@@ -12,8 +12,8 @@ import type { RefinedPicture } from "./accumulation.js";
 import type { RefineAnswer } from "./messages.js";
 import { mostPoints, planOf } from "./plan.js";
 import { RefinePool, workersFor } from "./pool.js";
-import { RefinedLayer, refinedChannels } from "./refinedLayer.js";
-import { notRefining, type RefineOptions, type RefineStatus } from "./status.js";
+import { RefinedLayer } from "./refinedLayer.js";
+import { notRefining, refinedChannels, type RefineOptions, type RefineStatus } from "./status.js";
 import { readSamples } from "./surfaceReader.js";
 
 /** The current picture. */

@@ -21,6 +21,9 @@ export type RefineStatus = {
   readonly message: string;
 };
 
+/** Channels of which there is a refined picture; the others are not about light. */
+export const refinedChannels: ReadonlySet<string> = new Set(["final", "direct", "indirect", "visibility"]);
+
 export const notRefining: RefineStatus = {
   phase: "off",
   backend: null,

@@ -33,6 +33,7 @@ import { ballOf } from "./ball.js";
 import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
 import { header } from "./glsl.js";
 import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
+import type { CastLights } from "./shadowMaps.js";
 import { halfFloatTarget } from "./targets.js";
 
 /** Half the side of the square of ground that is drawn, in radii of the object's box. */
@@ -119,13 +120,6 @@ function bytes(side: number, depthBuffer: boolean): WebGLRenderTarget {
   });
 }
 
-/** A light as it stands over the ground. */
-export type GroundLights = {
-  readonly directions: readonly Direction[];
-  /** Radii of their discs. */
-  readonly radiiRad: readonly number[];
-};
-
 /** The ground under one object. */
 export class Ground {
   readonly #tiles = bytes(tilesAcross * skySide, false);
@@ -173,7 +167,7 @@ export class Ground {
     renderer: WebGLRenderer,
     screen: FullScreen,
     light: GroundLight,
-    lights: GroundLights,
+    lights: CastLights,
     into: WebGLRenderTarget,
     still: boolean,
   ): void {
@@ -212,7 +206,7 @@ export class Ground {
     this.#known = true;
   }
 
-  #drawLights(renderer: WebGLRenderer, { directions, radiiRad }: GroundLights, count: number): void {
+  #drawLights(renderer: WebGLRenderer, { directions, radiiRad }: CastLights, count: number): void {
     clear(renderer, this.#lights);
     directions.slice(0, maxDominant).forEach((centre, light) => {
       this.#lights.viewport.set((light % 2) * lightSide, (light >> 1) * lightSide, lightSide, lightSide);

@@ -8,6 +8,7 @@ import type { PreparedLight } from "../light/prepare.js";
 import { groundTable } from "./ground.js";
 import { AtlasLight } from "./irradiance.js";
 import type { LightTurn } from "./looks.js";
+import { type CastLights, ShadowMaps } from "./shadowMaps.js";
 import { type BundleTextures, levelsTexture } from "./textures.js";
 
 type Tilted = {
@@ -37,6 +38,7 @@ export class StageLight {
   /** Turn, and fineness, of the shadow that `ground` holds. */
   drawnGround: string | null = null;
   #ground: WebGLRenderTarget | null = null;
+  #shadows: ShadowMaps | null = null;
   #tilted: Tilted | null = null;
 
   constructor(
@@ -46,6 +48,13 @@ export class StageLight {
     this.levels = levelsTexture(prepared);
     this.places = Int32Array.from(prepared.levels.places.flat());
     this.tables = new AtlasLight(textures);
+  }
+
+  /** Shadows of its dominant lights; created on first use, null where it has none. */
+  get shadows(): ShadowMaps | null {
+    if (this.prepared.lights.length === 0) return null;
+    this.#shadows ??= new ShadowMaps();
+    return this.#shadows;
   }
 
   /** Its shadow on the ground; created on first use. */
@@ -79,6 +88,11 @@ export class StageLight {
     };
   }
 
+  /** Return where the dominant lights stand after a turn, and how wide they are. */
+  cast(turn: LightTurn): CastLights {
+    return { directions: this.dominant(turn).directions, radiiRad: this.prepared.lightRadiiRad };
+  }
+
   /** Return harmonics of irradiance without shadows, three bands, [9, 3]. */
   plainIrradiance(turn: LightTurn): Float32Array {
     const turned = rotateZ(this.#tilt(turn).plainRgb, 3, turn.yawDeg);
@@ -110,6 +124,7 @@ export class StageLight {
     this.levels.dispose();
     this.tables.dispose();
     this.#ground?.dispose();
+    this.#shadows?.dispose();
   }
 }
 

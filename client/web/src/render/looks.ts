@@ -71,3 +71,8 @@ export type Method = "baked" | "plain";
 
 /** A picture's size and lens in pixels, rows from the top, and a pose: x right, y up, looking along -z. */
 export type ViewCamera = Omit<PhotoCamera, "name">;
+
+/** Return a text that is another one where light falls differently. */
+export function turnKey({ yawDeg, pitchDeg, rollDeg, intensity }: LightTurn): string {
+  return `${yawDeg} ${pitchDeg} ${rollDeg} ${intensity}`;
+}

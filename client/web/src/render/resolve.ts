@@ -35,7 +35,25 @@ uniform bool hasGround;
 uniform sampler2D ground;
 uniform vec4 groundPlace;
 uniform vec3 eye;
+uniform bool dither;
 
+/** Two even numbers, 0 to 1, of a pixel and a channel. Source: Jarzynski and Olano 2020 (pcg2d). */
+vec2 even(uvec2 v) {
+  v = v * 1664525u + 1013904223u;
+  v.x += v.y * 1664525u;
+  v.y += v.x * 1664525u;
+  v ^= v >> 16u;
+  v.x += v.y * 1664525u;
+  v.y += v.x * 1664525u;
+  v ^= v >> 16u;
+  return vec2(v) / 4294967295.0;
+}
+/** Triangular noise of one code value to either side: rounding then leaves neither bands nor a bias. */
+vec3 noise() {
+  uvec2 at = uvec2(gl_FragCoord.xy) * uvec2(3u, 1u);
+  vec2 r = even(at), g = even(at + uvec2(1u, 0u)), b = even(at + uvec2(2u, 0u));
+  return (vec3(r.x, g.x, b.x) - vec3(r.y, g.y, b.y)) / 255.0;
+}
 vec3 toSrgb(vec3 c) {
   c = clamp(c, 0.0, 1.0);
   return mix(1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, 12.92 * c, vec3(lessThanEqual(c, vec3(0.0031308))));
@@ -87,7 +105,11 @@ void main() {
     encoded *= alpha / covered;
     alpha = covered;
   }
-  result = vec4(target == ${outputs.canvas} ? encoded * alpha : encoded, alpha);
+  vec3 levels = target == ${outputs.canvas} ? encoded * alpha : encoded;
+  // A plain background stays as it was asked for, and what is no radiance as it was measured.
+  bool shaded = radiance && (sum.a > 0.0 || shadow.a > 0.0);
+  if (dither && shaded) levels = clamp(levels + noise(), 0.0, target == ${outputs.canvas} ? alpha : 1.0);
+  result = vec4(levels, alpha);
 }`;
 
 /** The last pass. */
@@ -103,6 +125,7 @@ export class Resolve {
     turn: LightTurn,
     target: keyof typeof outputs,
     ground: GroundPlace | null,
+    dither: boolean,
   ): void {
     setUniforms(this.material, {
       ...lightUniforms(light, turn),
@@ -114,6 +137,7 @@ export class Resolve {
       tone: toneCurves[look.tone],
       content: contentOf(look),
       target: outputs[target],
+      dither,
       hasGround: ground !== null,
       ground: ground === null ? null : light.ground.texture,
       groundPlace: ground === null ? [0, 0, 0, 1] : [...ground.centre, ground.height, ground.reach],

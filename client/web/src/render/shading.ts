@@ -14,15 +14,18 @@ import { screenProgram, setUniforms } from "./fullScreen.js";
 import { dominantUniforms } from "./irradiance.js";
 import { type StageLight, turnMatrix } from "./light.js";
 import { channels, type LightTurn, type Look, type Method, type ViewCamera } from "./looks.js";
+import { type ShadowCaster, shadowLook } from "./shadowMaps.js";
 import { type BundleTextures, normalisedScales } from "./textures.js";
 
 function fragment(bands: number, hasGrid: boolean): string {
   const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
   const layers = Math.ceil((bands * bands) / 4);
-  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${glsl.freeShare(bands)}
+  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${shadowLook}${glsl.freeShare(bands)}
 out vec4 result;
 uniform usampler2D seen;
 uniform usampler2D facing;
+uniform sampler2D mask;
+uniform bool masked;
 uniform int samples;
 uniform vec2 size;
 uniform vec4 lens;
@@ -30,7 +33,6 @@ uniform mat3 cameraTurn;
 uniform vec3 eye;
 uniform sampler2D irradiance;
 uniform sampler2D bounced;
-uniform sampler2D shares;
 uniform vec3 plainIrradiance[9];
 uniform int channel;
 uniform bool plain;
@@ -48,9 +50,26 @@ vec3 plainSum(vec3 n) {
   return max(sum, 0.0);
 }
 
+/** The ray of a place in the picture, in the camera's axes. */
+vec3 rayOf(vec2 place) {
+  return vec3((place.x - lens.z) / lens.x, -(size.y - place.y - lens.w) / lens.y, -1.0);
+}
+
 void main() {
   vec2 pixel = gl_FragCoord.xy;
   ivec2 first = ivec2(pixel) * samples;
+  // A border that misses the middle of a pixel is like the surface beside it.
+  float covered = masked ? texelFetch(mask, first, 0).r : 1.0;
+  if (masked && covered > 0.0 && texelFetch(seen, first, 0).g == 0u) {
+    ivec2 last = textureSize(seen, 0) - 1;
+    for (int side = 0; side < 8; side++) {
+      int around = side < 4 ? side : side + 1;
+      ivec2 beside = clamp(first + ivec2(around % 3, around / 3) - 1, ivec2(0), last);
+      if (texelFetch(seen, beside, 0).g == 0u) continue;
+      first = beside;
+      break;
+    }
+  }
   float count = 0.0, distance = 0.0, roughness = 0.0, metalness = 0.0, openness = 0.0, surroundings = 0.0;
   vec3 albedo = vec3(0.0), normal = vec3(0.0), arriving = vec3(0.0), bounce = vec3(0.0);
   vec4 lightShares = vec4(0.0);
@@ -67,7 +86,8 @@ void main() {
     albedo += vec3(unpackUnorm2x16(found.b), unpackUnorm2x16(found.a).x);
     roughness += float((found.a >> 16) & 0xffu) / 255.0;
     metalness += float(found.a >> 24) / 255.0;
-    normal += unfolded(texelFetch(facing, at, 0).r);
+    vec3 facet = unfolded(texelFetch(facing, at, 0).r);
+    normal += facet;
     if (lit ? plain : channel != ${channels.visibility}) continue;
     vec4 straight = textureLod(irradiance, where, 0.0);
     openness += straight.a;
@@ -76,14 +96,25 @@ void main() {
     for (int layer = 0; layer < ${layers}; layer++) {
       open[layer] += textureLod(visibility, vec3(where, float(layer)), 0.0);
     }
-    if (numLights > 0) lightShares += textureLod(shares, where, 0.0);
+    if (numLights > 0) {
+      vec2 place = (vec2(at) + 0.5) / float(samples);
+      vec3 position = eye + uintBitsToFloat(found.g) * normalize(cameraTurn * rayOf(place));
+      float turn = patternTurn(vec2(at.x, size.y * float(samples) - 1.0 - float(at.y)));
+      for (int light = 0; light < numLights; light++) {
+        float cosine = dot(facet, lightDirections[light]);
+        if (cosine <= 0.0) continue;
+        float share = shadowShare(light, position, facet, turn);
+        lightShares += share * vec4(equal(ivec4(light), ivec4(0, 1, 2, 3)));
+        arriving += share * cosine * lightIrradiance[light];
+      }
+    }
     if (indirect) {
       vec4 again = textureLod(bounced, where, 0.0);
       bounce += again.rgb;
       surroundings += again.a;
     }
   }
-  if (count == 0.0) {
+  if (count == 0.0 || covered == 0.0) {
     result = vec4(0.0);
     return;
   }
@@ -93,8 +124,7 @@ void main() {
   metalness = clamp(metalness * share + metalnessShift, 0.0, 1.0);
   openness *= share;
   distance *= share;
-  vec3 ray = vec3((pixel.x - lens.z) / lens.x, -(size.y - pixel.y - lens.w) / lens.y, -1.0);
-  vec3 toViewer = -normalize(cameraTurn * ray);
+  vec3 toViewer = -normalize(cameraTurn * rayOf(pixel));
   normal = normalize(normal * share);
   // A mean normal may face away at a silhouette, where the true one cannot.
   normal = normalize(normal - min(dot(normal, toViewer) - 1e-3, 0.0) * toViewer);
@@ -134,7 +164,7 @@ void main() {
     vec3 world = eye - distance * toViewer;
     shown = vec3(${hasGrid ? "min(texture(uncertainty, (world - gridLow) / gridSize).r, 1.0)" : "0.0"});
   }
-  float coverage = count / float(samples * samples);
+  float coverage = masked ? covered : count / float(samples * samples);
   result = vec4(shown * coverage, coverage);
 }`;
 }
@@ -163,24 +193,32 @@ export class Shading {
     });
   }
 
-  /** Set which samples are shaded, and for which camera. */
+  /** Set which samples are shaded, and for which camera: their two textures, and what is covered, or null. */
   aim(
-    textures: readonly Texture[],
+    textures: readonly (Texture | null)[],
     samples: number,
     camera: ViewCamera,
     depthRange: readonly number[],
   ): void {
-    const [seen, facing] = textures;
-    setUniforms(this.material, { seen, facing, samples, depthRange, ...cameraUniforms(camera) });
+    const [seen, facing, mask] = textures;
+    setUniforms(this.material, {
+      seen,
+      facing,
+      mask,
+      masked: mask !== null,
+      samples,
+      depthRange,
+      ...cameraUniforms(camera),
+    });
   }
 
   /** Set how they are lit. */
-  light(look: Look, method: Method, light: StageLight, turn: LightTurn): void {
+  light(look: Look, method: Method, light: StageLight, turn: LightTurn, caster: ShadowCaster): void {
     const gain = look.edit.albedoGain.map((value, channel) => value * this.bundle.albedoScaleRgb[channel]!);
     setUniforms(this.material, {
       ...lightUniforms(light, turn),
       ...dominantUniforms(light.dominant(turn)),
-      shares: light.tables.shares,
+      ...caster.uniforms(light.cast(turn), light.shadows),
       irradiance: light.tables.direct,
       bounced: light.tables.indirect,
       plainIrradiance: light.plainIrradiance(turn),

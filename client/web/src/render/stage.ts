@@ -2,7 +2,6 @@
 
 import {
   HalfFloatType,
-  Matrix4,
   PerspectiveCamera,
   RGBAFormat,
   Scene,
@@ -19,11 +18,13 @@ import { IrradiancePasses } from "./irradiance.js";
 import { Ground, groundUnder } from "./ground.js";
 import { groundLight } from "./groundLight.js";
 import { StageLight } from "./light.js";
-import type { LightTurn, Look, Method, ViewCamera } from "./looks.js";
+import { type LightTurn, type Look, type Method, turnKey, type ViewCamera } from "./looks.js";
 import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
-import { Surface, sampleTarget } from "./surface.js";
+import { ShadowCaster } from "./shadowMaps.js";
+import { maskTarget, Surface, sampleTarget } from "./surface.js";
 import { halfFloatTarget } from "./targets.js";
+import { aim } from "./projection.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
 
 /** One half of the picture, or all of it. */
@@ -44,6 +45,7 @@ type Scenery = {
   readonly surface: Surface;
   readonly shading: Shading;
   readonly scene: Scene;
+  readonly caster: ShadowCaster;
   /** Created on first use. */
   ground: Ground | null;
 };
@@ -77,10 +79,13 @@ export class Stage {
   readonly #splitSum: DataTexture;
   readonly #camera = new PerspectiveCamera();
   readonly #lights = new Map<string, StageLight>();
+  /** Whether pictures of 8 bits are dithered. */
+  dither = true;
   /** Draws a finer picture in place of the baked one, where it has one. */
   overlay: Overlay | null = null;
   #radiance: WebGLRenderTarget | null = null;
   #seen: WebGLRenderTarget | null = null;
+  #mask: WebGLRenderTarget | null = null;
   /** Camera and samples that `#seen` holds. */
   #seenKey = "";
   #scenery: Scenery | null = null;
@@ -139,7 +144,8 @@ export class Stage {
       this.#screen.compile(each);
     }
     this.#clear();
-    this.#scenery = { bundle, textures, passes, surface, shading, scene, ground: null };
+    const caster = new ShadowCaster(surface.mesh.geometry, ballOf(bundle.boundsMin, bundle.boundsMax));
+    this.#scenery = { bundle, textures, passes, surface, shading, scene, caster, ground: null };
     for (const texture of textures.all) this.renderer.initTexture(texture);
     const gl = this.renderer.getContext();
     for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
@@ -216,6 +222,7 @@ export class Stage {
     this.#clear();
     this.#radiance?.dispose();
     this.#seen?.dispose();
+    this.#mask?.dispose();
     this.#splitSum.dispose();
     this.#resolve.dispose();
     this.#screen.dispose();
@@ -225,6 +232,7 @@ export class Stage {
   #clear(): void {
     for (const name of [...this.#lights.keys()]) this.dropLight(name);
     this.#scenery?.ground?.dispose();
+    this.#scenery?.caster.dispose();
     this.#scenery?.surface.dispose();
     this.#scenery?.shading.dispose();
     this.#scenery?.passes.dispose();
@@ -290,20 +298,30 @@ export class Stage {
     if (light.drawnTurn !== key && needed) {
       this.renderer.setScissorTest(false);
       scenery.passes.draw(this.#screen, light.falling(turn), light.tables);
+      if (light.shadows !== null) scenery.caster.draw(this.renderer, light.cast(turn), light.shadows);
       light.drawnTurn = key;
     }
     const { width, height } = camera;
     this.#look(camera, samples, scenery);
     this.#radiance = this.#fitting(this.#radiance, width, height, halfFloatTarget);
     const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
-    scenery.shading.light(side.look, side.method, light, turn);
+    scenery.shading.light(side.look, side.method, light, turn, scenery.caster);
     this.#scissor(this.#radiance, columns, height);
     const finer = side.light === "a" && side.method === "baked" ? this.overlay : null;
     if (!finer?.draw(this.#screen, camera, side.look, this.#radiance)) {
       this.#screen.draw(scenery.shading.material, this.#radiance);
     }
     const ground = this.#ground(side, light, samples > 1, scenery);
-    this.#resolve.prepare(this.#radiance.texture, camera, side.look, light, turn, output, ground);
+    this.#resolve.prepare(
+      this.#radiance.texture,
+      camera,
+      side.look,
+      light,
+      turn,
+      output,
+      ground,
+      this.dither,
+    );
     this.#scissor(target, columns, height);
     this.#screen.draw(this.#resolve.material, target);
     this.#scissor(null, null, 0);
@@ -321,7 +339,7 @@ export class Stage {
       light.drawnGround !== `${key} ${still ? "still" : "moving"}`
     ) {
       const falling = light.falling(turn);
-      const discs = { directions: falling.directions, radiiRad: light.prepared.lightRadiiRad };
+      const discs = light.cast(turn);
       this.renderer.setScissorTest(false);
       scenery.ground.draw(this.renderer, this.#screen, groundLight(falling), discs, light.ground, still);
       light.drawnGround = `${key} ${still ? "still" : "moving"}`;
@@ -333,14 +351,27 @@ export class Stage {
   #look(camera: ViewCamera, samples: number, scenery: Scenery): void {
     const key = `${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
-    const depthRange = this.#aim(camera, scenery.bundle);
+    const depthRange = aim(this.#camera, camera, scenery.bundle);
     this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
     this.renderer.setRenderTarget(this.#seen);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
     this.renderer.render(scenery.scene, this.#camera);
-    scenery.shading.aim(this.#seen.textures, samples, camera, depthRange);
+    if (samples === 1) this.#drawMask(camera, scenery);
+    const mask = samples === 1 ? this.#mask!.texture : null;
+    scenery.shading.aim([...this.#seen.textures, mask], samples, camera, depthRange);
     this.#seenKey = key;
+  }
+
+  /** Draw how much of every pixel the mesh covers, for pictures with one sample to a pixel. */
+  #drawMask({ width, height }: ViewCamera, { scene, surface }: Scenery): void {
+    this.#mask = this.#fitting(this.#mask, width, height, maskTarget);
+    this.renderer.setRenderTarget(this.#mask);
+    this.renderer.clear();
+    const { mesh } = surface;
+    mesh.material = surface.mask;
+    this.renderer.render(scene, this.#camera);
+    mesh.material = surface.program;
   }
 
   #scissor(target: WebGLRenderTarget | null, columns: readonly number[] | null, height: number): void {
@@ -355,28 +386,6 @@ export class Stage {
     }
   }
 
-  /** Set the camera and return the range of distances of the object. */
-  #aim(camera: ViewCamera, { boundsMin, boundsMax }: LoadedBundle): readonly [number, number] {
-    const pose = camera.cameraToWorld;
-    const { centre, radius } = ballOf(boundsMin, boundsMax);
-    const away = Math.hypot(...centre.map((value, axis) => value - pose[4 * axis + 3]!));
-    const near = Math.max(away - radius, 0.01 * radius);
-    const far = away + 1.1 * radius;
-    const { focalX, focalY, centreX, centreY, width, height } = camera;
-    const matrix = new Matrix4().fromArray(pose as number[]).transpose();
-    this.#camera.matrixWorld.copy(matrix);
-    this.#camera.matrixWorldInverse.copy(matrix).invert();
-    this.#camera.projectionMatrix.makePerspective(
-      (-centreX / focalX) * near,
-      ((width - centreX) / focalX) * near,
-      (centreY / focalY) * near,
-      (-(height - centreY) / focalY) * near,
-      near,
-      far,
-    );
-    return [Math.max(away - radius, 0), away + radius];
-  }
-
   #fitting(
     target: WebGLRenderTarget | null,
     width: number,
@@ -387,8 +396,4 @@ export class Stage {
     if (target.width !== width || target.height !== height) target.setSize(width, height);
     return target;
   }
-}
-
-function turnKey({ yawDeg, pitchDeg, rollDeg, intensity }: LightTurn): string {
-  return `${yawDeg} ${pitchDeg} ${rollDeg} ${intensity}`;
 }

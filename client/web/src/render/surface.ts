@@ -10,6 +10,7 @@ import {
   NoBlending,
   type PixelFormat,
   RawShaderMaterial,
+  RedFormat,
   RedIntegerFormat,
   RGBAIntegerFormat,
   type Texture,
@@ -136,9 +137,24 @@ export function sampleTarget(width: number, height: number): WebGLRenderTarget {
   return target;
 }
 
-/** The mesh with its program. */
+/** Return a target for the share of every pixel that is covered, of four samples. */
+export function maskTarget(width: number, height: number): WebGLRenderTarget {
+  return new WebGLRenderTarget(width, height, {
+    ...{ format: RedFormat, samples: 4, minFilter: NearestFilter, magFilter: NearestFilter },
+    depthBuffer: false,
+  });
+}
+
+const maskFragment = `${glsl.header}
+out vec4 result;
+void main() { result = vec4(1.0); }`;
+
+/** The mesh with its programs. */
 export class Surface {
   readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  readonly program: RawShaderMaterial;
+  /** Draws what is covered. */
+  readonly mask: RawShaderMaterial;
 
   constructor(mesh: AtlasMesh, textures: BundleTextures) {
     const geometry = new BufferGeometry();
@@ -151,7 +167,11 @@ export class Surface {
     }
     geometry.setIndex(new BufferAttribute(mesh.indices, 1));
     const { material } = textures.transport;
-    const program = new RawShaderMaterial({
+    this.mask = new RawShaderMaterial({
+      ...{ glslVersion: GLSL3, vertexShader: vertex(framed), fragmentShader: maskFragment },
+      ...{ side: DoubleSide, blending: NoBlending, depthTest: false, depthWrite: false },
+    });
+    this.program = new RawShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: vertex(framed),
       fragmentShader: fragment(textures),
@@ -166,12 +186,13 @@ export class Surface {
       side: DoubleSide,
       blending: NoBlending,
     });
-    this.mesh = new Mesh(geometry, program);
+    this.mesh = new Mesh(geometry, this.program);
     this.mesh.frustumCulled = false;
   }
 
   dispose(): void {
     this.mesh.geometry.dispose();
-    this.mesh.material.dispose();
+    this.program.dispose();
+    this.mask.dispose();
   }
 }

@@ -21,7 +21,7 @@ import {
 } from "three";
 import type { MaterialMaps } from "../bundle/load.js";
 import type { UncertaintyGrid } from "../bundle/uncertainty.js";
-import { type PackedTransport, type PlaneTable, tableRows, tableWidth } from "../bundle/transport.js";
+import { type PackedTransport, type PlaneTable, tableWidth } from "../bundle/transport.js";
 import { ggxBands, numLobeSteps } from "../engine/lobes.js";
 import { tableSide } from "../engine/splitSum.js";
 import type { PreparedLight } from "../light/prepare.js";
@@ -89,12 +89,10 @@ export class BundleTextures {
   /** As the atlas, filtered. */
   readonly visibility: DataArrayTexture;
   readonly indirect: DataArrayTexture;
-  readonly material: DataArrayTexture;
   /** The materials as the atlas, filtered; null where the mesh's textures are the materials and the normals. */
   readonly surface: DataArrayTexture | null = null;
   readonly texelPlane: DataTexture;
   readonly blocksAround: DataTexture;
-  readonly shadowBits: DataArrayTexture | null = null;
   readonly lobeTable: DataTexture;
   readonly uncertainty: Data3DTexture | null = null;
   /** The mesh's albedo, linear when it is looked up; as the next two with smaller versions. */
@@ -113,16 +111,8 @@ export class BundleTextures {
     this.direct = planes(transport.direct);
     this.visibility = atlasPlanes(transport.visibility, transport);
     this.indirect = planes(transport.indirect);
-    this.material = planes(transport.material);
     this.texelPlane = numbers(transport.texelPlane, transport.size);
     this.blocksAround = numbers(transport.blocksAround, tableWidth, 4);
-    if (transport.shadowBits !== null) {
-      const rows = tableRows(transport.numTexels);
-      const bits = new DataArrayTexture(transport.shadowBits, tableWidth, rows, 2);
-      bits.format = RGBAIntegerFormat;
-      bits.type = UnsignedIntType;
-      this.shadowBits = ready(bits, "RGBA32UI");
-    }
     this.lobeTable = lobeTexture(transport.visibility.bands);
     if (grid !== null) this.uncertainty = gridTexture(grid);
     if (maps !== null) {

@@ -20,7 +20,10 @@ if ("message" in shown) {
   element.setAttribute("alt", document.title);
   element.setAttribute("state", shown.state);
   element.setAttribute("src", shown.source);
-  element.setAttribute("poster", shown.poster);
+  // Bundles from before there were pictures have none.
+  if (document.querySelector("meta[property='og:image']") !== null) {
+    element.setAttribute("poster", shown.poster);
+  }
   // In a frame there is seldom room for controls, and the wheel is the page's.
   element.toggleAttribute("controls", shown.controls ?? !framed);
   element.toggleAttribute("fullpage", !framed);

@@ -99,7 +99,6 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
   return h(
     "div",
     { id: "share" },
-    h("h3", {}, "Show it to others"),
     h(
       "p",
       { class: "faint" },
@@ -108,7 +107,7 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     h(
       "div",
       { class: "actions" },
-      h("label", { for: "lifetime" }, "It expires after"),
+      h("label", { for: "lifetime" }, "The link works for"),
       lifetime,
       h("label", { for: "sites" }, "Sites that may show it"),
       sites,

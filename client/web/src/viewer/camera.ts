@@ -82,3 +82,12 @@ export function beside(
 export function verticalFieldDeg({ height, focalY }: ViewCamera): number {
   return (2 * Math.atan(height / (2 * focalY)) * 180) / Math.PI;
 }
+
+const maxPixelRatio = 2;
+
+/** Return the size that a canvas should have in pixels, for the room that it has on its page. */
+export function sizeOf(canvas: HTMLCanvasElement): { readonly width: number; readonly height: number } {
+  const ratio = Math.min(globalThis.devicePixelRatio || 1, maxPixelRatio);
+  const side = (css: number): number => Math.max(1, Math.round(css * ratio));
+  return { width: side(canvas.clientWidth), height: side(canvas.clientHeight) };
+}

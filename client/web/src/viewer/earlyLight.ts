@@ -2,7 +2,7 @@
 
 import type { BundleNews } from "../bundle/load.js";
 import type { MapOrigin } from "../light/lightWorker.js";
-import { maxDominant, type PreparedLight } from "../light/prepare.js";
+import type { PreparedLight } from "../light/prepare.js";
 
 /** Return the light to show: the wanted one where the bundle has it, its first one, or a preset. */
 export function lightFor(wanted: string, trained: readonly string[]): string {
@@ -11,24 +11,18 @@ export function lightFor(wanted: string, trained: readonly string[]): string {
   return trained[0] === undefined ? "preset:studio" : `trained:${trained[0]}`;
 }
 
-/** Number of dominant lights extracted for a bundle. */
-export function dominantFor(hasShadowBits: boolean): number {
-  return hasShadowBits ? maxDominant : 0;
-}
-
 type Host = {
   /** The light that is wanted now. */
   readonly wanted: () => string;
   /** Returns the source of a light that is not the bundle's; throws if there is none. */
   readonly originOf: (name: string) => MapOrigin;
-  readonly prepare: (origin: MapOrigin, bands: number, dominant: number) => Promise<PreparedLight>;
+  readonly prepare: (origin: MapOrigin, bands: number) => Promise<PreparedLight>;
 };
 
 /** Listens to the reading of one bundle. */
 export class EarlyLight {
   #name = "";
   #bands = 0;
-  #dominant = 0;
   #light: Promise<PreparedLight> | null = null;
 
   constructor(private readonly host: Host) {}
@@ -38,7 +32,6 @@ export class EarlyLight {
     if (news.kind === "opened") {
       this.#name = lightFor(this.host.wanted(), news.lights);
       this.#bands = news.bands;
-      this.#dominant = dominantFor(news.hasShadowBits);
       if (!this.#name.startsWith("trained:")) this.#begin(() => this.host.originOf(this.#name));
     } else if (news.kind === "map" && this.#name === `trained:${news.map.name}`) {
       this.#begin(() => ({ kind: "bytes", data: news.map.data }));
@@ -46,8 +39,8 @@ export class EarlyLight {
   }
 
   /** Return the light whose preparation was started, once, or null. */
-  take(name: string, bands: number, dominant: number): Promise<PreparedLight> | null {
-    const fits = this.#name === name && this.#bands === bands && this.#dominant === dominant;
+  take(name: string, bands: number): Promise<PreparedLight> | null {
+    const fits = this.#name === name && this.#bands === bands;
     const light = fits ? this.#light : null;
     this.#light = null;
     return light;
@@ -57,7 +50,7 @@ export class EarlyLight {
     // Planes of other sizes are refused when they have been read.
     if (!(this.#bands >= 1 && this.#bands <= 9)) return;
     try {
-      this.#light = this.host.prepare(origin(), this.#bands, this.#dominant);
+      this.#light = this.host.prepare(origin(), this.#bands);
       // The caller that takes it handles a failure.
       this.#light.catch(() => {});
     } catch {

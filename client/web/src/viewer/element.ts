@@ -4,6 +4,7 @@ import type { BundleOrigin } from "../bundle/source.js";
 import type { FilmCallbacks } from "../film/film.js";
 import type { FilmPlan } from "../film/plan.js";
 import { Fault } from "../page/fault.js";
+import type { StillOptions } from "../refine/still.js";
 import type { ViewCamera } from "../render/looks.js";
 import { Interface } from "./interface.js";
 import { Poster } from "./poster.js";
@@ -30,13 +31,14 @@ export class LambentViewerElement extends HTMLElement {
   #source: Source | null = null;
   /** Whether it may load: it is near the window, or need not be, and someone asked for it, or need not. */
   #wanted = false;
-  #films = 0;
+  /** Films and pictures that are being made. */
+  #works = 0;
   #near: IntersectionObserver | null = null;
   readonly #poster = new Poster(() => this.reveal());
   readonly #guest: Guest = {
     wake: () => this.#wake(),
     rest: () => this.#rest(),
-    isBusy: () => this.#films > 0 || (this.#viewer?.lights.mapNames.length ?? 0) > 0,
+    isBusy: () => this.#works > 0 || (this.#viewer?.lights.mapNames.length ?? 0) > 0,
   };
 
   /** Resolves when the bundle of `src` is shown; rejects where it cannot be. */
@@ -99,16 +101,23 @@ export class LambentViewerElement extends HTMLElement {
     return new ImageData(pixels, size.width, size.height);
   }
 
+  /** Return the view, refined, in any size; see `picture`. Takes seconds to minutes. */
+  async refinedPicture(
+    { width, height }: { readonly width: number; readonly height: number },
+    options: StillOptions = {},
+  ): Promise<ImageData> {
+    const viewer = this.#open();
+    const { refinedPixels } = await import("../refine/stillFile.js");
+    return this.#busy(
+      async () => new ImageData(await refinedPixels(viewer, { width, height }, options), width, height),
+    );
+  }
+
   /** Return a film of one turn of the camera, the light, or both, as MP4 or WebM; every frame of it is complete. */
   async film(options: Partial<FilmPlan> & FilmCallbacks = {}): Promise<Blob> {
     const viewer = this.#open();
-    this.#films++;
-    try {
-      const { makeFilm } = await import("../film/film.js");
-      return await makeFilm(viewer, options, options);
-    } finally {
-      this.#films--;
-    }
+    const { makeFilm } = await import("../film/film.js");
+    return this.#busy(() => makeFilm(viewer, options, options));
   }
 
   connectedCallback(): void {
@@ -250,6 +259,16 @@ export class LambentViewerElement extends HTMLElement {
 
   #tell(name: string, detail: unknown): void {
     this.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+
+  /** Keep the viewer during work. */
+  async #busy<T>(work: () => Promise<T>): Promise<T> {
+    this.#works++;
+    try {
+      return await work();
+    } finally {
+      this.#works--;
+    }
   }
 
   #open(): Viewer {

@@ -36,11 +36,12 @@ export function freeze(
   };
 }
 
-function interrupted(): Fault {
+/** Return the fault of a state that can no longer be drawn. */
+export function interrupted(): Fault {
   return new Fault(
     "film.interrupted",
-    "another bundle or light was shown, or the graphics card was lost, before the film was complete",
-    "make the film again",
+    "another bundle or light was shown, or the graphics card was lost, before it was complete",
+    "make it again",
   );
 }
 

@@ -13,7 +13,7 @@ import { download, exrOf, pngOf } from "./save.js";
 import type { ViewerState } from "./state.js";
 import { draggableSheet } from "./sheet.js";
 import { viewerSheet } from "./styles.js";
-import { statusText } from "../refine/status.js";
+import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
 
@@ -46,8 +46,8 @@ export class Interface {
       openBundle: () => this.#choose(".zip,.relight.zip", false),
       openFolder: () => this.#choose("", true),
       reset: (part) => this.#controls?.reset(part),
-      savePng: (...size) => this.#save("png", () => pngOf(viewer, ...this.#sizeOf(...size))),
-      saveExr: (...size) => this.#save("exr", async () => exrOf(viewer, ...this.#sizeOf(...size))),
+      savePng: (...size) => this.#save(root, "png", size, () => pngOf(viewer, ...size)),
+      saveExr: (...size) => this.#save(root, "exr", size, async () => exrOf(viewer, ...size)),
       film: () => void this.#film(root),
       copyLink: () => {
         const tell = (text: string, problem: boolean): void => this.#tell(text, problem);
@@ -218,29 +218,34 @@ export class Interface {
     }
   }
 
-  /** Return the size to save: a refined picture is saved as it is shown. */
-  #sizeOf(width: number, height: number): readonly [number, number] {
-    const shown = this.viewer.refinedCamera;
-    if (shown === null) return [width, height];
-    const size = `${shown.width} x ${shown.height}`;
-    this.#tell(`The refined picture is saved in its own size, ${size} pixels.`, false);
-    return [shown.width, shown.height];
-  }
-
-  #save(ending: "png" | "exr", make: () => Promise<Blob>): void {
-    make()
-      .then((blob) => download(blob, `${this.viewer.bundle?.name ?? "lambent"}.${ending}`))
-      .catch((error: unknown) => this.problem(error));
+  /** Save a picture, refined if the one that is shown is. */
+  #save(
+    root: ShadowRoot,
+    kind: "png" | "exr",
+    [width, height]: readonly [number, number],
+    make: () => Promise<Blob>,
+  ): void {
+    const { state, bundle } = this.viewer;
+    const refined = async (): Promise<void> => {
+      const { saveRefined } = await import("../refine/stillDialog.js");
+      await saveRefined(root, this.viewer, { width, height }, kind);
+    };
+    const plain = async (): Promise<void> => download(await make(), `${bundle?.name ?? "lambent"}.${kind}`);
+    const isRefined = state.refine && refinedChannels.has(state.look.channel);
+    (isRefined ? refined() : plain()).catch((error: unknown) => this.problem(error));
   }
 
   /** Open the dialog that makes films. */
   async #film(root: ShadowRoot): Promise<void> {
     try {
-      const { filmDialog } = await import("../film/dialog.js");
+      const [{ filmDialog }, { dialogSheet }] = await Promise.all([
+        import("../film/dialog.js"),
+        import("./dialogs.js"),
+      ]);
       if (this.#stop.signal.aborted || this.viewer.bundle === null) return;
       if (this.#filming === null) {
         this.#filming = filmDialog(this.viewer);
-        root.adoptedStyleSheets.push(this.#filming.sheet);
+        root.adoptedStyleSheets.push(dialogSheet());
         root.append(this.#filming.element);
       }
       this.#filming.show();

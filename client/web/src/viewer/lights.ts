@@ -4,8 +4,9 @@ import type { LoadedBundle } from "../bundle/load.js";
 import { LightClient } from "../light/client.js";
 import { MapFault } from "../light/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
+import { maxDominant } from "../light/prepare.js";
 import type { Stage } from "../render/stage.js";
-import { dominantFor, EarlyLight } from "./earlyLight.js";
+import { EarlyLight } from "./earlyLight.js";
 import { isPreset, type ViewerState } from "./state.js";
 
 type Host = {
@@ -31,7 +32,7 @@ export class ViewerLights {
     return new EarlyLight({
       wanted: () => this.host.state().environment,
       originOf: (name) => this.#origin(name),
-      prepare: (...asked) => this.#client.prepare(...asked),
+      prepare: (origin, bands) => this.#client.prepare(origin, bands, maxDominant),
     });
   }
 
@@ -102,11 +103,10 @@ export class ViewerLights {
     const bundle = stage?.bundle;
     if (stage == null || bundle == null || this.#shown.get(slot) === name) return;
     this.#shown.set(slot, name);
-    const { direct, shadowBits } = bundle.transport;
+    const { bands } = bundle.transport.direct;
     try {
-      const dominant = dominantFor(shadowBits !== null);
-      const prepared = await (this.#early?.take(name, direct.bands, dominant) ??
-        this.#client.prepare(this.#origin(name), direct.bands, dominant));
+      const prepared = await (this.#early?.take(name, bands) ??
+        this.#client.prepare(this.#origin(name), bands, maxDominant));
       // Another light may have been chosen, or another bundle opened, in the meantime.
       if (this.#shown.get(slot) !== name || stage.bundle !== bundle) return;
       stage.setLight(slot, prepared);

@@ -3,17 +3,31 @@
 import type { Viewer } from "./viewer.js";
 
 /** Return the view as PNG; tone mapping is not applied twice, and alpha is straight. */
-export async function pngOf(viewer: Viewer, width: number, height: number): Promise<Blob> {
+export function pngOf(viewer: Viewer, width: number, height: number): Promise<Blob> {
+  return pngFrom(viewer.pixels(width, height), width, height);
+}
+
+/** Return straight RGBA bytes, rows from the top, as PNG. */
+export async function pngFrom(
+  rgba: Uint8ClampedArray<ArrayBuffer>,
+  width: number,
+  height: number,
+): Promise<Blob> {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
   if (context === null) throw new Error("the browser gives no canvas to write a PNG with");
-  context.putImageData(new ImageData(viewer.pixels(width, height), width, height), 0, 0);
+  context.putImageData(new ImageData(rgba, width, height), 0, 0);
   return canvas.convertToBlob({ type: "image/png" });
 }
 
 /** Return linear radiance as an uncompressed scan-line OpenEXR file of half floats, with Rec. 709 primaries. */
 export function exrOf(viewer: Viewer, width: number, height: number): Blob {
-  return new Blob([encodeExr(viewer.radiance(width, height), width, height)], { type: "image/x-exr" });
+  return exrFrom(viewer.radiance(width, height), width, height);
+}
+
+/** Return half floats as `encodeExr` takes them as an EXR file. */
+export function exrFrom(halfRgba: Uint16Array, width: number, height: number): Blob {
+  return new Blob([encodeExr(halfRgba, width, height)], { type: "image/x-exr" });
 }
 
 /** Return an EXR file of RGBA half floats, rows from the top, colours multiplied by alpha. */

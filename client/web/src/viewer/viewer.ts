@@ -9,11 +9,12 @@ import { exposureFor } from "../light/exposure.js";
 import { MapFault } from "../light/fault.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
+import type { StillHost } from "../refine/still.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import type { Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
-import { beside, type Inset, noInset, orbitCamera, photoCamera } from "./camera.js";
+import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
@@ -41,7 +42,6 @@ export type ViewerEvents = {
 
 const stillSamples = 2;
 const stillAfterMs = 150;
-const maxPixelRatio = 2;
 
 /** Draws one bundle. */
 export class Viewer {
@@ -189,6 +189,12 @@ export class Viewer {
     this.invalidate();
   }
 
+  /** Whether pictures of 8 bits are dithered, so that gradients have no bands. */
+  set dither(on: boolean) {
+    this.#ready().dither = on;
+    this.invalidate();
+  }
+
   /** Draw again, soon. */
   invalidate(): void {
     clearTimeout(this.#still);
@@ -203,7 +209,7 @@ export class Viewer {
   }
 
   /** The camera of the picture on the canvas, or on one of another size that is like it. */
-  canvasCamera({ width, height } = this.#size()): ViewCamera {
+  canvasCamera({ width, height } = sizeOf(this.canvas)): ViewCamera {
     return beside(this.#inset, width, height, (...size) => this.camera(...size));
   }
 
@@ -222,7 +228,7 @@ export class Viewer {
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.#savedCamera(width, height), sidesOf(this.#drawn()), samples);
+    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#drawn()), samples);
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
@@ -241,7 +247,7 @@ export class Viewer {
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.#savedCamera(width, height), sidesOf(this.#drawn()), samples);
+    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#drawn()), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -249,9 +255,11 @@ export class Viewer {
     return this.#refinement?.shown?.picture ?? null;
   }
 
-  /** The camera of that picture on the canvas, or null. */
-  get refinedCamera(): ViewCamera | null {
-    return this.#refinement?.shown?.camera ?? null;
+  /** Give up refining what is shown, and return what refines a picture of any size; `invalidate` goes on with it. */
+  refineElsewhere(): StillHost {
+    this.#refinement?.dispose();
+    this.#refinement = null;
+    return { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
   }
 
   /** Draw onto the canvas at once. */
@@ -312,12 +320,6 @@ export class Viewer {
     return { ...state, look: { ...look, exposureEv } };
   }
 
-  /** Return the camera of a saved picture; the refined one is saved as it is shown. */
-  #savedCamera(width: number, height: number): ViewCamera {
-    const shown = this.refinedCamera;
-    return shown?.width === width && shown.height === height ? shown : this.camera(width, height);
-  }
-
   #ready(): Stage {
     if (this.#stage?.bundle == null) throw new Error("no bundle is open");
     return this.#stage;
@@ -327,12 +329,6 @@ export class Viewer {
     for (const listener of this.#listeners.get(name) ?? []) {
       (listener as (...values: Parameters<ViewerEvents[N]>) => void)(...values);
     }
-  }
-
-  #size(): { width: number; height: number } {
-    const ratio = Math.min(globalThis.devicePixelRatio || 1, maxPixelRatio);
-    const side = (css: number): number => Math.max(1, Math.round(css * ratio));
-    return { width: side(this.canvas.clientWidth), height: side(this.canvas.clientHeight) };
   }
 
   #drawNow(samples = 1): void {

@@ -51,14 +51,16 @@ export async function openViewer(
   return page;
 }
 
-/** Return straight RGBA bytes of what the viewer shows, or of what a camera sees. */
+/** Return straight RGBA bytes of what the viewer shows, or of what a camera sees; without noise unless `dither`. */
 export async function pictureOf(
   page: Page,
   size: { width: number; height: number } | ViewCamera,
   samples = 2,
+  dither = false,
 ): Promise<Uint8Array> {
   const text = await page.evaluate(
-    ([asked, count]) => {
+    ([asked, count, noisy]) => {
+      document.querySelector("lambent-viewer")!.viewer!.dither = noisy;
       const { data } = document.querySelector("lambent-viewer")!.picture(asked, count);
       let binary = "";
       for (let start = 0; start < data.length; start += 32768) {
@@ -66,7 +68,7 @@ export async function pictureOf(
       }
       return btoa(binary);
     },
-    [size, samples] as const,
+    [size, samples, dither] as const,
   );
   return Uint8Array.from(Buffer.from(text, "base64"));
 }

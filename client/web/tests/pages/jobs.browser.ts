@@ -177,7 +177,7 @@ describe("a job", () => {
     await live(page);
     await stateIs("done");
     await page.waitForSelector(".chart polyline");
-    expect(await page.getAttribute(".chart", "aria-label")).toMatch(/^PSNR on training pixels over time/);
+    expect(await page.getAttribute(".chart", "aria-label")).toMatch(/: PSNR on training pixels over time/);
     const link = (await page.getAttribute(".downloads a:text-is('report.json')", "href"))!;
     expect(await page.evaluate(async (url) => (await fetch(url)).json(), link)).toEqual({ metrics: [] });
     expect(await page.$$eval(".downloads a", (all) => all.map((each) => each.textContent))).toEqual([
@@ -199,6 +199,7 @@ describe("a job", () => {
   });
 
   it("is shown to others by a link, which opens nothing else and is taken back", async () => {
+    await page.click("summary:text-is('Share a link')");
     await page.selectOption("#lifetime", { label: "one day" });
     await page.click("text=Make a link");
     const link = await page.inputValue(".shares input");
@@ -265,6 +266,54 @@ describe("a job", () => {
     expect(await serious(page)).toEqual([]);
   });
 
+  it("is deleted, comes back by keyboard, and is gone when the page is left", async () => {
+    await ordered(scene, "num_steps=2");
+    await stateIs("done");
+    const id = page.url().split("/").at(-1)!;
+    const status = () => page.evaluate(async (one) => (await fetch(`/v1/jobs/${one}`)).status, id);
+    const inList = `ol[aria-label=Jobs] a[href='#/jobs/${id}']`;
+    await page.click("button:text-is('Delete the job')");
+    await page.waitForSelector(".toast:has-text('The job \"bowl\" is deleted.')");
+    await page.waitForSelector("ol[aria-label=Jobs] li");
+    expect(await page.$(inList)).toBeNull();
+    expect(await status()).toBe(200);
+    expect(await serious(page)).toEqual([]);
+    await keepPicture(page, "deleted");
+    await page.locator(".toast button").focus();
+    await page.keyboard.press("Enter");
+    await page.waitForSelector(inList);
+    expect(await page.$(".toast")).toBeNull();
+    await page.click(inList);
+    await page.click("button:text-is('Delete the job')");
+    await page.waitForSelector(".toast");
+    await page.goto("about:blank");
+    await page.goto(`${server.url}/#/`);
+    await live(page);
+    for (let tries = 0; (await status()) !== 404; tries++) {
+      expect(tries).toBeLessThan(50);
+      await page.waitForTimeout(100);
+    }
+    expect(await page.$(inList)).toBeNull();
+  });
+
+  it("is found by its name among others, at an address of its own", async () => {
+    await page.goto(`${server.url}/#/`);
+    await page.waitForSelector("ol[aria-label=Jobs] li");
+    await page.fill("#job-words", "nothing like it");
+    await page.waitForSelector("text=No job fits.");
+    await page.fill("#job-words", "BOW");
+    await page.waitForSelector("ol[aria-label=Jobs] li:has-text('bowl')");
+    await page.selectOption("select[aria-label=State]", "failed");
+    await page.waitForFunction(() => location.hash === "#/?q=BOW&state=failed");
+    await page.waitForFunction(() => {
+      const states = [...document.querySelectorAll("ol[aria-label=Jobs] .state")];
+      return states.length > 0 && states.every((each) => each.textContent === "failed");
+    });
+    await page.reload();
+    await page.waitForSelector("ol[aria-label=Jobs] .state[data-state=failed]");
+    expect(await page.inputValue("#job-words")).toBe("BOW");
+  });
+
   it("with a setting that is none is not started", async () => {
     await page.goto(`${server.url}/#/scenes/${scene}`);
     await page.check("input[value=tiny]");
@@ -279,6 +328,12 @@ describe("a job", () => {
     await page.goto(`${server.url}/#/`);
     await page.waitForSelector("ol[aria-label^=Jobs] li:has-text('bowl') .state[data-state=succeeded]");
     await page.waitForSelector("ol[aria-label^=Bundles] li:has-text('View bowl')");
+    // The sleeper sends a preview, which is the picture of its job.
+    await page.waitForFunction(() =>
+      [...document.querySelectorAll<HTMLImageElement>("ol[aria-label=Jobs] img")].some(
+        (image) => image.naturalWidth > 0,
+      ),
+    );
     expect(await serious(page)).toEqual([]);
     expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
     await keepPicture(page, "start-dark");

@@ -33,9 +33,18 @@ it("photographs become a bundle that can be looked at", { timeout: 1_200_000 }, 
   await page.click("text=Start the job");
   await page.waitForURL(/#\/jobs\//);
   await page.waitForSelector("h1 .state:text-is('done')");
-  await page.waitForSelector("#figures td:has-text('dB')");
+  await page.waitForSelector("#figures dd:has-text('dB')");
   await page.waitForSelector(".chart polyline");
   await page.waitForFunction(() => document.querySelector<HTMLImageElement>(".live img")!.naturalWidth > 1);
+  // The viewer is in the page, and its picture before it: the object in the light of the studio.
+  await page.locator("#results").scrollIntoViewIfNeeded();
+  await page.waitForSelector(".viewer lambent-viewer:not(.arriving)");
+  const archive = await page.getAttribute("a:has-text('Download .relight.zip')", "href");
+  const size = await page.evaluate(async (url) => {
+    const answer = await fetch(url!);
+    return [Number(answer.headers.get("content-length")), (await answer.blob()).size];
+  }, archive);
+  expect(size[0]).toBe(size[1]);
   const names = await page.$$eval(".downloads a", (all) => all.map((each) => each.textContent));
   expect(names).toEqual(expect.arrayContaining(["report.json", "report.html", "asset.glb", "manifest.json"]));
   expect(await serious(page)).toEqual([]);

@@ -128,7 +128,7 @@ def test_a_list_of_angles_is_as_many_environments():
         ({"settings": {"spp": 2.5}}, "/settings/spp", "whole number"),
         ({"settings": {"indirect": 1}}, "/settings/indirect", "true or false"),
         ({"settings": {"exposure_ev": float("nan")}}, "/settings/exposure_ev", "a number"),
-        ({"settings": {"bounces": "many"}}, "/settings/bounces", "auto, adapted, transport, one"),
+        ({"settings": {"bounces": "many"}}, "/settings/bounces", "auto, adapted, baked, transport, one"),
         ({"settings": {"quality": "best"}}, "/settings/quality", "preview, baked, refined"),
         ({"assets": [{"name": "a"}]}, "/assets/0", "one of bundle and bundle_id"),
         ({"assets": [{"bundle": "a", "bundle_id": "b"}]}, "/assets/0", "one of bundle and bundle_id"),

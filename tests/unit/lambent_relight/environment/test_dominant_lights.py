@@ -1,5 +1,7 @@
 """Bright peaks as lights: where they are, what they carry, and that nothing is lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lambent_relight.directions import normalise, pixel_directions
@@ -30,6 +32,14 @@ def test_suns_are_found_brightest_first_with_their_colour():
         assert found @ normalise(np.asarray(direction)) > np.cos(np.radians(1.0))
         np.testing.assert_allclose(flux / flux.sum(), np.array(radiance) / sum(radiance), atol=1e-3)
     assert lights.residual.radiance.max() < 1.0
+
+
+def test_radii_are_those_of_discs_in_the_map_however_it_is_turned():
+    # 3 degrees, of pixels of 0.7.
+    environment = sky_with(SUNS, 256, 512)
+    for turned in (environment, replace(environment, rotate_deg=70.0)):
+        np.testing.assert_allclose(np.degrees(split(turned, 4).radii_rad), 3.0, rtol=0.05)
+    assert split(sky_with([]), 4).radii_rad.shape == (0,)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 8])

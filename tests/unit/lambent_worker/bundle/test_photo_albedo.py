@@ -160,14 +160,14 @@ def test_atlases_are_as_fine_as_the_photographs():
     side = BOX.texel_size * BOX.size
     assert automatic_size(BOX, 0.0, "full") == 1024
     assert automatic_size(BOX, side / 200, "full") == 1024
-    assert automatic_size(BOX, side / 2048, "lite") == 2048
+    assert automatic_size(BOX, side / 2048, "full") == 2048
     assert automatic_size(BOX, side / 3000, "full") == 4096
 
 
 def test_atlases_are_no_larger_than_a_tier_allows():
     pixel = BOX.texel_size * BOX.size / 50000
     sizes = {tier: automatic_size(BOX, pixel, tier) for tier in ("lite", "full", "none")}
-    assert sizes == {"lite": 2048, "full": 4096, "none": 4096}
+    assert sizes == {"lite": 1024, "full": 4096, "none": 4096}
 
 
 def test_atlases_are_no_coarser_than_transport():

@@ -1,5 +1,8 @@
 """The check runs in a child process that survives what would kill it, or dies alone."""
 
+import base64
+import io
+import json
 import resource
 import subprocess
 import sys
@@ -9,6 +12,7 @@ import pytest
 from lambent_worker.capture_qa import check
 from lambent_worker.errors import UsageError
 from lambent_worker.scenes.detect import describe_scene
+from PIL import Image
 from support.captures import save, write_blender, write_tensoir
 from support.hostile_files import huge_exr, huge_png
 
@@ -36,6 +40,18 @@ def test_a_capture_that_can_be_used_is_measured_with_masks_from_a_folder(tmp_pat
     assert checked.report.usable
     assert checked.figures.views[0].mask_share == pytest.approx(18 / 144)
     assert len(checked.thumbnails) == 7
+    with Image.open(io.BytesIO(base64.b64decode(checked.portrait))) as portrait:
+        assert portrait.format == "JPEG"
+
+
+@pytest.mark.parametrize(
+    "told", ["no base64", "", None, 7, "AAAA", "/9j/" + "A" * check.MAX_PORTRAIT_CHARACTERS]
+)
+def test_a_portrait_that_is_none_is_dropped(tmp_path, monkeypatch, told):
+    lines = f'portrait {json.dumps(told)}\nreport {{"usable": true}}\n'
+    answer = subprocess.CompletedProcess((), 0, stdout=lines)
+    monkeypatch.setattr(check.subprocess, "run", lambda *given, **options: answer)
+    assert check.check_capture(tmp_path).portrait == ""
 
 
 def test_this_process_keeps_its_own_limits(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_relight.environment.exr import write_exr
 from lambent_worker.capture_qa.limits import CaptureLimits
-from lambent_worker.capture_qa.observe import fine_contrast, observe, read_small, resized
+from lambent_worker.capture_qa.observe import PORTRAIT_SIDE, fine_contrast, observe, read_small, resized
 from lambent_worker.scenes.detect import collect_scene
 from lambent_worker.scenes.problems import Problems
 from PIL import Image
@@ -132,6 +132,24 @@ def test_values_are_averaged_over_new_pixels():
     assert resized(np.arange(16, dtype=np.float32).reshape(4, 4), (2, 2)).tolist() == [
         [2.5, 4.5],
         [10.5, 12.5],
+    ]
+
+
+def test_the_first_frame_has_a_portrait_without_an_outline(tmp_path):
+    pixels = np.full((300, 400, 4), (20, 160, 40, 255), dtype=np.uint8)
+    pixels[:, :200, 3] = 0
+    (seen,) = observe(tmp_path, frame_of(tmp_path, "a.png", pixels), LIMITS)
+    with Image.open(io.BytesIO(base64.b64decode(seen.portrait))) as image:
+        shown = np.asarray(image.convert("RGB")).astype(int)
+    assert max(shown.shape) == PORTRAIT_SIDE
+    # The object's green and the grey behind it, and nothing else.
+    for colour in ((20, 160, 40), (232, 232, 232)):
+        assert (np.abs(shown - np.array(colour)).max(axis=-1) < 24).mean() > 0.47
+    manifest = collect_scene(write_tensoir(tmp_path / "more"), None, Problems())
+    assert [bool(each.portrait) for each in observe(tmp_path / "more", manifest, LIMITS)][:3] == [
+        True,
+        False,
+        False,
     ]
 
 

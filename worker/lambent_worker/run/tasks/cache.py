@@ -10,6 +10,7 @@ from lambent_worker.run.tasks.training import (
     capture_for,
     drive,
     new_model,
+    previews_for,
     processes_for,
     read_scene,
     training_pixels,
@@ -32,4 +33,5 @@ def run(context: TaskContext) -> None:
         drive(
             context,
             StageOne(model, pixels, config, seed=seed, processes=processes, capture=capture_for(context)),
+            previews_for(context, scene),
         )

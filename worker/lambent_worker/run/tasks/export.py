@@ -28,6 +28,7 @@ from lambent_worker.bundle.measure import measure
 from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.photo_albedo import Photographs, albedo_texture, automatic_size
+from lambent_worker.bundle.poster import write_poster
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_files import pixel_size, write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
@@ -46,6 +47,7 @@ from lambent_worker.run.context import TaskContext
 from lambent_worker.run.export_notes import tell_about
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import scene_hash
+from lambent_worker.run.live_preview import NAME as PREVIEW_NAME
 from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.uncertainty import uncertainty_of_run
 from lambent_worker.scenes.load import camera_of, full_size_views
@@ -138,13 +140,15 @@ def write_bundle(
         manifest.metrics.update(judged)
     if settings.weights == "none":
         remove_networks(manifest, folder)
+    write_poster(folder, manifest)
     _advance(context, 7)
     uncertainty = uncertainty_of_run(context, trained if scene.turned else model, scene)
     if uncertainty is not None:
         write_uncertainty(folder, manifest, uncertainty)
     for picture in sorted((context.run_dir / "previews").glob("*.png")):
-        # The evaluation's sheet of all test views is a fifth of a megabyte, and in its report.
-        if picture.name != "evaluation.png":
+        # The evaluation's sheet of all test views is a fifth of a megabyte, and in its report; how far the
+        # training was when a preview was made depends on the machine.
+        if picture.name != "evaluation.png" and not picture.name.startswith(PREVIEW_NAME.format(stage="")):
             shutil.copyfile(picture, folder / "preview" / picture.name)
     files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     write_manifest(folder, manifest, sorted(files))

@@ -7,6 +7,7 @@ from lambent_worker.run.tasks.training import (
     capture_for,
     drive,
     load_trained,
+    previews_for,
     processes_for,
     read_scene,
     training_pixels,
@@ -24,4 +25,5 @@ def run(context: TaskContext) -> None:
         drive(
             context,
             StageTwo(model, pixels, config, seed=seed, processes=processes, capture=capture_for(context)),
+            previews_for(context, scene),
         )

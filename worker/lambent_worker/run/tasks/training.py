@@ -34,6 +34,7 @@ from lambent_worker.run.context import TaskContext
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import last_training_task
 from lambent_worker.run.known_lights import give_known_lights, known_names
+from lambent_worker.run.live_preview import LivePreview, Orbit
 from lambent_worker.scenes.load import load_scene
 
 Stage = StageOne | StageTwo | LightBake
@@ -109,8 +110,13 @@ def capture_for(context: TaskContext) -> CudaCapture | None:
     return CudaCapture(device) if device.type == "cuda" else None
 
 
-def drive(context: TaskContext, stage: Stage) -> None:
-    """Take all steps of a stage, from its last checkpoint on, with progress and checkpoints.
+def previews_for(context: TaskContext, scene: Scene) -> LivePreview:
+    """Return what shows the stage that is trained now."""
+    return LivePreview(orbit=Orbit.around(scene), reporter=context.reporter, stage=context.task)
+
+
+def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None) -> None:
+    """Take all steps of a stage, from its last checkpoint on, with progress, checkpoints and previews.
 
     Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too
     many steps had gradients that were not finite.
@@ -127,6 +133,8 @@ def drive(context: TaskContext, stage: Stage) -> None:
         if isinstance(stage, StageOne | StageTwo) and stage.graphs.problem != problem:
             problem = stage.graphs.problem
             context.reporter.log("graphs.given_up", step=record.step, reason=problem)
+        if preview is not None:
+            preview.show(stage.model)
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
             rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
@@ -149,6 +157,8 @@ def drive(context: TaskContext, stage: Stage) -> None:
             saved_at = time.monotonic()
         if stopping and not stage.finished:
             raise Stopped
+    if preview is not None:
+        context.reporter.log("previews.made", number=preview.number, seconds=round(preview.seconds, 3))
 
 
 @contextmanager

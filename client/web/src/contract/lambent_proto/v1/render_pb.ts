@@ -367,7 +367,7 @@ export type RenderQuality = Message<"lambent_proto.v1.RenderQuality"> & {
   exposureEv: number;
 
   /**
-   * Source of bounced light: "auto", "adapted", "transport" or "one"; or "1" to "8", the number of
+   * Source of bounced light: "auto", "adapted", "baked", "transport" or "one"; or "1" to "8", the number of
    * reflections.
    *
    * @generated from field: string bounces = 10;

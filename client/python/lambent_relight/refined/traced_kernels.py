@@ -1,0 +1,143 @@
+"""The compiled loop that follows the rays of a pass to the first face of a mesh, or to the sky."""
+
+import math
+
+import numpy as np
+from lambent_compute.compiling import compiled, inlined
+from numpy.typing import NDArray
+
+from lambent_relight.refined.known_sky import KnownSky
+from lambent_relight.tracing.kernels import STACK, first_face
+
+_NO_CELLS = (np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.int32), np.zeros((0, 32), np.uint8))
+
+
+def cells_of(sky: KnownSky | None) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+    """Return radiance and cells of a known sky's pixels and the cells that points see; of none, no points."""
+    if sky is None:
+        return _NO_CELLS
+    return sky.cells.radiance, sky.cells.cell, np.ascontiguousarray(sky.seen)
+
+
+@inlined()
+def place_on_map(turn, x, y, z):
+    """Return the image coordinates (u, v) of a unit direction on a map turned by the share `turn`."""
+    u = np.float32(0.5) - np.float32(math.atan2(y, x)) / np.float32(2.0 * math.pi) + turn
+    u -= np.float32(math.floor(u))
+    v = np.float32(math.atan2(math.sqrt(x * x + y * y), z)) / np.float32(math.pi)
+    return u, v
+
+
+@inlined()
+def sky_at(image, u, v):
+    """Return the radiance of a map at image coordinates: `Environment.lookup` of one direction."""
+    height, width = image.shape[0], image.shape[1]
+    column = u * np.float32(width) - np.float32(0.5)
+    row = min(max(v * np.float32(height) - np.float32(0.5), np.float32(0.0)), np.float32(height - 1))
+    left, top = np.int64(math.floor(column)), np.int64(row)
+    across, down = column - np.float32(left), row - np.float32(top)
+    left %= width
+    right, bottom = (left + 1) % width, min(top + 1, height - 1)
+    one = np.float32(1.0)
+    a, b = (one - across) * (one - down), across * (one - down)
+    c, d = (one - across) * down, across * down
+    red = a * image[top, left, 0] + b * image[top, right, 0]
+    red += c * image[bottom, left, 0] + d * image[bottom, right, 0]
+    green = a * image[top, left, 1] + b * image[top, right, 1]
+    green += c * image[bottom, left, 1] + d * image[bottom, right, 1]
+    blue = a * image[top, left, 2] + b * image[top, right, 2]
+    blue += c * image[bottom, left, 2] + d * image[bottom, right, 2]
+    return red, green, blue
+
+
+@compiled()
+def follow(mesh, sky, points, known, drawn, listed, rays, where, out):
+    """Add the means of light from the sky to `out` [6, point, 3], and return how many rays met a face.
+
+    `mesh` is (hierarchy, one-sided), `sky` (map, turn), `points` (origins, normals), `known` what `cells_of`
+    returns, `drawn` (directions, diffuse and specular weights, densities). Rays divide evenly among the
+    points, in their order. Of those that met a face, where they are `listed`, `rays` [2, ray] become (number
+    of the ray, face), and `where` [ray, 3] (distance, u, v).
+    """
+    tree, one_sided = mesh
+    image, turn = sky
+    origin, normal = points
+    omega_i, diffuse, specular, pdf = drawn
+    radiance, cells, seen = known
+    rows, columns = cells.shape
+    stack = np.empty(STACK, np.int32)
+    per_point = len(omega_i) // max(len(origin), 1)
+    count = 0
+    for p in range(len(origin)):
+        free = 0.0
+        for r in range(p * per_point, (p + 1) * per_point):
+            if pdf[r] <= 0.0:
+                continue
+            x, y, z = omega_i[r, 0], omega_i[r, 1], omega_i[r, 2]
+            u, v = place_on_map(turn, x, y, z)
+            if len(seen) > 0:
+                row, column = min(int(v * rows), rows - 1), min(int(u * columns), columns - 1)
+                cell = cells[row, column]
+                if (seen[p, cell >> 3] >> (cell & 7)) & 1:
+                    for k in range(3):
+                        out[5, p, k] += diffuse[r, k] * radiance[row, column, k] / per_point
+            face, distance, across, down = first_face(
+                tree, one_sided, origin[p, 0], origin[p, 1], origin[p, 2], x, y, z, stack
+            )
+            if face >= 0:
+                if listed:
+                    rays[0, count], rays[1, count] = r, tree.face[face]
+                    where[count, 0], where[count, 1], where[count, 2] = distance, across, down
+                    count += 1
+                continue
+            cosine = max(normal[p, 0] * x + normal[p, 1] * y + normal[p, 2] * z, np.float32(0.0))
+            free += cosine / (math.pi * pdf[r])
+            light = sky_at(image, u, v)
+            for k in range(3):
+                out[0, p, k] += (diffuse[r, k] + specular[r, k]) * light[k] / per_point
+                out[2, p, k] += specular[r, k] * light[k] / per_point
+        for k in range(3):
+            out[3, p, k] += free / per_point
+    return count
+
+
+@compiled()
+def add_bounces(rays, known, diffuse, specular, bouncing, out):
+    """Add the means of light [ray, 3] that rays of these numbers brought from faces to `out` [6, point, 3].
+
+    Of points where the diffuse part is `known` [point] it goes to the fifth.
+    """
+    per_point = len(diffuse) // len(known)
+    for i in range(len(rays)):
+        r = rays[i]
+        p = r // per_point
+        for k in range(3):
+            glossy, matt = specular[r, k] * bouncing[i, k], diffuse[r, k] * bouncing[i, k]
+            out[2, p, k] += glossy / per_point
+            out[1, p, k] += (glossy if known[p] else glossy + matt) / per_point
+            if known[p]:
+                out[4, p, k] += matt / per_point
+
+
+@compiled()
+def sum_cells(directions, moment, least_cosine, normal, seen, out):
+    """Clear the bits of `seen` [point, cell / 8] whose cells are not above the surface, and sum the others.
+
+    `out` [point, 3] becomes the irradiance of the cells that are seen, from their moments.
+    """
+    total = np.empty((3, 3), np.float32)
+    for p in range(len(seen)):
+        total[:] = np.float32(0.0)
+        x, y, z = normal[p, 0], normal[p, 1], normal[p, 2]
+        for j in range(len(directions)):
+            bit = np.uint8(1 << (j & 7))
+            if not seen[p, j >> 3] & bit:
+                continue
+            if x * directions[j, 0] + y * directions[j, 1] + z * directions[j, 2] <= least_cosine:
+                seen[p, j >> 3] &= ~bit
+                continue
+            for axis in range(3):
+                for k in range(3):
+                    total[axis, k] += moment[j, axis, k]
+        for k in range(3):
+            out[p, k] = x * total[0, k] + y * total[1, k] + z * total[2, k]

@@ -1,0 +1,125 @@
+/** Deleting with a way back: for some seconds what was deleted is only hidden, and the server is told after that. */
+
+import { explain } from "./actions.js";
+import { h } from "./dom.js";
+import { Refused } from "./rest.js";
+
+export const undoMs = 10_000;
+
+/** Something to delete; `send` tells the server, with `keepalive` so that it arrives after the page has gone. */
+export type Removal = {
+  readonly id: string;
+  /** What it is, as the middle of a sentence: 'the scene "Cup"'. */
+  readonly what: string;
+  readonly send: (keepalive: boolean) => Promise<unknown>;
+  /** Called when it is gone for good. */
+  readonly gone?: () => void;
+};
+
+type Waiting = { readonly removal: Removal; readonly timer: ReturnType<typeof setTimeout> };
+
+/** What is waiting to be deleted. */
+export class Removals {
+  readonly #waiting = new Map<string, Waiting>();
+  /** Sent, and not answered yet, or gone: lists that were asked for earlier may still have them. */
+  readonly #sent = new Set<string>();
+  readonly #listeners = new Set<() => void>();
+
+  /** `fail` is told why the server refused. */
+  constructor(
+    private readonly fail: (error: unknown) => void,
+    private readonly delayMs = undoMs,
+  ) {}
+
+  /** Call `listener` when something is hidden, comes back, or is gone; returns the function that ends it. */
+  listen(listener: () => void): () => void {
+    this.#listeners.add(listener);
+    return () => this.#listeners.delete(listener);
+  }
+
+  /** Whether lists leave this out. */
+  hides(id: string): boolean {
+    return this.#waiting.has(id) || this.#sent.has(id);
+  }
+
+  /** What can still come back, the latest last. */
+  get waiting(): readonly Removal[] {
+    return [...this.#waiting.values()].map(({ removal }) => removal);
+  }
+
+  /** Hide something, and delete it after a while. */
+  ask(removal: Removal): void {
+    if (this.hides(removal.id)) return;
+    const timer = setTimeout(() => void this.#send(removal.id, false), this.delayMs);
+    this.#waiting.set(removal.id, { removal, timer });
+    this.#tell();
+  }
+
+  /** Bring something back that is waiting. */
+  undo(id: string): void {
+    clearTimeout(this.#waiting.get(id)?.timer);
+    if (this.#waiting.delete(id)) this.#tell();
+  }
+
+  /** Delete at once what is waiting: the visitor leaves the page. */
+  flush(): void {
+    for (const id of [...this.#waiting.keys()]) void this.#send(id, true);
+  }
+
+  async #send(id: string, keepalive: boolean): Promise<void> {
+    const waiting = this.#waiting.get(id);
+    if (waiting === undefined) return;
+    clearTimeout(waiting.timer);
+    this.#waiting.delete(id);
+    this.#sent.add(id);
+    this.#tell();
+    try {
+      await waiting.removal.send(keepalive);
+      waiting.removal.gone?.();
+    } catch (error) {
+      // What somebody else has deleted meanwhile is gone as well.
+      if (error instanceof Refused && error.status === 404) waiting.removal.gone?.();
+      else {
+        this.#sent.delete(id);
+        this.fail(new Error(`${capital(waiting.removal.what)} could not be deleted. ${explain(error)}`));
+      }
+    }
+    this.#tell();
+  }
+
+  #tell(): void {
+    for (const listener of this.#listeners) listener();
+  }
+}
+
+/** Return the notices with a button that brings the latest back each. */
+export function removalNotices(removals: Removals): HTMLElement {
+  const element = h("div", { class: "notices", role: "status" });
+  const shown = new Map<string, HTMLElement>();
+  removals.listen(() => {
+    const ids = new Set(removals.waiting.map(({ id }) => id));
+    for (const [id, notice] of shown) {
+      if (ids.has(id)) continue;
+      const had = notice.contains(document.activeElement);
+      notice.remove();
+      shown.delete(id);
+      // The focus was on what is gone; it goes on at the top of the view.
+      if (had) document.querySelector<HTMLElement>("#main h1")?.focus();
+    }
+    for (const { id, what } of removals.waiting) {
+      if (shown.has(id)) continue;
+      const undo = h("button", { type: "button", "aria-label": `Undo: keep ${what}` }, "Undo");
+      undo.addEventListener("click", () => removals.undo(id));
+      const notice = h("p", { class: "notice toast" }, `${capital(what)} is deleted. `, undo);
+      shown.set(id, notice);
+      element.append(notice);
+      // The button that was pressed is gone, and the next thing wanted may be the way back.
+      undo.focus();
+    }
+  });
+  return element;
+}
+
+function capital(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}

@@ -1,0 +1,162 @@
+/** Refined pictures of any size: parts that the workers take at once, refined one after the other, side by side. */
+
+import { interrupted } from "../viewer/frozen.js";
+import type { ViewCamera } from "../render/looks.js";
+import type { Side, Stage } from "../render/stage.js";
+import { Refinement, type RefineView } from "./refinement.js";
+import type { RefineStatus } from "./status.js";
+
+/** What a refined picture is made of. */
+export type StillHost = {
+  readonly stage: Stage;
+  /** Of the picture on the canvas; the camera is another one. */
+  readonly view: RefineView;
+  readonly sides: readonly Side[];
+};
+
+/** A picture as bytes (sRGB-encoded, straight alpha) or half floats (linear, multiplied by alpha), four to a pixel. */
+export type Pixels = Uint8ClampedArray<ArrayBuffer> | Uint16Array<ArrayBuffer>;
+
+export type StillOptions = {
+  readonly signal?: AbortSignal;
+  /** Called as a part comes further. */
+  readonly onProgress?: (part: number, parts: number, status: RefineStatus) => void;
+};
+
+/** A rectangle of a picture: what is kept of a part, inside of what is refined. */
+export type Part = {
+  readonly left: number;
+  readonly top: number;
+  readonly width: number;
+  readonly height: number;
+};
+
+/** The longest side of a part: with 2 x 2 points to a pixel no more points than are refined at full resolution. */
+const partSide = 256;
+/** Pixels around a part, so that the denoiser sees across its border. */
+const margin = 16;
+
+/** Return the parts of a picture, row by row. */
+export function partsOf(width: number, height: number, side = partSide - 2 * margin): Part[] {
+  const parts: Part[] = [];
+  for (let top = 0; top < height; top += side) {
+    for (let left = 0; left < width; left += side) {
+      parts.push({ left, top, width: Math.min(side, width - left), height: Math.min(side, height - top) });
+    }
+  }
+  return parts;
+}
+
+/** Return a part with what is around it, inside of the picture. */
+export function widened({ left, top, width, height }: Part, whole: ViewCamera): Part {
+  const [x, y] = [Math.max(left - margin, 0), Math.max(top - margin, 0)];
+  const right = Math.min(left + width + margin, whole.width);
+  const bottom = Math.min(top + height + margin, whole.height);
+  return { left: x, top: y, width: right - x, height: bottom - y };
+}
+
+/** Return the camera of a part of a picture. */
+export function cameraOfPart(camera: ViewCamera, { left, top, width, height }: Part): ViewCamera {
+  return { ...camera, width, height, centreX: camera.centreX - left, centreY: camera.centreY - top };
+}
+
+/** Return a camera's view in another size. */
+export function resized(camera: ViewCamera, width: number, height: number): ViewCamera {
+  const [x, y] = [width / camera.width, height / camera.height];
+  return {
+    ...camera,
+    ...{ width, height, focalX: camera.focalX * x, focalY: camera.focalY * y },
+    ...{ centreX: camera.centreX * x, centreY: camera.centreY * y },
+  };
+}
+
+/**
+ * Return what `camera` sees, refined until the viewer's own limits of noise and directions, read by `read` part by part.
+ * Throws `refine.unavailable` and the like where it cannot be refined, and `film.interrupted` where another bundle or
+ * light was shown before the end.
+ */
+export async function refinedStill<T extends Pixels>(
+  host: StillHost,
+  camera: ViewCamera,
+  into: T,
+  read: (camera: ViewCamera, sides: readonly Side[]) => T,
+  { signal, onProgress }: StillOptions = {},
+): Promise<T> {
+  const { stage, view } = host;
+  const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
+  const first = held();
+  const parts = partsOf(camera.width, camera.height);
+  let aim = camera;
+  let hear: (status: RefineStatus) => void = () => {};
+  const refinement = new Refinement({
+    stage,
+    view: () => ({
+      ...view,
+      ...{
+        camera: aim,
+        moving: false,
+        cameraOf: (width: number, height: number) => resized(aim, width, height),
+      },
+    }),
+    redraw: () => {
+      // It is of a part, and not of what is shown.
+      stage.overlay = null;
+    },
+    tell: (status) => hear(status),
+  });
+  try {
+    for (const [index, part] of parts.entries()) {
+      const wide = widened(part, camera);
+      aim = cameraOfPart(camera, wide);
+      await new Promise<void>((resolve, reject) => {
+        const stop = (): void => reject(signal?.reason);
+        signal?.addEventListener("abort", stop, { once: true });
+        hear = (status) => {
+          onProgress?.(index + 1, parts.length, status);
+          if (signal?.aborted) return stop();
+          if (held().some((each, place) => each !== first[place])) return reject(interrupted());
+          if (status.phase === "failed") return reject(new Error(status.message));
+          if (status.phase !== "done") return;
+          signal?.removeEventListener("abort", stop);
+          const sides = host.sides.map((side) => ({
+            ...side,
+            ...{ from: shareIn(side.from, camera, wide), to: shareIn(side.to, camera, wide) },
+          }));
+          keep(
+            read(
+              aim,
+              sides.filter(({ from, to }) => to > from),
+            ),
+            wide,
+            part,
+            into,
+            camera.width,
+          );
+          resolve();
+        };
+        if (signal?.aborted) return stop();
+        refinement.changed();
+        refinement.rest();
+      });
+      hear = () => {};
+    }
+    return into;
+  } finally {
+    hear = () => {};
+    refinement.dispose();
+  }
+}
+
+/** Return a column of the whole picture as a share of a part's width. */
+function shareIn(share: number, camera: ViewCamera, part: Part): number {
+  return Math.min(Math.max((share * camera.width - part.left) / part.width, 0), 1);
+}
+
+/** Copy what is kept of a part. */
+function keep<T extends Pixels>(from: T, wide: Part, part: Part, into: T, width: number): void {
+  const [x, y] = [part.left - wide.left, part.top - wide.top];
+  for (let row = 0; row < part.height; row++) {
+    const start = 4 * ((y + row) * wide.width + x);
+    into.set(from.subarray(start, start + 4 * part.width), 4 * ((part.top + row) * width + part.left));
+  }
+}

@@ -1,0 +1,45 @@
+/** The dialog that refines a picture to save; loaded when it is first needed. */
+
+import { dialogSheet } from "../viewer/dialogs.js";
+import { button, make } from "../viewer/fields.js";
+import { download } from "../viewer/save.js";
+import type { Viewer } from "../viewer/viewer.js";
+import { statusText } from "./status.js";
+import { refinedFile } from "./stillFile.js";
+
+/** Refine a picture and offer it as a file, with its progress in a dialog in `root`; resolves when that is closed. */
+export async function saveRefined(
+  root: ShadowRoot,
+  viewer: Viewer,
+  size: { readonly width: number; readonly height: number },
+  kind: "png" | "exr",
+): Promise<void> {
+  const stop = new AbortController();
+  const bar = make("progress", { ariaLabel: "Parts refined" });
+  const news = make("p", { className: "hint", role: "status", textContent: "Beginning…" });
+  const cancel = button("Cancel", () => stop.abort(new DOMException("cancelled", "AbortError")));
+  const heading = make("h2", { textContent: `Refining ${size.width} × ${size.height} pixels` });
+  const element = make("dialog", { className: "work" }, heading, bar, news, cancel);
+  element.setAttribute("aria-label", "Refining a picture");
+  element.addEventListener("cancel", (event) => {
+    event.preventDefault();
+    cancel.click();
+  });
+  if (!root.adoptedStyleSheets.includes(dialogSheet())) root.adoptedStyleSheets.push(dialogSheet());
+  root.append(element);
+  element.showModal();
+  try {
+    const blob = await refinedFile(viewer, size, kind, {
+      signal: stop.signal,
+      onProgress: (part, parts, status) => {
+        Object.assign(bar, { max: parts, value: part - (status.phase === "done" ? 0 : 1) });
+        news.textContent = `Part ${part} of ${parts}. ${statusText(status)}`;
+      },
+    });
+    download(blob, `${viewer.bundle?.name ?? "lambent"}.${kind}`);
+  } catch (error) {
+    if (!stop.signal.aborted) throw error;
+  } finally {
+    element.remove();
+  }
+}

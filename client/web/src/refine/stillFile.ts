@@ -1,0 +1,54 @@
+/** Refined pictures of a viewer, in any size. */
+
+import { exrFrom, pngFrom } from "../viewer/save.js";
+import type { Viewer } from "../viewer/viewer.js";
+import { refinedStill, type StillOptions } from "./still.js";
+
+const samples = 2;
+
+type Size = { readonly width: number; readonly height: number };
+
+/** Return what a viewer shows, refined, as straight RGBA bytes, rows from the top. */
+export async function refinedPixels(
+  viewer: Viewer,
+  { width, height }: Size,
+  options: StillOptions = {},
+): Promise<Uint8ClampedArray<ArrayBuffer>> {
+  const host = viewer.refineElsewhere();
+  try {
+    const into = new Uint8ClampedArray(4 * width * height);
+    return await refinedStill(
+      host,
+      viewer.camera(width, height),
+      into,
+      (camera, sides) => host.stage.readBytes(camera, sides, samples),
+      options,
+    );
+  } finally {
+    viewer.invalidate();
+  }
+}
+
+/** Return a refined picture as a file. */
+export async function refinedFile(
+  viewer: Viewer,
+  size: Size,
+  kind: "png" | "exr",
+  options: StillOptions = {},
+): Promise<Blob> {
+  const { width, height } = size;
+  if (kind === "png") return pngFrom(await refinedPixels(viewer, size, options), width, height);
+  const host = viewer.refineElsewhere();
+  try {
+    const into = new Uint16Array(4 * width * height);
+    const read = (camera: Parameters<Viewer["pixelsOf"]>[0], sides: typeof host.sides) =>
+      host.stage.readHalf(camera, sides, samples);
+    return exrFrom(
+      await refinedStill(host, viewer.camera(width, height), into, read, options),
+      width,
+      height,
+    );
+  } finally {
+    viewer.invalidate();
+  }
+}

@@ -1,0 +1,219 @@
+import { once } from "node:events";
+import { createServer, type Server } from "node:http";
+import type { AddressInfo } from "node:net";
+import { resolve } from "node:path";
+import type { Browser, Frame, Page } from "playwright-core";
+import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import { startChromium } from "../support/chromium.js";
+import { JobServer } from "./server.js";
+import { choose, folderOf, keepPicture, live } from "./support.js";
+
+const archive = resolve(import.meta.dirname, "../../../../tests/golden/bundles/ball_1.3.relight.zip");
+
+/** A site of somebody else: its pages, and the headers that all of them have. */
+class Site {
+  readonly pages = new Map<string, string>();
+  headers: Record<string, string> = {};
+  #server: Server | null = null;
+  origin = "";
+
+  async start(): Promise<void> {
+    this.#server = createServer((request, response) => {
+      const page = request.url === "/favicon.ico" ? "" : this.pages.get(request.url ?? "");
+      response.writeHead(page === undefined ? 404 : 200, { "content-type": "text/html", ...this.headers });
+      response.end(`<!doctype html><title>A shop</title><body style="margin:0">${page ?? ""}`);
+    }).listen(0, "127.0.0.1");
+    await once(this.#server, "listening");
+    // Another site than 127.0.0.1, as far as cookies are concerned.
+    this.origin = `http://localhost:${(this.#server.address() as AddressInfo).port}`;
+  }
+
+  close(): void {
+    this.#server?.close();
+  }
+}
+
+type Share = { readonly id: string; readonly url: string; readonly frame_ancestors: string[] };
+
+const server = new JobServer(true);
+const shop = new Site();
+const stranger = new Site();
+let browser: Browser;
+let frameHtml = "";
+let elementHtml = "";
+let share: Share;
+
+beforeAll(async () => {
+  [browser] = await Promise.all([startChromium(), server.start(), shop.start(), stranger.start()]);
+  const context = await browser.newContext({ viewport: { width: 1100, height: 900 } });
+  await context.grantPermissions(["clipboard-read", "clipboard-write"]);
+  const page = await context.newPage();
+  await page.goto(server.link);
+  await live(page);
+  await choose(page, folderOf("bowl", { "transforms_train.json": "{}", "train/1.png": "one" }));
+  await page.waitForURL(/#\/scenes\//);
+  await page.check("input[value=tiny]");
+  await page.click("text=More settings");
+  await page.fill("#settings", `num_steps=1\nbundle=${archive}`);
+  await page.click("text=Start the job");
+  await page.waitForURL(/#\/jobs\//);
+  // Someone types the address of a page; what counts is its origin.
+  await page.fill("#sites", `${shop.origin}/bowls.html`);
+  await page.click("text=Make a link");
+  const copiedBy = async (text: string): Promise<string> => {
+    await page.click(`text=${text}`);
+    await page.waitForSelector("text=is copied");
+    return page.evaluate(() => navigator.clipboard.readText());
+  };
+  await page.waitForSelector(`text=may be shown on ${shop.origin}`);
+  frameHtml = await copiedBy("Copy a frame");
+  elementHtml = await copiedBy("Copy the element");
+  const job = page.url().split("/").at(-1)!;
+  const { bundle_id: bundle } = await server.ask<{ bundle_id: string }>("GET", `/v1/jobs/${job}`);
+  const { items } = await server.ask<{ items: Share[] }>("GET", `/v1/bundles/${bundle}/shares`);
+  share = items[0]!;
+  await context.close();
+  for (const site of [shop, stranger]) {
+    site.pages.set("/frame", frameHtml);
+    site.pages.set("/element", elementHtml);
+  }
+}, 300_000);
+afterAll(async () => {
+  await browser?.close();
+  shop.close();
+  stranger.close();
+  await server.close();
+});
+
+/** Open a page in a browser that has never been anywhere, and remember what it complains of. */
+async function visit(address: string): Promise<{ page: Page; complaints: string[] }> {
+  const context = await browser.newContext({ viewport: { width: 700, height: 520 } });
+  const page = await context.newPage();
+  const complaints: string[] = [];
+  page.on("console", (message) => {
+    if (message.type() === "error") complaints.push(message.text());
+  });
+  page.on("pageerror", (error) => complaints.push(error.message));
+  await page.goto(address);
+  return { page, complaints };
+}
+
+/** Wait until the viewer of a page or a frame shows its bundle. */
+async function shown(frame: Page | Frame): Promise<void> {
+  await frame.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
+  await frame.evaluate(async () => {
+    const element = document.querySelector("lambent-viewer")!;
+    await element.ready;
+    element.viewer!.drawNow(2);
+  });
+}
+
+/** Return how many colours (of 16 levels a channel) a part of a page shows. */
+async function coloursOf(page: Page, selector: string): Promise<number> {
+  const picture = (await page.locator(selector).screenshot()).toString("base64");
+  const reader = await browser.newPage();
+  const count = await reader.evaluate(async (text) => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${text}`;
+    await image.decode();
+    const context = new OffscreenCanvas(image.width, image.height).getContext("2d")!;
+    context.drawImage(image, 0, 0);
+    const { data } = context.getImageData(0, 0, image.width, image.height);
+    const seen = new Set<number>();
+    for (let at = 0; at < data.length; at += 4) {
+      seen.add(((data[at]! >> 4) << 8) | ((data[at + 1]! >> 4) << 4) | (data[at + 2]! >> 4));
+    }
+    return seen.size;
+  }, picture);
+  await reader.close();
+  return count;
+}
+
+describe("a shared bundle on another site", () => {
+  it("is seen in a frame, without cookies", async () => {
+    const { page, complaints } = await visit(`${shop.origin}/frame`);
+    const frame = page.frames()[1]!;
+    await shown(frame);
+    expect(frame.url().startsWith(`${server.url}/embed/${share.id}#`)).toBe(true);
+    await keepPicture(page, "framed");
+    expect(await coloursOf(page, "iframe")).toBeGreaterThan(20);
+    expect(await page.context().cookies()).toEqual([]);
+    expect(
+      await frame.evaluate(() => document.querySelector("lambent-viewer")!.hasAttribute("controls")),
+    ).toBe(false);
+    expect(complaints).toEqual([]);
+  });
+
+  it("is seen in the element, whose scripts and files come from our server", async () => {
+    const { page, complaints } = await visit(`${shop.origin}/element`);
+    await shown(page);
+    await keepPicture(page, "element-elsewhere");
+    expect(await coloursOf(page, "lambent-viewer")).toBeGreaterThan(20);
+    const title = await page.evaluate(() => document.querySelector("lambent-viewer")!.viewer!.bundle!.name);
+    expect(title).not.toBe("");
+    expect(complaints).toEqual([]);
+  });
+
+  it("is seen in pages that isolate themselves", async () => {
+    shop.headers = {
+      "cross-origin-embedder-policy": "require-corp",
+      "cross-origin-opener-policy": "same-origin",
+    };
+    for (const kind of ["frame", "element"]) {
+      const { page } = await visit(`${shop.origin}/${kind}`);
+      expect(await page.evaluate(() => crossOriginIsolated)).toBe(true);
+      await shown(kind === "frame" ? page.frames()[1]! : page);
+      expect(await coloursOf(page, kind === "frame" ? "iframe" : "lambent-viewer")).toBeGreaterThan(20);
+    }
+    shop.headers = {};
+  });
+
+  it("is seen in the element under the policy that the documentation names", async () => {
+    const at = server.url;
+    shop.headers = {
+      "content-security-policy":
+        `default-src 'none'; script-src ${at}; connect-src ${at}; worker-src blob: ${at}; img-src ${at} blob:; ` +
+        "style-src 'unsafe-inline'",
+    };
+    const { page, complaints } = await visit(`${shop.origin}/element`);
+    shop.headers = {};
+    expect(complaints).toEqual([]);
+    await shown(page);
+    expect(complaints).toEqual([]);
+  });
+
+  it("is refused to a site that the link does not name", async () => {
+    const framed = await visit(`${stranger.origin}/frame`);
+    await expect.poll(() => framed.complaints.join("\n")).toContain("frame-ancestors");
+    expect(framed.page.frames()[1]!.url()).not.toContain(server.url);
+    expect(await coloursOf(framed.page, "iframe")).toBeLessThan(20);
+    const { page } = await visit("about:blank");
+    await page.goto(`${stranger.origin}/element`, { waitUntil: "commit" });
+    await page.locator("lambent-viewer [data-problem]").waitFor();
+    expect(await page.evaluate(() => document.querySelector("lambent-viewer")!.viewer!.bundle)).toBeNull();
+  });
+
+  it("by itself is a page with controls, with a name and a picture for previews", async () => {
+    const { page } = await visit(share.url);
+    await shown(page);
+    expect(await page.title()).toBe("bowl");
+    expect(await page.locator(".panel").isVisible()).toBe(true);
+    expect(await page.locator("summary:text-is('Share')").isVisible()).toBe(false);
+    const image = (await page.getAttribute("meta[property='og:image']", "content"))!;
+    expect(new URL(image).origin).toBe(server.url);
+    const answer = await fetch(image);
+    expect([answer.status, answer.headers.get("content-type")]).toEqual([200, "image/png"]);
+    await page.reload();
+    await shown(page);
+  });
+
+  it("is seen nowhere after the link was taken back", async () => {
+    const { page } = await visit(`${shop.origin}/frame`);
+    await shown(page.frames()[1]!);
+    await server.ask("DELETE", `/v1/shares/${share.id}`).catch(() => {});
+    await page.reload();
+    await page.frames()[1]!.waitForSelector("text=taken back");
+    const element = await visit(`${shop.origin}/element`);
+    await element.page.locator("lambent-viewer [data-problem]").waitFor();
+  });
+});
