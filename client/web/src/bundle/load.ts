@@ -36,6 +36,8 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   readonly mesh: AtlasMesh;
   /** The materials that all renderers read; null for bundles before 1.3, whose transport has them. */
   readonly maps: MaterialMaps | null;
+  /** White where no photograph shows the surface; null where all of it is shown, or that is not known. */
+  readonly unseen: ImageBitmap | null;
   readonly transport: PackedTransport;
   readonly uncertainty: UncertaintyGrid | null;
   readonly cameras: readonly PhotoCamera[];
@@ -82,6 +84,7 @@ export async function loadBundle(
     ...stated.planes.map((planes) => planes.path),
     stated.shadowBitsPath,
     manifest.uncertainty?.path ?? "",
+    manifest.atlas?.unseenPath ?? "",
     cameraPath ?? "",
     ...lights.map((light) => `env/trained_${light}.exr`),
     ...pictures,
@@ -104,7 +107,8 @@ export async function loadBundle(
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
   const textured = (manifest.atlas?.albedoSource ?? "") !== "";
-  const [trainedMaps, [mesh, maps], transport, grid, cameras, previews] = await Promise.all([
+  const unseenPath = manifest.atlas?.unseenPath ?? "";
+  const [trainedMaps, [mesh, maps], transport, grid, cameras, unseen, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
     counted("mesh/asset.glb").then(async (data) => {
       return [meshFromGlb(data), textured ? await mapsOf(data, decode) : null] as const;
@@ -114,6 +118,7 @@ export async function loadBundle(
       ? null
       : counted(uncertainty.path).then((data) => readUncertainty(uncertainty, data)),
     cameraPath === undefined ? [] : counted(cameraPath).then(parseCameras),
+    unseenPath === "" ? null : counted(unseenPath).then((data) => maskOf(data, decode)),
     Promise.all(
       pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
     ),
@@ -125,6 +130,7 @@ export async function loadBundle(
       ...boundsOf(mesh.positionsXyz),
       mesh,
       maps,
+      unseen,
       transport,
       uncertainty: grid,
       cameras,
@@ -132,6 +138,14 @@ export async function loadBundle(
       previews,
     },
   };
+}
+
+async function maskOf(png: Uint8Array<ArrayBuffer>, decode: Decode): Promise<ImageBitmap> {
+  try {
+    return await decode(png);
+  } catch {
+    throw exportAgain("bundle.mesh_invalid", "mesh/unseen.png cannot be decoded");
+  }
 }
 
 async function mapsOf(glb: Uint8Array<ArrayBuffer>, decode: Decode): Promise<MaterialMaps> {

@@ -56,7 +56,8 @@ export class Interface {
       openFolder: () => this.#choose("", true),
       openMap: () => this.#choose(".hdr,.exr,.pic,.rgbe", false),
       openAddress: (address) => this.#change({ environment: `url:${address}` }),
-      reset: () => this.#change({ ...initialState, environment: viewer.state.environment }),
+      reset: () =>
+        this.#change({ ...initialState, pose: viewer.home, environment: viewer.state.environment }),
       savePng: (...size) => this.#save("png", () => pngOf(viewer, ...this.#sizeOf(...size))),
       saveExr: (...size) => this.#save("exr", async () => exrOf(viewer, ...this.#sizeOf(...size))),
       film: (kind) => this.#film(kind),
@@ -121,6 +122,7 @@ export class Interface {
       element: canvas,
       state: () => this.viewer.state,
       change: (next) => this.#change(next),
+      elevation: () => this.viewer.elevationRange,
       moving: (moving) => {
         this.viewer.moving = moving;
       },

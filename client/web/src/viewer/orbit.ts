@@ -13,6 +13,8 @@ export type OrbitHost = {
   readonly element: HTMLElement;
   readonly state: () => Turned;
   readonly change: (next: Partial<Turned>) => void;
+  /** The elevations to look from, degrees. */
+  readonly elevation: () => Range;
   /** Called while fingers or the pointer are down, and when they are lifted. */
   readonly moving: (on: boolean) => void;
 };
@@ -20,12 +22,22 @@ export type OrbitHost = {
 const degreesPerPixel = 0.35;
 const keyDegrees = 5;
 
-/** Return a pose turned by some degrees. */
-export function orbited(pose: OrbitPose, azimuth: number, elevation: number): OrbitPose {
+type Range = readonly [least: number, most: number];
+
+/** Return a pose turned by some degrees; its elevation stays in a range, or goes back there. */
+export function orbited(
+  pose: OrbitPose,
+  azimuth: number,
+  elevation: number,
+  [least, most]: Range = limits.elevation,
+): OrbitPose {
+  const { elevationDeg } = pose;
+  // A pose outside, which a link may have, does not jump.
+  const range = [Math.min(least, elevationDeg), Math.max(most, elevationDeg)] as const;
   return {
     ...pose,
     azimuthDeg: wrapped(pose.azimuthDeg + azimuth),
-    elevationDeg: within(pose.elevationDeg + elevation, limits.elevation, 0),
+    elevationDeg: within(elevationDeg + elevation, range, 0),
   };
 }
 
@@ -43,7 +55,10 @@ export function panned(pose: OrbitPose, right: number, up: number): OrbitPose {
 }
 
 /** Listen to an element until `signal`. */
-export function listenToOrbit({ element, state, change, moving }: OrbitHost, signal: AbortSignal): void {
+export function listenToOrbit(
+  { element, state, change, moving, elevation }: OrbitHost,
+  signal: AbortSignal,
+): void {
   const on = listening(signal);
   const pointers = new Map<number, { x: number; y: number }>();
 
@@ -73,7 +88,7 @@ export function listenToOrbit({ element, state, change, moving }: OrbitHost, sig
     } else if (event.ctrlKey || (event.buttons & 6) !== 0) {
       change({ pose: panned(pose, -0.6 * dx * share, 0.6 * dy * share) });
     } else {
-      change({ pose: orbited(pose, -degreesPerPixel * dx, degreesPerPixel * dy) });
+      change({ pose: orbited(pose, -degreesPerPixel * dx, degreesPerPixel * dy, elevation()) });
     }
   });
   for (const lifted of ["pointerup", "pointercancel"] as const) {
@@ -90,7 +105,7 @@ export function listenToOrbit({ element, state, change, moving }: OrbitHost, sig
   };
   element.addEventListener("wheel", wheel, { signal, passive: false });
   on(element, "keydown", (event) => {
-    const next = afterKey(event, state());
+    const next = afterKey(event, state(), elevation());
     if (next === null) return;
     event.preventDefault();
     change(next);
@@ -100,7 +115,11 @@ export function listenToOrbit({ element, state, change, moving }: OrbitHost, sig
 type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "metaKey">;
 
 /** Return the change of a key, or null if it has no function here. */
-export function afterKey(event: Key, { pose, turn }: Turned): Partial<Turned> | null {
+export function afterKey(
+  event: Key,
+  { pose, turn }: Turned,
+  elevation: Range = limits.elevation,
+): Partial<Turned> | null {
   if (event.altKey || event.ctrlKey || event.metaKey) return null;
   const { key, shiftKey } = event;
   const light = (degrees: number) => ({ turn: { ...turn, yawDeg: wrapped(turn.yawDeg + degrees) } });
@@ -110,7 +129,7 @@ export function afterKey(event: Key, { pose, turn }: Turned): Partial<Turned> | 
   }
   const up = { ArrowUp: 1, ArrowDown: -1 }[key];
   if (up !== undefined) {
-    return { pose: shiftKey ? panned(pose, 0, up * 0.03) : orbited(pose, 0, up * keyDegrees) };
+    return { pose: shiftKey ? panned(pose, 0, up * 0.03) : orbited(pose, 0, up * keyDegrees, elevation) };
   }
   if (key === "[" || key === "]") return light(key === "[" ? -keyDegrees : keyDegrees);
   const nearer = { "+": 1 / 1.1, "=": 1 / 1.1, "-": 1.1 }[key];

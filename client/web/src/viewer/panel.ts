@@ -156,6 +156,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       ofState("refine", (change) => check("Refine while nothing moves", change)),
       refining,
       ofLook("ground", (change) => check("Shadow on the ground", change)),
+      ofState("free", (change) => check("Look from where no photograph was taken", change)),
     ),
     section(
       "Material",

@@ -33,6 +33,8 @@ export type ViewerState = {
   readonly turn: LightTurn;
   readonly look: Look;
   readonly pose: OrbitPose;
+  /** Whether one may look from where no photograph was taken. */
+  readonly free: boolean;
   readonly compare: Comparison;
   /** The light on the right of a comparison of two. */
   readonly environmentB: string;
@@ -55,9 +57,10 @@ export const initialState: ViewerState = {
     backgroundSrgb: [0.93, 0.93, 0.93],
     edit: { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 },
     indirect: true,
-    ground: false,
+    ground: true,
   },
   pose: { azimuthDeg: 30, elevationDeg: 20, distance: 3.2, target: [0, 0, 0] },
+  free: false,
   compare: "off",
   environmentB: "preset:studio",
   split: 0.5,
@@ -92,6 +95,9 @@ function round(value: number): string {
   return String(Number(value.toFixed(3)));
 }
 
+/** Of addresses: without a number they are from when the ground had no shadow and the first view was always the same. */
+const version = "2";
+
 /** Return a state as the parameters of an address; what is as at the start is left out. */
 export function toParameters(state: ViewerState): URLSearchParams {
   const found = new URLSearchParams();
@@ -100,6 +106,7 @@ export function toParameters(state: ViewerState): URLSearchParams {
     // A dropped file is not at any address.
     if (value !== first[name] && !value.startsWith("file:")) found.set(name, value);
   }
+  if (found.size > 0) found.set("v", version);
   return found;
 }
 
@@ -120,6 +127,7 @@ function flat(state: ViewerState): Record<string, string> {
     indirect: look.indirect ? "1" : "0",
     ground: look.ground ? "1" : "0",
     camera: [pose.azimuthDeg, pose.elevationDeg, pose.distance, ...pose.target].map(round).join(","),
+    free: state.free ? "1" : "0",
     compare: state.compare,
     envB: state.environmentB,
     split: round(state.split),
@@ -128,8 +136,14 @@ function flat(state: ViewerState): Record<string, string> {
   };
 }
 
-/** Return the state of an address; what it does not say, or says wrongly, is as in `from`. */
-export function fromParameters(parameters: URLSearchParams, from: ViewerState = initialState): ViewerState {
+/**
+ * Return the state of an address; what it does not say, or says wrongly, is as in `from`. Where no camera is stated
+ * the pose is that of `from`, the same object.
+ */
+export function fromParameters(parameters: URLSearchParams, given: ViewerState = initialState): ViewerState {
+  const said = Object.keys(flat(given)).some((name) => parameters.has(name));
+  const old = said && parameters.get("v") !== version;
+  const from = old ? { ...given, look: { ...given.look, ground: false }, pose: { ...given.pose } } : given;
   const numbers = (name: string, fallback: readonly number[]): readonly number[] => {
     const parts = (parameters.get(name) ?? "")
       .split(",")
@@ -167,12 +181,15 @@ export function fromParameters(parameters: URLSearchParams, from: ViewerState = 
       indirect: flag("indirect", look.indirect),
       ground: flag("ground", look.ground),
     },
-    pose: {
-      azimuthDeg: wrapped(camera[0]!),
-      elevationDeg: within(camera[1]!, limits.elevation, pose.elevationDeg),
-      distance: within(camera[2]!, limits.distance, pose.distance),
-      target: rgb(camera.slice(3), [-5, 5]),
-    },
+    pose: parameters.has("camera")
+      ? {
+          azimuthDeg: wrapped(camera[0]!),
+          elevationDeg: within(camera[1]!, limits.elevation, pose.elevationDeg),
+          distance: within(camera[2]!, limits.distance, pose.distance),
+          target: rgb(camera.slice(3), [-5, 5]),
+        }
+      : pose,
+    free: flag("free", from.free),
     compare: choice("compare", comparisons, from.compare),
     environmentB: parameters.get("envB") ?? from.environmentB,
     split: one("split", from.split, [0, 1]),

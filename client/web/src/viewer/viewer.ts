@@ -7,7 +7,6 @@ import { bundleAt } from "../page/addresses.js";
 import { LightClient } from "../light/client.js";
 import { maxDominant } from "../light/prepare.js";
 import { MapFault } from "../light/fault.js";
-import type { MapOrigin } from "../light/lightWorker.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
@@ -16,7 +15,9 @@ import type { ViewCamera } from "../render/looks.js";
 import { type Side, Stage } from "../render/stage.js";
 import { orbitCamera, photoCamera } from "./camera.js";
 import { EarlyLight, lightFor } from "./earlyLight.js";
-import { initialState, isPreset, type ViewerState } from "./state.js";
+import { elevationRange, firstPose } from "./firstView.js";
+import { mapOrigin } from "./mapOrigin.js";
+import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 
 /** The events of a viewer. */
 export type ViewerEvents = {
@@ -55,6 +56,8 @@ export class Viewer {
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
   #closed = false;
+  /** The pose that a bundle is opened with, unless another one was chosen. */
+  home: OrbitPose = initialState.pose;
   /** When refining stops, and its backend. */
   refineOptions: RefineOptions = refineOptions;
 
@@ -101,7 +104,7 @@ export class Viewer {
     this.#loading = loading;
     const early = new EarlyLight({
       wanted: () => this.#state.environment,
-      originOf: (name) => this.#origin(name),
+      originOf: (name) => mapOrigin(name, this.bundle, this.#files),
       prepare: (origin, bands) => this.#lights.prepare(origin, bands, maxDominant),
     });
     const hear = (news: BundleNews): void => {
@@ -119,7 +122,16 @@ export class Viewer {
     this.#shown.clear();
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
     const trained = bundle.trainedMaps.map(({ name }) => name);
-    this.#state = { ...this.#state, environment: lightFor(this.#state.environment, trained) };
+    const { pose } = this.#state;
+    const { width, height } = this.#size();
+    const before = this.home;
+    this.home = firstPose(bundle, width, height);
+    this.#state = {
+      ...this.#state,
+      environment: lightFor(this.#state.environment, trained),
+      // Where neither a link nor a person has chosen another.
+      pose: pose === before ? this.home : pose,
+    };
     this.#keepRefined();
     let trouble: MapFault | null = null;
     try {
@@ -227,6 +239,11 @@ export class Viewer {
   /** The camera of that picture on the canvas, or null. */
   get refinedCamera(): ViewCamera | null {
     return this.#refinement?.shown?.camera ?? null;
+  }
+
+  /** The elevations to look from, degrees. */
+  get elevationRange(): readonly [number, number] {
+    return this.bundle === null || this.#state.free ? limits.elevation : elevationRange(this.bundle);
   }
 
   /** Draw onto the canvas at once. */
@@ -364,7 +381,7 @@ export class Viewer {
         const { bands } = bundle.transport.direct;
         try {
           const prepared = await (this.#early?.take(name, bands) ??
-            this.#lights.prepare(this.#origin(name), bands, maxDominant));
+            this.#lights.prepare(mapOrigin(name, this.bundle, this.#files), bands, maxDominant));
           // Another light may have been chosen, or another bundle opened, in the meantime.
           if (this.#shown.get(slot) !== name || stage.bundle !== bundle) return;
           stage.setLight(slot, prepared);
@@ -378,17 +395,5 @@ export class Viewer {
         }
       }),
     );
-  }
-
-  #origin(name: string): MapOrigin {
-    const [kind, rest] = [name.slice(0, name.indexOf(":")), name.slice(name.indexOf(":") + 1)];
-    if (kind === "preset" && isPreset(rest)) return { kind: "preset", name: rest };
-    if (kind === "url") return { kind: "url", url: new URL(rest, document.baseURI).href };
-    const trained = this.bundle?.trainedMaps.find((map) => map.name === rest)?.data;
-    const data = kind === "trained" ? trained : kind === "file" ? this.#files.get(rest) : undefined;
-    if (data === undefined) {
-      throw new MapFault("environment.missing", `there is no light "${name}"`, "choose or drop another one");
-    }
-    return { kind: "bytes", data };
   }
 }
