@@ -35,6 +35,7 @@ describe("an address", () => {
     split: 0.25,
     photo: "r_012",
     refine: true,
+    free: true,
   };
 
   it("brings back every part of the state", () => {
@@ -45,6 +46,19 @@ describe("an address", () => {
     expect(toParameters(initialState).toString()).toBe("v=2");
     expect(toParameters({ ...initialState, environment: "file:my.exr" }).toString()).toBe("v=2");
   });
+  it("of before is as it was: without a shadow on the ground, and with the pose that it left out", () => {
+    expect(toParameters(other).get("v")).toBe("2");
+    const old = fromParameters(new URLSearchParams("env=preset:sky"));
+    expect(old.look.ground).toBe(false);
+    expect(old.pose).toEqual(initialState.pose);
+    // Another object: it was meant, and is not taken for a pose to be found.
+    expect(old.pose).not.toBe(initialState.pose);
+    const now = fromParameters(new URLSearchParams("env=preset:sky&v=2"));
+    expect(now.look.ground).toBe(true);
+    expect(now.pose).toBe(initialState.pose);
+    expect(fromParameters(new URLSearchParams("src=x")).pose).toBe(initialState.pose);
+  });
+
   it("is kept within limits, and nonsense is ignored", () => {
     const text = "ev=99&camera=1,2&tone=none&rotate=725,0,0&intensity=NaN&split=-1&gain=9,9,9&compare=x";
     const state = fromParameters(new URLSearchParams(text));
@@ -54,6 +68,23 @@ describe("an address", () => {
     expect(state.turn.yawDeg).toBe(5);
     expect([state.turn.intensity, state.split, state.compare]).toEqual([1, 0, "off"]);
     expect(state.look.edit.albedoGain).toEqual([4, 4, 4]);
+  });
+});
+
+describe("a camera that turns", () => {
+  it("stays within the elevations of photographs, and does not jump where it is outside", () => {
+    const range = [-5, 60] as const;
+    const at = (elevationDeg: number) => ({ ...initialState.pose, elevationDeg });
+    expect(orbited(at(50), 0, 40, range).elevationDeg).toBe(60);
+    expect(orbited(at(0), 0, -40, range).elevationDeg).toBe(-5);
+    expect(orbited(at(80), 0, 5, range).elevationDeg).toBe(80);
+    expect(orbited(at(80), 0, -5, range).elevationDeg).toBe(75);
+    expect(orbited(at(80), 0, 5).elevationDeg).toBe(85);
+    const { pose, turn } = initialState;
+    const press = { key: "ArrowDown", shiftKey: false, altKey: false, ctrlKey: false, metaKey: false };
+    expect(afterKey(press, { pose: { ...pose, elevationDeg: -4 }, turn }, range)?.pose?.elevationDeg).toBe(
+      -5,
+    );
   });
 });
 

@@ -29,6 +29,7 @@ describe("addresses of version 1, which have no version", () => {
       indirect: "1",
       ground: "0",
       camera: "30,20,3.2,0,0,0",
+      free: "0",
       compare: "off",
       envB: "preset:studio",
       split: "0.5",

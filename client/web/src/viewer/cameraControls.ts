@@ -39,6 +39,8 @@ const leastTwistDeg = 8;
 /** Nearer by this factor with a double click. */
 const focusFactor = 0.6;
 const farthestTarget = 5;
+/** Nobody sees smaller steps: degrees, or radii of the object's box. */
+const leastStep = 1e-6;
 const isStill = (): boolean => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 /**
@@ -101,18 +103,19 @@ export class CameraHands {
     const choose = (event: Event): void => {
       if (event.target !== canvas || !(event instanceof PointerEvent)) return;
       this.#follow();
+      this.#limit();
       // They hear movements only after an update.
       this.#controls.update(0.001);
       this.#camera.fov = verticalFieldDeg(this.viewer.canvasCamera());
       const left = event.shiftKey ? ACTION.NONE : event.ctrlKey ? ACTION.TRUCK : ACTION.ROTATE;
       this.#controls.mouseButtons.left = left;
-      this.#controls.touches.two = ACTION.TOUCH_DOLLY_TRUCK;
+      this.#controls.touches.two = ACTION.TOUCH_TRUCK;
     };
     canvas.getRootNode().addEventListener("pointerdown", choose, { signal, capture: true });
     on(canvas, "contextmenu", (event) => event.preventDefault());
     on(canvas, "dblclick", (event) => this.#focus(event));
     on(canvas, "keydown", (event) => {
-      const next = afterKey(event, this.viewer.state);
+      const next = afterKey(event, this.viewer.state, this.viewer.elevationRange);
       if (next === null) return;
       event.preventDefault();
       this.act.change(next);
@@ -126,12 +129,18 @@ export class CameraHands {
       this.#run();
     };
     canvas.addEventListener("wheel", wheel, { signal, passive: false });
-    turnLight(canvas, {
+    listenToFingers(canvas, {
       turn: () => this.viewer.state.turn,
       change: (turn) => this.act.change({ turn }),
       // Two fingers that turn the light do not move the camera.
       twisting: () => {
         this.#controls.touches.two = ACTION.NONE;
+      },
+      // What is between the fingers grows as they part.
+      pinch: (factor) => {
+        const { radius } = this.#controls.getSpherical(new Spherical());
+        void this.#controls.dollyTo(factor * radius, true);
+        this.#step(performance.now());
       },
       signal,
     });
@@ -153,7 +162,10 @@ export class CameraHands {
 
   #limit(): void {
     const polar = (elevationDeg: number): number => ((90 - elevationDeg) * Math.PI) / 180;
-    const [low, high] = limits.elevation;
+    const { pose } = this.viewer.state;
+    const [lowest, highest] = this.viewer.elevationRange;
+    // A pose outside, which a link may have, does not jump.
+    const [low, high] = [Math.min(lowest, pose.elevationDeg), Math.max(highest, pose.elevationDeg)];
     const [least, most] = limits.distance;
     Object.assign(this.#controls, { minPolarAngle: polar(high), maxPolarAngle: polar(low) });
     Object.assign(this.#controls, { minDistance: least, maxDistance: most });
@@ -204,7 +216,7 @@ export class CameraHands {
       if (!this.#held) this.#move(false);
       return;
     }
-    const pose = poseOf(this.#controls);
+    const pose = poseOf(this.#controls, before);
     this.#asked = pose;
     this.act.change({ pose });
     this.#run();
@@ -219,36 +231,46 @@ export class CameraHands {
 
 const smooth = { smoothTime: 0.2, draggingSmoothTime: 0.06 };
 
-/** Return where the controls have the camera now. */
-function poseOf(controls: CameraControls): OrbitPose {
+/** Return where the controls have the camera now; numbers of `before` that they have not changed stay exactly. */
+function poseOf(controls: CameraControls, before: OrbitPose): OrbitPose {
   const target = controls.getTarget(new Vector3(), false);
   const back = controls.getPosition(new Vector3(), false).sub(target);
   const distance = back.length();
   const degrees = (angle: number): number => (angle * 180) / Math.PI;
+  const kept = (value: number, known: number): number =>
+    Math.abs(value - known) < leastStep ? known : value;
+  const elevationDeg = degrees(Math.asin(Math.min(Math.max(back.z / distance, -1), 1)));
+  const [x, y, z] = before.target;
   return {
-    azimuthDeg: wrapped(degrees(Math.atan2(back.y, back.x))),
-    elevationDeg: degrees(Math.asin(Math.min(Math.max(back.z / distance, -1), 1))),
-    distance,
-    target: [target.x, target.y, target.z],
+    azimuthDeg: kept(wrapped(degrees(Math.atan2(back.y, back.x))), before.azimuthDeg),
+    elevationDeg: kept(elevationDeg, before.elevationDeg),
+    distance: kept(distance, before.distance),
+    target: [kept(target.x, x), kept(target.y, y), kept(target.z, z)],
   };
 }
 
-type LightHost = {
+type FingerHost = {
   readonly turn: () => LightTurn;
   readonly change: (turn: LightTurn) => void;
   readonly twisting: () => void;
+  /** Two fingers came nearer to each other, by this factor, or parted. */
+  readonly pinch: (factor: number) => void;
   readonly signal: AbortSignal;
 };
 
-/** Turn the light about +z: with Shift and drag, or by turning two fingers. */
-function turnLight(canvas: HTMLCanvasElement, { turn, change, twisting, signal }: LightHost): void {
+/** Turn the light about +z, with Shift and drag or by turning two fingers, and hear fingers that part or meet. */
+function listenToFingers(
+  canvas: HTMLCanvasElement,
+  { turn, change, twisting, pinch, signal }: FingerHost,
+): void {
   const on = listening(signal);
   const points = new Map<number, { x: number; y: number; light: boolean }>();
   let twist = 0;
   let twists = false;
-  const angle = (): number => {
+  const between = (): { gap: number; angle: number } => {
     const [a, b] = [...points.values()];
-    return a && b ? (Math.atan2(b.y - a.y, b.x - a.x) * 180) / Math.PI : 0;
+    const [x, y] = a && b ? [b.x - a.x, b.y - a.y] : [0, 0];
+    return { gap: Math.hypot(x, y), angle: (Math.atan2(y, x) * 180) / Math.PI };
   };
   const rotate = (degrees: number): void => change({ ...turn(), yawDeg: wrapped(turn().yawDeg + degrees) });
   on(canvas, "pointerdown", (event) => {
@@ -261,15 +283,19 @@ function turnLight(canvas: HTMLCanvasElement, { turn, change, twisting, signal }
   on(canvas, "pointermove", (event) => {
     const point = points.get(event.pointerId);
     if (point === undefined) return;
-    const before = angle();
+    const before = between();
     const across = event.clientX - point.x;
     Object.assign(point, { x: event.clientX, y: event.clientY });
     if (point.light) rotate(lightDegrees * across);
     if (points.size !== 2) return;
-    const step = wrapped(angle() - before);
+    const after = between();
+    const step = wrapped(after.angle - before.angle);
     twist += step;
     twists ||= Math.abs(twist) >= leastTwistDeg;
-    if (!twists) return;
+    if (!twists) {
+      if (before.gap > 0 && after.gap > 0) pinch(before.gap / after.gap);
+      return;
+    }
     twisting();
     // Seen from above, the light goes with the fingers; rows of the screen go down.
     rotate(-step);

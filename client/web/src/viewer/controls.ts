@@ -55,7 +55,7 @@ export class Controls {
   /** Put one part of the state back. */
   reset(part: ResetPart): void {
     this.#undo.apart();
-    this.act.change(resetOf(part, this.viewer.state));
+    this.act.change(resetOf(part, this.viewer.state, this.viewer.home));
   }
 
   /** Follow the viewer's state. */

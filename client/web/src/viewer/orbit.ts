@@ -9,12 +9,22 @@ export type Turned = { readonly pose: OrbitPose; readonly turn: LightTurn };
 
 const keyDegrees = 5;
 
-/** Return a pose turned by some degrees. */
-export function orbited(pose: OrbitPose, azimuth: number, elevation: number): OrbitPose {
+type Range = readonly [least: number, most: number];
+
+/** Return a pose turned by some degrees; its elevation stays in a range, or goes back there. */
+export function orbited(
+  pose: OrbitPose,
+  azimuth: number,
+  elevation: number,
+  [least, most]: Range = limits.elevation,
+): OrbitPose {
+  const { elevationDeg } = pose;
+  // A pose outside, which a link may have, does not jump.
+  const range = [Math.min(least, elevationDeg), Math.max(most, elevationDeg)] as const;
   return {
     ...pose,
     azimuthDeg: wrapped(pose.azimuthDeg + azimuth),
-    elevationDeg: within(pose.elevationDeg + elevation, limits.elevation, 0),
+    elevationDeg: within(elevationDeg + elevation, range, 0),
   };
 }
 
@@ -34,7 +44,11 @@ export function panned(pose: OrbitPose, right: number, up: number): OrbitPose {
 type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "metaKey">;
 
 /** Return the change of a key, or null if it has no function here. */
-export function afterKey(event: Key, { pose, turn }: Turned): Partial<Turned> | null {
+export function afterKey(
+  event: Key,
+  { pose, turn }: Turned,
+  elevation: Range = limits.elevation,
+): Partial<Turned> | null {
   if (event.altKey || event.ctrlKey || event.metaKey) return null;
   const { key, shiftKey } = event;
   const light = (degrees: number) => ({ turn: { ...turn, yawDeg: wrapped(turn.yawDeg + degrees) } });
@@ -44,7 +58,7 @@ export function afterKey(event: Key, { pose, turn }: Turned): Partial<Turned> | 
   }
   const up = { ArrowUp: 1, ArrowDown: -1 }[key];
   if (up !== undefined) {
-    return { pose: shiftKey ? panned(pose, 0, up * 0.03) : orbited(pose, 0, up * keyDegrees) };
+    return { pose: shiftKey ? panned(pose, 0, up * 0.03) : orbited(pose, 0, up * keyDegrees, elevation) };
   }
   if (key === "[" || key === "]") return light(key === "[" ? -keyDegrees : keyDegrees);
   const nearer = { "+": 1 / 1.1, "=": 1 / 1.1, "-": 1.1 }[key];

@@ -150,6 +150,7 @@ export function buildPanel(
     section(
       "Camera",
       false,
+      ofState("free", (change) => check("Look from where no photograph was taken", change)),
       button("Reset camera", () => act.reset("camera")),
     ),
     section(

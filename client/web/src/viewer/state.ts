@@ -34,6 +34,8 @@ export type ViewerState = {
   readonly turn: LightTurn;
   readonly look: Look;
   readonly pose: OrbitPose;
+  /** Whether one may look from where no photograph was taken. */
+  readonly free: boolean;
   readonly compare: Comparison;
   /** The light on the right of a comparison of two. */
   readonly environmentB: string;
@@ -57,9 +59,10 @@ export const initialState: ViewerState = {
     backgroundSrgb: [0.93, 0.93, 0.93],
     edit: { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 },
     indirect: true,
-    ground: false,
+    ground: true,
   },
   pose: { azimuthDeg: 30, elevationDeg: 20, distance: 3.2, target: [0, 0, 0] },
+  free: false,
   compare: "off",
   environmentB: "preset:studio",
   split: 0.5,
@@ -113,6 +116,8 @@ export function toParameters(state: ViewerState): URLSearchParams {
     // A dropped file is not at any address.
     if (value !== first[name] && !value.startsWith("file:")) found.set(name, value);
   }
+  // Without a camera the object is framed, wherever that puts the camera.
+  if (state.pose !== initialState.pose) found.set("camera", flat(state).camera!);
   return found;
 }
 
@@ -135,6 +140,7 @@ export function flat(state: ViewerState): Record<string, string> {
     indirect: look.indirect ? "1" : "0",
     ground: look.ground ? "1" : "0",
     camera: [pose.azimuthDeg, pose.elevationDeg, pose.distance, ...pose.target].map(round).join(","),
+    free: state.free ? "1" : "0",
     compare: state.compare,
     envB: state.environmentB,
     split: round(state.split),
@@ -143,7 +149,10 @@ export function flat(state: ViewerState): Record<string, string> {
   };
 }
 
-/** Return the state of an address; what it does not say, or says wrongly, is as in `from`. */
+/**
+ * Return the state of an address; what it does not say, or says wrongly, is as in `from`. Where no camera is stated
+ * the pose is that of `from`, the same object.
+ */
 export function fromParameters(
   parameters: URLSearchParams,
   from: ViewerState = firstState(parameters),
@@ -186,12 +195,15 @@ export function fromParameters(
       indirect: flag("indirect", look.indirect),
       ground: flag("ground", look.ground),
     },
-    pose: {
-      azimuthDeg: wrapped(camera[0]!),
-      elevationDeg: within(camera[1]!, limits.elevation, pose.elevationDeg),
-      distance: within(camera[2]!, limits.distance, pose.distance),
-      target: rgb(camera.slice(3), [-5, 5]),
-    },
+    pose: parameters.has("camera")
+      ? {
+          azimuthDeg: wrapped(camera[0]!),
+          elevationDeg: within(camera[1]!, limits.elevation, pose.elevationDeg),
+          distance: within(camera[2]!, limits.distance, pose.distance),
+          target: rgb(camera.slice(3), [-5, 5]),
+        }
+      : pose,
+    free: flag("free", from.free),
     compare: choice("compare", comparisons, from.compare),
     environmentB: parameters.get("envB") ?? from.environmentB,
     split: one("split", from.split, [0, 1]),

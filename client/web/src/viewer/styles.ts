@@ -90,7 +90,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }
 [hidden] { display: none !important; }
-:host([controls]) .message { bottom: 8rem; }
+.message:has(~ .dock:not([hidden]) > .strip:not([hidden])) { bottom: 8rem; }
 @container (min-width: 40rem) {
   .view:has(~ .dock > .panel[open]) { right: 22.5rem; }
   .dock:has(> .panel[open]) > .strip { right: 23.25rem; }
@@ -101,7 +101,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
   .panel { position: static; width: auto; max-height: 45cqh; padding: 0 0.75rem; border-radius: 0.8rem 0.8rem 0 0; overscroll-behavior: contain; }
   .panel > summary { position: sticky; top: 0; z-index: 1; margin: 0 -0.75rem; padding: 0.75rem; background: #181b1f; touch-action: none; }
   .panel > summary::before { content: ""; position: absolute; top: 0.35rem; left: calc(50% - 1.2rem); width: 2.4rem; height: 0.25rem; border-radius: 1rem; background: #7b858f; }
-  :host([controls]) .message { bottom: 11rem; }
+  .message:has(~ .dock:not([hidden]) > .strip:not([hidden])) { bottom: 11rem; }
   label, .row { grid-template-columns: 7.5rem 1fr; }
 }
 /* Fingers need more room than pointers. */

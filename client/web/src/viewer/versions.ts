@@ -18,6 +18,7 @@ export const version1: ViewerState = {
     ground: false,
   },
   pose: { azimuthDeg: 30, elevationDeg: 20, distance: 3.2, target: [0, 0, 0] },
+  free: false,
   compare: "off",
   environmentB: "preset:studio",
   split: 0.5,

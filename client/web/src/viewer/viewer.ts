@@ -10,42 +10,26 @@ import { MapFault } from "../light/fault.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import type { StillHost } from "../refine/still.js";
-import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
+import { notRefining, type RefineOptions, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import type { Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
+import { Emitter, type ViewerEvents } from "./events.js";
+import { elevationRange, firstPose } from "./firstView.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
-import { initialState, type ViewerState } from "./state.js";
+import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { mainDirection } from "./turning.js";
-
-/** The events of a viewer. */
-export type ViewerEvents = {
-  /** The state is another one. */
-  readonly change: () => void;
-  /** The bundle that is being read is there, and has a name. */
-  readonly opened: (name: string) => void;
-  /** A bundle is being read; bytes that have come, and all. */
-  readonly progress: (readBytes: number, totalBytes: number) => void;
-  /** A bundle is shown. */
-  readonly load: (bundle: LoadedBundle) => void;
-  /** A picture was drawn. */
-  readonly draw: () => void;
-  /** Refining came further, or to an end. */
-  readonly refine: (status: RefineStatus) => void;
-  /** Something to tell; `problem` where it went wrong. */
-  readonly message: (text: string, problem: boolean) => void;
-};
 
 const stillSamples = 2;
 const stillAfterMs = 150;
 
 /** Draws one bundle. */
 export class Viewer {
-  readonly #listeners = new Map<keyof ViewerEvents, Set<(...values: never[]) => void>>();
+  readonly #events = new Emitter();
   /** Its lights, and the maps that were dropped. */
   readonly lights = new ViewerLights({
     stage: () => this.#stage,
@@ -67,6 +51,8 @@ export class Viewer {
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
   #closed = false;
+  /** The pose that a bundle is opened with, unless another one was chosen. */
+  home: OrbitPose = initialState.pose;
   /** When refining stops, and its backend. */
   refineOptions: RefineOptions = refineOptions;
 
@@ -111,10 +97,7 @@ export class Viewer {
 
   /** Call `listener` whenever `name` happens; returns what stops it. */
   on<N extends keyof ViewerEvents>(name: N, listener: ViewerEvents[N]): () => void {
-    const all = this.#listeners.get(name) ?? new Set();
-    this.#listeners.set(name, all);
-    all.add(listener);
-    return () => all.delete(listener);
+    return this.#events.on(name, listener);
   }
 
   /** Read and show a bundle. Throws BundleFault or GraphicsFault; a newer call gives up this one. */
@@ -144,7 +127,16 @@ export class Viewer {
     this.lights.forget(early);
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
     const trained = bundle.trainedMaps.map(({ name }) => name);
-    this.#state = { ...this.#state, environment: lightFor(this.#state.environment, trained) };
+    const { pose } = this.#state;
+    const { width, height } = sizeOf(this.canvas);
+    const before = this.home;
+    this.home = firstPose(bundle, width, height);
+    this.#state = {
+      ...this.#state,
+      environment: lightFor(this.#state.environment, trained),
+      // Where neither a link nor a person has chosen another.
+      pose: pose === before ? this.home : pose,
+    };
     this.#keepRefined();
     let trouble: MapFault | null = null;
     try {
@@ -262,6 +254,11 @@ export class Viewer {
     return { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
   }
 
+  /** The elevations to look from, degrees. */
+  get elevationRange(): readonly [number, number] {
+    return this.bundle === null || this.#state.free ? limits.elevation : elevationRange(this.bundle);
+  }
+
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
     this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn()), samples);
@@ -298,7 +295,7 @@ export class Viewer {
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
     clearTimeout(this.#still);
-    this.#listeners.clear();
+    this.#events.clear();
     this.#stage?.dispose();
     // Browsers keep few contexts, and would take one away from another picture.
     this.#stage?.renderer.forceContextLoss();
@@ -326,9 +323,7 @@ export class Viewer {
   }
 
   #tell<N extends keyof ViewerEvents>(name: N, ...values: Parameters<ViewerEvents[N]>): void {
-    for (const listener of this.#listeners.get(name) ?? []) {
-      (listener as (...values: Parameters<ViewerEvents[N]>) => void)(...values);
-    }
+    this.#events.tell(name, ...values);
   }
 
   #drawNow(samples = 1): void {

@@ -132,12 +132,12 @@ describe("on a phone", () => {
         stop();
         return count;
       }, ms);
-    await soon(() => drawn(500)).toBe(0);
+    await soon(() => drawn(1500)).toBe(0);
     expect(await drawn(1500)).toBe(0);
     const bar = await boxOf(".panel > summary");
     await page.touchscreen.tap(100, 0.5 * (bar.top + bar.bottom));
     await soon(isOpen).toBe(true);
-    await soon(() => drawn(500)).toBe(0);
+    await soon(() => drawn(1500)).toBe(0);
     expect(await drawn(1500)).toBe(0);
   });
 });
