@@ -90,9 +90,9 @@ describe("the disc of a light", () => {
 });
 
 describe("the ground", () => {
-  it("lies under the lowest points", () => {
-    const { centre, height, reach } = groundUnder([-1, 0, -2], [1, 4, 2]);
-    expect([centre, height]).toEqual([[0, 2], -2]);
+  it("lies under the box at the height that is asked for", () => {
+    const { centre, height, reach } = groundUnder([-1, 0, -2], [1, 4, 2], -1.5);
+    expect([centre, height]).toEqual([[0, 2], -1.5]);
     expect(reach).toBeCloseTo(2.5 * 3, 12);
   });
 });

@@ -92,7 +92,7 @@ describe("resets", () => {
     ["material", ["gain", "roughness", "metalness"]],
     ["picture", ["tone", "refine"]],
   ] as const)("of the %s touch nothing else", (part, names) => {
-    const after = { ...other, ...resetOf(part, other) };
+    const after = { ...other, ...resetOf(part, other, initialState.pose) };
     expect(changedParts(other, after)).toEqual(names);
     const still = changedParts(after, initialState);
     for (const name of names) expect(still).not.toContain(name);

@@ -1,7 +1,8 @@
 import { describe, expect, it } from "vitest";
 import { ballOf } from "../src/render/ball.js";
-import { orbitCamera, photoCamera } from "../src/viewer/camera.js";
+import { beside, noInset, orbitCamera, photoCamera, verticalFieldDeg } from "../src/viewer/camera.js";
 import { afterKey, orbited, panned, zoomed } from "../src/viewer/orbit.js";
+import { pick } from "../src/viewer/pick.js";
 import { encodeExr } from "../src/viewer/save.js";
 import {
   fromParameters,
@@ -21,6 +22,7 @@ describe("an address", () => {
       channel: "albedo",
       tone: "agx",
       exposureEv: -1.5,
+      autoExposure: false,
       background: "colour",
       backgroundSrgb: [0.2, 0.4, 0.6],
       edit: { albedoGain: [1.5, 1, 0.5], roughnessScale: 0.5, metalnessShift: 0.25 },
@@ -33,6 +35,7 @@ describe("an address", () => {
     split: 0.25,
     photo: "r_012",
     refine: true,
+    free: true,
   };
 
   it("brings back every part of the state", () => {
@@ -43,6 +46,19 @@ describe("an address", () => {
     expect(toParameters(initialState).toString()).toBe("v=2");
     expect(toParameters({ ...initialState, environment: "file:my.exr" }).toString()).toBe("v=2");
   });
+  it("of before is as it was: without a shadow on the ground, and with the pose that it left out", () => {
+    expect(toParameters(other).get("v")).toBe("2");
+    const old = fromParameters(new URLSearchParams("env=preset:sky"));
+    expect(old.look.ground).toBe(false);
+    expect(old.pose).toEqual(initialState.pose);
+    // Another object: it was meant, and is not taken for a pose to be found.
+    expect(old.pose).not.toBe(initialState.pose);
+    const now = fromParameters(new URLSearchParams("env=preset:sky&v=2"));
+    expect(now.look.ground).toBe(true);
+    expect(now.pose).toBe(initialState.pose);
+    expect(fromParameters(new URLSearchParams("src=x")).pose).toBe(initialState.pose);
+  });
+
   it("is kept within limits, and nonsense is ignored", () => {
     const text = "ev=99&camera=1,2&tone=none&rotate=725,0,0&intensity=NaN&split=-1&gain=9,9,9&compare=x";
     const state = fromParameters(new URLSearchParams(text));
@@ -52,6 +68,23 @@ describe("an address", () => {
     expect(state.turn.yawDeg).toBe(5);
     expect([state.turn.intensity, state.split, state.compare]).toEqual([1, 0, "off"]);
     expect(state.look.edit.albedoGain).toEqual([4, 4, 4]);
+  });
+});
+
+describe("a camera that turns", () => {
+  it("stays within the elevations of photographs, and does not jump where it is outside", () => {
+    const range = [-5, 60] as const;
+    const at = (elevationDeg: number) => ({ ...initialState.pose, elevationDeg });
+    expect(orbited(at(50), 0, 40, range).elevationDeg).toBe(60);
+    expect(orbited(at(0), 0, -40, range).elevationDeg).toBe(-5);
+    expect(orbited(at(80), 0, 5, range).elevationDeg).toBe(80);
+    expect(orbited(at(80), 0, -5, range).elevationDeg).toBe(75);
+    expect(orbited(at(80), 0, 5).elevationDeg).toBe(85);
+    const { pose, turn } = initialState;
+    const press = { key: "ArrowDown", shiftKey: false, altKey: false, ctrlKey: false, metaKey: false };
+    expect(afterKey(press, { pose: { ...pose, elevationDeg: -4 }, turn }, range)?.pose?.elevationDeg).toBe(
+      -5,
+    );
   });
 });
 
@@ -78,6 +111,52 @@ describe("the camera", () => {
     const found = photoCamera(photo, 400, 400);
     expect([found.focalX, found.focalY, found.centreX, found.centreY]).toEqual([480, 440, 196, 204]);
   });
+});
+
+describe("what lies on the canvas", () => {
+  const ball = ballOf([-1, -1, -1], [1, 1, 1]);
+  const cameraOf = (width: number, height: number) => orbitCamera(initialState.pose, ball, width, height);
+
+  it("leaves the object in the middle of the rest, as large as that allows", () => {
+    const camera = beside({ ...noInset, bottom: 0.5, left: 0.1 }, 400, 800, cameraOf);
+    expect([camera.width, camera.height]).toEqual([400, 800]);
+    expect([camera.centreX, camera.centreY]).toEqual([220, 200]);
+    expect(camera.focalX).toBe(cameraOf(360, 400).focalX);
+    expect(beside(noInset, 400, 800, cameraOf)).toEqual(cameraOf(400, 800));
+  });
+  it("does not change how much of the world a pixel shows", () => {
+    expect(verticalFieldDeg(cameraOf(300, 300))).toBeCloseTo(35, 9);
+    expect(verticalFieldDeg(cameraOf(300, 600))).toBeGreaterThan(35);
+  });
+});
+
+describe("the point under the pointer", () => {
+  // Two triangles that face +x, one behind the other.
+  const mesh = {
+    positionsXyz: Float32Array.from([0, -1, -1, 0, 1, -1, 0, 0, 1, 0.5, -1, -1, 0.5, 1, -1, 0.5, 0, 1]),
+    indices: Uint32Array.from([0, 1, 2, 3, 4, 5]),
+  };
+  const pose = { azimuthDeg: 0, elevationDeg: 0, distance: 4, target: [0, 0, 0] } as const;
+  const camera = orbitCamera(pose, { centre: [0, 0, 0], radius: 1 }, 200, 100);
+
+  it("is on the nearest surface", () => {
+    const found = pick(mesh, camera, 100, 50)!;
+    expect(found.map((value) => Number(value.toFixed(9)))).toEqual([0.5, 0, 0]);
+    const other = pick(mesh, camera, 110, 60)!;
+    expect(other[0]).toBeCloseTo(0.5, 9);
+    expect(other[1]).toBeCloseTo((10 / camera.focalX) * 3.5, 9);
+    expect(other[2]).toBeCloseTo((-10 / camera.focalY) * 3.5, 9);
+  });
+  it("is nowhere beside the object, and not behind the eye", () => {
+    expect(pick(mesh, camera, 1, 1)).toBeNull();
+    const away = orbitCamera({ ...pose, target: [9, 0, 0] }, { centre: [0, 0, 0], radius: 1 }, 200, 100);
+    expect(pick(mesh, { ...away, cameraToWorld: flipped(away.cameraToWorld) }, 100, 50)).toBeNull();
+  });
+
+  /** Look the other way. */
+  function flipped(pose: readonly number[]): number[] {
+    return pose.map((value, index) => (index % 4 === 2 || index % 4 === 0 ? -value : value));
+  }
 });
 
 describe("turning", () => {

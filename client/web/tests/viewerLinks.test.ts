@@ -1,7 +1,10 @@
 import { describe, expect, it, vi } from "vitest";
 import { followAddress } from "../src/viewer/addressBar.js";
+import { missingText, uploadMap } from "../src/viewer/copyLink.js";
+import { addressText } from "../src/viewer/lightTexts.js";
 import { type Linked, linkOf, missingOf } from "../src/viewer/links.js";
 import { firstState, flat, fromParameters, initialState, toParameters } from "../src/viewer/state.js";
+import type { Api } from "../src/page/rest.js";
 import { version1 } from "../src/viewer/versions.js";
 import type { Viewer } from "../src/viewer/viewer.js";
 
@@ -17,6 +20,7 @@ describe("addresses of version 1, which have no version", () => {
       channel: "final",
       tone: "neutral",
       ev: "0",
+      auto: "0",
       background: "blurred",
       colour: "0.93,0.93,0.93",
       gain: "1,1,1",
@@ -25,6 +29,7 @@ describe("addresses of version 1, which have no version", () => {
       indirect: "1",
       ground: "0",
       camera: "30,20,3.2,0,0,0",
+      free: "0",
       compare: "off",
       envB: "preset:studio",
       split: "0.5",
@@ -123,5 +128,33 @@ describe("the page's address", () => {
     expect([written[0], written.at(-1)]).toEqual(["1,0,0", "40,0,0"]);
     stop.abort();
     vi.useRealTimers();
+  });
+});
+
+describe("what a link cannot carry", () => {
+  it("is told in a sentence", () => {
+    expect(missingText({ bundle: false, maps: [] })).toBe("");
+    expect(missingText({ bundle: true, maps: [] })).toBe(
+      "It cannot carry the object, which is on this computer only.",
+    );
+    expect(missingText({ bundle: true, maps: ["a.exr", "b.exr"] })).toBe(
+      "It cannot carry the object, a.exr and b.exr, which are on this computer only.",
+    );
+  });
+  it("is uploaded under a name that the server takes, by which the light is called", async () => {
+    const sent: [string, string][] = [];
+    const api = {
+      createEnvironment: async (name: string, body: Blob) => {
+        sent.push([name, await body.text()]);
+        return { url: "/v1/blobs/0f" } as Awaited<ReturnType<Api["createEnvironment"]>>;
+      },
+    };
+    const light = await uploadMap(api, `a\u0007b/${"c".repeat(200)}.exr`, new Uint8Array([104, 105]));
+    expect(sent[0]![0]).toMatch(/^a b\/c{96}$/);
+    expect(sent[0]![1]).toBe("hi");
+    expect(light).toMatch(/^url:\/v1\/blobs\/0f#a%20b%2Fccc/);
+    expect(addressText(light)).toBe(sent[0]![0]);
+    expect(addressText("url:https://host/maps/sky%20blue.exr")).toBe("sky blue.exr");
+    expect(addressText("url:https://host/maps/%zz.exr")).toBe("%zz.exr");
   });
 });

@@ -39,6 +39,8 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   readonly mesh: AtlasMesh;
   /** The materials that all renderers read; null for bundles before 1.3, whose transport has them. */
   readonly maps: MaterialMaps | null;
+  /** White where no photograph shows the surface; null where all of it is shown, or that is not known. */
+  readonly unseen: ImageBitmap | null;
   readonly transport: PackedTransport;
   readonly uncertainty: UncertaintyGrid | null;
   readonly cameras: readonly PhotoCamera[];
@@ -86,6 +88,7 @@ export async function loadBundle(
     stated.texelsPath,
     ...stated.planes.map((planes) => planes.path),
     manifest.uncertainty?.path ?? "",
+    manifest.atlas?.unseenPath ?? "",
     cameraPath ?? "",
     ...lights.map((light) => `env/trained_${light}.exr`),
     ...pictures,
@@ -108,7 +111,8 @@ export async function loadBundle(
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
   const atlas = (manifest.atlas?.albedoSource ?? "") !== "" ? manifest.atlas : undefined;
-  const [trainedMaps, [mesh, maps], transport, grid, cameras, previews] = await Promise.all([
+  const unseenPath = manifest.atlas?.unseenPath ?? "";
+  const [trainedMaps, [mesh, maps], transport, grid, cameras, unseen, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
     counted("mesh/asset.glb").then(async (data) => {
       return [meshFromGlb(data), atlas === undefined ? null : await mapsOf(data, atlas, decode)] as const;
@@ -118,6 +122,7 @@ export async function loadBundle(
       ? null
       : counted(uncertainty.path).then((data) => readUncertainty(uncertainty, data)),
     cameraPath === undefined ? [] : counted(cameraPath).then(parseCameras),
+    unseenPath === "" ? null : counted(unseenPath).then((data) => maskOf(data, decode)),
     Promise.all(
       pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
     ),
@@ -130,6 +135,7 @@ export async function loadBundle(
       ...boundsOf(mesh.positionsXyz),
       mesh,
       maps,
+      unseen,
       transport,
       uncertainty: grid,
       cameras,
@@ -137,6 +143,14 @@ export async function loadBundle(
       previews,
     },
   };
+}
+
+async function maskOf(png: Uint8Array<ArrayBuffer>, decode: Decode): Promise<ImageBitmap> {
+  try {
+    return await decode(png);
+  } catch {
+    throw exportAgain("bundle.mesh_invalid", "mesh/unseen.png cannot be decoded");
+  }
 }
 
 /** Return the textures of a mesh as pictures; sizes are compared before anything is decoded. */

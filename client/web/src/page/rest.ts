@@ -148,6 +148,12 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     bundles: (cursor: string | null = null) =>
       json<Schemas["BundleList"]>("GET", list("/v1/bundles", 50, cursor)),
     bundle: (id: string) => json<BundleDetail>("GET", `/v1/bundles/${id}`),
+    /** Upload a map, .hdr or .exr. */
+    createEnvironment: async (name: string, body: Blob) => {
+      const headers = { "content-type": "application/octet-stream" };
+      const path = `/v1/environments?name=${encodeURIComponent(name)}`;
+      return (await (await request("POST", path, { body, headers })).json()) as Schemas["Environment"];
+    },
     shares: (id: string) => json<Schemas["ShareList"]>("GET", `/v1/bundles/${id}/shares`),
     createShare: (id: string, expiresInS: number, frameAncestors: readonly string[] = []) =>
       json<Share>("POST", `/v1/bundles/${id}/shares`, {

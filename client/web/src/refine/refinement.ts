@@ -5,6 +5,7 @@
 import type { LoadedBundle } from "../bundle/load.js";
 import type { BundleOrigin } from "../bundle/source.js";
 import type { PreparedLight } from "../light/prepare.js";
+import { hasGround } from "../render/ground.js";
 import { turnMatrix } from "../render/light.js";
 import type { LightTurn, Look, ViewCamera } from "../render/looks.js";
 import type { Stage } from "../render/stage.js";
@@ -144,7 +145,8 @@ export class Refinement {
     const scale = Math.min(1, coarseSide / Math.max(camera.width, camera.height));
     const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
     const coarse = view.cameraOf(side(camera.width, scale), side(camera.height, scale));
-    const covered = readSamples(stage.renderer, stage.samples(coarse, 1), coarse, 1).place.length;
+    const ground = hasGround({ look, method: "baked" });
+    const covered = readSamples(stage.renderer, stage.samples(coarse, 1, ground), coarse, 1).place.length;
     const { step, samples } = planOf(
       camera.width,
       camera.height,
@@ -153,7 +155,7 @@ export class Refinement {
     );
     const size = [side(camera.width, 1 / step), side(camera.height, 1 / step)] as const;
     const fine = step === 1 ? camera : view.cameraOf(...size);
-    const seen = readSamples(stage.renderer, stage.samples(fine, samples), fine, samples);
+    const seen = readSamples(stage.renderer, stage.samples(fine, samples, ground), fine, samples);
     this.#layer = new RefinedLayer(camera, fine);
     const { levels } = light.prepared;
     const known = this.#sentLight === levels;
@@ -202,5 +204,5 @@ export class Refinement {
 
 /** Return a text that is another one where the refined picture would be. */
 function keyOf({ camera, turn, look }: RefineView): string {
-  return JSON.stringify([camera, turn, look.edit, look.indirect]);
+  return JSON.stringify([camera, turn, look.edit, look.indirect, hasGround({ look, method: "baked" })]);
 }

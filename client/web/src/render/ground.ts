@@ -34,6 +34,7 @@ import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
 import { header } from "./glsl.js";
 import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
 import type { CastLights } from "./shadowMaps.js";
+import type { Look, Method } from "./looks.js";
 import { halfFloatTarget } from "./targets.js";
 
 /** Half the side of the square of ground that is drawn, in radii of the object's box. */
@@ -52,10 +53,15 @@ export type GroundPlace = {
   readonly reach: number;
 };
 
-/** Return the ground under a box: the plane of its lowest points. */
-export function groundUnder(low: readonly number[], high: readonly number[]): GroundPlace {
+/** Return whether a picture has a ground: of radiance, and with transport, which knows shadows. */
+export function hasGround({ look, method }: { readonly look: Look; readonly method: Method }): boolean {
+  return look.ground && method === "baked" && (look.channel === "final" || look.channel === "direct");
+}
+
+/** Return the ground under a box at a height. */
+export function groundUnder(low: readonly number[], high: readonly number[], height: number): GroundPlace {
   const { centre, radius } = ballOf(low, high);
-  return { centre: [centre[0]!, centre[1]!], height: low[2]!, reach: reachInRadii * radius };
+  return { centre: [centre[0]!, centre[1]!], height, reach: reachInRadii * radius };
 }
 
 const castVertex = `${header}
@@ -63,15 +69,22 @@ in vec3 position;
 uniform vec4 place;
 uniform vec2 slope;
 uniform float layer;
+out float above;
 void main() {
+  above = position.z - place.z;
   vec2 shadow = position.xy - slope * (position.z - place.z);
   gl_Position = vec4((shadow - place.xy) / place.w, layer, 1.0);
 }`;
 
 const castFragment = `${header}
+in float above;
 out vec4 result;
 uniform float share;
-void main() { result = vec4(share); }`;
+void main() {
+  // What lies under the ground throws no shadow onto it.
+  if (above < 0.0) discard;
+  result = vec4(share);
+}`;
 
 /** Light of the sky that is kept away. */
 const skyProgram = `${header}

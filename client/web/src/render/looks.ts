@@ -40,7 +40,10 @@ export type MaterialEdit = {
 export type Look = {
   readonly channel: Channel;
   readonly tone: ToneCurve;
+  /** Added to that of the light where `autoExposure` is on. */
   readonly exposureEv: number;
+  /** Whether the light decides the exposure; see `exposureFor`. */
+  readonly autoExposure: boolean;
   readonly background: BackgroundKind;
   /** sRGB-encoded, 0 to 1. */
   readonly backgroundSrgb: Rgb;

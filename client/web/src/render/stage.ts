@@ -13,9 +13,11 @@ import type { DataTexture } from "three";
 import type { LoadedBundle } from "../bundle/load.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
+import { groundHeight } from "./contact.js";
+import { GraphicsFault } from "./fault.js";
 import { FullScreen } from "./fullScreen.js";
 import { IrradiancePasses } from "./irradiance.js";
-import { Ground, groundUnder } from "./ground.js";
+import { Ground, groundUnder, hasGround } from "./ground.js";
 import { groundLight } from "./groundLight.js";
 import { StageLight } from "./light.js";
 import { type LightTurn, type Look, type Method, turnKey, type ViewCamera } from "./looks.js";
@@ -51,19 +53,6 @@ type Scenery = {
 };
 
 const tileSide = 1024;
-
-/** Thrown where the browser cannot draw what the viewer needs. */
-export class GraphicsFault extends Error {
-  override readonly name = "GraphicsFault";
-
-  /** `advice` says what to do. */
-  constructor(
-    what: string,
-    advice = "update the browser, switch hardware acceleration on, or use another device",
-  ) {
-    super(`${what}; ${advice}`);
-  }
-}
 
 /** A picture that may be drawn in place of the light "a" with baked transport. */
 export type Overlay = {
@@ -175,9 +164,9 @@ export class Stage {
   }
 
   /** Return a target that holds the surface at every sample of a picture, until something else is drawn. */
-  samples(camera: ViewCamera, samples: number): WebGLRenderTarget {
+  samples(camera: ViewCamera, samples: number, ground: boolean): WebGLRenderTarget {
     if (this.#scenery === null) throw new Error("no bundle is open");
-    this.#look(camera, samples, this.#scenery);
+    this.#look(camera, samples, this.#scenery, ground);
     return this.#seen!;
   }
 
@@ -302,7 +291,7 @@ export class Stage {
       light.drawnTurn = key;
     }
     const { width, height } = camera;
-    this.#look(camera, samples, scenery);
+    this.#look(camera, samples, scenery, hasGround(side));
     this.#radiance = this.#fitting(this.#radiance, width, height, halfFloatTarget);
     const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
     scenery.shading.light(side.look, side.method, light, turn, scenery.caster);
@@ -329,10 +318,12 @@ export class Stage {
 
   /** Draw the shadow on the ground if it is enabled; returns the ground, or null. */
   #ground({ look, method, turn }: Side, light: StageLight, still: boolean, scenery: Scenery) {
-    const lit = look.channel === "final" || look.channel === "direct";
-    if (!look.ground || !lit || method !== "baked") return null;
+    if (!hasGround({ look, method })) return null;
     const { boundsMin, boundsMax } = scenery.bundle;
-    scenery.ground ??= new Ground(scenery.surface.mesh.geometry, groundUnder(boundsMin, boundsMax));
+    scenery.ground ??= new Ground(
+      scenery.surface.mesh.geometry,
+      groundUnder(boundsMin, boundsMax, groundHeight(scenery.bundle)),
+    );
     const key = turnKey(turn);
     if (
       light.drawnGround !== `${key} still` &&
@@ -348,8 +339,12 @@ export class Stage {
   }
 
   /** Draw the surface at every sample, unless that is known. */
-  #look(camera: ViewCamera, samples: number, scenery: Scenery): void {
-    const key = `${samples} ${Object.values(camera).flat().join(" ")}`;
+  #look(camera: ViewCamera, samples: number, scenery: Scenery, ground: boolean): void {
+    // From below there is no ground.
+    const height = ground ? groundHeight(scenery.bundle) : Number.POSITIVE_INFINITY;
+    const floor = camera.cameraToWorld[11]! > height ? height : null;
+    scenery.surface.floor = floor;
+    const key = `${floor} ${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
     const depthRange = aim(this.#camera, camera, scenery.bundle);
     this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);

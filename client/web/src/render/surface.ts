@@ -98,6 +98,7 @@ ${framed ? "in vec3 upright;\nin vec4 along;" : ""}
 layout(location = 0) out uvec4 result;
 layout(location = 1) out uvec4 facing;
 uniform vec3 cameraPosition;
+uniform float floorHeight;
 ${mapped ? `uniform sampler2D albedoMap;\nuniform sampler2D packedMap;${mapAt}` : ""}
 ${framed ? "uniform sampler2D normalMap;" : texels}
 vec2 folded(vec3 n) {
@@ -106,6 +107,7 @@ vec2 folded(vec3 n) {
   return n.z >= 0.0 ? at : (1.0 - abs(at.yx)) * away;
 }
 void main() {
+  if (world.z < floorHeight) discard;
   vec3 albedo;
   vec2 rest;
   ${mapped ? mappedMaterial(textures) : texelMaterial}
@@ -145,9 +147,16 @@ export function maskTarget(width: number, height: number): WebGLRenderTarget {
   });
 }
 
+const noFloor = -1e30;
+
 const maskFragment = `${glsl.header}
+in vec3 world;
+uniform float floorHeight;
 out vec4 result;
-void main() { result = vec4(1.0); }`;
+void main() {
+  if (world.z < floorHeight) discard;
+  result = vec4(1.0);
+}`;
 
 /** The mesh with its programs. */
 export class Surface {
@@ -155,6 +164,7 @@ export class Surface {
   readonly program: RawShaderMaterial;
   /** Draws what is covered. */
   readonly mask: RawShaderMaterial;
+  readonly #floor = { value: noFloor };
 
   constructor(mesh: AtlasMesh, textures: BundleTextures) {
     const geometry = new BufferGeometry();
@@ -170,6 +180,7 @@ export class Surface {
     this.mask = new RawShaderMaterial({
       ...{ glslVersion: GLSL3, vertexShader: vertex(framed), fragmentShader: maskFragment },
       ...{ side: DoubleSide, blending: NoBlending, depthTest: false, depthWrite: false },
+      uniforms: { floorHeight: this.#floor },
     });
     this.program = new RawShaderMaterial({
       glslVersion: GLSL3,
@@ -179,6 +190,7 @@ export class Surface {
         albedoMap: { value: textures.albedoMap },
         packedMap: { value: textures.packedMap },
         normalMap: { value: textures.normalMap },
+        floorHeight: this.#floor,
         surface: { value: textures.surface },
         materialScales: { value: normalisedScales(material) },
         materialOffsets: { value: material.offsets },
@@ -188,6 +200,13 @@ export class Surface {
     });
     this.mesh = new Mesh(geometry, this.program);
     this.mesh.frustumCulled = false;
+  }
+
+  /** Leave out what lies under a height; null: nothing. */
+  set floor(height: number | null) {
+    this.#floor.value = height ?? noFloor;
+    this.program.uniformsNeedUpdate = true;
+    this.mask.uniformsNeedUpdate = true;
   }
 
   dispose(): void {

@@ -54,6 +54,35 @@ export function photoCamera(photo: PhotoCamera, width: number, height: number): 
   };
 }
 
+/** Parts of a canvas that controls lie on, from its edges; shares of its width and height. */
+export type Inset = {
+  readonly top: number;
+  readonly right: number;
+  readonly bottom: number;
+  readonly left: number;
+};
+
+export const noInset: Inset = { top: 0, right: 0, bottom: 0, left: 0 };
+
+/** Return the camera of a canvas whose picture belongs into what an inset leaves of it. */
+export function beside(
+  { top, right, bottom, left }: Inset,
+  width: number,
+  height: number,
+  cameraOf: (width: number, height: number) => ViewCamera,
+): ViewCamera {
+  const side = (length: number, taken: number): number => Math.max(1, Math.round(length * (1 - taken)));
+  const inner = cameraOf(side(width, left + right), side(height, top + bottom));
+  const centreX = inner.centreX + Math.round(width * left);
+  const centreY = inner.centreY + Math.round(height * top);
+  return { ...inner, width, height, centreX, centreY };
+}
+
+/** Return the vertical field of view of a camera, in degrees. */
+export function verticalFieldDeg({ height, focalY }: ViewCamera): number {
+  return (2 * Math.atan(height / (2 * focalY)) * 180) / Math.PI;
+}
+
 const maxPixelRatio = 2;
 
 /** Return the size that a canvas should have in pixels, for the room that it has on its page. */

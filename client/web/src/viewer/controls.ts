@@ -41,6 +41,11 @@ export class Controls {
     return { tools: this.#undo.element, strip: this.#strip.element };
   }
 
+  /** The row at the bottom. */
+  get line(): HTMLElement {
+    return this.#strip.row;
+  }
+
   /** Someone has taken hold of something, or lets go. */
   moving(on: boolean): void {
     this.viewer.moving = on;
@@ -50,11 +55,13 @@ export class Controls {
   /** Put one part of the state back. */
   reset(part: ResetPart): void {
     this.#undo.apart();
-    this.act.change(resetOf(part, this.viewer.state));
+    this.act.change(resetOf(part, this.viewer.state, this.viewer.home));
   }
 
   /** Follow the viewer's state. */
   show(): void {
+    const isThere = this.viewer.bundle !== null;
+    for (const each of [this.#undo.element, this.#strip.element]) each.hidden = !isThere;
     this.#strip.show();
     this.#ball.show();
   }

@@ -1,15 +1,17 @@
 /** The interface around the picture: controls, messages, drag and drop, the divider of a comparison. */
 
 import { Fault } from "../page/fault.js";
+import { noInset } from "./camera.js";
+import { CameraHands } from "./cameraControls.js";
+import { ComparisonView } from "./comparison.js";
 import { Controls } from "./controls.js";
+import { copyLink } from "./copyLink.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
-import { listenToOrbit, type OrbitHost } from "./orbit.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
-import { lightText } from "./lightTexts.js";
-import { linkOf } from "./links.js";
 import type { ViewerState } from "./state.js";
+import { draggableSheet } from "./sheet.js";
 import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
@@ -22,19 +24,12 @@ export class Interface {
   readonly #view = make("div", { className: "view" });
   readonly #message = make("div", { className: "message" });
   readonly #welcome = new Welcome();
-  readonly #split: HTMLElement;
-  readonly #handle = make("div", {
-    ...{ className: "handle", tabIndex: 0, role: "slider", textContent: "⇔" },
-    ...{ ariaLabel: "Divide the comparison", ariaValueMin: "0", ariaValueMax: "100" },
-  });
-  readonly #sides = make("div", { className: "sides", hidden: true });
-  readonly #photo = make("img", { className: "photo", hidden: true, alt: "" });
-  readonly #panel: { element: HTMLElement; show: () => void };
+  readonly #comparison: ComparisonView;
+  readonly #panel: { element: HTMLDetailsElement; show: () => void };
   readonly #stop = new AbortController();
   readonly #dock = make("div", { className: "dock" });
   readonly #controls: Controls | null = null;
   #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
-  #photoShown = "";
   #reading: Promise<void> | null = null;
   #quietAt = 0;
 
@@ -46,7 +41,6 @@ export class Interface {
     root.adoptedStyleSheets = [viewerSheet()];
     this.#message.role = "status";
     this.#message.ariaLive = "polite";
-    this.#split = make("div", { className: "split", hidden: true }, this.#handle);
     this.#panel = buildPanel(viewer, {
       change: (change) => this.#change(change),
       openBundle: () => this.#choose(".zip,.relight.zip", false),
@@ -55,12 +49,21 @@ export class Interface {
       savePng: (...size) => this.#save(root, "png", size, () => pngOf(viewer, ...size)),
       saveExr: (...size) => this.#save(root, "exr", size, async () => exrOf(viewer, ...size)),
       film: () => void this.#film(root),
-      copyLink: () => void this.#copyLink(),
+      copyLink: () => {
+        const tell = (text: string, problem: boolean): void => this.#tell(text, problem);
+        void copyLink({ viewer, root, tell, full: host.hasAttribute("fullpage") });
+      },
     });
     const { canvas } = viewer;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "application");
-    this.#view.append(canvas, this.#photo, this.#split, this.#sides);
+    this.#view.append(canvas);
+    this.#comparison = new ComparisonView(
+      viewer,
+      this.#view,
+      (change) => this.#change(change),
+      this.#stop.signal,
+    );
     root.replaceChildren(this.#view, this.#welcome.element, this.#message);
     if (host.hasAttribute("controls")) {
       const act = {
@@ -82,7 +85,6 @@ export class Interface {
 
   dispose(): void {
     this.#stop.abort();
-    if (this.#photo.src) URL.revokeObjectURL(this.#photo.src);
   }
 
   /** Name the picture for those who do not see it. */
@@ -127,27 +129,28 @@ export class Interface {
   #listen(canvas: HTMLCanvasElement): void {
     const { signal } = this.#stop;
     const on = listening(signal);
-    const orbit: OrbitHost = {
-      element: canvas,
-      state: () => this.viewer.state,
-      change: (next) => this.#change(next),
-      moving: (moving) => {
+    const hands = {
+      change: (next: Partial<ViewerState>) => this.#change(next),
+      moving: (moving: boolean) => {
         if (this.#controls === null) this.viewer.moving = moving;
         else this.#controls.moving(moving);
       },
     };
-    listenToOrbit(orbit, signal);
+    new CameraHands(this.viewer, hands, signal);
     // A page keeps its scrolling until someone uses the picture.
     const guard = (event: WheelEvent): void => {
       const isUsed = event.ctrlKey || this.host.shadowRoot?.activeElement === canvas;
       if (!isUsed && !this.host.hasAttribute("fullpage")) event.stopPropagation();
     };
     this.#view.addEventListener("wheel", guard, { signal, capture: true, passive: true });
-    const size = new ResizeObserver(() => {
-      this.viewer.invalidate();
+    const size = new ResizeObserver((entries) => {
+      if (entries.some(({ target }) => target === this.#view)) this.viewer.invalidate();
+      this.#makeRoom();
       this.#show();
     });
-    size.observe(this.#view);
+    for (const each of [this.#view, this.#panel.element, this.#controls?.line]) if (each) size.observe(each);
+    const isSheet = (): boolean => getComputedStyle(this.#dock).display === "flex";
+    draggableSheet(this.#panel.element, isSheet, signal);
     signal.addEventListener("abort", () => size.disconnect());
     this.viewer.on("change", () => this.#show());
     this.viewer.on("message", (text, problem) => this.#tell(text, problem));
@@ -160,6 +163,8 @@ export class Interface {
     this.viewer.on("load", () => {
       this.#welcome.element.hidden = true;
       this.#dock.hidden = false;
+      this.#controls?.show();
+      this.#makeRoom();
       this.#tell("", false);
       this.describe();
     });
@@ -169,22 +174,15 @@ export class Interface {
       this.#drag(event, false);
       if (event.dataTransfer) void this.#take(readDrop(event.dataTransfer));
     });
-    on(this.#handle, "pointermove", (event) => {
-      if (!this.#handle.hasPointerCapture(event.pointerId)) return;
-      const box = this.#view.getBoundingClientRect();
-      this.#divide((event.clientX - box.left) / box.width);
-    });
-    on(this.#handle, "pointerdown", (event) => this.#handle.setPointerCapture(event.pointerId));
-    on(this.#handle, "keydown", (event) => {
-      const step = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 }[event.key];
-      if (step === undefined) return;
-      event.preventDefault();
-      this.#divide(this.viewer.state.split + step);
-    });
   }
 
-  #divide(split: number): void {
-    this.#change({ split: Math.min(Math.max(split, 0), 1) });
+  /** The object stands in the middle of what the controls at the bottom leave. */
+  #makeRoom(): void {
+    const box = this.#view.getBoundingClientRect();
+    const line = this.#controls?.line.getBoundingClientRect();
+    const taken = line === undefined || line.height === 0 ? 0 : box.bottom - line.top;
+    const bottom = Math.min(Math.max(taken / Math.max(box.height, 1), 0), 0.8);
+    this.viewer.inset = { ...noInset, bottom };
   }
 
   #drag(event: DragEvent, over: boolean): void {
@@ -256,65 +254,12 @@ export class Interface {
     }
   }
 
-  async #copyLink(): Promise<void> {
-    const link = linkOf(this.viewer, location.href, this.host.hasAttribute("fullpage"));
-    try {
-      await navigator.clipboard.writeText(link);
-      this.#tell("The link is on the clipboard.", false);
-    } catch {
-      this.#tell(link, false);
-    }
-  }
-
   /** Follow the viewer's state. */
   #show(): void {
     const { state } = this.viewer;
     this.#panel.show();
     this.#controls?.show();
     this.host.setAttribute("data-background", state.look.background);
-    const photo = this.#showPhoto();
-    const comparing = state.compare === "photo" ? photo : state.compare !== "off";
-    this.#split.hidden = !comparing;
-    this.#split.style.left = `${100 * state.split}%`;
-    this.#handle.ariaValueNow = `${Math.round(100 * state.split)}`;
-    const right = {
-      off: "",
-      environment: lightText(this.viewer, state.environmentB),
-      plain: "Plain image-based light",
-      photo: "Photograph",
-    };
-    this.#sides.hidden = !comparing;
-    const left = state.compare === "environment" ? lightText(this.viewer, state.environment) : "Relit";
-    this.#sides.replaceChildren(
-      ...[left, right[state.compare]].map((text) => make("span", { textContent: text })),
-    );
-  }
-
-  /** Lay the photograph over the right side; returns whether there is one. */
-  #showPhoto(): boolean {
-    const { viewer } = this;
-    const camera = viewer.photoCamera();
-    const name = `photo_${viewer.state.photo}.png`;
-    const picture = viewer.bundle?.previews.find((each) => each.name === name);
-    this.#photo.hidden = camera === null || picture === undefined;
-    if (camera === null || picture === undefined) return false;
-    if (this.#photoShown !== `${viewer.bundle?.sceneId}/${name}`) {
-      if (this.#photo.src) URL.revokeObjectURL(this.#photo.src);
-      this.#photo.src = URL.createObjectURL(new Blob([picture.data], { type: "image/png" }));
-      this.#photoShown = `${viewer.bundle?.sceneId}/${name}`;
-    }
-    const { clientWidth, clientHeight } = this.#view;
-    const scale = Math.min(clientWidth / camera.width, clientHeight / camera.height);
-    const [width, height] = [camera.width * scale, camera.height * scale];
-    const left = 0.5 * (clientWidth - width);
-    const hidden = Math.min(Math.max((viewer.state.split * clientWidth - left) / width, 0), 1);
-    Object.assign(this.#photo.style, {
-      left: `${left}px`,
-      top: `${0.5 * (clientHeight - height)}px`,
-      width: `${width}px`,
-      height: `${height}px`,
-      clipPath: `inset(0 0 0 ${100 * hidden}%)`,
-    });
-    return true;
+    this.#comparison.show();
   }
 }

@@ -63,14 +63,16 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
   }
 
   let listed = "";
+  let lights: readonly string[] = [];
   function show(): void {
     const { environment } = viewer.state;
     const texts = lightTexts(viewer);
     const key = JSON.stringify(texts);
     if (key !== listed) {
       listed = key;
-      for (const name of [...chips.keys()]) if (!texts.some(([light]) => light === name)) chips.delete(name);
-      row.replaceChildren(...texts.map(([light]) => chipOf(light).element), add);
+      lights = texts.map(([light]) => light);
+      for (const name of [...chips.keys()]) if (!lights.includes(name)) chips.delete(name);
+      row.replaceChildren(...lights.map((light) => chipOf(light).element), add);
       for (const [light, text] of texts) {
         const { element: chip } = chipOf(light);
         chip.querySelector("span")!.textContent = text;
@@ -99,9 +101,10 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
     };
     try {
       for (;;) {
-        const next = [...chips].find(([light, chip]) => chip.key !== keyOf(light));
-        if (next === undefined || signal.aborted || viewer.bundle === null) return;
-        const [light, chip] = next;
+        const light = lights.find((each) => chips.get(each)?.key !== keyOf(each));
+        const chip = light === undefined ? undefined : chips.get(light);
+        if (light === undefined || chip === undefined) return;
+        if (signal.aborted || viewer.bundle === null) return;
         chip.key = keyOf(light);
         const pixels = await viewer.lights.thumbnail(light, side).catch(() => null);
         // A map that cannot be used says so when it is chosen.

@@ -16,11 +16,22 @@ export function lightTexts(viewer: Viewer): [string, string][] {
     ]),
     ...Object.entries(presetNames).map(([name, text]): [string, string] => [`preset:${name}`, text]),
     ...viewer.lights.mapNames.map((name): [string, string] => [`file:${name}`, name]),
-    ...[...addresses].map((name): [string, string] => [name, name.split("/").at(-1) || name]),
+    ...[...addresses].map((name): [string, string] => [name, addressText(name)]),
   ];
 }
 
 /** Return the display name of a light of the state. */
 export function lightText(viewer: Viewer, light: string): string {
   return lightTexts(viewer).find(([name]) => name === light)?.[1] ?? light;
+}
+
+/** Return the name of a light at an address: what the address calls it after "#", or the file's. */
+export function addressText(light: string): string {
+  const [path = "", given = ""] = light.slice(light.indexOf(":") + 1).split("#");
+  const name = given || path.split("/").at(-1) || path;
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name;
+  }
 }

@@ -1,13 +1,12 @@
 /** The lights of a viewer: their maps, and which of them are prepared and on the stage. */
 
-import type { LoadedBundle } from "../bundle/load.js";
 import { LightClient } from "../light/client.js";
-import { MapFault } from "../light/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import { maxDominant } from "../light/prepare.js";
 import type { Stage } from "../render/stage.js";
 import { EarlyLight } from "./earlyLight.js";
-import { isPreset, type ViewerState } from "./state.js";
+import { mapOrigin } from "./mapOrigin.js";
+import type { ViewerState } from "./state.js";
 
 type Host = {
   readonly stage: () => Stage | null;
@@ -121,15 +120,6 @@ export class ViewerLights {
   }
 
   #origin(name: string): MapOrigin {
-    const bundle: LoadedBundle | null = this.host.stage()?.bundle ?? null;
-    const [kind, rest] = [name.slice(0, name.indexOf(":")), name.slice(name.indexOf(":") + 1)];
-    if (kind === "preset" && isPreset(rest)) return { kind: "preset", name: rest };
-    if (kind === "url") return { kind: "url", url: new URL(rest, document.baseURI).href };
-    const trained = bundle?.trainedMaps.find((map) => map.name === rest)?.data;
-    const data = kind === "trained" ? trained : kind === "file" ? this.#files.get(rest) : undefined;
-    if (data === undefined) {
-      throw new MapFault("environment.missing", `there is no light "${name}"`, "choose or drop another one");
-    }
-    return { kind: "bytes", data };
+    return mapOrigin(name, this.host.stage()?.bundle ?? null, this.#files);
   }
 }

@@ -5,7 +5,7 @@ import { button, check, choice, type Field, make, section, slider } from "./fiel
 import { lightTexts } from "./lightTexts.js";
 import type { ResetPart } from "./resets.js";
 import { sharing } from "./sharing.js";
-import { type Comparison, limits, type ViewerState } from "./state.js";
+import { type Comparison, initialState, limits, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
 import { statusText } from "../refine/status.js";
 
@@ -47,7 +47,10 @@ const backgroundTexts: readonly (readonly [BackgroundKind, string])[] = [
 ];
 
 /** Build the panel; the result follows the viewer's state. */
-export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLElement; show: () => void } {
+export function buildPanel(
+  viewer: Viewer,
+  act: PanelActions,
+): { element: HTMLDetailsElement; show: () => void } {
   const shown: (() => void)[] = [];
   const follow = <T>(field: Field<T>, value: (state: ViewerState) => T): HTMLElement => {
     shown.push(() => field.show(value(viewer.state)));
@@ -88,7 +91,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     ],
     (next) => {
       const photo = viewer.state.photo || (photoNames(viewer)[0] ?? "");
-      act.change({ compare: next, photo });
+      act.change({ compare: next, photo, ...(next === "photo" ? asPhotographed(viewer) : {}) });
     },
   );
   const share = sharing(viewer);
@@ -130,6 +133,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
       "Picture",
       true,
       ofLook("channel", (change) => choice("Show", () => channelTexts, change)),
+      ofLook("autoExposure", (change) => check("Auto exposure", change)),
       ofLook("exposureEv", (change) => slider("Exposure", limits.exposure, 0.1, change, "EV")),
       ofLook("tone", (change) => choice("Tone curve", () => toneTexts, change)),
       ofLook("background", (change) => choice("Background", () => backgroundTexts, change)),
@@ -146,6 +150,7 @@ export function buildPanel(viewer: Viewer, act: PanelActions): { element: HTMLEl
     section(
       "Camera",
       false,
+      ofState("free", (change) => check("Look from where no photograph was taken", change)),
       button("Reset camera", () => act.reset("camera")),
     ),
     section(
@@ -203,6 +208,12 @@ export function photoNames(viewer: Viewer): string[] {
   return cameras
     .map(({ name }) => name)
     .filter((name) => previews.some((each) => each.name === `photo_${name}.png`));
+}
+
+/** Return the light of the photographs, where the bundle has it, as it was. */
+function asPhotographed(viewer: Viewer): Partial<ViewerState> {
+  const name = viewer.bundle?.trainedMaps[0]?.name;
+  return name === undefined ? {} : { environment: `trained:${name}`, turn: initialState.turn };
 }
 
 function buttons(...fields: Node[]): HTMLElement {

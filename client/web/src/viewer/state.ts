@@ -34,6 +34,8 @@ export type ViewerState = {
   readonly turn: LightTurn;
   readonly look: Look;
   readonly pose: OrbitPose;
+  /** Whether one may look from where no photograph was taken. */
+  readonly free: boolean;
   readonly compare: Comparison;
   /** The light on the right of a comparison of two. */
   readonly environmentB: string;
@@ -52,13 +54,15 @@ export const initialState: ViewerState = {
     channel: "final",
     tone: "neutral",
     exposureEv: 0,
+    autoExposure: true,
     background: "blurred",
     backgroundSrgb: [0.93, 0.93, 0.93],
     edit: { albedoGain: [1, 1, 1], roughnessScale: 1, metalnessShift: 0 },
     indirect: true,
-    ground: false,
+    ground: true,
   },
   pose: { azimuthDeg: 30, elevationDeg: 20, distance: 3.2, target: [0, 0, 0] },
+  free: false,
   compare: "off",
   environmentB: "preset:studio",
   split: 0.5,
@@ -112,6 +116,8 @@ export function toParameters(state: ViewerState): URLSearchParams {
     // A dropped file is not at any address.
     if (value !== first[name] && !value.startsWith("file:")) found.set(name, value);
   }
+  // Without a camera the object is framed, wherever that puts the camera.
+  if (state.pose !== initialState.pose) found.set("camera", flat(state).camera!);
   return found;
 }
 
@@ -125,6 +131,7 @@ export function flat(state: ViewerState): Record<string, string> {
     channel: look.channel,
     tone: look.tone,
     ev: round(look.exposureEv),
+    auto: look.autoExposure ? "1" : "0",
     background: look.background,
     colour: look.backgroundSrgb.map(round).join(","),
     gain: look.edit.albedoGain.map(round).join(","),
@@ -133,6 +140,7 @@ export function flat(state: ViewerState): Record<string, string> {
     indirect: look.indirect ? "1" : "0",
     ground: look.ground ? "1" : "0",
     camera: [pose.azimuthDeg, pose.elevationDeg, pose.distance, ...pose.target].map(round).join(","),
+    free: state.free ? "1" : "0",
     compare: state.compare,
     envB: state.environmentB,
     split: round(state.split),
@@ -141,7 +149,10 @@ export function flat(state: ViewerState): Record<string, string> {
   };
 }
 
-/** Return the state of an address; what it does not say, or says wrongly, is as in `from`. */
+/**
+ * Return the state of an address; what it does not say, or says wrongly, is as in `from`. Where no camera is stated
+ * the pose is that of `from`, the same object.
+ */
 export function fromParameters(
   parameters: URLSearchParams,
   from: ViewerState = firstState(parameters),
@@ -173,6 +184,7 @@ export function fromParameters(
       channel: choice("channel", Object.keys(channels) as Channel[], look.channel),
       tone: choice("tone", Object.keys(toneCurves) as ToneCurve[], look.tone),
       exposureEv: one("ev", look.exposureEv, limits.exposure),
+      autoExposure: flag("auto", look.autoExposure),
       background: choice("background", Object.keys(backgrounds) as BackgroundKind[], look.background),
       backgroundSrgb: rgb(numbers("colour", look.backgroundSrgb), [0, 1]),
       edit: {
@@ -183,12 +195,15 @@ export function fromParameters(
       indirect: flag("indirect", look.indirect),
       ground: flag("ground", look.ground),
     },
-    pose: {
-      azimuthDeg: wrapped(camera[0]!),
-      elevationDeg: within(camera[1]!, limits.elevation, pose.elevationDeg),
-      distance: within(camera[2]!, limits.distance, pose.distance),
-      target: rgb(camera.slice(3), [-5, 5]),
-    },
+    pose: parameters.has("camera")
+      ? {
+          azimuthDeg: wrapped(camera[0]!),
+          elevationDeg: within(camera[1]!, limits.elevation, pose.elevationDeg),
+          distance: within(camera[2]!, limits.distance, pose.distance),
+          target: rgb(camera.slice(3), [-5, 5]),
+        }
+      : pose,
+    free: flag("free", from.free),
     compare: choice("compare", comparisons, from.compare),
     environmentB: parameters.get("envB") ?? from.environmentB,
     split: one("split", from.split, [0, 1]),

@@ -63,8 +63,8 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .line > *, .adding { pointer-events: auto; }
 .chips { display: flex; gap: 0.4rem; overflow-x: auto; min-width: 0; margin-right: auto; padding: 0.3rem; scrollbar-width: thin;
   background: rgb(24 27 31 / 88%); border: 1px solid #4b525b; border-radius: 0.8rem; overscroll-behavior-x: contain; }
-.chip { flex: none; width: 5.6rem; display: grid; justify-items: center; align-content: start; gap: 0.15rem; padding: 0.3rem 0.2rem;
-  background: none; border-color: transparent; border-radius: 0.6rem; font-size: 0.75rem; line-height: 1.2; }
+.chip { flex: none; width: 6rem; display: grid; justify-items: center; align-content: start; gap: 0.15rem; padding: 0.3rem 0.2rem;
+  background: none; border-color: transparent; border-radius: 0.6rem; font-size: 0.72rem; line-height: 1.2; }
 .chip canvas { position: static; width: 3rem; height: 3rem; cursor: inherit; touch-action: auto; border-radius: 50%; background: #3a4048; }
 .chip span { max-width: 100%; overflow: hidden; display: -webkit-box; -webkit-line-clamp: 2; -webkit-box-orient: vertical; overflow-wrap: anywhere; }
 .chip[aria-pressed=true] { border-color: #8ec7ff; background: #22384d; }
@@ -76,6 +76,10 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .ball .dot { position: absolute; width: 0.8rem; height: 0.8rem; margin: -0.4rem; border-radius: 50%; background: #ffd873; border: 2px solid #17191c; }
 .ball.behind .dot { background: #17191c; border-color: #ffd873; }
 .photo { position: absolute; object-fit: fill; pointer-events: none; }
+.ask { width: min(26rem, calc(100% - 2rem)); color: #f2f3f5; background: #181b1f; border: 1px solid #4b525b; border-radius: 0.6rem; padding: 1rem; }
+.ask::backdrop { background: rgb(0 0 0 / 60%); }
+.ask h2 { font-size: 1.1rem; margin: 0; }
+.ask .buttons { margin: 0.6rem 0 0.45rem; }
 .fields h3 { font-size: 1rem; margin: 0; }
 .hint, .faint { color: #c3cad3; font-size: 0.82rem; margin: 0; }
 .hint:empty, .faint:empty { display: none; }
@@ -85,17 +89,26 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .shares { list-style: none; margin: 0; padding: 0; display: grid; gap: 0.6rem; }
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }
-[hidden] { display: none; }
-:host([controls]) .message { bottom: 8rem; }
+[hidden] { display: none !important; }
+.message:has(~ .dock:not([hidden]) > .strip:not([hidden])) { bottom: 8rem; }
 @container (min-width: 40rem) {
-  .view:has(~ .dock > .panel[open]), .dock:has(> .panel[open]) > .strip { right: 22.5rem; }
+  .view:has(~ .dock > .panel[open]) { right: 22.5rem; }
+  .dock:has(> .panel[open]) > .strip { right: 23.25rem; }
 }
 @container (max-width: 40rem) {
-  .dock:not([hidden]) { position: absolute; left: 0; right: 0; bottom: 0; display: flex; flex-direction: column; max-height: 70%; }
+  .dock:not([hidden]) { position: absolute; left: 0; right: 0; bottom: 0; display: flex; flex-direction: column; }
   .strip { position: static; padding: 0 0.5rem 0.4rem; }
-  .panel { position: static; width: auto; max-height: none; min-height: 2.75rem; border-radius: 0.8rem 0.8rem 0 0; }
-  :host([controls]) .message { bottom: 10.5rem; }
+  .panel { position: static; width: auto; max-height: 45cqh; padding: 0 0.75rem; border-radius: 0.8rem 0.8rem 0 0; overscroll-behavior: contain; }
+  .panel > summary { position: sticky; top: 0; z-index: 1; margin: 0 -0.75rem; padding: 0.75rem; background: #181b1f; touch-action: none; }
+  .panel > summary::before { content: ""; position: absolute; top: 0.35rem; left: calc(50% - 1.2rem); width: 2.4rem; height: 0.25rem; border-radius: 1rem; background: #7b858f; }
+  .message:has(~ .dock:not([hidden]) > .strip:not([hidden])) { bottom: 11rem; }
   label, .row { grid-template-columns: 7.5rem 1fr; }
+}
+/* Fingers need more room than pointers. */
+@media (pointer: coarse) {
+  input, select, button, label.check, .panel summary { min-height: 2.75rem; }
+  .panel details > summary { padding: 0.75rem 0; }
+  input[type=checkbox] { min-height: 1.5rem; width: 1.5rem; }
 }
 @media (prefers-reduced-motion: no-preference) { .panel { transition: opacity 0.15s; } }
 `;

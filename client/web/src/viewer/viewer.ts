@@ -5,45 +5,31 @@ import type { BundleNews, LoadedBundle } from "../bundle/load.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
+import { exposureFor } from "../light/exposure.js";
 import { MapFault } from "../light/fault.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import type { StillHost } from "../refine/still.js";
-import { notRefining, type RefineOptions, type RefineStatus, refineOptions } from "../refine/status.js";
+import { notRefining, type RefineOptions, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
-import type { ViewCamera } from "../render/looks.js";
+import type { Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
-import { orbitCamera, photoCamera, sizeOf } from "./camera.js";
+import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
+import { Emitter, type ViewerEvents } from "./events.js";
+import { elevationRange, firstPose } from "./firstView.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
-import { mainDirection } from "./turning.js";
 import { ViewerLights } from "./lights.js";
-import { initialState, type ViewerState } from "./state.js";
-
-/** The events of a viewer. */
-export type ViewerEvents = {
-  /** The state is another one. */
-  readonly change: () => void;
-  /** The bundle that is being read is there, and has a name. */
-  readonly opened: (name: string) => void;
-  /** A bundle is being read; bytes that have come, and all. */
-  readonly progress: (readBytes: number, totalBytes: number) => void;
-  /** A bundle is shown. */
-  readonly load: (bundle: LoadedBundle) => void;
-  /** A picture was drawn. */
-  readonly draw: () => void;
-  /** Refining came further, or to an end. */
-  readonly refine: (status: RefineStatus) => void;
-  /** Something to tell; `problem` where it went wrong. */
-  readonly message: (text: string, problem: boolean) => void;
-};
+import { besidePhotograph } from "./photograph.js";
+import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
+import { mainDirection } from "./turning.js";
 
 const stillSamples = 2;
 const stillAfterMs = 150;
 
 /** Draws one bundle. */
 export class Viewer {
-  readonly #listeners = new Map<keyof ViewerEvents, Set<(...values: never[]) => void>>();
+  readonly #events = new Emitter();
   /** Its lights, and the maps that were dropped. */
   readonly lights = new ViewerLights({
     stage: () => this.#stage,
@@ -60,9 +46,13 @@ export class Viewer {
   #frame = 0;
   #still = 0;
   #moving = false;
+  #inset = noInset;
+  #photoEdge: Rgb | null = null;
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
   #closed = false;
+  /** The pose that a bundle is opened with, unless another one was chosen. */
+  home: OrbitPose = initialState.pose;
   /** When refining stops, and its backend. */
   refineOptions: RefineOptions = refineOptions;
 
@@ -84,6 +74,11 @@ export class Viewer {
     return this.#stage?.bundle ?? null;
   }
 
+  /** The sphere around the bundle that is shown. */
+  get ball(): Ball {
+    return this.#ball;
+  }
+
   /** The id of the bundle that is shown, where it is one of our own on the server that the page came from; else null. */
   get serverBundle(): string | null {
     if (this.bundle === null || this.#source?.kind !== "url" || secretOf(this.#source.url)) return null;
@@ -102,10 +97,7 @@ export class Viewer {
 
   /** Call `listener` whenever `name` happens; returns what stops it. */
   on<N extends keyof ViewerEvents>(name: N, listener: ViewerEvents[N]): () => void {
-    const all = this.#listeners.get(name) ?? new Set();
-    this.#listeners.set(name, all);
-    all.add(listener);
-    return () => all.delete(listener);
+    return this.#events.on(name, listener);
   }
 
   /** Read and show a bundle. Throws BundleFault or GraphicsFault; a newer call gives up this one. */
@@ -135,7 +127,16 @@ export class Viewer {
     this.lights.forget(early);
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
     const trained = bundle.trainedMaps.map(({ name }) => name);
-    this.#state = { ...this.#state, environment: lightFor(this.#state.environment, trained) };
+    const { pose } = this.#state;
+    const { width, height } = sizeOf(this.canvas);
+    const before = this.home;
+    this.home = firstPose(bundle, width, height);
+    this.#state = {
+      ...this.#state,
+      environment: lightFor(this.#state.environment, trained),
+      // Where neither a link nor a person has chosen another.
+      pose: pose === before ? this.home : pose,
+    };
     this.#keepRefined();
     let trouble: MapFault | null = null;
     try {
@@ -199,6 +200,18 @@ export class Viewer {
     return photo ? photoCamera(photo, width, height) : orbitCamera(state.pose, this.#ball, width, height);
   }
 
+  /** The camera of the picture on the canvas, or on one of another size that is like it. */
+  canvasCamera({ width, height } = sizeOf(this.canvas)): ViewCamera {
+    return beside(this.#inset, width, height, (...size) => this.camera(...size));
+  }
+
+  /** What lies on the canvas; the object stands in the middle of the rest. */
+  set inset(inset: Inset) {
+    if (Object.entries(inset).every(([edge, share]) => this.#inset[edge as keyof Inset] === share)) return;
+    this.#inset = inset;
+    this.invalidate();
+  }
+
   /** Return the camera of the photograph that is compared with, or null. */
   photoCamera({ compare, photo } = this.#state) {
     if (compare !== "photo") return null;
@@ -207,12 +220,12 @@ export class Viewer {
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#state), samples);
+    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#drawn()), samples);
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(camera, sidesOf(this.#state), samples);
+    return this.#ready().readBytes(camera, sidesOf(this.#drawn()), samples);
   }
 
   /**
@@ -221,12 +234,12 @@ export class Viewer {
    */
   frozen(state: ViewerState): Frozen {
     const cameraOf = (width: number, height: number, now: ViewerState) => this.camera(width, height, now);
-    return freeze(this.#ready(), cameraOf, () => this.#closed, state);
+    return freeze(this.#ready(), cameraOf, () => this.#closed, this.#drawn(state));
   }
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#state), samples);
+    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#drawn()), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -238,14 +251,30 @@ export class Viewer {
   refineElsewhere(): StillHost {
     this.#refinement?.dispose();
     this.#refinement = null;
-    return { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#state) };
+    return { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
+  }
+
+  /** The elevations to look from, degrees. */
+  get elevationRange(): readonly [number, number] {
+    return this.bundle === null || this.#state.free ? limits.elevation : elevationRange(this.bundle);
   }
 
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
-    const { width, height } = sizeOf(this.canvas);
-    this.#ready().draw(this.camera(width, height), sidesOf(this.#state), samples);
+    this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn()), samples);
     this.#tell("draw");
+  }
+
+  /** The exposure that the light decides, in EV; 0 without a light. */
+  get lightExposure(): number {
+    const prepared = this.#stage?.light("a")?.prepared;
+    return prepared === undefined ? 0 : exposureFor(prepared, mainDirection(prepared));
+  }
+
+  /** The colour behind the photograph that is compared with, sRGB 0 to 1, or null where it has more than one. */
+  set photoEdge(edge: Rgb | null) {
+    this.#photoEdge = edge;
+    this.invalidate();
   }
 
   /** Where the main light of the picture comes from, as the map has it; null where it has no direction, or none is there. */
@@ -266,7 +295,7 @@ export class Viewer {
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
     clearTimeout(this.#still);
-    this.#listeners.clear();
+    this.#events.clear();
     this.#stage?.dispose();
     // Browsers keep few contexts, and would take one away from another picture.
     this.#stage?.renderer.forceContextLoss();
@@ -280,15 +309,21 @@ export class Viewer {
     if (!signal.aborted) this.#stage ??= new Stage(this.canvas, table);
   }
 
+  /** Return a state as it is drawn: exposed for the light on the left, and beside a photograph as that is. */
+  #drawn(state = this.#state): ViewerState {
+    const besides = this.photoCamera(state) !== null;
+    const look = besides ? besidePhotograph(state.look, this.#photoEdge) : state.look;
+    const exposureEv = look.exposureEv + (look.autoExposure ? this.lightExposure : 0);
+    return { ...state, look: { ...look, exposureEv } };
+  }
+
   #ready(): Stage {
     if (this.#stage?.bundle == null) throw new Error("no bundle is open");
     return this.#stage;
   }
 
   #tell<N extends keyof ViewerEvents>(name: N, ...values: Parameters<ViewerEvents[N]>): void {
-    for (const listener of this.#listeners.get(name) ?? []) {
-      (listener as (...values: Parameters<ViewerEvents[N]>) => void)(...values);
-    }
+    this.#events.tell(name, ...values);
   }
 
   #drawNow(samples = 1): void {
@@ -335,13 +370,12 @@ export class Viewer {
   }
 
   #refineView() {
-    const { width, height } = sizeOf(this.canvas);
     const { turn, look } = this.#state;
     return {
       bundle: this.bundle!,
       origin: this.#source!,
-      camera: this.camera(width, height),
-      cameraOf: (w: number, h: number) => this.camera(w, h),
+      camera: this.canvasCamera(),
+      cameraOf: (width: number, height: number) => this.canvasCamera({ width, height }),
       turn,
       look,
       moving: this.#moving,

@@ -45,6 +45,26 @@ describe("comparisons", () => {
     ]);
   });
 
+  it("have one exposure, that of the light on the left", async () => {
+    const { look } = await page.evaluate(() => document.querySelector("lambent-viewer")!.state);
+    const bright = { ...look, autoExposure: true };
+    const right = (picture: Uint8Array) => picture.filter((_, at) => Math.floor(at / 4) % size.width >= 48);
+    await update({ compare: "off", environment: "preset:sky", look: bright });
+    const ev = await page.evaluate(() => document.querySelector("lambent-viewer")!.viewer!.lightExposure);
+    expect(ev).toBeLessThan(-0.5);
+    await update({ environment: "preset:even", look: { ...look, exposureEv: ev } });
+    const wanted = await pictureOf(page, size, 1);
+    await update({
+      compare: "environment",
+      environment: "preset:sky",
+      environmentB: "preset:even",
+      look: bright,
+    });
+    const both = await pictureOf(page, size, 1);
+    expect(meanDifference(right(both), right(wanted))).toBe(0);
+    await update({ compare: "off", environment: "preset:studio", look });
+  });
+
   it("show what plain image-based light leaves out", async () => {
     await update({ environment: "preset:studio", compare: "plain", split: 0 });
     const plain = await pictureOf(page, size, 1);
@@ -75,5 +95,20 @@ describe("a photograph", () => {
     const seen = await pictureOf(page, { width, height }, 1);
     expect(meanDifference(seen, await pictureOf(page, first!.camera, 1))).toBe(0);
     await update({ compare: "off", split: 0.5 });
+  });
+  it("has the relit object beside it on its own background, without tone curve or exposure of the light", async () => {
+    const { look } = await page.evaluate(() => document.querySelector("lambent-viewer")!.state);
+    // The fixture's photographs are over black.
+    const wanted = { ...look, tone: "linear", background: "colour", backgroundSrgb: [0, 0, 0] };
+    await update({ look: wanted });
+    const camera = expectedPictures()[0]!.camera;
+    const matched = await pictureOf(page, camera, 1);
+    await update({ look: { ...look, tone: "agx", background: "blurred", autoExposure: true } });
+    expect(meanDifference(await pictureOf(page, camera, 1), matched)).toBeGreaterThan(10);
+    await update({ compare: "photo", photo: "turntable_001" });
+    await update({ photo: "turntable_000" });
+    const away = async () => meanDifference(await pictureOf(page, camera, 1), matched);
+    await expect.poll(away, { timeout: 20_000 }).toBe(0);
+    await update({ compare: "off", look });
   });
 });

@@ -37,37 +37,6 @@ beforeAll(async () => {
 });
 afterAll(() => closePages(browser));
 
-describe("the camera", () => {
-  it("turns when someone drags, and with the arrow keys", async () => {
-    const before = await state();
-    await page.mouse.move(100, 180);
-    await page.mouse.down();
-    await page.mouse.move(140, 200);
-    await page.mouse.up();
-    const dragged = await state();
-    expect(dragged.pose.azimuthDeg).toBeCloseTo(before.pose.azimuthDeg - 14, 6);
-    expect(dragged.pose.elevationDeg).toBeCloseTo(before.pose.elevationDeg + 7, 6);
-    await page.evaluate(() => {
-      document.querySelector("lambent-viewer")!.shadowRoot!.querySelector("canvas")!.focus();
-    });
-    await page.keyboard.press("ArrowLeft");
-    expect((await state()).pose.azimuthDeg).toBeCloseTo(dragged.pose.azimuthDeg - 5, 6);
-  });
-
-  it("stays where it is while Shift turns the light", async () => {
-    const before = await state();
-    await page.keyboard.down("Shift");
-    await page.mouse.move(100, 180);
-    await page.mouse.down();
-    await page.mouse.move(120, 180);
-    await page.mouse.up();
-    await page.keyboard.up("Shift");
-    const after = await state();
-    expect(after.pose).toEqual(before.pose);
-    expect(after.turn.yawDeg).toBeCloseTo(before.turn.yawDeg + 7, 6);
-  });
-});
-
 describe("channels", () => {
   it("all show something else", async () => {
     const names = [

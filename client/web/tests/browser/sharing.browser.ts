@@ -88,3 +88,55 @@ it("a bundle of another kind of host offers no links", async () => {
   await open("data/bundle/");
   expect(await page.locator("summary:text-is('Share')").isVisible()).toBe(false);
 });
+
+it("a link to a view in a dropped map says so, and carries the map once it is uploaded", async () => {
+  const map = Buffer.from(
+    "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n\x80\x80\x80\x81\x80\x80\x80\x81",
+    "latin1",
+  );
+  const uploaded: { name: string | null; body: Buffer }[] = [];
+  await page.route("**/v1/environments?*", (route) => {
+    expect(route.request().headers()["x-lambent-csrf"]).toBe("1");
+    const name = new URL(route.request().url()).searchParams.get("name");
+    uploaded.push({ name, body: route.request().postDataBuffer()! });
+    return route.fulfill({ status: 201, json: { id: "env_1", name, url: "/v1/blobs/abc" } });
+  });
+  await page.route("**/v1/blobs/abc", (route) => route.fulfill({ body: map }));
+  await open("/v1/bundles/bundle_1");
+  await page.evaluate(async (text) => {
+    const data = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    await document.querySelector("lambent-viewer")!.setEnvironmentFile(new File([data], "my light.hdr"));
+  }, map.toString("base64"));
+  await page.click("summary:text-is('Save')");
+  await page.click("text=Copy link to this view");
+  await page.waitForSelector("text=It cannot carry my light.hdr, which is on this computer only.");
+  await page.click("text=Copy without");
+  await page.waitForSelector("text=The link is on the clipboard. It cannot carry my light.hdr");
+  expect(await page.evaluate(() => navigator.clipboard.readText())).not.toContain("env=");
+  await page.click("text=Copy link to this view");
+  await page.click("text=Upload and copy");
+  await expect.poll(() => page.evaluate(() => navigator.clipboard.readText())).toContain("env=");
+  expect(uploaded).toEqual([{ name: "my light.hdr", body: map }]);
+  const link = new URL(await page.evaluate(() => navigator.clipboard.readText()));
+  const parameters = new URLSearchParams(link.hash.slice(1));
+  expect(parameters.get("env")).toBe("url:/v1/blobs/abc#my%20light.hdr");
+  expect(parameters.get("src")).toBe("/v1/bundles/bundle_1");
+  const pressed = page.locator(".chip[aria-pressed=true]");
+  await expect.poll(() => pressed.textContent()).toBe("my light.hdr");
+  // Whoever opens the link sees it.
+  await page.goto("about:blank");
+  await page.goto(link.href);
+  await expect.poll(() => pressed.textContent()).toBe("my light.hdr");
+});
+
+it("a link from a bundle of another kind of host says what it cannot carry, and offers no upload", async () => {
+  await open("data/bundle/");
+  await page.evaluate(async () => {
+    const text = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n\x80\x80\x80\x81\x80\x80\x80\x81";
+    const data = Uint8Array.from(text, (c) => c.charCodeAt(0));
+    await document.querySelector("lambent-viewer")!.setEnvironmentFile(new File([data], "a.hdr"));
+  });
+  await page.click("summary:text-is('Save')");
+  await page.click("text=Copy link to this view");
+  await page.waitForSelector("text=The link is on the clipboard. It cannot carry a.hdr, which is on this");
+});

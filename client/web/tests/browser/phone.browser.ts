@@ -1,0 +1,168 @@
+import type { Browser, CDPSession, Page } from "playwright-core";
+import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import { closePages, sharedChromium } from "../support/chromium.js";
+import { openViewer } from "./support.js";
+
+const [width, height] = [390, 844];
+let browser: Browser;
+let page: Page;
+let session: CDPSession;
+
+/** Return where something of the viewer is on the screen. */
+const boxOf = (selector: string) =>
+  page.evaluate((name) => {
+    const found = document.querySelector("lambent-viewer")!.shadowRoot!.querySelector(name)!;
+    const { left, top, right, bottom } = found.getBoundingClientRect();
+    return { left, top, right, bottom };
+  }, selector);
+const isOpen = () =>
+  page.evaluate(
+    () =>
+      document.querySelector("lambent-viewer")!.shadowRoot!.querySelector<HTMLDetailsElement>(".panel")!.open,
+  );
+const middle = () =>
+  page.evaluate(() => {
+    const viewer = document.querySelector("lambent-viewer")!.viewer!;
+    const { clientWidth, clientHeight } = viewer.canvas;
+    const { centreX, centreY } = viewer.canvasCamera({ width: clientWidth, height: clientHeight });
+    return [centreX, centreY];
+  });
+const soon = <T>(find: () => Promise<T>) => expect.poll(find, { timeout: 20_000 });
+
+/** Move one finger upwards along the screen. */
+async function slide(from: number, up: number, steps = 12): Promise<void> {
+  const touch = (type: "touchStart" | "touchMove" | "touchEnd", y: number | null) =>
+    session.send("Input.dispatchTouchEvent", {
+      type,
+      touchPoints: y === null ? [] : [{ x: width / 2, y, id: 0 }],
+    });
+  await touch("touchStart", from);
+  for (let step = 1; step <= steps; step++) await touch("touchMove", from - (up * step) / steps);
+  // Held for a moment, so that where it is counts, not how fast it went.
+  await page.waitForTimeout(60);
+  await touch("touchMove", from - up);
+  await touch("touchEnd", null);
+}
+
+beforeAll(async () => {
+  browser = await sharedChromium();
+  const context = await browser.newContext({
+    ...{ viewport: { width, height }, hasTouch: true, isMobile: true, reducedMotion: "reduce" },
+  });
+  page = await openViewer(context, { v: "2", env: "preset:studio" });
+  session = await context.newCDPSession(page);
+});
+afterAll(() => closePages(browser));
+
+describe("on a phone", () => {
+  it("lights and the ball are in sight, and the object is in the middle of the rest", async () => {
+    expect(await isOpen()).toBe(false);
+    const [row, ball, bar] = [await boxOf(".chips"), await boxOf(".ball"), await boxOf(".panel")];
+    for (const { left, top, right, bottom } of [row, ball, bar]) {
+      expect([left >= 0, top >= 0, right <= width, bottom <= height]).toEqual([true, true, true, true]);
+    }
+    expect(row.top).toBeGreaterThan(0.75 * height);
+    expect(row.right).toBeLessThanOrEqual(ball.left);
+    expect(Math.max(row.bottom, ball.bottom)).toBeLessThanOrEqual(bar.top);
+    const [x, y] = await middle();
+    expect(x).toBe(width / 2);
+    expect(Math.abs(y! - 0.5 * Math.min(row.top, ball.top))).toBeLessThan(8);
+  });
+
+  it("the sheet opens and closes with a tap, and leaves room for the object", async () => {
+    const bar = await boxOf(".panel > summary");
+    await page.touchscreen.tap(100, 0.5 * (bar.top + bar.bottom));
+    await soon(isOpen).toBe(true);
+    const panel = await boxOf(".panel");
+    expect(panel.bottom - panel.top).toBeLessThanOrEqual(0.451 * height);
+    const row = await boxOf(".chips");
+    expect(row.bottom).toBeLessThanOrEqual(panel.top);
+    expect(row.top).toBeGreaterThan(0.35 * height);
+    await soon(async () => (await middle())[1]! / row.top).toBeCloseTo(0.5, 1);
+    const summary = await boxOf(".panel > summary");
+    await page.touchscreen.tap(100, 0.5 * (summary.top + summary.bottom));
+    await soon(isOpen).toBe(false);
+  });
+
+  it("the sheet is dragged open and shut, and falls back where that was too little", async () => {
+    const from = async (): Promise<number> => {
+      const { top, bottom } = await boxOf(".panel > summary");
+      return 0.5 * (top + bottom);
+    };
+    await slide(await from(), 40);
+    await soon(isOpen).toBe(false);
+    await slide(await from(), 320);
+    await soon(isOpen).toBe(true);
+    await slide(await from(), -320);
+    await soon(isOpen).toBe(false);
+  });
+
+  it("everything that is touched is 44 pixels high and wide at least", async () => {
+    await page.evaluate(() => {
+      for (const part of document.querySelector("lambent-viewer")!.shadowRoot!.querySelectorAll("details")) {
+        part.open = true;
+      }
+    });
+    const small = await page.evaluate(() =>
+      [
+        ...document
+          .querySelector("lambent-viewer")!
+          .shadowRoot!.querySelectorAll<HTMLElement>("button, select, input, summary, .ball, .handle"),
+      ]
+        .filter((each) => each.offsetParent !== null)
+        // A box with its words beside it is touched on them, too.
+        .map((each) => (each.matches("[type=checkbox]") ? each.closest("label")! : each))
+        .filter((each) => each.offsetHeight < 44 || each.offsetWidth < 44)
+        .map((each) => `${each.outerHTML.slice(0, 80)} ${each.offsetWidth} x ${each.offsetHeight}`),
+    );
+    expect(small).toEqual([]);
+    await page.evaluate(() => {
+      document
+        .querySelector("lambent-viewer")!
+        .shadowRoot!.querySelector<HTMLDetailsElement>(".panel")!.open = false;
+    });
+  });
+
+  it("nothing is drawn while nothing changes, with the sheet open or shut", async () => {
+    const drawn = (ms: number) =>
+      page.evaluate(async (time) => {
+        let count = 0;
+        const stop = document.querySelector("lambent-viewer")!.viewer!.on("draw", () => count++);
+        await new Promise((resolve) => setTimeout(resolve, time));
+        stop();
+        return count;
+      }, ms);
+    await soon(() => drawn(1500)).toBe(0);
+    expect(await drawn(1500)).toBe(0);
+    const bar = await boxOf(".panel > summary");
+    await page.touchscreen.tap(100, 0.5 * (bar.top + bar.bottom));
+    await soon(isOpen).toBe(true);
+    await soon(() => drawn(1500)).toBe(0);
+    expect(await drawn(1500)).toBe(0);
+  });
+});
+
+describe("on a desk", () => {
+  it("no choice is longer than its field", async () => {
+    const desk = await openViewer(browser, { v: "2", env: "preset:studio" }, "data/bundle/", {
+      width: 1280,
+      height: 800,
+    });
+    const long = await desk.evaluate(() => {
+      const root = document.querySelector("lambent-viewer")!.shadowRoot!;
+      for (const part of root.querySelectorAll("details")) part.open = true;
+      const context = new OffscreenCanvas(1, 1).getContext("2d")!;
+      return [...root.querySelectorAll("select")].flatMap((list) => {
+        const style = getComputedStyle(list);
+        context.font = style.font;
+        // The arrow takes as much as two letters.
+        const room = list.clientWidth - Number.parseFloat(style.paddingLeft) - 22;
+        return [...list.options]
+          .map(({ text }) => text)
+          .filter((text) => !text.includes(".exr") && context.measureText(text).width > room);
+      });
+    });
+    expect(long).toEqual([]);
+    await desk.close();
+  });
+});
