@@ -70,7 +70,7 @@ def test_the_browser_refines_what_python_does(page, data, backend, workers, edit
     assert status["phase"] == "done", status
     assert status["backend"] == backend
     # Passes of several workers come when they are done.
-    assert SAMPLES <= status["samplesPerPixel"] <= SAMPLES * (1 if workers == 1 else 2)
+    assert SAMPLES <= status["samplesPerPixel"] <= SAMPLES * (1 if workers == 1 else 4)
     occlusion = "mesh" if backend == "mesh" else "cache"
     found, wanted = page.refined(), expected(data, page.camera(), edit, rotate_deg, occlusion)
     assert np.abs(found["coverage"] - wanted.coverage).mean() < 2e-3

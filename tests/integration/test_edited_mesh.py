@@ -72,6 +72,7 @@ def test_a_mesh_from_blender_becomes_a_bundle_that_is_relit(context, tmp_path):
         "environment",
         "cameras",
         "preview",
+        "poster",
     }
     np.testing.assert_allclose(list(manifest.bounds.maximum), [0.55, 0.65, 0.4], atol=0.04)
     renderer = Renderer(bundle, num_threads=1)

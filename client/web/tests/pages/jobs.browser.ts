@@ -170,7 +170,9 @@ describe("a job", () => {
   it("goes on being shown when the server was killed and started again, and ends with its results", async () => {
     await ordered(scene, "num_steps=120\nstep_s=0.05");
     await page.waitForSelector("text=/step \\d+ of 120/");
-    await page.waitForFunction(() => document.querySelector<HTMLImageElement>(".live img")!.naturalWidth > 0);
+    await page.waitForFunction(
+      () => (document.querySelector<HTMLImageElement>(".live img")?.naturalWidth ?? 0) > 0,
+    );
     await server.kill();
     await page.waitForSelector("#connection:has-text('does not answer')");
     await server.start();
