@@ -185,7 +185,7 @@ describe("a shared bundle on another site", () => {
 
   it("is refused to a site that the link does not name", async () => {
     const framed = await visit(`${stranger.origin}/frame`);
-    await expect.poll(() => framed.complaints.join("\n")).toContain("frame-ancestors");
+    await expect.poll(() => framed.complaints.join("\n"), { timeout: 10_000 }).toContain("frame-ancestors");
     expect(framed.page.frames()[1]!.url()).not.toContain(server.url);
     expect(await coloursOf(framed.page, "iframe")).toBeLessThan(20);
     const { page } = await visit("about:blank");
