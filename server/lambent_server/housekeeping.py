@@ -24,6 +24,8 @@ from lambent_server.database.schema import (
 from lambent_server.database.tenancy import Tenant, across_tenants, remove, rows
 from lambent_server.services import Services
 
+ENDED_SHARE_S = 30 * 86400.0
+"""How long after its expiry a link is known to have ended."""
 _REFERENCES: tuple[Column[Any], ...] = (
     scene_files.c.sha256,
     scene_figures.c.sha256,
@@ -49,7 +51,9 @@ def _expire(services: Services) -> None:
     settings = services.settings
     with services.database.write() as connection:
         connection.execute(delete(sessions).where(sessions.c.expires_at < now()))
-        connection.execute(delete(shares).where(shares.c.expires_at < now()))
+        # Until then the page of a link says that it has ended, in the frames where it was shown.
+        ended = now() - ENDED_SHARE_S
+        connection.execute(delete(shares).where(shares.c.expires_at < ended))
         old = now() - settings.idempotency_s
         connection.execute(delete(idempotency_keys).where(idempotency_keys.c.created_at < old))
         abandoned = across_tenants(scenes).where(

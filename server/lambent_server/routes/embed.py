@@ -28,12 +28,13 @@ def get_embed_page(services: ServicesOf, share_id: Id, request: Request) -> Resp
     """Return the page of a link, with the name and the picture of its object for those who preview links.
 
     The secret is in the fragment, which no server sees: this page alone opens no bundle. It has status 410
-    after the end of the link.
+    for at least 30 days after the end of the link, and 404 later.
     """
     with services.database.read() as connection:
         row = shares.find_any(connection, share_id)
         if row is None:
-            raise HTTPException(404)
+            unknown = lambent_pages.not_found()
+            return Response(unknown.content, status_code=404, headers=unknown.headers)
         active = shares.is_active(row)
         head = _head(connection, row, str(request.base_url).rstrip("/")) if active else ""
     page = lambent_pages.embed_page(head, shares.frame_ancestors(row))

@@ -10,6 +10,7 @@ import pytest
 from lambent_server.clock import now
 from lambent_server.database.schema import scenes
 from lambent_server.database.tenancy import add
+from lambent_server.housekeeping import ENDED_SHARE_S, sweep
 from support.api import TENANT, Api, expect, expect_problem, opened
 from support.server_rows import add_bundle
 
@@ -138,7 +139,9 @@ def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypat
     revoked, _ = make(api, frame_ancestors=[SHOP])
     expect(api.delete(f"/v1/shares/{revoked['id']}"), 204)
     expired, _ = make(api, expires_in_s=60)
-    monkeypatch.setattr("lambent_server.shares.now", lambda: time.time() + 61)
+    for module in ("shares", "housekeeping"):
+        monkeypatch.setattr(f"lambent_server.{module}.now", lambda: time.time() + 61)
+    sweep(api.services)
     for share in (revoked, expired):
         page = visitor.get(f"/embed/{share['id']}")
         expect_page(page, 410)
@@ -147,7 +150,13 @@ def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypat
         assert visitor.get(f"/embed/{share['id']}/picture").status_code == 404
     # The page that tells so stays in the frame.
     assert ancestors(visitor.get(f"/embed/{revoked['id']}")) == SHOP
-    assert visitor.get("/embed/share_nobody").status_code == 404
+    month = ENDED_SHARE_S + 62
+    monkeypatch.setattr("lambent_server.housekeeping.now", lambda: time.time() + month)
+    sweep(api.services)
+    for unknown in (expired["id"], "share_nobody"):
+        page = visitor.get(f"/embed/{unknown}")
+        assert (page.status_code, page.headers["content-type"]) == (404, "text/html; charset=utf-8")
+        assert "There is no such page" in page.text
 
 
 def test_the_address_of_the_page_opens_no_bundle(api: Api):
