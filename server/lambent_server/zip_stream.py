@@ -53,7 +53,8 @@ def fits(entries: Sequence[Entry]) -> bool:
 def zip_pieces(entries: Sequence[Entry], made_at: float) -> Iterator[bytes]:
     """Yield the bytes of the archive; `made_at` (Unix seconds) becomes the time of every entry, in UTC.
 
-    Raises OSError if an entry has another size than it should: the receiver gets too few bytes, and knows it.
+    Raises OSError if an entry has another size than it should: the receiver gets too few bytes, and can
+    tell from the announced length.
     """
     stamp = _dos_time(made_at)
     offset, directory = 0, []

@@ -57,6 +57,17 @@ def write_poster(folder: Path, manifest: bundle_pb2.BundleManifest) -> None:
     small.save(folder / THUMBNAIL_PATH, "WEBP", quality=_QUALITY, method=6)
 
 
+def try_poster(folder: Path, manifest: bundle_pb2.BundleManifest) -> str:
+    """Write the pictures as `write_poster` does; returns why it could not, or "": a bundle does without."""
+    try:
+        write_poster(folder, manifest)
+    except Exception as error:  # Everything else of the bundle is there.
+        for path in (POSTER_PATH, THUMBNAIL_PATH):
+            (folder / path).unlink(missing_ok=True)
+        return repr(error)[:200]
+    return ""
+
+
 def poster(bundle: Bundle) -> UInt8[ndarray, "height width 3"]:
     """Return the sRGB pixels of the poster; raises UnsupportedQuality without baked transport."""
     azimuth_deg, elevation_deg = _side(bundle)

@@ -1,6 +1,7 @@
 """The albedo texture of a given mesh at a size of its own, as sharp as the file's pictures."""
 
 import numpy as np
+from flashcache.config import SIZE_STEP
 from jaxtyping import Float32
 from lambent_relight.baked.raster import Fragments, interpolate, nearest_texel, rasterise_uv
 from numpy import ndarray
@@ -27,7 +28,8 @@ def albedo_size(given: GivenMesh, *, kept_uv: bool, least: int, most: int) -> in
         wanted = max(max(height, width) for height, width, _ in shapes)
     else:
         wanted = int(np.ceil(sum(height * width for height, width, _ in shapes) ** 0.5))
-    return max(least, min(most, wanted))
+    # Smaller versions and compressed ones need sizes that can be halved.
+    return max(least, min(most, -(-wanted // SIZE_STEP) * SIZE_STEP))
 
 
 def fine_albedo(given: GivenMesh, charts: Unwrapped, coarse: Plane, size: int) -> Plane:

@@ -14,7 +14,7 @@ from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
 from lambent_worker.bundle.measure import relight_camera, write_photographs
 from lambent_worker.bundle.mesh import Corner, occupied_box
-from lambent_worker.bundle.poster import write_poster
+from lambent_worker.bundle.poster import try_poster
 from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size
 from lambent_worker.bundle.transport_files import write_relight_graph
 from lambent_worker.bundle.usd import write_usdz
@@ -141,7 +141,8 @@ def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> 
         image = model.environment.image(settings.environment_height, index).detach().cpu().numpy()
         write_environment(folder / "env" / f"trained_{light}.exr", image)
     write_photographs(views, scene.lights[0], folder / "preview")
-    write_poster(folder, manifest)
+    if problem := try_poster(folder, manifest):
+        context.reporter.log("poster.failed", reason=problem)
     files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     write_manifest(folder, manifest, sorted(files))
     _advance(context, NUM_PARTS)

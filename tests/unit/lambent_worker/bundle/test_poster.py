@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from lambent_proto.v1 import bundle_pb2
+from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_worker.bundle.poster import (
     FILLED,
@@ -11,6 +12,7 @@ from lambent_worker.bundle.poster import (
     framed,
     poster,
     studio,
+    try_poster,
     write_poster,
 )
 from PIL import Image
@@ -66,3 +68,13 @@ def test_the_files_are_whole_pictures_of_two_sizes(bundle, tmp_path):
 def test_a_bundle_without_baked_transport_has_none(tmp_path):
     write_poster(tmp_path, bundle_pb2.BundleManifest())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bundle_does_without_a_poster_that_cannot_be_made(tmp_path, monkeypatch):
+    def fail(*_: object) -> None:
+        (tmp_path / "poster.webp").write_bytes(b"half")
+        raise ValueError("no light")
+
+    monkeypatch.setattr("lambent_worker.bundle.poster.write_poster", fail)
+    assert "no light" in try_poster(tmp_path, BundleManifest())
+    assert not list(tmp_path.iterdir())

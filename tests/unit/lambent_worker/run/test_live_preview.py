@@ -13,7 +13,6 @@ from lambent_worker.run.context import TaskContext
 from lambent_worker.run.live_preview import (
     INTERVAL_S,
     LONGEST_S,
-    SHARE,
     SIDES,
     STEP_DEG,
     LivePreview,
@@ -138,4 +137,15 @@ def test_a_preview_is_a_small_picture_named_like_its_stage(tmp_path):
         assert image.size[0] == image.size[1] <= SIDES[1]
     (made,) = told.named("previews.made")
     assert made["number"] == 4
-    assert SHARE < 0.05
+
+
+def test_a_preview_that_cannot_be_made_does_not_end_the_training(tmp_path, monkeypatch):
+    def fail(*_: object) -> None:
+        raise MemoryError("no room for a picture")
+
+    monkeypatch.setattr("lambent_worker.run.live_preview.LivePreview.show", fail)
+    stage, told = trained(tmp_path, shown=True)
+    assert stage.finished
+    # It is told once, and not tried again.
+    (failed,) = told.named("previews.failed")
+    assert "no room" in failed["reason"]

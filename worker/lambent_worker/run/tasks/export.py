@@ -28,7 +28,7 @@ from lambent_worker.bundle.measure import measure
 from lambent_worker.bundle.mesh import Corner, occupied_box
 from lambent_worker.bundle.parity import ParityResult
 from lambent_worker.bundle.photo_albedo import Photographs, albedo_texture, automatic_size
-from lambent_worker.bundle.poster import write_poster
+from lambent_worker.bundle.poster import try_poster
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
 from lambent_worker.bundle.surface_files import pixel_size, write_asset, written_caches
 from lambent_worker.bundle.transport import TransportConfig
@@ -140,7 +140,8 @@ def write_bundle(
         manifest.metrics.update(judged)
     if settings.weights == "none":
         remove_networks(manifest, folder)
-    write_poster(folder, manifest)
+    if problem := try_poster(folder, manifest):
+        context.reporter.log("poster.failed", reason=problem)
     _advance(context, 7)
     uncertainty = uncertainty_of_run(context, trained if scene.turned else model, scene)
     if uncertainty is not None:

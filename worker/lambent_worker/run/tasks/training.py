@@ -134,7 +134,11 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
             problem = stage.graphs.problem
             context.reporter.log("graphs.given_up", step=record.step, reason=problem)
         if preview is not None:
-            preview.show(stage.model)
+            try:
+                preview.show(stage.model)
+            except Exception as error:  # A picture to look at is not worth a training.
+                context.reporter.log("previews.failed", step=record.step, reason=repr(error)[:200])
+                preview = None
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
             rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
