@@ -25,7 +25,7 @@ export async function refinedPixels(
       options,
     );
   } finally {
-    viewer.invalidate();
+    host.end();
   }
 }
 
@@ -49,6 +49,6 @@ export async function refinedFile(
       height,
     );
   } finally {
-    viewer.invalidate();
+    host.end();
   }
 }

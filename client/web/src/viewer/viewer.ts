@@ -50,6 +50,8 @@ export class Viewer {
   #photoEdge: Rgb | null = null;
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
+  /** Refined pictures that are being made for something else. */
+  #stills = 0;
   #closed = false;
   /** The pose that a bundle is opened with, unless another one was chosen. */
   home: OrbitPose = initialState.pose;
@@ -142,6 +144,8 @@ export class Viewer {
     try {
       await this.lights.apply();
     } catch (error) {
+      // The trouble of a bundle that is not shown any more is nobody's.
+      loading.signal.throwIfAborted();
       if (!(error instanceof MapFault)) throw error;
       // A link may name a map that is gone: the object is shown all the same, in a light that is there.
       trouble = error;
@@ -149,6 +153,7 @@ export class Viewer {
       this.#state = { ...this.#state, environment: light, environmentB: light };
       await this.lights.apply();
     }
+    loading.signal.throwIfAborted();
     this.#tell("load", bundle);
     this.#tell("change");
     if (trouble !== null) this.#tell("message", trouble.message, true);
@@ -247,11 +252,17 @@ export class Viewer {
     return this.#refinement?.shown?.picture ?? null;
   }
 
-  /** Give up refining what is shown, and return what refines a picture of any size; `invalidate` goes on with it. */
-  refineElsewhere(): StillHost {
+  /** Give up refining what is shown, and return what refines a picture of any size; its `end` goes on with it. */
+  refineElsewhere(): StillHost & { readonly end: () => void } {
     this.#refinement?.dispose();
     this.#refinement = null;
-    return { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
+    const host = { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
+    this.#stills++;
+    const end = (): void => {
+      this.#stills--;
+      this.invalidate();
+    };
+    return { ...host, end };
   }
 
   /** The elevations to look from, degrees. */
@@ -349,14 +360,16 @@ export class Viewer {
 
   /** The picture at rest was drawn: refine it, if that is wanted. What that needs is fetched now. */
   #refineSoon(): void {
-    if (!this.#state.refine) return;
+    // Both would draw in place of the baked picture, and share the processors.
+    if (!this.#state.refine || this.#stills > 0) return;
     if (this.#refinement !== null) {
       this.#refinement.rest();
       return;
     }
     import("../refine/refinement.js")
       .then(({ Refinement }) => {
-        if (this.#closed || !this.#state.refine || this.#refinement !== null) return;
+        const given = this.#closed || this.#stills > 0 || this.#refinement !== null;
+        if (given || !this.#state.refine) return;
         this.#refinement = new Refinement({
           stage: this.#ready(),
           view: () => this.#refineView(),
