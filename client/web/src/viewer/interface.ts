@@ -18,6 +18,8 @@ import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
 
 const messageMs = 8000;
+/** Share of the height that controls may take from the picture. */
+const mostTaken = 0.65;
 
 /** The interface of one viewer, inside a shadow root. */
 export class Interface {
@@ -181,8 +183,9 @@ export class Interface {
     const box = this.#view.getBoundingClientRect();
     const line = this.#controls?.line.getBoundingClientRect();
     const taken = line === undefined || line.height === 0 ? 0 : box.bottom - line.top;
-    const bottom = Math.min(Math.max(taken / Math.max(box.height, 1), 0), 0.8);
-    this.viewer.inset = { ...noInset, bottom };
+    const share = Math.max(taken / Math.max(box.height, 1), 0);
+    // In a small element controls lie over the picture, of which hardly anything would be left beside them.
+    this.viewer.inset = { ...noInset, bottom: share > mostTaken ? 0 : share };
   }
 
   #drag(event: DragEvent, over: boolean): void {
