@@ -139,12 +139,14 @@ def watched(command: list[str]) -> Watched:
         # Not `ru_maxrss`, in which a child begins with the largest memory of its parent.
         nonlocal peak
         while not ended.wait(SAMPLED_S):
+            # Before the memory is read: what is told meanwhile may come with memory that was given back.
+            during = doing
             try:
                 text = Path(f"/proc/{child.pid}/status").read_text(encoding="ascii")
             except OSError:
                 return
             found = {line.split()[0]: line.split()[1] for line in text.splitlines() if line.startswith("Vm")}
-            highest[doing] = max(highest.get(doing, 0), 1024 * int(found.get("VmRSS:", 0)))
+            highest[during] = max(highest.get(during, 0), 1024 * int(found.get("VmRSS:", 0)))
             peak = max(peak, 1024 * int(found.get("VmHWM:", 0)))
 
     sampler = threading.Thread(target=sample, daemon=True)
