@@ -24,7 +24,7 @@ beforeAll(async () => {
     viewport: { width: 900, height: 600 },
     reducedMotion: "reduce",
   });
-  page = await openViewer(context, { v: "2", env: "preset:studio" });
+  page = await openViewer(context, { v: "2", env: "preset:studio", rotate: "0,0,0" });
 });
 afterAll(() => closePages(browser));
 
