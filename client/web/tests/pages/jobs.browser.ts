@@ -200,6 +200,17 @@ describe("a job", () => {
     await keepPicture(page, "job");
   });
 
+  it("leaves out pictures that the server has let go of", async () => {
+    await page.waitForSelector(".previews img");
+    await page.route("**/v1/blobs/*", (route) => route.fulfill({ status: 404 }));
+    await page.reload();
+    await page.waitForSelector(".chart polyline");
+    await page.waitForSelector(".previews", { state: "hidden" });
+    await page.unroute("**/v1/blobs/*");
+    await page.reload();
+    await page.waitForSelector(".previews img");
+  });
+
   it("is shown to others by a link, which opens nothing else and is taken back", async () => {
     await page.click("summary:text-is('Share a link')");
     await page.selectOption("#lifetime", { label: "one day" });
