@@ -134,6 +134,15 @@ def test_the_picture_is_a_rendering_or_the_poster(api: Api):
     assert "<title>A relightable object</title>" in page
 
 
+def test_of_two_posters_a_list_shows_the_small_one_and_a_link_the_large_one(api: Api, tmp_path: Path):
+    files = {"manifest.json": b"{}", "thumbnail.webp": b"small", "poster.webp": b"large"}
+    add_bundle(api, tmp_path, files, bundle_id="bundle_two_posters")
+    share, _ = make(api, "bundle_two_posters")
+    assert api.other(None).get(f"/embed/{share['id']}/picture").content == b"large"
+    shown = expect(api.get("/v1/bundles/bundle_two_posters"), 200)["thumbnail_url"]
+    assert api.get(shown).content == b"small"
+
+
 def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypatch: pytest.MonkeyPatch):
     visitor = api.other(None)
     revoked, _ = make(api, frame_ancestors=[SHOP])
