@@ -17,6 +17,7 @@ from lambent_relight import (
     write_picture_exr,
 )
 from lambent_relight.baked.depth_steps import depth_steps
+from lambent_relight.baked.renderer import BakedRenderer
 from lambent_relight.baked.transport import read_transport
 from lambent_relight.images import srgb_from_linear
 from support.baked_bundle import write_baked_bundle
@@ -264,3 +265,39 @@ def test_two_lights_that_take_turns_are_prepared_once(renderer, monkeypatch):
     again = [renderer.render(CAMERA, light, quality="baked").rgb for light in lights]
     np.testing.assert_array_equal(first, again)
     assert np.abs(first[0] - first[1]).max() > 0.01
+
+
+def test_remembered_views_are_bounded_by_their_memory_and_not_by_their_pixels(renderer):
+    cameras = turntable(3, radius=4.0, elevation_deg=35.0, width=40, height=40)
+
+    def opened(kept_bytes):
+        return BakedRenderer(renderer.bundle, renderer.caches, kept_bytes=kept_bytes)
+
+    coarse, fine = (opened(0).view(cameras[0], antialias, soft_edges=False) for antialias in (1, 4))
+    assert fine.num_pixels < 1.2 * coarse.num_pixels
+    assert fine.size_bytes > 2.0 * coarse.size_bytes
+    one = opened(4 * coarse.size_bytes)
+    first = [one.view(camera, 1, soft_edges=False) for camera in cameras]
+    assert all(
+        one.view(camera, 1, soft_edges=False) is view for camera, view in zip(cameras, first, strict=True)
+    )
+    last = one.view(cameras[0], 4, soft_edges=False)
+    assert one.view(cameras[0], 4, soft_edges=False) is last
+    assert one.view(cameras[0], 1, soft_edges=False) is not first[0]
+
+
+def test_places_of_fragments_are_small_numbers_that_keep_nothing_else_in_memory(renderer):
+    points = renderer.baked().view(CAMERA, 1, soft_edges=False).points
+    for place in (points.row, points.column):
+        assert (place.dtype, place.base) == (np.int32, None)
+
+
+def test_the_memory_of_a_view_is_that_of_its_arrays(renderer):
+    view = renderer.baked().view(CAMERA, 2, soft_edges=False)
+    assert view.near is view.far
+    names = ("pixel", "first", "texel", "share", "used", "coverage", "distance", "omega_o", "normal")
+    names += ("albedo", "perceptual_roughness", "metalness", "visibility", "openness", "surroundings")
+    names += ("near", "share_of_near")
+    fragments = len(view.points.position)
+    of_points = (12 + 12 + 4 + 4) * fragments + view.points.first.nbytes
+    assert view.size_bytes == sum(getattr(view, name).nbytes for name in names) + of_points

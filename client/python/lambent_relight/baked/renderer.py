@@ -25,8 +25,8 @@ from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.known_sky import KnownSky, SkyCells
 from lambent_relight.refined.scattering import SurfacePoints
 
-_KEPT_PIXELS = 2_000_000
-"""Maximum number of pixels in cached views; about 400 bytes each."""
+_KEPT_BYTES = 768_000_000
+"""Maximum memory of cached views: 200 bytes a pixel with one fragment each, 800 with 4 x 4."""
 _KEPT_SHADOWS = 3 * MAX_DOMINANT
 """Number of cached shadow maps, 4 MB each."""
 _KEPT_LIGHTS = 3
@@ -36,12 +36,12 @@ _KEPT_LIGHTS = 3
 class BakedRenderer:
     """Renders from baked transport; with view and light cached, a picture costs a matrix product."""
 
-    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_pixels: int = _KEPT_PIXELS) -> None:
+    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_bytes: int = _KEPT_BYTES) -> None:
         """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
 
-        `kept_pixels` bounds the views that are remembered; the last one always is.
+        `kept_bytes` bounds the memory of the views that are remembered; the last one always is.
         """
-        self._kept_pixels = kept_pixels
+        self._kept_bytes = kept_bytes
         self.scene = load_baked_scene(bundle)
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
@@ -62,7 +62,7 @@ class BakedRenderer:
                 view = with_soft_edges(view, self._caches, antialias)
             while (
                 self._views
-                and sum(v.num_pixels for v in self._views.values()) + view.num_pixels > self._kept_pixels
+                and sum(each.size_bytes for each in self._views.values()) + view.size_bytes > self._kept_bytes
             ):
                 self._views.pop(next(iter(self._views)))
             self._views[key] = view

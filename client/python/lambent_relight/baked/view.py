@@ -5,7 +5,7 @@ of the texels around them, bilinear. The specular lobe is looked up once per pix
 the light, so a new light on a known view costs little.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,9 @@ class SurfacePoints:
     """World coordinates, [fragment, 3]."""
     normal: NDArray[np.float32]
     """Unit, [fragment, 3]."""
-    row: NDArray[np.int64]
+    row: NDArray[np.int32]
     """In the picture of all samples, [fragment]; so is `column`."""
-    column: NDArray[np.int64]
+    column: NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +73,13 @@ class BakedView:
         """The number of pixels that show the surface."""
         return len(self.pixel)
 
+    @property
+    def size_bytes(self) -> int:
+        """The memory of all arrays; one that stands for two things counts once."""
+        arrays = [getattr(part, item.name) for part in (self, self.points) for item in fields(part)]
+        whole = {id(array): array.nbytes for array in arrays if isinstance(array, np.ndarray)}
+        return sum(whole.values())
+
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the mean of values per used texel [used, n] over the texels of every pixel, [pixel, n]."""
         return weighted_sums(values, self.texel, self.share, self.first)
@@ -111,7 +118,9 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int) -> BakedV
     used, place = np.unique(texel, return_inverse=True)
 
     normal = scene.normals_at(places, footprint)
-    points = SurfacePoints(first, places(scene.mesh.vertices), normal, row, column)
+    # Not as they are found: those are columns of one array, which would stay whole.
+    place_in_picture = row.astype(np.int32), column.astype(np.int32)
+    points = SurfacePoints(first, places(scene.mesh.vertices), normal, *place_in_picture)
     every = np.arange(len(pixel))
 
     def blended(values: NDArray[np.float32]) -> NDArray[np.float32]:
