@@ -3,14 +3,8 @@
 import { directionOfPixel, type Direction } from "../engine/environment.js";
 import type { EnvironmentMap, Rgb } from "../engine/environmentMap.js";
 
-/** Names of the maps, as they are shown. */
-export const presetNames = {
-  studio: "Studio",
-  sky: "Clear sky",
-  sunset: "Low sun",
-  even: "Even grey",
-} as const;
-export type PresetName = keyof typeof presetNames;
+export const presetNames = ["studio", "sky", "sunset", "even"] as const;
+export type PresetName = (typeof presetNames)[number];
 
 type Lamp = {
   readonly azimuth: number;
