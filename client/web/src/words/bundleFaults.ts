@@ -7,5 +7,5 @@ import { onSpeech } from "./languages.js";
 export let bundleFaults: BundleFaults = english;
 
 onSpeech((catalogue) => {
-  bundleFaults = catalogue.bundleFaults;
+  bundleFaults = catalogue?.bundleFaults ?? english;
 });

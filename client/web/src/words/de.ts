@@ -365,9 +365,9 @@ export const texts: Texts = {
       colour: "Farbe",
       transparent: "Transparent",
     },
-    backgroundColour: "Hintergrundfarbe",
+    backgroundColour: "Hintergrund\u00adfarbe",
     indirect: "Indirektes Licht",
-    refine: "In Ruhe verfeinern",
+    refine: "Bei Stillstand verfeinern",
     ground: "Schatten auf dem Boden",
     resetPicture: "Bild zurücksetzen",
     camera: "Kamera",
@@ -428,8 +428,8 @@ export const texts: Texts = {
     },
     motion: "Bewegung",
     motions: {
-      turntable: "Kamera umkreist das Objekt",
-      light: "Licht umkreist das Objekt",
+      turntable: "Kamera kreist",
+      light: "Licht kreist",
       both: "Beide, gegenläufig",
     },
     format: "Format",
@@ -718,7 +718,7 @@ export const texts: Texts = {
     badSetting: (line) => `„${line}“ ist keine Einstellung; Schreibweise: name=wert`,
     noPreset: "Bitte zuerst eine Voreinstellung wählen.",
     noTime: "noch keine Schätzung",
-    onHardware: (about) => `${about} auf der Hardware, für die sie gedacht ist`,
+    onHardware: (about) => `${about} auf der vorgesehenen Hardware`,
     asMeasured: (about, jobs) =>
       count(jobs, {
         one: `${about}, hier gemessen an # Job`,
@@ -731,8 +731,8 @@ export const texts: Texts = {
       }),
     ahead: (jobs) =>
       count(jobs, {
-        one: "# Job kommt möglicherweise vorher dran.",
-        other: "# Jobs kommen möglicherweise vorher dran.",
+        one: "Vorher läuft möglicherweise noch # Job.",
+        other: "Vorher laufen möglicherweise noch # Jobs.",
       }),
     more: "Weitere Einstellungen",
     seed: "Startwert aller Zufallszahlen",

@@ -7,5 +7,5 @@ import { onSpeech } from "./languages.js";
 export let deviceFaults: DeviceFaults = english;
 
 onSpeech((catalogue) => {
-  deviceFaults = catalogue.deviceFaults;
+  deviceFaults = catalogue?.deviceFaults ?? english;
 });

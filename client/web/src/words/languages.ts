@@ -27,21 +27,19 @@ export function chosen(wanted: readonly string[]): string {
   return wanted.find((tag) => languages.includes(languageOf(tag))) ?? "en";
 }
 
-const listeners = new Set<(catalogue: Catalogue) => void>();
+const listeners = new Set<(catalogue: Catalogue | null) => void>();
 let spoken: Catalogue | null = null;
 
-/** Call `take` with the catalogue of another language than English, once it is there. */
-export function onSpeech(take: (catalogue: Catalogue) => void): void {
+/** Call `take` with the catalogue that is spoken from now on, null for English, which is not fetched. */
+export function onSpeech(take: (catalogue: Catalogue | null) => void): void {
   listeners.add(take);
   if (spoken !== null) take(spoken);
 }
 
-/** Fetch the catalogue of a tag's language and speak it from then on; English needs none. */
+/** Fetch the catalogue of a tag's language and speak it from then on. */
 export async function speakAs(tag: string): Promise<void> {
-  const catalogue = await others[languageOf(tag)]?.();
-  if (catalogue === undefined) return;
-  spoken = catalogue;
-  for (const take of listeners) take(catalogue);
+  spoken = (await others[languageOf(tag)]?.()) ?? null;
+  for (const take of listeners) take(spoken);
 }
 
 /** Resolves when a worker knows its language, of which the page has given it the name. */

@@ -7,5 +7,5 @@ import { onSpeech } from "./languages.js";
 export let mapFaults: MapFaults = english;
 
 onSpeech((catalogue) => {
-  mapFaults = catalogue.mapFaults;
+  mapFaults = catalogue?.mapFaults ?? english;
 });

@@ -10,7 +10,7 @@ export let texts: Texts = english;
 export let locale = "en";
 
 onSpeech((catalogue) => {
-  texts = catalogue.texts;
+  texts = catalogue?.texts ?? english;
 });
 
 /** Speak the language of a tag from now on, once its catalogue is there. */
