@@ -98,7 +98,7 @@ describe("an upload", () => {
     await uploaded("bowl", { ...capture, "notes.pdf": "left out" });
     await stateIs("ready");
     await page.waitForSelector("text=NeRF-Blender");
-    await page.waitForSelector("text=3 to train on, 1 to test");
+    await page.waitForSelector("text=3 for training, 1 for testing");
     await page.waitForSelector(".presets :text('about 45 seconds')");
     expect(await page.isDisabled("input[value=standard]")).toBe(true);
     expect(await page.isChecked("input[value=fast]")).toBe(true);
@@ -219,7 +219,7 @@ describe("a job", () => {
   it("is shown to others by a link, which opens nothing else and is taken back", async () => {
     await page.click("summary:text-is('Share a link')");
     await page.selectOption("#lifetime", { label: "one day" });
-    await page.click("text=Make a link");
+    await page.click("text=Create a link");
     const link = await page.inputValue(".shares input");
     const stranger = await browser.newContext();
     const guest = await stranger.newPage();
@@ -243,12 +243,12 @@ describe("a job", () => {
     const withCookie = async (path: string) => guest.evaluate(async (url) => (await fetch(url)).status, path);
     expect(await withCookie(`${bundle}/manifest`)).toBe(200);
     expect(await withCookie("/v1/jobs")).toBe(401);
-    await page.click("text=Take back");
+    await page.click("text=Revoke");
     await page.waitForSelector("text=no longer works");
     expect(await withCookie(`${bundle}/manifest`)).toBe(401);
     await guest.goto("about:blank");
     await guest.goto(link);
-    await guest.waitForSelector("text=taken back");
+    await guest.waitForSelector("text=revoked");
     expect(await serious(guest)).toEqual([]);
     await stranger.close();
   });
@@ -291,7 +291,7 @@ describe("a job", () => {
     const status = () => page.evaluate(async (one) => (await fetch(`/v1/jobs/${one}`)).status, id);
     const inList = `ol[aria-label=Jobs] a[href='#/jobs/${id}']`;
     await page.click("button:text-is('Delete the job')");
-    await page.waitForSelector(".toast:has-text('The job \"bowl\" is deleted.')");
+    await page.waitForSelector(".toast:has-text('The job \"bowl\" was deleted.')");
     await page.waitForSelector("ol[aria-label=Jobs] li");
     expect(await page.$(inList)).toBeNull();
     expect(await status()).toBe(200);
@@ -318,7 +318,7 @@ describe("a job", () => {
     await page.goto(`${server.url}/#/`);
     await page.waitForSelector("ol[aria-label=Jobs] li");
     await page.fill("#job-words", "nothing like it");
-    await page.waitForSelector("text=No job fits.");
+    await page.waitForSelector("text=No job matches.");
     await page.fill("#job-words", "BOW");
     await page.waitForSelector("ol[aria-label=Jobs] li:has-text('bowl')");
     await page.selectOption("select[aria-label=State]", "failed");
