@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 import pytest
@@ -345,36 +344,6 @@ def test_stage_two_is_kept_with_a_reason_where_there_is_nothing_to_fit(scene, mo
     assert "lights" in polish(kept, pixels_of(scene), seed=0).kept
     for after, before in zip(kept.state_dict().values(), model.state_dict().values(), strict=True):
         assert torch.equal(after, before)
-
-
-def test_nothing_that_takes_long_is_done_without_a_pulse_before_and_after(scene, model, monkeypatch):
-    """A preview or a stop waits for one of them at most."""
-    happened: list[str] = []
-
-    def told(module, name: str) -> None:
-        work = getattr(module, name)
-
-        def record(*given, **named):
-            found = work(*given, **named)
-            happened.append(name)
-            return found
-
-        monkeypatch.setattr(module, name, record)
-
-    # Two thirds of the time of a polish: docs/benchmarks/materials.md.
-    for name in ("choose", "fit_light", "incoming_tables", "confidence_of", "gate"):
-        told(whole, name)
-    told(torch.optim.Adam, "step")
-
-    def pulse(*_) -> None:
-        happened.append("pulse")
-
-    polish(copy.deepcopy(model), pixels_of(scene), seed=0, advance=pulse, pulse=pulse)
-    between = [list(group) for is_pulse, group in groupby(happened, "pulse".__eq__) if not is_pulse]
-    assert sum(len(group) for group in between if "choose" in group) == whole.ROUNDS
-    for group in between:
-        assert len(group) == 1 or set(group) == {"step"}
-        assert len(group) <= write.PULSE_STEPS
 
 
 def test_a_polish_that_is_stopped_leaves_the_model_as_it_was(scene, model):
