@@ -48,8 +48,6 @@ Reader = Literal["auto", "fused", "onnx"]
 _LOG = logging.getLogger("lambent_relight")
 KEPT_RAYS = 3_000_000
 """Camera rays that are remembered by default; about 70 bytes each."""
-BAKED_BYTES = 256
-"""Memory of views of baked transport that is allowed for each of these."""
 
 
 class Renderer:
@@ -68,8 +66,7 @@ class Renderer:
         `reader` says what answers secondary rays: "fused" (compiled code, fast), "onnx" (the bundle's
         graphs), or "auto": fused where the bundle's networks are known, else the graphs, which is logged
         as a warning with the reason. Raises SettingError when "fused" is asked for and impossible.
-        `kept_rays` bounds the views that are remembered, by their camera rays (70 bytes each), and those of
-        baked transport by `BAKED_BYTES` for each of them; the last view always is.
+        `kept_rays` bounds the views that are remembered, by their camera rays; the last one always is.
         """
         self.bundle = instance(bundle, Bundle, "bundle", "open it with load_bundle(path)")
         if reader not in get_args(Reader):
@@ -196,10 +193,10 @@ class Renderer:
     def baked(self) -> "BakedRenderer":
         """Return what renders `preview` and `baked`; raises UnsupportedQuality without baked transport."""
         # Compiled code takes a second to import, which refined relighting through graphs does not pay.
-        from lambent_relight.baked.renderer import BakedRenderer
+        from lambent_relight.baked.renderer import BYTES_PER_RAY, BakedRenderer
 
         if self._baked is None:
-            self._baked = BakedRenderer(self.bundle, self.caches, kept_bytes=self._kept_rays * BAKED_BYTES)
+            self._baked = BakedRenderer(self.bundle, self.caches, kept_bytes=self._kept_rays * BYTES_PER_RAY)
         return self._baked
 
     def _tell(self, what: str) -> None:

@@ -25,8 +25,10 @@ from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.known_sky import KnownSky, SkyCells
 from lambent_relight.refined.scattering import SurfacePoints
 
-_KEPT_BYTES = 768_000_000
+KEPT_BYTES = 768_000_000
 """Maximum memory of cached views: 200 bytes a pixel with one fragment each, 800 with 4 x 4."""
+BYTES_PER_RAY = 256
+"""Part of it for each camera ray whose refined view may be remembered."""
 _KEPT_SHADOWS = 3 * MAX_DOMINANT
 """Number of cached shadow maps, 4 MB each."""
 _KEPT_LIGHTS = 3
@@ -36,7 +38,7 @@ _KEPT_LIGHTS = 3
 class BakedRenderer:
     """Renders from baked transport; with view and light cached, a picture costs a matrix product."""
 
-    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_bytes: int = _KEPT_BYTES) -> None:
+    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_bytes: int = KEPT_BYTES) -> None:
         """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
 
         `kept_bytes` bounds the memory of the views that are remembered; the last one always is.
