@@ -16,8 +16,9 @@ from lambent_relight.baked.traced_surface import Settled, TracedSurface
 from lambent_relight.baked.transport import shadow_directions
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.bundle.graphs import SurfaceCaches
+from lambent_relight.bundle.graphs import NoCaches, SurfaceCaches
 from lambent_relight.cameras import Camera
+from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
@@ -59,7 +60,9 @@ class BakedRenderer:
         """Return the view of `camera`; the last few cameras are cached."""
         key = (camera.key(), antialias, soft_edges)
         if key not in self._views:
-            view = look_at_surface(self.scene, camera, antialias)
+            # Without networks the edges are the mesh's.
+            soft_edges = soft_edges and not isinstance(self._caches, NoCaches)
+            view = look_at_surface(self.scene, camera, antialias, apart=not soft_edges)
             if soft_edges:
                 view = with_soft_edges(view, self._caches, antialias)
             while (
@@ -220,7 +223,7 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         specular=black,
         visibility=view.image(view.openness),
         albedo=view.image(lobes.albedo),
-        normal=view.image(view.normal),
+        normal=normalise(view.image(view.normal)),
         perceptual_roughness=view.image(lobes.perceptual_roughness),
         metalness=view.image(view.metalness),
         distance=distance,
