@@ -63,9 +63,9 @@ $(VENV)/.compiled: $(VENV)/.installed scripts/compile_kernels.py
 demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and relight it (2 to 5 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
 	$(BIN)/lambent demo $(DEMO_ARGS)
 
-# Two workers on two cores: one thread each.
+# Two workers on two cores: one thread each. Both begin with a training, and would compile the same code.
 test: export OMP_NUM_THREADS ?= 1
-test: $(VENV)/.installed $(BUILT) ## Run the tests, but for the long ones (at most 15 minutes on two cores)
+test: $(VENV)/.compiled $(BUILT) ## Run the tests, but for the long ones (at most 15 minutes on two cores)
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 test-all: export LAMBENT_TEST_ALL := 1
