@@ -122,7 +122,7 @@ describe("an upload", () => {
     });
     await page.goto(`${server.url}/#/`);
     await choose(page, folder);
-    await page.waitForSelector(".upload :text('sending what the server lacks · 18 B of 48 B')");
+    await page.waitForSelector(".upload :text('sending files that the server does not have · 18 B of 48 B')");
     page.once("dialog", (dialog) => dialog.accept());
     await page.reload();
     await live(page);
@@ -143,7 +143,7 @@ describe("an upload", () => {
     await page.waitForSelector("#message:has-text('no file is planned')");
     const file = (name: string, text: string) => ({ name, mimeType: "", buffer: Buffer.from(text) });
     await page.setInputFiles("input[accept*=zip]", file("photo.jpg", "x"));
-    await page.waitForSelector("#message:has-text('alone is no capture')");
+    await page.waitForSelector("#message:has-text('alone is not a scene')");
     await page.setInputFiles("input[accept*=zip]", file("broken.zip", "PK but no directory"));
     await page.waitForSelector("#message:has-text('archive cannot be read')");
     expect(await serious(page)).toEqual([]);
@@ -338,7 +338,7 @@ describe("a job", () => {
     await page.click("text=More settings");
     await page.fill("#settings", "rays 512");
     await page.click("text=Start the job");
-    await page.waitForSelector("#message:has-text('is no setting')");
+    await page.waitForSelector("#message:has-text('is not a setting')");
   });
 
   it("stands in the list with its scene's name, in dark colours too", async () => {

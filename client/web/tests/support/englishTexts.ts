@@ -58,7 +58,9 @@ export function overflowing(page: Page, selector: string): Promise<string[]> {
     const labels = places.flatMap((place) => [...place.querySelectorAll("label")].flatMap(covered));
     const wide = places
       .flatMap((place) => [place, ...place.querySelectorAll("*")])
-      .filter((each) => each instanceof HTMLElement && each.clientWidth > 0 && !each.matches("input, pre"))
+      .filter(
+        (each) => each instanceof HTMLElement && each.clientWidth > 0 && !each.matches("input, pre, .sr"),
+      )
       .filter(({ scrollWidth, clientWidth }) => scrollWidth > clientWidth)
       .map((each) => `${each.tagName} ${each.className}: ${each.scrollWidth} in ${each.clientWidth} pixels`);
     return [...labels, ...wide];
