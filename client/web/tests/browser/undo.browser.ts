@@ -34,7 +34,7 @@ describe("the page's address", () => {
     await drag(60);
     await update({
       environment: "preset:sky",
-      turn: { yawDeg: 40, pitchDeg: 5, rollDeg: 0, intensity: 1.5 },
+      turn: { yawDeg: 25, pitchDeg: 5, rollDeg: 0, intensity: 1.5 },
     });
     await expect.poll(() => told().get("rotate")).toBe("25,5,0");
     expect([told().get("v"), told().get("env"), told().get("src")]).toEqual(["2", "preset:sky", source]);
