@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { cameraOfPart, partsOf, resized, widened } from "../src/refine/still.js";
+import { resized } from "../src/refine/plan.js";
+import { cameraOfPart, partsOf, widened } from "../src/refine/still.js";
 import type { ViewCamera } from "../src/render/looks.js";
 
 const camera: ViewCamera = {

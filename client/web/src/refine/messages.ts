@@ -5,6 +5,7 @@ import type { BundleOrigin } from "../bundle/source.js";
 import type { PackedTransport } from "../bundle/transport.js";
 import type { PreparedLight } from "../light/prepare.js";
 import type { RefinedPicture } from "./accumulation.js";
+import type { PixelFeatures } from "./denoise.js";
 import type { FallingLight } from "../engine/fallingLight.js";
 import type { PassMeans } from "./passes.js";
 import type { Backend, RefineOptions } from "./status.js";
@@ -61,6 +62,8 @@ export type RefineAnswer =
       readonly picture: RefinedPicture;
       /** The same, smoothed; null where that is not wanted. */
       readonly shown: RefinedPicture | null;
+      /** Of the first picture; null later on, for they do not change. */
+      readonly features: PixelFeatures | null;
       readonly done: boolean;
     }
   | { readonly kind: "failed"; readonly code: string; readonly message: string };

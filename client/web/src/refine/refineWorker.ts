@@ -7,10 +7,10 @@ import { withShadowBits } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight } from "../engine/fallingLight.js";
 import { buffersOf } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
-import { Accumulation, type RefinedPicture } from "./accumulation.js";
+import { Accumulation } from "./accumulation.js";
 import { Hits, HitScene } from "./hitRadiance.js";
 import { LightSampler } from "./lightSampler.js";
-import { denoised } from "./denoise.js";
+import { denoised, type PixelFeatures } from "./denoise.js";
 import type {
   OpenQuestion,
   RefineAnswer,
@@ -145,7 +145,8 @@ function whole(light: FallingLight): FallingLight {
 /** Adds the passes of one picture up, and sends it. */
 class Collector {
   readonly sums: Accumulation;
-  readonly #features: ReturnType<typeof pixelFeatures>;
+  readonly #features: PixelFeatures;
+  #isFirst = true;
   #sentAt = Number.NEGATIVE_INFINITY;
   /** A picture is smoothed again when it has so many passes: that takes longer than one of them. */
   #smoothAt = 0;
@@ -176,8 +177,13 @@ class Collector {
     const done = enough || quiet;
     this.#sentAt = performance.now();
     this.#smoothAt = 2 * numPasses;
-    const pictures: RefinedPicture[] = shown === null ? [picture] : [picture, shown];
-    answer({ kind: "picture", id, picture, shown, done }, buffersOf(pictures));
+    // The denoiser keeps its own.
+    const features = this.#isFirst ? structuredClone(this.#features) : null;
+    this.#isFirst = false;
+    answer(
+      { kind: "picture", id, picture, shown, features, done },
+      buffersOf({ picture, shown, features }) as ArrayBuffer[],
+    );
     return done;
   }
 }

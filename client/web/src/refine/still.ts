@@ -60,16 +60,6 @@ export function cameraOfPart(camera: ViewCamera, { left, top, width, height }: P
   return { ...camera, width, height, centreX: camera.centreX - left, centreY: camera.centreY - top };
 }
 
-/** Return a camera's view in another size. */
-export function resized(camera: ViewCamera, width: number, height: number): ViewCamera {
-  const [x, y] = [width / camera.width, height / camera.height];
-  return {
-    ...camera,
-    ...{ width, height, focalX: camera.focalX * x, focalY: camera.focalY * y },
-    ...{ centreX: camera.centreX * x, centreY: camera.centreY * y },
-  };
-}
-
 /**
  * Return what `camera` sees, refined until the viewer's own limits of noise and directions, read by `read` part by part.
  * Throws `refine.unavailable` and the like where it cannot be refined, and `film.interrupted` where another bundle or
@@ -92,12 +82,9 @@ export async function refinedStill<T extends Pixels>(
     stage,
     view: () => ({
       ...view,
-      ...{
-        camera: aim,
-        moving: false,
-        cameraOf: (width: number, height: number) => resized(aim, width, height),
-      },
+      ...{ camera: aim, moving: false },
     }),
+    fades: false,
     redraw: () => {
       // It is of a part, and not of what is shown.
       stage.overlay = null;

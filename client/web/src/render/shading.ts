@@ -20,7 +20,7 @@ import { type BundleTextures, normalisedScales } from "./textures.js";
 function fragment(bands: number, hasGrid: boolean): string {
   const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
   const layers = Math.ceil((bands * bands) / 4);
-  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${shadowLook}${glsl.freeShare(bands)}
+  return `${glsl.header}${glsl.unfolded}${glsl.firstSample}${glsl.environment}${glsl.splitSum}${glsl.glints}${shadowLook}${glsl.freeShare(bands)}
 out vec4 result;
 uniform usampler2D seen;
 uniform usampler2D facing;
@@ -58,18 +58,8 @@ vec3 rayOf(vec2 place) {
 void main() {
   vec2 pixel = gl_FragCoord.xy;
   ivec2 first = ivec2(pixel) * samples;
-  // A border that misses the middle of a pixel is like the surface beside it.
   float covered = masked ? texelFetch(mask, first, 0).r : 1.0;
-  if (masked && covered > 0.0 && texelFetch(seen, first, 0).g == 0u) {
-    ivec2 last = textureSize(seen, 0) - 1;
-    for (int side = 0; side < 8; side++) {
-      int around = side < 4 ? side : side + 1;
-      ivec2 beside = clamp(first + ivec2(around % 3, around / 3) - 1, ivec2(0), last);
-      if (texelFetch(seen, beside, 0).g == 0u) continue;
-      first = beside;
-      break;
-    }
-  }
+  first = firstSample(seen, first, masked, covered);
   float count = 0.0, distance = 0.0, roughness = 0.0, metalness = 0.0, openness = 0.0, surroundings = 0.0;
   vec3 albedo = vec3(0.0), normal = vec3(0.0), arriving = vec3(0.0), bounce = vec3(0.0);
   vec4 lightShares = vec4(0.0);

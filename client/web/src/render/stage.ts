@@ -20,12 +20,13 @@ import { IrradiancePasses } from "./irradiance.js";
 import { Ground, groundUnder, hasGround } from "./ground.js";
 import { groundLight } from "./groundLight.js";
 import { StageLight } from "./light.js";
+import type { Baked, Overlay } from "./overlay.js";
 import { type LightTurn, type Look, type Method, turnKey, type ViewCamera } from "./looks.js";
 import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
 import { ShadowCaster } from "./shadowMaps.js";
 import { maskTarget, Surface, sampleTarget } from "./surface.js";
-import { halfFloatTarget } from "./targets.js";
+import { fitting, halfFloatTarget } from "./targets.js";
 import { aim } from "./projection.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
 
@@ -54,12 +55,6 @@ type Scenery = {
 
 const tileSide = 1024;
 
-/** A picture that may be drawn in place of the light "a" with baked transport. */
-export type Overlay = {
-  /** Draw what a camera sees into `target`, radiance multiplied by coverage; false where it is not known. */
-  readonly draw: (screen: FullScreen, camera: ViewCamera, look: Look, target: WebGLRenderTarget) => boolean;
-};
-
 /** A canvas with a bundle and lights by name. */
 export class Stage {
   readonly renderer: WebGLRenderer;
@@ -73,6 +68,8 @@ export class Stage {
   /** Draws a finer picture in place of the baked one, where it has one. */
   overlay: Overlay | null = null;
   #radiance: WebGLRenderTarget | null = null;
+  /** The finer picture's. */
+  #finer: WebGLRenderTarget | null = null;
   #seen: WebGLRenderTarget | null = null;
   #mask: WebGLRenderTarget | null = null;
   /** Camera and samples that `#seen` holds. */
@@ -210,6 +207,7 @@ export class Stage {
   dispose(): void {
     this.#clear();
     this.#radiance?.dispose();
+    this.#finer?.dispose();
     this.#seen?.dispose();
     this.#mask?.dispose();
     this.#splitSum.dispose();
@@ -292,17 +290,21 @@ export class Stage {
     }
     const { width, height } = camera;
     this.#look(camera, samples, scenery, hasGround(side));
-    this.#radiance = this.#fitting(this.#radiance, width, height, halfFloatTarget);
+    this.#radiance = fitting(this.#radiance, width, height, halfFloatTarget);
     const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
     scenery.shading.light(side.look, side.method, light, turn, scenery.caster);
     this.#scissor(this.#radiance, columns, height);
+    this.#screen.draw(scenery.shading.material, this.#radiance);
     const finer = side.light === "a" && side.method === "baked" ? this.overlay : null;
-    if (!finer?.draw(this.#screen, camera, side.look, this.#radiance)) {
-      this.#screen.draw(scenery.shading.material, this.#radiance);
+    const isFiner = finer?.shows(camera, side.look) ?? false;
+    if (isFiner) {
+      this.#finer = fitting(this.#finer, width, height, halfFloatTarget);
+      this.#scissor(this.#finer, columns, height);
+      finer!.draw(this.#screen, camera, side.look, this.#baked(samples), this.#finer);
     }
     const ground = this.#ground(side, light, samples > 1, scenery);
     this.#resolve.prepare(
-      this.#radiance.texture,
+      (isFiner ? this.#finer! : this.#radiance).texture,
       camera,
       side.look,
       light,
@@ -314,6 +316,13 @@ export class Stage {
     this.#scissor(target, columns, height);
     this.#screen.draw(this.#resolve.material, target);
     this.#scissor(null, null, 0);
+  }
+
+  /** Return what was drawn last, with its samples. */
+  #baked(samples: number): Baked {
+    const [seen, facing] = this.#seen!.textures;
+    const mask = samples === 1 ? this.#mask!.texture : null;
+    return { radiance: this.#radiance!.texture, seen: seen!, facing: facing!, mask, samples };
   }
 
   /** Draw the shadow on the ground if it is enabled; returns the ground, or null. */
@@ -347,7 +356,7 @@ export class Stage {
     const key = `${floor} ${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
     const depthRange = aim(this.#camera, camera, scenery.bundle);
-    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
+    this.#seen = fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
     this.renderer.setRenderTarget(this.#seen);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
@@ -360,7 +369,7 @@ export class Stage {
 
   /** Draw how much of every pixel the mesh covers, for pictures with one sample to a pixel. */
   #drawMask({ width, height }: ViewCamera, { scene, surface }: Scenery): void {
-    this.#mask = this.#fitting(this.#mask, width, height, maskTarget);
+    this.#mask = fitting(this.#mask, width, height, maskTarget);
     this.renderer.setRenderTarget(this.#mask);
     this.renderer.clear();
     const { mesh } = surface;
@@ -379,16 +388,5 @@ export class Stage {
       target.scissorTest = on;
       target.scissor.set(from!, 0, to! - from!, height);
     }
-  }
-
-  #fitting(
-    target: WebGLRenderTarget | null,
-    width: number,
-    height: number,
-    create: (width: number, height: number) => WebGLRenderTarget,
-  ): WebGLRenderTarget {
-    if (target === null) return create(width, height);
-    if (target.width !== width || target.height !== height) target.setSize(width, height);
-    return target;
   }
 }

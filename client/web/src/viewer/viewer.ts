@@ -374,6 +374,7 @@ export class Viewer {
           stage: this.#ready(),
           view: () => this.#refineView(),
           redraw: () => this.#drawNow(stillSamples),
+          fades: true,
           tell: (status) => this.#tell("refine", status),
         });
         this.#refinement.changed();
@@ -388,7 +389,6 @@ export class Viewer {
       bundle: this.bundle!,
       origin: this.#source!,
       camera: this.canvasCamera(),
-      cameraOf: (width: number, height: number) => this.canvasCamera({ width, height }),
       turn,
       look,
       moving: this.#moving,
