@@ -22,8 +22,11 @@ const motionTexts: readonly (readonly [Motion, string])[] = [
 ];
 const formatTexts: Readonly<Record<FilmFormat, string>> = { mp4: "MP4", webm: "WebM" };
 
-/** Return the dialog of a viewer. */
-export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: () => void } {
+/** Return the dialog of a viewer; `during` keeps that drawing while a film is made. */
+export function filmDialog(
+  viewer: Viewer,
+  during: <T>(work: () => Promise<T>) => Promise<T>,
+): { element: HTMLDialogElement; show: () => void } {
   let plan: FilmPlan = defaultPlan;
   let size: SizeName = "1080p";
   let running: AbortController | null = null;
@@ -153,7 +156,8 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     busy(true);
     say("Beginning…");
     try {
-      const film = await makeFilm(viewer, plan, { signal: running.signal, onFrame });
+      const { signal } = running;
+      const film = await during(() => makeFilm(viewer, plan, { signal, onFrame }));
       download(film, `${viewer.bundle?.name ?? "lambent"}-${plan.motion}.${plan.format}`);
       say(`Saved: ${frameCount(plan)} frames, ${(film.size / 1e6).toFixed(1)} MB.`);
     } catch (error) {

@@ -197,7 +197,7 @@ export class LambentViewerElement extends HTMLElement {
     const root = this.shadowRoot!;
     const viewer = new Viewer(document.createElement("canvas"));
     this.#viewer = viewer;
-    this.#interface = new Interface(root, this, viewer);
+    this.#interface = new Interface(root, this, viewer, { during: (work) => this.#busy(work) });
     // The progress is above it.
     root.querySelector(".welcome")!.before(this.#poster.element);
     this.#poster.show(false, this.#label);

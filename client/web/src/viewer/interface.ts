@@ -21,6 +21,12 @@ const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
 const mostTaken = 0.65;
 
+/** What the interface asks its element for. */
+export type InterfaceActions = {
+  /** Keep the viewer drawing during work that would be lost otherwise. */
+  readonly during: <T>(work: () => Promise<T>) => Promise<T>;
+};
+
 /** The interface of one viewer, inside a shadow root. */
 export class Interface {
   readonly #view = make("div", { className: "view" });
@@ -39,6 +45,7 @@ export class Interface {
     root: ShadowRoot,
     private readonly host: HTMLElement,
     private readonly viewer: Viewer,
+    private readonly act: InterfaceActions,
   ) {
     root.adoptedStyleSheets = [viewerSheet()];
     this.#message.role = "status";
@@ -235,7 +242,7 @@ export class Interface {
     };
     const plain = async (): Promise<void> => download(await make(), `${bundle?.name ?? "lambent"}.${kind}`);
     const isRefined = state.refine && refinedChannels.has(state.look.channel);
-    (isRefined ? refined() : plain()).catch((error: unknown) => this.problem(error));
+    this.act.during(isRefined ? refined : plain).catch((error: unknown) => this.problem(error));
   }
 
   /** Open the dialog that makes films. */
@@ -247,7 +254,7 @@ export class Interface {
       ]);
       if (this.#stop.signal.aborted || this.viewer.bundle === null) return;
       if (this.#filming === null) {
-        this.#filming = filmDialog(this.viewer);
+        this.#filming = filmDialog(this.viewer, this.act.during);
         root.adoptedStyleSheets.push(dialogSheet());
         root.append(this.#filming.element);
       }
