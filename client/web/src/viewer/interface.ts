@@ -6,7 +6,7 @@ import { CameraHands } from "./cameraControls.js";
 import { ComparisonView } from "./comparison.js";
 import { Controls } from "./controls.js";
 import { copyLink } from "./copyLink.js";
-import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
+import { type Dropped, type DroppedBundle, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
@@ -25,6 +25,8 @@ const mostTaken = 0.65;
 export type InterfaceActions = {
   /** Keep the viewer drawing during work that would be lost otherwise. */
   readonly during: <T>(work: () => Promise<T>) => Promise<T>;
+  /** Show the files of a bundle; tells itself where they cannot be shown. */
+  readonly open: (origin: DroppedBundle) => void;
 };
 
 /** The interface of one viewer, inside a shadow root. */
@@ -221,7 +223,7 @@ export class Interface {
         await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
         this.#tell(`Lit by ${dropped.file.name}.`, false);
       } else {
-        await this.during(this.viewer.open(dropped));
+        this.act.open(dropped);
       }
     } catch (error) {
       this.problem(error);

@@ -107,6 +107,41 @@ describe("twelve elements on a page", () => {
   });
 });
 
+describe("an element that shows dropped files", () => {
+  it("shows them again after a rest, and not what could not be shown", { timeout: 300_000 }, async () => {
+    const page = await open({ count: String(mostSeats + 1) });
+    await allShown(page);
+    const first = page.locator("lambent-viewer").first();
+    const drop = (name: string, address: string | null): Promise<void> =>
+      first.evaluate(
+        async (element: HTMLElement, given) => {
+          const data = given.address === null ? "no archive" : await (await fetch(given.address)).blob();
+          const transfer = new DataTransfer();
+          transfer.items.add(new File([data], given.name));
+          element.dispatchEvent(
+            new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }),
+          );
+        },
+        { name, address },
+      );
+    const shown = (): Promise<string | undefined> =>
+      first.evaluate((each: HTMLElementTagNameMap["lambent-viewer"]) => each.viewer?.bundle?.name);
+    const before = await shown();
+    await drop("ball.relight.zip", "/data/golden/ball_1.3.relight.zip");
+    await expect.poll(shown, { timeout: 30_000 }).not.toBe(before);
+    const dropped = await shown();
+    await drop("broken.relight.zip", null);
+    await first.locator("[data-problem]").waitFor();
+    expect(await shown()).toBe(dropped);
+    await page.evaluate(() => {
+      for (const each of [...document.querySelectorAll("lambent-viewer")].slice(1)) each.reveal();
+    });
+    await expect.poll(shown).toBeUndefined();
+    await first.getByRole("button", { name: "Show in 3D: Object 0" }).click();
+    await expect.poll(shown, { timeout: 30_000 }).toBe(dropped);
+  });
+});
+
 describe("an element that works in a dialog", () => {
   it("goes on drawing while others would like its context", { timeout: 300_000 }, async () => {
     const page = await open({ count: String(mostSeats + 1), controls: "" });
