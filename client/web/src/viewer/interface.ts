@@ -111,15 +111,29 @@ export class Interface {
     this.#reading = work;
     // A bundle that is shown stays until the next one is there.
     if (this.viewer.bundle === null) {
+      this.#showPicture(false);
       this.#welcome.reading();
-      this.#dock.hidden = true;
     }
     try {
       await work;
     } catch (error) {
-      if (this.#reading === work && this.viewer.bundle === null) this.#welcome.failed(again);
+      if (this.#reading === work) {
+        // It may be one that came before, but gave way before it was lit.
+        this.#showPicture(this.viewer.bundle !== null);
+        if (this.viewer.bundle === null) this.#welcome.failed(again);
+      }
       throw error;
     }
+  }
+
+  /** Show the picture with its controls, or what stands in its place. */
+  #showPicture(isThere: boolean): void {
+    this.#welcome.element.hidden = isThere;
+    this.#dock.hidden = !isThere;
+    this.#controls?.show();
+    if (!isThere) return;
+    this.#makeRoom();
+    this.describe();
   }
 
   /** Show an error. */
@@ -172,12 +186,8 @@ export class Interface {
     this.viewer.on("opened", (name) => this.#welcome.named(name));
     this.viewer.on("progress", (...bytes) => this.#welcome.arrived(...bytes));
     this.viewer.on("load", () => {
-      this.#welcome.element.hidden = true;
-      this.#dock.hidden = false;
-      this.#controls?.show();
-      this.#makeRoom();
+      this.#showPicture(true);
       this.#tell("", false);
-      this.describe();
     });
     on(this.host, "dragover", (event) => this.#drag(event, true));
     on(this.host, "dragleave", (event) => this.#drag(event, false));
