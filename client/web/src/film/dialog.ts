@@ -1,5 +1,6 @@
 /** The dialog that makes films; loaded when it is first opened. */
 
+import { WorkNews } from "../viewer/dialogs.js";
 import { button, check, choice, type Field, make } from "../viewer/fields.js";
 import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
@@ -30,7 +31,7 @@ export function filmDialog(
   let plan: FilmPlan = defaultPlan;
   let size: SizeName = "1080p";
   let running: AbortController | null = null;
-  const news = make("p", { className: "hint", role: "status" });
+  const told = new WorkNews();
   const bar = make("progress", { hidden: true, ariaLabel: "Frames made" });
   const preview = make("canvas", { hidden: true, ariaLabel: "The last frame" });
   const codecs = new Map<FilmFormat, string>();
@@ -95,15 +96,20 @@ export function filmDialog(
     if (running === null) element.close();
     else running.abort(new DOMException("the film was cancelled", "AbortError"));
   });
-  const form = make("form", { method: "dialog", noValidate: true }, fields, preview, bar, news);
+  const form = make(
+    "form",
+    { method: "dialog", noValidate: true },
+    fields,
+    preview,
+    bar,
+    told.count,
+    told.news,
+  );
   form.append(make("div", { className: "buttons" }, close, start));
   const element = make("dialog", { className: "work" }, make("h2", { textContent: "Make a film" }), form);
   element.setAttribute("aria-label", "Make a film");
 
-  const say = (text: string, problem = false): void => {
-    news.textContent = text;
-    news.classList.toggle("problem", problem);
-  };
+  const say = (text: string, problem = false): void => told.say(text, problem);
   /** Say what would be made, or why it cannot be. */
   const describe = (): void => {
     try {
@@ -144,7 +150,7 @@ export function filmDialog(
   const onFrame = (made: number, count: number, rgba: Uint8ClampedArray<ArrayBuffer>): void => {
     bar.max = count;
     bar.value = made;
-    say(`Frame ${made} of ${count}`);
+    told.reach(made / count, `Frame ${made} of ${count}`);
     preview.hidden = false;
     if (preview.width !== plan.width || preview.height !== plan.height) {
       Object.assign(preview, { width: plan.width, height: plan.height });

@@ -1,6 +1,6 @@
 /** The dialog that refines a picture to save; loaded when it is first needed. */
 
-import { dialogSheet } from "../viewer/dialogs.js";
+import { dialogSheet, WorkNews } from "../viewer/dialogs.js";
 import { button, make } from "../viewer/fields.js";
 import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
@@ -16,10 +16,11 @@ export async function saveRefined(
 ): Promise<void> {
   const stop = new AbortController();
   const bar = make("progress", { ariaLabel: "Parts refined" });
-  const news = make("p", { className: "hint", role: "status", textContent: "Beginning…" });
+  const told = new WorkNews();
+  told.say("Beginning…");
   const cancel = button("Cancel", () => stop.abort(new DOMException("cancelled", "AbortError")));
   const heading = make("h2", { textContent: `Refining ${size.width} × ${size.height} pixels` });
-  const element = make("dialog", { className: "work" }, heading, bar, news, cancel);
+  const element = make("dialog", { className: "work" }, heading, bar, told.count, told.news, cancel);
   element.setAttribute("aria-label", "Refining a picture");
   element.addEventListener("cancel", (event) => {
     event.preventDefault();
@@ -32,8 +33,9 @@ export async function saveRefined(
     const blob = await refinedFile(viewer, size, kind, {
       signal: stop.signal,
       onProgress: (part, parts, status) => {
-        Object.assign(bar, { max: parts, value: part - (status.phase === "done" ? 0 : 1) });
-        news.textContent = `Part ${part} of ${parts}. ${statusText(status)}`;
+        const made = part - (status.phase === "done" ? 0 : 1);
+        Object.assign(bar, { max: parts, value: made });
+        told.reach(made / parts, `Part ${part} of ${parts}. ${statusText(status)}`);
       },
     });
     download(blob, `${viewer.bundle?.name ?? "lambent"}.${kind}`);

@@ -2,7 +2,7 @@ import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { announcements, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 // More than one part in either direction.
 const size = { width: 260, height: 240 };
@@ -85,6 +85,7 @@ describe("a refined picture", () => {
     await page.click("summary:text-is('Save')");
     await page.getByLabel("Width (pixels)").fill("48");
     await page.getByLabel("Height (pixels)").fill("36");
+    const announced = await announcements(page);
     for (const kind of ["PNG", "EXR"]) {
       const [download] = await Promise.all([page.waitForEvent("download"), page.click(`text=Save ${kind}`)]);
       const chunks: Buffer[] = [];
@@ -99,6 +100,8 @@ describe("a refined picture", () => {
       }
       await page.getByRole("dialog").waitFor({ state: "detached" });
     }
+    // One part each, and not every number of directions.
+    expect(await announced()).toEqual(["100 %", "100 %"]);
     await page.setViewportSize({ width: 700, height: 400 });
     await page.getByLabel("Width (pixels)").fill("4000");
     await page.getByLabel("Height (pixels)").fill("3000");
