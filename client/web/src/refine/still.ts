@@ -12,6 +12,8 @@ export type StillHost = {
   /** Of the picture on the canvas; the camera is another one. */
   readonly view: RefineView;
   readonly sides: readonly Side[];
+  /** Says that the picture can no longer be made. */
+  readonly lost: AbortSignal;
 };
 
 /** A picture as bytes (sRGB-encoded, straight alpha) or half floats (linear, multiplied by alpha), four to a pixel. */
@@ -62,8 +64,8 @@ export function cameraOfPart(camera: ViewCamera, { left, top, width, height }: P
 
 /**
  * Return what `camera` sees, refined until the viewer's own limits of noise and directions, read by `read` part by part.
- * Throws `refine.unavailable` and the like where it cannot be refined, and `film.interrupted` where another bundle or
- * light was shown before the end.
+ * Throws `refine.unavailable` and the like where it cannot be refined, and `refine.interrupted` where another bundle or
+ * light was shown before the end, or the graphics card was lost.
  */
 export async function refinedStill<T extends Pixels>(
   host: StillHost,
@@ -72,7 +74,8 @@ export async function refinedStill<T extends Pixels>(
   read: (camera: ViewCamera, sides: readonly Side[]) => T,
   { signal, onProgress }: StillOptions = {},
 ): Promise<T> {
-  const { stage, view } = host;
+  const { stage, view, lost } = host;
+  const ends = signal === undefined ? [lost] : [signal, lost];
   const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
   const first = held();
   const parts = partsOf(camera.width, camera.height);
@@ -96,15 +99,15 @@ export async function refinedStill<T extends Pixels>(
       const wide = widened(part, camera);
       aim = cameraOfPart(camera, wide);
       await new Promise<void>((resolve, reject) => {
-        const stop = (): void => reject(signal?.reason);
-        signal?.addEventListener("abort", stop, { once: true });
+        const stop = (): void => reject(ends.find(({ aborted }) => aborted)?.reason);
+        for (const each of ends) each.addEventListener("abort", stop);
         const follow = (status: RefineStatus): void => {
           onProgress?.(index + 1, parts.length, status);
-          if (signal?.aborted) throw signal.reason;
-          if (held().some((each, place) => each !== first[place])) throw interrupted();
+          for (const each of ends) each.throwIfAborted();
+          if (held().some((each, place) => each !== first[place])) throw interrupted("refine");
           if (status.phase === "failed") throw new Error(status.message);
           if (status.phase !== "done") return;
-          signal?.removeEventListener("abort", stop);
+          for (const each of ends) each.removeEventListener("abort", stop);
           const sides = host.sides.map((side) => ({
             ...side,
             ...{ from: shareIn(side.from, camera, wide), to: shareIn(side.to, camera, wide) },
@@ -119,6 +122,8 @@ export async function refinedStill<T extends Pixels>(
             into,
             camera.width,
           );
+          // Its loss is told later, and what was read is black.
+          if (stage.renderer.getContext().isContextLost()) throw interrupted("refine");
           resolve();
         };
         hear = (status) => {
@@ -128,7 +133,7 @@ export async function refinedStill<T extends Pixels>(
             reject(error);
           }
         };
-        if (signal?.aborted) return stop();
+        if (ends.some(({ aborted }) => aborted)) return stop();
         refinement.changed();
         refinement.rest(0);
       });

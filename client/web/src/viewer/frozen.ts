@@ -39,10 +39,10 @@ export function freeze(
   };
 }
 
-/** Return the fault of a state that can no longer be drawn. */
-export function interrupted(): Fault {
+/** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
+export function interrupted(work: "film" | "refine" = "film"): Fault {
   return new Fault(
-    "film.interrupted",
+    `${work}.interrupted`,
     "another bundle or light was shown, or the graphics card was lost, before it was complete",
     "make it again",
   );

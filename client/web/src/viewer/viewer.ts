@@ -22,6 +22,7 @@ import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
+import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
 
 const stillSamples = 2;
@@ -35,6 +36,7 @@ export class Viewer {
     stage: () => this.#stage,
     state: () => this.#state,
     lit: (notes) => {
+      this.#stills.lose();
       if (notes.length > 0) this.#tell("message", notes.join(" "), false);
       this.invalidate();
     },
@@ -50,8 +52,7 @@ export class Viewer {
   #photoEdge: Rgb | null = null;
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
-  /** Refined pictures that are being made for something else. */
-  #stills = 0;
+  readonly #stills = new Stills();
   #closed = false;
   /** The pose that a bundle is opened with, unless another one was chosen. */
   home: OrbitPose = initialState.pose;
@@ -62,6 +63,7 @@ export class Viewer {
     canvas.addEventListener("webglcontextlost", (event) => {
       if (this.#closed) return;
       event.preventDefault();
+      this.#stills.lose();
       this.#tell("message", "The graphics card was taken away; waiting for it to come back.", true);
     });
     canvas.addEventListener("webglcontextrestored", () => {
@@ -124,6 +126,7 @@ export class Viewer {
       this.#setStage(loading.signal),
     ]);
     loading.signal.throwIfAborted();
+    this.#stills.lose();
     this.#stage!.setBundle(bundle);
     this.#source = origin;
     this.lights.forget(early);
@@ -257,12 +260,7 @@ export class Viewer {
     this.#refinement?.dispose();
     this.#refinement = null;
     const host = { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
-    this.#stills++;
-    const end = (): void => {
-      this.#stills--;
-      this.invalidate();
-    };
-    return { ...host, end };
+    return { ...host, ...this.#stills.begin(() => this.invalidate()) };
   }
 
   /** The elevations to look from, degrees. */
@@ -302,6 +300,7 @@ export class Viewer {
 
   dispose(): void {
     this.#closed = true;
+    this.#stills.lose();
     this.#refinement?.dispose();
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
@@ -361,14 +360,14 @@ export class Viewer {
   /** The picture at rest was drawn: refine it, if that is wanted. What that needs is fetched now. */
   #refineSoon(): void {
     // Both would draw in place of the baked picture, and share the processors.
-    if (!this.#state.refine || this.#stills > 0) return;
+    if (!this.#state.refine || this.#stills.isAny) return;
     if (this.#refinement !== null) {
       this.#refinement.rest();
       return;
     }
     import("../refine/refinement.js")
       .then(({ Refinement }) => {
-        const given = this.#closed || this.#stills > 0 || this.#refinement !== null;
+        const given = this.#closed || this.#stills.isAny || this.#refinement !== null;
         if (given || !this.#state.refine) return;
         this.#refinement = new Refinement({
           stage: this.#ready(),

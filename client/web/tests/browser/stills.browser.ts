@@ -80,6 +80,40 @@ describe("a refined picture", () => {
     expect(seam).toBeLessThan(beside + 1);
   });
 
+  it.each([
+    ["another light", "light"],
+    ["another bundle", "bundle"],
+    ["a graphics card that is taken away", "card"],
+    ["an element that is taken out", "element"],
+  ] as const)("is given up for %s, and says so", async (_, what) => {
+    const own = await openViewer(browser, { env: "preset:studio" }, "data/bundle/", {
+      width: 320,
+      height: 240,
+    });
+    const code = await own.evaluate(async (change) => {
+      const element = document.querySelector("lambent-viewer")!;
+      element.viewer!.refineOptions = { ...element.viewer!.refineOptions, workers: 1 };
+      let picture: Promise<string | undefined> = Promise.resolve("not begun");
+      await new Promise<void>((reached) => {
+        picture = element.refinedPicture({ width: 600, height: 500 }, { onProgress: () => reached() }).then(
+          () => "made",
+          (error: Error & { code?: string }) => error.code,
+        );
+      });
+      if (change === "light") await element.update({ environment: "preset:even" });
+      if (change === "bundle") await element.show("data/golden/ball_1.3.relight.zip");
+      if (change === "card") {
+        const gl = element.viewer!.canvas.getContext("webgl2")!;
+        gl.getExtension("WEBGL_lose_context")!.loseContext();
+      }
+      if (change === "element") element.remove();
+      const late = new Promise<string>((resolve) => setTimeout(() => resolve("nothing"), 20_000));
+      return Promise.race([picture, late]);
+    }, what);
+    expect(code).toBe("refine.interrupted");
+    await own.close();
+  });
+
   it("is saved in the size that was asked for, with its progress, and can be cancelled", async () => {
     await page.evaluate(() => document.querySelector("lambent-viewer")!.update({ refine: true }));
     await page.click("summary:text-is('Save')");
