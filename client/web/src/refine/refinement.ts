@@ -152,7 +152,7 @@ export class Refinement {
     const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
     const coarse = resized(camera, side(camera.width, scale), side(camera.height, scale));
     const ground = hasGround({ look, method: "baked" });
-    const covered = readSamples(stage.renderer, stage.samples(coarse, 1, ground), coarse, 1).place.length;
+    const covered = readSamples(stage, coarse, 1, ground).place.length;
     const { step, samples } = planOf(
       camera.width,
       camera.height,
@@ -161,7 +161,7 @@ export class Refinement {
     );
     const size = [side(camera.width, 1 / step), side(camera.height, 1 / step)] as const;
     const fine = step === 1 ? camera : resized(camera, ...size);
-    const seen = readSamples(stage.renderer, stage.samples(fine, samples, ground), fine, samples);
+    const seen = readSamples(stage, fine, samples, ground);
     const edit = { ...look.edit, albedoScaleRgb: bundle.albedoScaleRgb };
     this.#layer = new RefinedLayer(camera, fine, edit, this.#fadeMs());
     const { levels } = light.prepared;

@@ -3,6 +3,7 @@
 import { interrupted } from "../viewer/frozen.js";
 import type { ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
+import { cameraOfPart, type Part, partsOf, shareIn } from "../render/tiles.js";
 import { Refinement, type RefineView } from "./refinement.js";
 import type { RefineStatus } from "./status.js";
 
@@ -25,28 +26,14 @@ export type StillOptions = {
   readonly onProgress?: (part: number, parts: number, status: RefineStatus) => void;
 };
 
-/** A rectangle of a picture: what is kept of a part, inside of what is refined. */
-export type Part = {
-  readonly left: number;
-  readonly top: number;
-  readonly width: number;
-  readonly height: number;
-};
-
 /** The longest side of a part: with 2 x 2 points to a pixel no more points than are refined at full resolution. */
 const partSide = 256;
 /** Pixels around a part, so that the denoiser sees across its border. */
 const margin = 16;
 
-/** Return the parts of a picture, row by row. */
-export function partsOf(width: number, height: number, side = partSide - 2 * margin): Part[] {
-  const parts: Part[] = [];
-  for (let top = 0; top < height; top += side) {
-    for (let left = 0; left < width; left += side) {
-      parts.push({ left, top, width: Math.min(side, width - left), height: Math.min(side, height - top) });
-    }
-  }
-  return parts;
+/** Return the parts of a picture. */
+export function stillParts(width: number, height: number): Part[] {
+  return partsOf(width, height, partSide - 2 * margin);
 }
 
 /** Return a part with what is around it, inside of the picture. */
@@ -55,11 +42,6 @@ export function widened({ left, top, width, height }: Part, whole: ViewCamera): 
   const right = Math.min(left + width + margin, whole.width);
   const bottom = Math.min(top + height + margin, whole.height);
   return { left: x, top: y, width: right - x, height: bottom - y };
-}
-
-/** Return the camera of a part of a picture. */
-export function cameraOfPart(camera: ViewCamera, { left, top, width, height }: Part): ViewCamera {
-  return { ...camera, width, height, centreX: camera.centreX - left, centreY: camera.centreY - top };
 }
 
 /**
@@ -78,7 +60,7 @@ export async function refinedStill<T extends Pixels>(
   const ends = signal === undefined ? [lost] : [signal, lost];
   const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
   const first = held();
-  const parts = partsOf(camera.width, camera.height);
+  const parts = stillParts(camera.width, camera.height);
   let aim = camera;
   let hear: (status: RefineStatus) => void = () => {};
   const refinement = new Refinement({
@@ -144,11 +126,6 @@ export async function refinedStill<T extends Pixels>(
     hear = () => {};
     refinement.dispose();
   }
-}
-
-/** Return a column of the whole picture as a share of a part's width. */
-function shareIn(share: number, camera: ViewCamera, part: Part): number {
-  return Math.min(Math.max((share * camera.width - part.left) / part.width, 0), 1);
 }
 
 /** Copy what is kept of a part. */

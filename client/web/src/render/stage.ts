@@ -6,7 +6,7 @@ import {
   RGBAFormat,
   Scene,
   UnsignedByteType,
-  WebGLRenderer,
+  type WebGLRenderer,
   WebGLRenderTarget,
 } from "three";
 import type { DataTexture } from "three";
@@ -28,6 +28,8 @@ import { ShadowCaster } from "./shadowMaps.js";
 import { maskTarget, Surface, sampleTarget } from "./surface.js";
 import { fitting, halfFloatTarget } from "./targets.js";
 import { aim } from "./projection.js";
+import { rendererOn } from "./renderer.js";
+import { cameraOfPart, type Part, partsOf, shareIn, tilesOf } from "./tiles.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
 
 /** One half of the picture, or all of it. */
@@ -78,21 +80,7 @@ export class Stage {
 
   /** Throws GraphicsFault where there is no WebGL2 or no target for radiance. */
   constructor(canvas: HTMLCanvasElement, splitSumTable: Float32Array<ArrayBuffer>) {
-    try {
-      this.renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
-    } catch {
-      throw new GraphicsFault("this browser offers no WebGL 2");
-    }
-    const context = this.renderer.getContext();
-    if (
-      !context.getExtension("EXT_color_buffer_float") &&
-      !context.getExtension("EXT_color_buffer_half_float")
-    ) {
-      this.renderer.dispose();
-      throw new GraphicsFault("this graphics card cannot draw into half floats");
-    }
-    this.renderer.autoClear = false;
-    this.renderer.debug.checkShaderErrors = true;
+    this.renderer = rendererOn(canvas);
     this.#screen = new FullScreen(this.renderer);
     this.#splitSum = splitSumTexture(splitSumTable);
     this.#camera.matrixAutoUpdate = false;
@@ -187,7 +175,10 @@ export class Stage {
     this.renderer.setScissorTest(false);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
-    for (const side of sides) this.#drawSide(camera, side, samples, null, "canvas");
+    const { width, height } = camera;
+    for (const part of tilesOf(width, height, samples, this.renderer.capabilities.maxTextureSize)) {
+      this.#drawPart(camera, part, sides, samples, null, "canvas");
+    }
   }
 
   /** Return the picture as RGBA bytes, rows from the top, straight alpha. */
@@ -239,33 +230,38 @@ export class Stage {
     into: Uint8ClampedArray | Uint16Array,
   ): void {
     const type = output === "linear" ? HalfFloatType : UnsignedByteType;
-    for (let top = 0; top < camera.height; top += tileSide) {
-      for (let left = 0; left < camera.width; left += tileSide) {
-        const width = Math.min(tileSide, camera.width - left);
-        const height = Math.min(tileSide, camera.height - top);
-        const target = new WebGLRenderTarget(width, height, { format: RGBAFormat, type, depthBuffer: false });
-        const tile = {
-          ...camera,
-          width,
-          height,
-          centreX: camera.centreX - left,
-          centreY: camera.centreY - top,
-        };
-        const share = (at: number): number => Math.min(Math.max((at * camera.width - left) / width, 0), 1);
-        for (const side of sides) {
-          const part = { ...side, from: share(side.from), to: share(side.to) };
-          if (part.to > part.from) this.#drawSide(tile, part, samples, target, output);
-        }
-        const count = 4 * width * height;
-        const pixels = output === "linear" ? new Uint16Array(count) : new Uint8Array(count);
-        this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
-        target.dispose();
-        for (let row = 0; row < height; row++) {
-          const source = 4 * width * (height - 1 - row);
-          const line = pixels.subarray(source, source + 4 * width);
-          into.set(line, 4 * ((top + row) * camera.width + left));
-        }
+    const side = Math.min(tileSide, Math.floor(this.renderer.capabilities.maxTextureSize / samples));
+    for (const part of partsOf(camera.width, camera.height, side)) {
+      const { left, top, width, height } = part;
+      const target = new WebGLRenderTarget(width, height, { format: RGBAFormat, type, depthBuffer: false });
+      this.#drawPart(camera, part, sides, samples, target, output);
+      const count = 4 * width * height;
+      const pixels = output === "linear" ? new Uint16Array(count) : new Uint8Array(count);
+      this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
+      target.dispose();
+      for (let row = 0; row < height; row++) {
+        const source = 4 * width * (height - 1 - row);
+        const line = pixels.subarray(source, source + 4 * width);
+        into.set(line, 4 * ((top + row) * camera.width + left));
       }
+    }
+  }
+
+  /** Draw the sides of a part of a picture: into a target of its own, or where it is on the canvas. */
+  #drawPart(
+    camera: ViewCamera,
+    part: Part,
+    sides: readonly Side[],
+    samples: number,
+    target: WebGLRenderTarget | null,
+    output: keyof typeof outputs,
+  ): void {
+    const tile = cameraOfPart(camera, part);
+    const up = camera.height - part.top - part.height;
+    const origin = target === null ? ([part.left, up] as const) : ([0, 0] as const);
+    for (const side of sides) {
+      const [from, to] = [shareIn(side.from, camera, part), shareIn(side.to, camera, part)];
+      if (to > from) this.#drawSide(tile, { ...side, from, to }, samples, target, output, origin);
     }
   }
 
@@ -275,6 +271,7 @@ export class Stage {
     samples: number,
     target: WebGLRenderTarget | null,
     output: keyof typeof outputs,
+    origin: readonly [number, number],
   ): void {
     const light = this.#lights.get(side.light);
     const scenery = this.#scenery;
@@ -312,8 +309,10 @@ export class Stage {
       output,
       ground,
       this.dither,
+      origin,
     );
-    this.#scissor(target, columns, height);
+    this.#scissor(target, columns, height, origin);
+    if (target === null) this.renderer.setViewport(...origin, width, height);
     this.#screen.draw(this.#resolve.material, target);
     this.#scissor(null, null, 0);
   }
@@ -378,12 +377,17 @@ export class Stage {
     mesh.material = surface.program;
   }
 
-  #scissor(target: WebGLRenderTarget | null, columns: readonly number[] | null, height: number): void {
+  #scissor(
+    target: WebGLRenderTarget | null,
+    columns: readonly number[] | null,
+    height: number,
+    [x, y]: readonly [number, number] = [0, 0],
+  ): void {
     const on = columns !== null;
     const [from, to] = columns ?? [0, 0];
     if (target === null) {
       this.renderer.setScissorTest(on);
-      if (on) this.renderer.setScissor(from!, 0, to! - from!, height);
+      if (on) this.renderer.setScissor(x + from!, y, to! - from!, height);
     } else {
       target.scissorTest = on;
       target.scissor.set(from!, 0, to! - from!, height);
