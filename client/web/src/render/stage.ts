@@ -11,6 +11,7 @@ import {
 } from "three";
 import type { DataTexture } from "three";
 import type { LoadedBundle } from "../bundle/load.js";
+import { closePictures } from "../bundle/pictures.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
 import { groundHeight } from "./contact.js";
@@ -97,6 +98,7 @@ export class Stage {
     const { maxTextureSize } = this.renderer.capabilities;
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
+      closePictures(bundle);
       throw new GraphicsFault(
         `this graphics card takes textures of ${maxTextureSize} texels a side, the bundle's tables have ${longest}`,
         "use another device, or a bundle with a smaller export.transport_size",
@@ -215,6 +217,7 @@ export class Stage {
     this.#scenery?.shading.dispose();
     this.#scenery?.passes.dispose();
     this.#scenery?.textures.dispose();
+    if (this.#scenery !== null) closePictures(this.#scenery.bundle);
     this.#scenery = null;
     this.#seen?.dispose();
     this.#seen = null;

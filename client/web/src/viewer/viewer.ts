@@ -2,6 +2,7 @@
 
 import { loadInWorker } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
+import { closePictures } from "../bundle/pictures.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
@@ -125,6 +126,7 @@ export class Viewer {
       loadInWorker(origin, hear, loading.signal),
       this.#setStage(loading.signal),
     ]);
+    if (loading.signal.aborted) closePictures(bundle);
     loading.signal.throwIfAborted();
     this.#stills.lose();
     this.#stage!.setBundle(bundle);

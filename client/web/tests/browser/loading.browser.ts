@@ -70,6 +70,27 @@ describe("while a bundle is read", () => {
   });
 });
 
+describe("pictures of a bundle", () => {
+  it("are closed when another one is shown, and with the element", async () => {
+    page = await openViewer(browser, {}, "data/golden/ball_1.3.relight.zip");
+    const widths = (change: "open" | "leave") =>
+      page.evaluate(async (what) => {
+        const element = document.querySelector("lambent-viewer")!;
+        const { maps, unseen } = element.viewer!.bundle!;
+        const all = [maps!.albedo, maps!.packed, maps!.normal, ...(unseen === null ? [] : [unseen])];
+        const before = Math.max(...all.map(({ width }) => width));
+        if (what === "open") await element.show("data/golden/ball_1.3.relight.zip");
+        else element.remove();
+        return [before, ...all.map(({ width }) => width)];
+      }, change);
+    for (const change of ["open", "leave"] as const) {
+      const [before, ...after] = await widths(change);
+      expect(before).toBeGreaterThan(1);
+      expect(after.every((width) => width === 0)).toBe(true);
+    }
+  });
+});
+
 describe("the controls", () => {
   const isVisible = (selector: string): Promise<boolean> => page.locator(selector).isVisible();
   const open = (src: string): Promise<string> =>
