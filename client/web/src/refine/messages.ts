@@ -30,6 +30,9 @@ export type WorkerShare = {
   readonly ports: readonly MessagePort[];
 };
 
+/** What the first worker has read for the others; null where the bundle has none. */
+export type SharedBits = { readonly shadowBits: Uint32Array<ArrayBuffer> | null };
+
 /** Passes that a worker sends to the first one. */
 export type SharedPass = { readonly id: number; readonly means: PassMeans };
 

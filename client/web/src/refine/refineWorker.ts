@@ -5,7 +5,7 @@ import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
 import { withShadowBits } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight } from "../engine/fallingLight.js";
-import { buffersOf } from "../page/buffers.js";
+import { buffersOf, sharedCopy } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { Accumulation } from "./accumulation.js";
 import { Hits, HitScene } from "./hitRadiance.js";
@@ -15,6 +15,7 @@ import type {
   OpenQuestion,
   RefineAnswer,
   RefineQuestion,
+  SharedBits,
   SharedPass,
   StartQuestion,
   WorkerShare,
@@ -66,22 +67,41 @@ self.onmessage = ({ data }: MessageEvent<RefineQuestion>) => {
   });
 };
 
-async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQuestion): Promise<void> {
+async function open(question: OpenQuestion): Promise<void> {
+  const { mesh, transport, share } = question;
+  if (share.index > 0) {
+    const tracer = openMesh(mesh, transport);
+    // The first one reads what there is to read.
+    const { shadowBits } = await bitsFrom(share.ports[0]!);
+    opened = { tracer, scene: new HitScene({ ...transport, shadowBits }, mesh), share };
+    answer({ kind: "opened", backend: tracer.backend, note: "", slow: tracer.slow });
+    return;
+  }
+  const { origin, sceneId, backend } = question;
   const files = await openBundle(await openSource(origin));
   const { manifest } = files;
   if (manifest.sceneId !== sceneId) {
     throw new BundleFault("bundle.digest_mismatch", "the bundle is another one by now", "reload the page");
   }
   const stated = manifest.transport;
-  const lit = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
+  const read = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
+  const isShared = share.ports.length > 0 && globalThis.crossOriginIsolated;
+  const bits: SharedBits = { shadowBits: isShared ? sharedCopy(read.shadowBits) : read.shadowBits };
+  for (const port of share.ports) {
+    port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
+    port.postMessage(bits);
+  }
   let [tracer, note] = [null as Tracer | null, ""];
   if (backend === "auto" || backend === "mesh") tracer = openMesh(mesh, transport);
   else ({ tracer, note } = await openTracer(await cacheFiles(files), backend));
-  opened = { tracer, scene: new HitScene(lit, mesh), share };
-  if (share.index === 0) {
-    for (const port of share.ports) port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
-  }
+  opened = { tracer, scene: new HitScene({ ...transport, ...bits }, mesh), share };
   answer({ kind: "opened", backend: tracer.backend, note, slow: tracer.slow });
+}
+
+function bitsFrom(port: MessagePort): Promise<SharedBits> {
+  return new Promise((resolve) => {
+    port.onmessage = ({ data }: MessageEvent<SharedBits>) => resolve(data);
+  });
 }
 
 /** Fetch and check a fast cache; any of them will do, since no light changes what rays hit. */

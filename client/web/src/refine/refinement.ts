@@ -132,7 +132,8 @@ export class Refinement {
     if (this.#pool !== null) return;
     this.#bundle = bundle;
     const { sceneId, mesh, transport } = bundle;
-    const count = workersFor(options, navigator.hardwareConcurrency || 1);
+    const processors = navigator.hardwareConcurrency || 1;
+    const count = workersFor(options, processors, bundle, globalThis.crossOriginIsolated);
     const asked = { origin, sceneId, mesh, transport, backend: options.backend };
     const pool: RefinePool = new RefinePool(asked, count, (answer) => {
       if (this.#pool === pool) this.#hear(answer);

@@ -1,8 +1,10 @@
+import { join } from "node:path";
 import type { Browser, BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { halfValue } from "../../src/engine/half.js";
 import type { RefineOptions } from "../../src/refine/status.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
+import { serveFolders } from "../support/server.js";
 import { keep, meanDifference } from "./support.js";
 
 const size = { width: 300, height: 220 };
@@ -14,10 +16,10 @@ beforeAll(async () => {
 afterAll(() => closePages(browser));
 
 /** Open an element without controls, of a size that its page gives it. */
-async function openElement(context: BrowserContext): Promise<Page> {
+async function openElement(context: BrowserContext, site = inject("site")): Promise<Page> {
   const page = await context.newPage();
   const state = "env=preset:sunset&background=transparent&auto=0";
-  await page.goto(`${inject("site")}/pages/twelve.html?${new URLSearchParams({ count: "1", state })}`);
+  await page.goto(`${site}/pages/twelve.html?${new URLSearchParams({ count: "1", state })}`);
   await page.waitForFunction(() => document.querySelector("lambent-viewer") !== null);
   await page.addStyleTag({
     content: `main { display: block } lambent-viewer { display: block; width: ${size.width}px; height: ${size.height}px }`,
@@ -25,6 +27,42 @@ async function openElement(context: BrowserContext): Promise<Page> {
   await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
   return page;
 }
+
+describe("several workers", () => {
+  it.each([
+    ["that have copies", false],
+    ["that share memory", true],
+  ] as const)("%s read the bundle once", async (_, isolated) => {
+    const folders = {
+      ...{ "": inject("pages"), data: inject("fixture") },
+      pages: join(import.meta.dirname, "pages"),
+    };
+    const server = await serveFolders(folders, { isolated });
+    const context = await browser.newContext({ viewport: size, bypassCSP: true, reducedMotion: "reduce" });
+    const read: string[] = [];
+    context.on("request", (request) => read.push(new URL(request.url()).pathname.split("/").at(-1)!));
+    const page = await openElement(context, server.url);
+    const found = await page.evaluate(async () => {
+      const element = document.querySelector("lambent-viewer")!;
+      const viewer = element.viewer!;
+      viewer.refineOptions = { ...viewer.refineOptions, workers: 3, samplesPerPixel: 96, relativeError: 0 };
+      const done = new Promise<string>((resolve) => {
+        viewer.on("refine", ({ phase, message }) => {
+          if (phase === "done" || phase === "failed") resolve(`${phase} ${message}`);
+        });
+      });
+      await element.update({ refine: true });
+      return [crossOriginIsolated, await done, viewer.refined!.samplesPerPixel];
+    });
+    expect(found.slice(0, 2)).toEqual([isolated, "done "]);
+    expect(found[2]).toBeGreaterThanOrEqual(96);
+    expect(read.filter((name) => name === "shadow_bits.bin")).toHaveLength(1);
+    // Once to show the object, once to refine it.
+    expect(read.filter((name) => name === "manifest.json")).toHaveLength(2);
+    await context.close();
+    await server.close();
+  });
+});
 
 describe("refining", () => {
   it.each([
