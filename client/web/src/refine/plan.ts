@@ -1,5 +1,7 @@
 /** The resolution of a refined picture: that of the shown one, unless it would take too long. */
 
+import type { ViewCamera } from "../render/looks.js";
+
 /** Points that are refined at most, by what computes. */
 export const mostPoints = { quick: 1 << 19, mesh: 1 << 18, slow: 1 << 14 } as const;
 
@@ -11,4 +13,14 @@ export function planOf(width: number, height: number, covered: number, limit: nu
   const pixels = width * height * covered;
   if (4 * pixels <= limit) return { step: 1, samples: 2 };
   return { step: Math.max(1, Math.ceil(Math.sqrt(pixels / limit))), samples: 1 };
+}
+
+/** Return a camera's view in another size. */
+export function resized(camera: ViewCamera, width: number, height: number): ViewCamera {
+  const [x, y] = [width / camera.width, height / camera.height];
+  return {
+    ...camera,
+    ...{ width, height, focalX: camera.focalX * x, focalY: camera.focalY * y },
+    ...{ centreX: camera.centreX * x, centreY: camera.centreY * y },
+  };
 }

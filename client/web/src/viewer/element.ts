@@ -198,7 +198,10 @@ export class LambentViewerElement extends HTMLElement {
     const root = this.shadowRoot!;
     const viewer = new Viewer(document.createElement("canvas"));
     this.#viewer = viewer;
-    this.#interface = new Interface(root, this, viewer);
+    this.#interface = new Interface(root, this, viewer, {
+      during: (work) => this.#busy(work),
+      open: (dropped) => this.#show(sourceOf(dropped)),
+    });
     // The progress is above it.
     root.querySelector(".welcome")!.before(this.#poster.element);
     this.#poster.show(false, this.#label);
@@ -230,7 +233,13 @@ export class LambentViewerElement extends HTMLElement {
 
   #show(source: Source): void {
     const viewer = this.#viewer!;
+    this.#source = source;
     const shown = viewer.open(originOf(source));
+    // What cannot be shown is not opened again in place of what is.
+    shown.catch(() => {
+      const { source: kept } = viewer;
+      if (this.#source === source && this.#viewer === viewer && kept !== null) this.#source = sourceOf(kept);
+    });
     if (this.#promised === null) this.#ready = shown;
     this.#promised?.(shown);
     this.#promised = null;
@@ -302,6 +311,12 @@ function isInWindow(element: HTMLElement): boolean {
 function originOf(source: Source): BundleOrigin {
   if (typeof source === "string") return { kind: "url", url: new URL(source, document.baseURI).href };
   return source instanceof Blob ? { kind: "archive", file: source } : { kind: "files", files: source };
+}
+
+/** Return an origin as `show` takes it. */
+function sourceOf(origin: BundleOrigin): Source {
+  if (origin.kind === "url") return origin.url;
+  return origin.kind === "archive" ? origin.file : origin.files;
 }
 
 /** Make the element known, once. */

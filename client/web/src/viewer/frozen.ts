@@ -40,9 +40,9 @@ export function freeze(
   };
 }
 
-/** Return the fault of a state that can no longer be drawn. */
-export function interrupted(): Fault {
-  return new Fault("film.interrupted", ...texts.viewer.interrupted());
+/** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
+export function interrupted(work: "film" | "refine" = "film"): Fault {
+  return new Fault(`${work}.interrupted`, ...texts.viewer.interrupted());
 }
 
 /** Return the parts of a picture: one, or the two sides of a comparison. */

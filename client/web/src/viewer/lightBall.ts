@@ -3,7 +3,7 @@
 import type { Direction } from "../engine/environment.js";
 import type { LightTurn } from "../render/looks.js";
 import { axesOf } from "./camera.js";
-import { listening, make } from "./fields.js";
+import { listening, make, releases } from "./fields.js";
 import { initialState } from "./state.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
@@ -57,7 +57,7 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
     last = { id: event.pointerId, x: event.clientX, y: event.clientY };
     if (dx !== 0 || dy !== 0) turnBy(perPixel * dx, -perPixel * dy);
   });
-  for (const lifted of ["pointerup", "pointercancel"] as const) {
+  for (const lifted of releases) {
     on(element, lifted, (event) => {
       if (last?.id !== event.pointerId) return;
       last = null;

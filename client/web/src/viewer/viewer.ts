@@ -2,6 +2,7 @@
 
 import { loadInWorker } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
+import { closePictures } from "../bundle/pictures.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
@@ -23,6 +24,7 @@ import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
+import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
 import { texts } from "../words/words.js";
 
@@ -37,6 +39,7 @@ export class Viewer {
     stage: () => this.#stage,
     state: () => this.#state,
     lit: (notes) => {
+      this.#stills.lose();
       if (notes.length > 0) this.#tell("message", notes.join(" "), false);
       this.invalidate();
     },
@@ -52,8 +55,7 @@ export class Viewer {
   #photoEdge: Rgb | null = null;
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
-  /** Refined pictures that are being made for something else. */
-  #stills = 0;
+  readonly #stills = new Stills();
   #closed = false;
   /** The pose that a bundle is opened with, unless another one was chosen. */
   home: OrbitPose = initialState.pose;
@@ -66,6 +68,7 @@ export class Viewer {
     canvas.addEventListener("webglcontextlost", (event) => {
       if (this.#closed) return;
       event.preventDefault();
+      this.#stills.lose();
       this.#tell("message", texts.viewer.graphicsLost, true);
     });
     canvas.addEventListener("webglcontextrestored", () => {
@@ -127,7 +130,9 @@ export class Viewer {
       loadInWorker(origin, hear, loading.signal),
       this.#setStage(loading.signal),
     ]);
+    if (loading.signal.aborted) closePictures(bundle);
     loading.signal.throwIfAborted();
+    this.#stills.lose();
     this.#stage!.setBundle(bundle);
     this.#source = origin;
     this.lights.forget(early);
@@ -253,12 +258,7 @@ export class Viewer {
     this.#refinement?.dispose();
     this.#refinement = null;
     const host = { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
-    this.#stills++;
-    const end = (): void => {
-      this.#stills--;
-      this.invalidate();
-    };
-    return { ...host, end };
+    return { ...host, ...this.#stills.begin(() => this.invalidate()) };
   }
 
   /** The elevations to look from, degrees. */
@@ -298,6 +298,7 @@ export class Viewer {
 
   dispose(): void {
     this.#closed = true;
+    this.#stills.lose();
     this.#refinement?.dispose();
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
@@ -357,19 +358,20 @@ export class Viewer {
   /** The picture at rest was drawn: refine it, if that is wanted. What that needs is fetched now. */
   #refineSoon(): void {
     // Both would draw in place of the baked picture, and share the processors.
-    if (!this.#state.refine || this.#stills > 0) return;
+    if (!this.#state.refine || this.#stills.isAny) return;
     if (this.#refinement !== null) {
       this.#refinement.rest();
       return;
     }
     import("../refine/refinement.js")
       .then(({ Refinement }) => {
-        const given = this.#closed || this.#stills > 0 || this.#refinement !== null;
+        const given = this.#closed || this.#stills.isAny || this.#refinement !== null;
         if (given || !this.#state.refine) return;
         this.#refinement = new Refinement({
           stage: this.#ready(),
           view: () => this.#refineView(),
           redraw: () => this.#drawNow(stillSamples),
+          fades: true,
           tell: (status) => this.#tell("refine", status),
         });
         this.#refinement.changed();
@@ -384,7 +386,6 @@ export class Viewer {
       bundle: this.bundle!,
       origin: this.#source!,
       camera: this.canvasCamera(),
-      cameraOf: (width: number, height: number) => this.canvasCamera({ width, height }),
       turn,
       look,
       moving: this.#moving,
