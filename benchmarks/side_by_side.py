@@ -8,8 +8,8 @@ truth's size, under the same map, without background and ground, exposure 1, ton
 TensoIR-synthetic's layout; truth is radiance_<light>.exr of a test view, or rgba_<light>.png, of which
 clipped pixels are left out. A light `name_090` is the map `name` turned by 90 degrees. Figures are PSNR in dB
 of sRGB-encoded values over black: where truth covers more than half of a pixel, over the whole picture, and
-where it is covered after one factor per channel and picture. Then `<model-viewer>` is drawn under turned maps:
-its PSNR has to be best at no turn.
+where it is covered after one factor per channel and picture. Then `<model-viewer>` is drawn under turned
+maps: its PSNR has to be best at no turn.
 """
 
 import argparse
@@ -34,6 +34,7 @@ from benchmarks.browser_pictures import ModelViewer, Picture, rgbe_bytes, versio
 QUICK = "--scene {sample} --bundle {bundle} --environments {maps} --views 1 --lights sunset --only ours"
 SWEEP_DEG = (-90, -45, -22.5, -11.25, 0, 11.25, 22.5, 45, 90, 180)
 LEAST_OVERLAP = 0.97
+_FACTORS = np.arange(0.3, 3.0, 0.01)
 _CELL = 256
 
 
@@ -80,17 +81,17 @@ def overlap(found: Picture, truth: Truth) -> float:
 def scores(found: Picture, truth: Truth) -> dict[str, float]:
     """Return `object`, `picture` and `scaled`, PSNR in dB, and `overlap` of a picture with straight alpha.
 
-    `scaled` is that of the object after one factor per channel on linear display values, by least squares.
+    `scaled` is that of the object after the best factor per channel on linear display values, to 1 %.
     """
     over_black = found[..., :3] * found[..., 3:]
     is_object = truth.inside
     drawn, true = over_black[is_object], truth.encoded[is_object]
-    drawn_linear, true_linear = linear_from_srgb(drawn), linear_from_srgb(true)
-    factor = (drawn_linear * true_linear).sum(axis=0) / np.maximum((drawn_linear**2).sum(axis=0), 1e-12)
+    linear = linear_from_srgb(drawn)
+    errors = [((srgb_from_linear(linear * factor) - true) ** 2).mean(axis=0) for factor in _FACTORS]
     return {
         "object": psnr(drawn, true),
         "picture": psnr(over_black[truth.known], truth.encoded[truth.known]),
-        "scaled": psnr(srgb_from_linear(drawn_linear * factor), true),
+        "scaled": psnr(srgb_from_linear(linear * _FACTORS[np.argmin(errors, axis=0)]), true),
         "overlap": overlap(found, truth),
     }
 
