@@ -25,9 +25,12 @@ from PIL import Image
 from support.chromium import Page, browser
 from support.refine_page import build_viewer
 
+from benchmarks.mirror_ball import ball_glb
+
 Picture = NDArray[np.float64]
 TOOL = Path(__file__).parent.parent / "client" / "web" / "tools" / "modelviewer"
 SCRIPT = Path("node_modules", "@google", "model-viewer", "dist", "model-viewer.min.js")
+BALL = "ball.glb"
 INSTALL = f"npm ci --prefix {TOOL.relative_to(Path(__file__).parent.parent)}"
 _OURS = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script type="module" src="lambent-viewer.js"></script>
@@ -44,8 +47,9 @@ _THEIRS = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,"
 <script type="module" src="model-viewer.js"></script>
 <script type="module">
   await customElements.whenDefined("model-viewer");
+  // One draws in the size that was asked for, however long it takes.
   customElements.get("model-viewer").minimumRenderScale = 1;
-  document.querySelector("model-viewer").src = "bundle/mesh/asset.glb";
+  globalThis.isReady = true;
 </script>
 <model-viewer loading="eager" interaction-prompt="none" tone-mapping="neutral" exposure="1"
   shadow-intensity="0" min-camera-orbit="-Infinity 0deg 0m" max-camera-orbit="Infinity 180deg 1000m"
@@ -176,10 +180,17 @@ class OurViewer(Side):
 class ModelViewer(Side):
     """`<model-viewer>` on the bundle's mesh file: no background, no shadow, exposure 1, the neutral curve."""
 
-    def open(self) -> None:
-        """Open the mesh."""
-        self._open("theirs.html", "document.querySelector('model-viewer')?.loaded")
-        self._page.evaluate("void (globalThis.element = document.querySelector('model-viewer'))")
+    def open(self, model: str = "bundle/mesh/asset.glb") -> None:
+        """Open a mesh, that of the bundle, or another file beside the page."""
+        self._open("theirs.html", "globalThis.isReady")
+        self._page.evaluate(
+            f"""new Promise((resolve, reject) => {{
+                globalThis.element = document.querySelector('model-viewer');
+                element.addEventListener('load', resolve, {{ once: true }});
+                element.addEventListener('error', () => reject(new Error('no mesh')), {{ once: true }});
+                element.src = {json.dumps(model)};
+            }}).then(() => null)"""
+        )
 
     def light(self, name: str) -> None:
         """Take the light of maps/`name`."""
@@ -244,6 +255,7 @@ def viewers(
     (pages / "ours.html").write_text(_OURS)
     (pages / "theirs.html").write_text(_THEIRS.replace("WIDTH", str(size[0])).replace("HEIGHT", str(size[1])))
     if theirs:
+        (pages / BALL).write_bytes(ball_glb())
         shutil.copyfile(TOOL / SCRIPT, pages / "model-viewer.js")
     handler = partial(_Files, folders={"": pages, "bundle": bundle, "maps": maps})
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)

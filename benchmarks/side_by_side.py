@@ -8,8 +8,8 @@ truth's size, under the same map, without background and ground, exposure 1, ton
 TensoIR-synthetic's layout; truth is radiance_<light>.exr of a test view, or rgba_<light>.png, of which
 clipped pixels are left out. A light `name_090` is the map `name` turned by 90 degrees. Figures are PSNR in dB
 of sRGB-encoded values over black: where truth covers more than half of a pixel, over the whole picture, and
-where it is covered after one factor per channel and picture. Then `<model-viewer>` is drawn under turned
-maps: its PSNR has to be best at no turn.
+where it is covered after one factor per channel and picture. Then `<model-viewer>` draws a mirror ball under
+turned maps, against what a mirror has to show: PSNR has to be best at no turn.
 """
 
 import argparse
@@ -29,10 +29,11 @@ from lambent_relight.tone_mapping import tone_mapped
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.browser_pictures import ModelViewer, Picture, rgbe_bytes, versions, viewers
+from benchmarks.browser_pictures import BALL, ModelViewer, Picture, rgbe_bytes, versions, viewers
+from benchmarks.mirror_ball import reflected
 
 QUICK = "--scene {sample} --bundle {bundle} --environments {maps} --views 1 --lights sunset --only ours"
-SWEEP_DEG = (-90, -45, -22.5, -11.25, 0, 11.25, 22.5, 45, 90, 180)
+SWEEP_DEG = (-90, -45, -11.25, -5.625, 0, 5.625, 11.25, 45, 90, 180)
 LEAST_OVERLAP = 0.97
 _FACTORS = np.arange(0.3, 3.0, 0.01)
 _CELL = 256
@@ -122,15 +123,16 @@ def write_maps(environments: Path, lights: Sequence[str], folder: Path) -> None:
         (folder / f"{light}.hdr").write_bytes(rgbe_bytes(turned(radiance, degrees)))
 
 
-def sweep(side: ModelViewer, camera: Camera, truth: Truth, light: str, maps: Path) -> dict[float, float]:
-    """Return the object's PSNR by degrees that the map was turned by."""
-    radiance = load_environment(maps / f"{light}.hdr").radiance
+def sweep(side: ModelViewer, camera: Camera, light: str, maps: Path) -> dict[float, float]:
+    """Return the PSNR of the mirror ball under the light by degrees that the map was turned by."""
+    environment = load_environment(maps / f"{light}.hdr")
+    shown, where = reflected(camera, environment)
     found = {}
     for degrees in SWEEP_DEG:
         name = f"{light}_turned_{degrees}.hdr"
-        (maps / name).write_bytes(rgbe_bytes(turned(radiance, degrees)))
+        (maps / name).write_bytes(rgbe_bytes(turned(environment.radiance, degrees)))
         side.light(name)
-        found[degrees] = scores(side.picture(camera), truth)["object"]
+        found[degrees] = psnr(side.picture(camera)[where][:, :3], shown[where])
     return found
 
 
@@ -148,20 +150,48 @@ def table(records: Sequence[dict[str, Any]], sides: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
-def strip(rows: Sequence[Sequence[Picture]], path: Path, most_bytes: int = 150_000) -> None:
-    """Write rows of pictures [H, W, 3] as one JPEG of at most `most_bytes`."""
-    cells = []
-    for row in rows:
-        images = [Image.fromarray(np.round(255.0 * np.clip(cell, 0, 1)).astype(np.uint8)) for cell in row]
-        resized = [np.asarray(image.resize((_CELL, _CELL), Image.Resampling.LANCZOS)) for image in images]
-        cells.append(np.concatenate(resized, axis=1))
-    picture = Image.fromarray(np.concatenate(cells, axis=0))
+def strip(
+    pictures: Path,
+    lights: Sequence[str],
+    view: str,
+    sides: Sequence[str],
+    path: Path,
+    most_bytes: int = 150_000,
+) -> None:
+    """Write truth and all sides of one view, a row per light, as one JPEG of at most `most_bytes`.
+
+    The kept pictures are cut to the square around everything that they show.
+    """
+    rows = [
+        [Image.open(pictures / f"{light}_{view}_{side}.png") for side in ("truth", *sides)]
+        for light in lights
+    ]
+    boxes = np.array([cell.getbbox() for row in rows for cell in row])
+    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    middle, half = (low + high) / 2.0, (high - low).max() / 2.0 + 2.0
+    box = (*(middle - half), *(middle + half))
+    cells = [
+        [
+            np.asarray(cell.resize((_CELL, _CELL), Image.Resampling.BICUBIC, box=_inside(box, cell.size)))
+            for cell in row
+        ]
+        for row in rows
+    ]
+    picture = Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in cells], axis=0))
     path.parent.mkdir(parents=True, exist_ok=True)
     for quality in range(90, 20, -10):
         picture.save(path, quality=quality, optimize=True)
         if path.stat().st_size <= most_bytes:
             return
     raise SystemExit(f"{path} stays above {most_bytes} bytes")
+
+
+def _inside(box: Sequence[float], size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Return a square box, moved, and reduced if need be, into a picture of some size."""
+    left, top, right, _ = box
+    side = min(right - left, *size)
+    left, top = (min(max(low, 0.0), whole - side) for low, whole in zip((left, top), size, strict=True))
+    return left, top, left + side, top + side
 
 
 def keep(path: Path, found: Picture) -> None:
@@ -194,14 +224,14 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
     theirs = options.only != "ours"
     sides = ["ours baked", "ours refined", *(["model-viewer"] if theirs else [])]
     size = (views[0][1].width, views[0][1].height)
-    records, rows, sweeps = [], [], {}
+    records, sweeps = [], {}
     print(f"{versions()}; views {', '.join(folder.name for folder, _ in views)}\n", flush=True)
     with viewers(options.bundle, maps, options.out, size, theirs=theirs) as (ours, other):
         for light in lights:
             ours.light(f"{light}.hdr")
             if other:
                 other.light(f"{light}.hdr")
-            for index, (folder, camera) in enumerate(views):
+            for folder, camera in views:
                 truth = read_truth(folder, light)
                 drawn = {"ours baked": ours.picture(camera)}
                 drawn["ours refined"] = ours.picture(camera, refined=True)
@@ -211,27 +241,24 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
                 records.append({"light": light, "view": folder.name, **found})
                 keep(pictures / f"{light}_{folder.name}_truth.png", truth.encoded)
                 for side, picture in drawn.items():
-                    keep(pictures / f"{light}_{folder.name}_{side.replace(' ', '-')}.png", picture)
+                    keep(pictures / f"{light}_{folder.name}_{side}.png", picture)
                 told = ", ".join(f"{side} {found[side]['object']:.2f}" for side in sides)
                 print(f"{light} {folder.name}: {told}", flush=True)
-                if index == options.strip_view:
-                    over_black = [picture[..., :3] * picture[..., 3:] for picture in drawn.values()]
-                    rows.append([truth.encoded, *over_black])
-            if other:
-                folder, camera = views[0]
-                sweeps[light] = sweep(other, camera, read_truth(folder, light), light, maps)
+        if other:
+            other.open(BALL)
+            sweeps = {light: sweep(other, views[0][1], light, maps) for light in lights}
     print(f"\nPSNR: object / whole picture / object after factors\n\n{table(records, sides)}\n")
     overlaps = {side: min(record[side]["overlap"] for record in records) for side in sides}
     print("smallest overlap of silhouettes: " + ", ".join(f"{k} {v:.3f}" for k, v in overlaps.items()))
     for light, found in sweeps.items():
         told = ", ".join(f"{degrees:g}: {value:.2f}" for degrees, value in found.items())
-        print(f"model-viewer under {light} turned by degrees: {told}")
+        print(f"mirror ball in model-viewer, {light} turned by degrees: {told}")
     if options.strip:
-        strip(rows, options.strip)
+        strip(pictures, lights, views[options.strip_view][0].name, sides, options.strip)
     worst = min(overlaps.values())
     if worst < LEAST_OVERLAP:
         print(f"the silhouettes do not agree: {worst:.3f}")
     for light, found in sweeps.items():
         if max(found, key=found.__getitem__) != 0:
-            print(f"{light} fits better turned: the orientation of the map is in doubt")
+            print(f"{light}: the mirror shows a turned map")
     return {"records": records, "overlaps": overlaps, "sweeps": sweeps, "versions": versions()}

@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from lambent_relight import load_environment
+from lambent_relight import environment_from_array, load_environment
 from lambent_relight.cameras import Camera, look_at
 from lambent_relight.directions import pixel_directions
 from PIL import Image
 
 from benchmarks.browser_pictures import orbit_of, rgbe_bytes
+from benchmarks.mirror_ball import ball_glb, reflected
 from benchmarks.side_by_side import (
     Truth,
     lights_of,
@@ -147,10 +148,46 @@ def test_the_table_has_a_mean_of_every_light_and_of_all():
 
 
 def test_a_strip_has_a_row_for_every_light_and_a_limit_of_bytes(tmp_path):
-    cell = np.random.default_rng(0).uniform(size=(32, 32, 3))
-    strip([[cell, cell], [cell, cell], [cell, cell]], tmp_path / "strip.jpg", most_bytes=120_000)
+    cell = np.zeros((32, 32, 3), np.uint8)
+    cell[12:20, 4:28] = np.random.default_rng(0).integers(1, 255, (8, 24, 3))
+    for light in ("sun", "sky", "lamp"):
+        for side in ("truth", "ours"):
+            Image.fromarray(cell).save(tmp_path / f"{light}_test_000_{side}.png")
+    asked = (tmp_path, ["sun", "sky", "lamp"], "test_000", ["ours"], tmp_path / "strip.jpg")
+    strip(*asked, most_bytes=120_000)
     assert (tmp_path / "strip.jpg").stat().st_size <= 120_000
     with Image.open(tmp_path / "strip.jpg") as image:
         assert image.size == (512, 768)
+        # It is cut to what is shown: 28 of 32 pixels across.
+        across = np.asarray(image)[:256, :256].max(axis=(0, 2)) > 32
+        assert across.mean() == pytest.approx(24.0 / 28.0, abs=0.03)
     with pytest.raises(SystemExit, match="stays above 10 bytes"):
-        strip([[cell]], tmp_path / "strip.jpg", most_bytes=10)
+        strip(*asked, most_bytes=10)
+
+
+def test_a_mirror_ball_shows_what_is_behind_the_camera_in_its_middle():
+    position = np.array([2.0, -3.0, 1.5])
+    towards = position / np.linalg.norm(position)
+    radiance = np.repeat(0.7 * (pixel_directions(64, 128) @ towards > 0.95)[..., None], 3, axis=-1)
+    light = environment_from_array(radiance.astype(np.float32))
+    shown, where = reflected(camera(position, (0.0, 0.0, 0.0), focal=500.0), light)
+    assert shown[100, 100, 0] > 0.8
+    assert np.all(shown[where & (shown[..., 0] < 0.1)] < 0.1)
+    rows, columns = np.nonzero(shown[..., 0] > 0.4)
+    assert (rows.mean(), columns.mean()) == pytest.approx((99.5, 99.5), abs=1.5)
+    # Directions double at the surface: the disc of 18 degrees is one of about 9 on the ball.
+    assert shown[where, 0].mean() < 0.1
+
+
+def test_the_ball_faces_outwards():
+    data = ball_glb(8)
+    length = int.from_bytes(data[12:16], "little")
+    content, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    views, counts = content["bufferViews"], [each["count"] for each in content["accessors"]]
+    points = np.frombuffer(binary, "<f4", 3 * counts[0], views[0]["byteOffset"]).reshape(-1, 3)
+    faces = np.frombuffer(binary, "<u4", counts[1], views[1]["byteOffset"]).reshape(-1, 3)
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    outwards = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=-1)
+    assert outwards.min() > -1e-6
+    assert (outwards > 1e-3).mean() > 0.8
+    assert len(data) == int.from_bytes(data[8:12], "little")
