@@ -267,8 +267,12 @@ def write_view(
     scenes: dict[str, "mi.Scene"],
     spp: int,
     seed: int,
+    radiance: bool = False,
 ) -> None:
-    """Render one view under every scene of `scenes` (picture name -> lit scene) and write its folder."""
+    """Render one view under every scene of `scenes` (picture name -> lit scene) and write its folder.
+
+    With `radiance`, linear pictures that are not clipped are written as well.
+    """
     import mitsuba as mi
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -276,6 +280,8 @@ def write_view(
     for name, scene in scenes.items():
         picture = render(scene, pose, what.resolution, spp, seed)
         write_png(folder / f"rgba_{name}.png", np.dstack([encode_srgb(picture[..., :3]), picture[..., 3]]))
+        if radiance:
+            mi.Bitmap(picture.astype(np.float16)).write(str(folder / f"radiance_{name}.exr"))
     maps = truth(first, what, pose, what.resolution, what.truth_spp)
     disagreement = np.abs(maps["albedo"][..., 3] - picture[..., 3]).mean()
     if disagreement > 0.005:
@@ -349,7 +355,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--scene", default=DEFAULT_SCENE, help="its name in sample_scenes/catalogue.py")
     parser.add_argument("--spp", type=int, help="samples per pixel, in place of the scene's own")
-    parser.add_argument("--only", help="render this view alone, e.g. test_000")
+    parser.add_argument("--only", help="render the views whose names begin so, e.g. test_000 or test")
+    parser.add_argument(
+        "--radiance", action="store_true", help="also write radiance_<light>.exr: not clipped"
+    )
     options = parser.parse_args(arguments)
     load_renderer()
     from sample_scenes.catalogue import SCENES
@@ -367,7 +376,7 @@ def main(arguments: list[str] | None = None) -> None:
     views = {
         name: (seed, pose)
         for seed, (name, pose) in enumerate(cameras(what).items())
-        if options.only in (None, name)
+        if name.startswith(options.only or "")
     }
     shapes = what.objects()
     lit = {f"{what.train_light}_000": build(shapes, stored[what.train_light])}
@@ -376,7 +385,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name, (seed, pose) in views.items():
         test = name.startswith("test")
         spp = options.spp or (what.spp_test if test else what.spp_train)
-        write_view(options.output / name, what, pose, all_lit if test else lit, spp, seed)
+        write_view(options.output / name, what, pose, all_lit if test else lit, spp, seed, options.radiance)
         print(name, flush=True)
 
 

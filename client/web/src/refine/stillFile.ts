@@ -1,5 +1,6 @@
 /** Refined pictures of a viewer, in any size. */
 
+import type { ViewCamera } from "../render/looks.js";
 import { exrFrom, pngFrom } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { refinedStill, type StillOptions } from "./still.js";
@@ -8,20 +9,21 @@ const samples = 2;
 
 type Size = { readonly width: number; readonly height: number };
 
-/** Return what a viewer shows, refined, as straight RGBA bytes, rows from the top. */
+/** Return what a viewer shows, or what a camera would see, refined, as straight RGBA bytes, rows from the top. */
 export async function refinedPixels(
   viewer: Viewer,
-  { width, height }: Size,
+  size: Size | ViewCamera,
   options: StillOptions = {},
 ): Promise<Uint8ClampedArray<ArrayBuffer>> {
   const host = viewer.refineElsewhere();
   try {
-    const into = new Uint8ClampedArray(4 * width * height);
+    const camera = "cameraToWorld" in size ? size : viewer.camera(size.width, size.height);
+    const into = new Uint8ClampedArray(4 * size.width * size.height);
     return await refinedStill(
       host,
-      viewer.camera(width, height),
+      camera,
       into,
-      (camera, sides) => host.stage.readBytes(camera, sides, samples),
+      (part, sides) => host.stage.readBytes(part, sides, samples),
       options,
     );
   } finally {

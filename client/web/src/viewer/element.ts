@@ -102,15 +102,15 @@ export class LambentViewerElement extends HTMLElement {
     return new ImageData(pixels, size.width, size.height);
   }
 
-  /** Return the view, refined, in any size; see `picture`. Takes seconds to minutes. */
+  /** Return the view, or that of a camera, refined, in any size; see `picture`. Takes seconds to minutes. */
   async refinedPicture(
-    { width, height }: { readonly width: number; readonly height: number },
+    size: { readonly width: number; readonly height: number } | ViewCamera,
     options: StillOptions = {},
   ): Promise<ImageData> {
     const viewer = this.#open();
     const { refinedPixels } = await import("../refine/stillFile.js");
     return this.#busy(
-      async () => new ImageData(await refinedPixels(viewer, { width, height }, options), width, height),
+      async () => new ImageData(await refinedPixels(viewer, size, options), size.width, size.height),
     );
   }
 

@@ -1,6 +1,7 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
+import type { ViewCamera } from "../../src/render/looks.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { announcements, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
@@ -22,7 +23,7 @@ beforeAll(async () => {
 });
 afterAll(() => closePages(browser));
 
-async function refined(asked: typeof size): Promise<{ picture: Uint8Array; parts: number[] }> {
+async function refined(asked: typeof size | ViewCamera): Promise<{ picture: Uint8Array; parts: number[] }> {
   const [text, parts] = await page.evaluate(async (wanted) => {
     const seen = new Set<string>();
     const element = document.querySelector("lambent-viewer")!;
@@ -112,6 +113,29 @@ describe("a refined picture", () => {
     }, what);
     expect(code).toBe("refine.interrupted");
     await own.close();
+  });
+
+  it("of a camera is that of the view from there, wherever one looks from now", async () => {
+    const small = { width: 65, height: 60 };
+    const there = (await refined(small)).picture;
+    const camera = await page.evaluate((asked) => {
+      const { viewer } = document.querySelector("lambent-viewer")!;
+      return viewer!.camera(asked.width, asked.height);
+    }, small);
+    const turn = (degrees: number) =>
+      page.evaluate((by) => {
+        const viewer = document.querySelector("lambent-viewer")!;
+        const { pose } = viewer.state;
+        return viewer.update({ pose: { ...pose, azimuthDeg: pose.azimuthDeg + by } });
+      }, degrees);
+    await turn(70);
+    const here = (await refined(small)).picture;
+    const again = (await refined(camera)).picture;
+    await turn(-70);
+    const [moved, apart] = [meanDifference(here, there), meanDifference(again, there)];
+    console.log({ moved, apart });
+    expect(moved).toBeGreaterThan(4);
+    expect(apart).toBeLessThan(moved / 4);
   });
 
   it("is saved in the size that was asked for, with its progress, and can be cancelled", async () => {
