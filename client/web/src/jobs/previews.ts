@@ -27,6 +27,8 @@ export function previewText(preview: Preview): string {
 /** The pictures of a run, the turning ones as a film. */
 export function previews(): Part & { readonly close: () => void } {
   const images = new Map<string, HTMLImageElement>();
+  /** Pictures that the server has let go of since the history was read. */
+  const gone = new Set<string>();
   const stack = h("div", { class: "stack" });
   const caption = h("figcaption", { class: "faint" });
   const slider = h("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": texts.job.earlier });
@@ -40,17 +42,31 @@ export function previews(): Part & { readonly close: () => void } {
   let frame = 0;
 
   function imageOf(sha256: string): HTMLImageElement {
-    let image = images.get(sha256);
-    if (image === undefined) {
-      image = h("img", { alt: "", src: blobAddress(sha256), decoding: "async" });
-      images.set(sha256, image);
-      stack.append(image);
-    }
+    const known = images.get(sha256);
+    if (known !== undefined) return known;
+    const image = h("img", { alt: "", src: blobAddress(sha256), decoding: "async" });
+    image.addEventListener("error", () => leaveOut(sha256, image));
+    images.set(sha256, image);
+    stack.append(image);
     return image;
   }
 
+  async function leaveOut(sha256: string, image: HTMLImageElement): Promise<void> {
+    // A server that is away for a while still has its pictures.
+    const answer = await fetch(blobAddress(sha256), { method: "HEAD" }).catch(() => null);
+    if (answer?.status !== 404) return;
+    gone.add(sha256);
+    images.delete(sha256);
+    image.remove();
+    update();
+  }
+
+  function pictures(): Preview[] {
+    return (shown?.previews ?? []).filter(({ sha256 }) => !gone.has(sha256));
+  }
+
   function draw(): void {
-    const all = shown?.previews ?? [];
+    const all = pictures();
     const turn = turns ? turnOf(all) : [];
     const place = turn.length > 0 ? turn[frame % turn.length]! : Number(slider.value);
     const preview = all[Math.min(place, all.length - 1)];
@@ -93,7 +109,7 @@ export function previews(): Part & { readonly close: () => void } {
   }, frameMs);
 
   function update(): void {
-    const all = shown?.previews ?? [];
+    const all = pictures();
     const last = all.length - 1;
     element.hidden = last < 0;
     slider.hidden = last < 1;

@@ -26,6 +26,7 @@ export function resultViewer({ bundleId, name, poster }: Shown): HTMLElement {
     const element = document.createElement("lambent-viewer");
     element.setAttribute("alt", name);
     element.setAttribute("src", `/v1/bundles/${bundleId}`);
+    element.toggleAttribute("light-turn", true);
     element.classList.add("arriving");
     frame.append(element);
     await (element as HTMLElement & { ready: Promise<void> }).ready;

@@ -29,5 +29,6 @@ if ("message" in shown) {
   // In a frame there is seldom room for controls, and the wheel is the page's.
   element.toggleAttribute("controls", shown.controls ?? !framed);
   element.toggleAttribute("fullpage", !framed);
+  element.toggleAttribute("light-turn", true);
   place?.append(element);
 }

@@ -19,7 +19,7 @@ type Source = string | Blob | ReadonlyMap<string, Blob>;
 /** How far outside of the window a lazy element begins to load. */
 const nearMargin = "25%";
 
-/** The element. Attributes: `src`, `state`, `controls`, `alt`, `poster`, `loading`, `reveal`, `fullpage`. */
+/** The element. Attributes: `src`, `state`, `controls`, `alt`, `poster`, `loading`, `reveal`, `light-turn`, `fullpage`. */
 export class LambentViewerElement extends HTMLElement {
   static readonly observedAttributes = ["src", "state", "alt", "poster"];
   #viewer: Viewer | null = null;

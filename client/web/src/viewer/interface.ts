@@ -8,6 +8,7 @@ import { Controls } from "./controls.js";
 import { copyLink } from "./copyLink.js";
 import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
+import { turnUntilInput } from "./firstTurn.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
 import type { ViewerState } from "./state.js";
@@ -153,6 +154,13 @@ export class Interface {
     });
     for (const each of [this.#view, this.#panel.element, this.#controls?.line]) if (each) size.observe(each);
     const isSheet = (): boolean => getComputedStyle(this.#dock).display === "flex";
+    if (["fullpage", "light-turn"].some((name) => this.host.hasAttribute(name))) {
+      const turning = (on: boolean): void => {
+        if (this.#controls === null) this.viewer.moving = on;
+        else this.#controls.turning(on);
+      };
+      turnUntilInput(this.viewer, this.host, turning, signal);
+    }
     draggableSheet(this.#panel.element, isSheet, signal);
     signal.addEventListener("abort", () => size.disconnect());
     this.viewer.on("change", () => this.#show());

@@ -13,6 +13,8 @@ export type UndoTools = {
   readonly hold: (on: boolean) => void;
   /** What changes next is undone by itself, however soon it follows. */
   readonly apart: () => void;
+  /** What was shown until now cannot be brought back. */
+  readonly forget: () => void;
 };
 
 /** Follow a viewer's state until `signal`; keys are heard on `host`, and `change` shows another state. */
@@ -47,6 +49,10 @@ export function undoTools(
       each.ariaDisabled = String(!can);
     }
   }
+  function forget(): void {
+    history.reset(viewer.state);
+    show();
+  }
   const stops = [
     viewer.on("change", () => {
       // The light of a bundle that is being read is found by it.
@@ -54,10 +60,7 @@ export function undoTools(
       history.record(viewer.state, performance.now());
       show();
     }),
-    viewer.on("load", () => {
-      history.reset(viewer.state);
-      show();
-    }),
+    viewer.on("load", forget),
   ];
   signal.addEventListener("abort", () => {
     for (const stop of stops) stop();
@@ -69,7 +72,7 @@ export function undoTools(
     go(step === "undo" ? history.undo() : history.redo());
   });
   show();
-  return { element, hold: (on) => history.hold(on), apart: () => history.apart() };
+  return { element, hold: (on) => history.hold(on), apart: () => history.apart(), forget };
 }
 
 type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "metaKey">;

@@ -200,6 +200,22 @@ describe("a job", () => {
     await keepPicture(page, "job");
   });
 
+  it("leaves out pictures that the server has let go of", async () => {
+    await page.waitForSelector(".previews:not([hidden]) img", { state: "attached" });
+    await page.route("**/v1/blobs/*", (route) => route.fulfill({ status: 404 }));
+    try {
+      await page.reload();
+      // The history has come, and its pictures with it.
+      await page.waitForSelector(".chart polyline", { state: "attached" });
+      await page.waitForSelector(".previews[hidden]", { state: "attached" });
+    } finally {
+      await page.unroute("**/v1/blobs/*");
+    }
+    await page.reload();
+    await page.waitForSelector(".chart polyline", { state: "attached" });
+    await page.waitForSelector(".previews:not([hidden]) img", { state: "attached" });
+  });
+
   it("is shown to others by a link, which opens nothing else and is taken back", async () => {
     await page.click("summary:text-is('Share a link')");
     await page.selectOption("#lifetime", { label: "one day" });
