@@ -115,7 +115,7 @@ void main() {
   ivec2 first = firstSample(seen, pixel * samples, masked, masked ? texelFetch(mask, pixel, 0).r : 1.0);
   vec4 finer = refined(first, corner + vec2(gl_FragCoord.x, height - gl_FragCoord.y));
   float share = finer.a > 0.0 ? arrived * mix(finer.a, 1.0, settled) : 0.0;
-  result = vec4(mix(before.rgb, before.a * finer.rgb, share), before.a);
+  result = vec4(mix(min(before.rgb, 65504.0), before.a * finer.rgb, share), before.a);
 }`;
 
 /** Frames that take longer count as this long, so that nothing jumps where drawing is slow; ms. */

@@ -6,6 +6,7 @@ import type { FilmPlan } from "../film/plan.js";
 import { Fault } from "../page/fault.js";
 import type { StillOptions } from "../refine/still.js";
 import type { ViewCamera } from "../render/looks.js";
+import { isInWindow } from "./firstTurn.js";
 import { Interface } from "./interface.js";
 import { Poster } from "./poster.js";
 import { type Guest, seats } from "./seats.js";
@@ -162,7 +163,7 @@ export class LambentViewerElement extends HTMLElement {
     this.#near?.disconnect();
     this.#near = null;
     this.#wanted = false;
-    if (this.#viewer !== null) this.#state = this.#viewer.state;
+    if (this.#viewer !== null) this.#keepState(this.#viewer);
     this.#close();
     seats.leave(this.#guest);
     this.shadowRoot?.replaceChildren();
@@ -214,7 +215,7 @@ export class LambentViewerElement extends HTMLElement {
   /** Give the graphics context back; the last picture stays. */
   #rest(): void {
     const viewer = this.#viewer!;
-    this.#state = viewer.state;
+    this.#keepState(viewer);
     if (viewer.bundle !== null) {
       viewer.drawNow(2);
       this.#poster.keep(viewer.canvas);
@@ -222,6 +223,11 @@ export class LambentViewerElement extends HTMLElement {
     this.#close();
     this.shadowRoot?.replaceChildren(this.#poster.element);
     this.#poster.show(true, this.#label);
+  }
+
+  /** Keep what is shown for another viewer, which turns a light that nobody has turned by itself. */
+  #keepState({ state, homeTurn }: Viewer): void {
+    this.#state = state.turn === homeTurn ? { ...state, turn: initialState.turn } : state;
   }
 
   #close(): void {
@@ -301,11 +307,6 @@ export class LambentViewerElement extends HTMLElement {
       this.#tell("error", { code: error instanceof Fault ? error.code : "viewer.failed", message });
     }
   }
-}
-
-function isInWindow(element: HTMLElement): boolean {
-  const { top, bottom } = element.getBoundingClientRect();
-  return bottom >= 0 && top <= innerHeight;
 }
 
 function originOf(source: Source): BundleOrigin {

@@ -17,7 +17,7 @@ import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
-import { texts } from "../words/words.js";
+import { locale, texts } from "../words/words.js";
 
 const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
@@ -89,6 +89,8 @@ export class Interface {
       this.#dock.append(strip, this.#panel.element);
       root.append(this.#dock);
     }
+    // The page around may be in another language.
+    for (const part of root.children) if (part instanceof HTMLElement) part.lang = locale;
     // On a telephone the picture comes first.
     this.#panel.element.toggleAttribute("open", host.clientWidth >= 640);
     this.#listen(canvas);

@@ -1,8 +1,7 @@
 /** A bundle on a canvas under lights: redraws on changes, and prepares light in a worker. */
 
-import { loadInWorker } from "../bundle/client.js";
+import { loadBeside } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
-import { closePictures } from "../bundle/pictures.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
@@ -126,18 +125,14 @@ export class Viewer {
       }
       early.hear(news);
     };
-    const [bundle] = await Promise.all([
-      loadInWorker(origin, hear, loading.signal),
-      this.#setStage(loading.signal),
-    ]);
-    if (loading.signal.aborted) closePictures(bundle);
-    loading.signal.throwIfAborted();
+    const bundle = await loadBeside(this.#setStage(loading.signal), origin, hear, loading.signal);
     this.#stills.lose();
+    // Its workers hold what they need of the bundle that goes.
+    this.#endRefining();
     this.#stage!.setBundle(bundle);
     this.#source = origin;
     this.lights.forget(early);
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
-    const trained = bundle.trainedMaps.map(({ name }) => name);
     const first = firstView(this.#state, this, bundle, sizeOf(this.canvas));
     [this.home, this.homeTurn, this.#state] = [first.home, first.homeTurn, first.state];
     this.#keepRefined();
@@ -150,8 +145,12 @@ export class Viewer {
       if (!(error instanceof MapFault)) throw error;
       // A link may name a map that is gone: the object is shown all the same, in a light that is there.
       trouble = error;
-      const light = lightFor("", trained);
-      this.#state = { ...this.#state, environment: light, environmentB: light };
+      const light = lightFor(
+        "",
+        bundle.trainedMaps.map(({ name }) => name),
+      );
+      const lights = { environment: light, environmentB: light };
+      this.#state = { ...this.#state, ...turnedFor(lights, this.#state, this.homeTurn) };
       await this.lights.apply();
     }
     loading.signal.throwIfAborted();
@@ -174,7 +173,8 @@ export class Viewer {
       const now = this.#state;
       const kept = (name: "environment" | "environmentB"): string =>
         now[name] === asked[name] ? before[name] : now[name];
-      this.#state = { ...now, environment: kept("environment"), environmentB: kept("environmentB") };
+      const turn = now.turn === asked.turn ? before.turn : now.turn;
+      this.#state = { ...now, turn, environment: kept("environment"), environmentB: kept("environmentB") };
       this.#tell("change");
       throw error;
     }
@@ -226,12 +226,16 @@ export class Viewer {
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#drawn()), samples);
+    return this.#ready().readBytes(
+      this.camera(width, height),
+      sidesOf(this.#drawn(), this.homeTurn),
+      samples,
+    );
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(camera, sidesOf(this.#drawn()), samples);
+    return this.#ready().readBytes(camera, sidesOf(this.#drawn(), this.homeTurn), samples);
   }
 
   /**
@@ -245,7 +249,7 @@ export class Viewer {
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#drawn()), samples);
+    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#drawn(), this.homeTurn), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -255,9 +259,12 @@ export class Viewer {
 
   /** Give up refining what is shown, and return what refines a picture of any size; its `end` goes on with it. */
   refineElsewhere(): StillHost & { readonly end: () => void } {
-    this.#refinement?.dispose();
-    this.#refinement = null;
-    const host = { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
+    this.#endRefining();
+    const host = {
+      stage: this.#ready(),
+      view: this.#refineView(),
+      sides: sidesOf(this.#drawn(), this.homeTurn),
+    };
     return { ...host, ...this.#stills.begin(() => this.invalidate()) };
   }
 
@@ -268,7 +275,7 @@ export class Viewer {
 
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
-    this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn()), samples);
+    this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn(), this.homeTurn), samples);
     this.#tell("draw");
   }
 
@@ -343,6 +350,11 @@ export class Viewer {
     } else if (samples > 1) this.#refineSoon();
   }
 
+  #endRefining(): void {
+    this.#refinement?.dispose();
+    this.#refinement = null;
+  }
+
   /** Take a refined picture away that is no longer what should be shown. */
   #keepRefined(): void {
     if (this.#stage?.bundle == null || this.#refinement === null) return;
@@ -350,8 +362,7 @@ export class Viewer {
       this.#refinement.changed();
       return;
     }
-    this.#refinement.dispose();
-    this.#refinement = null;
+    this.#endRefining();
     this.#tell("refine", notRefining);
   }
 
