@@ -29,7 +29,7 @@ describe("the light to show", () => {
     expect(lightFor("trained:b", ["a", "b"])).toBe("trained:b");
     expect(lightFor("trained:c", ["a", "b"])).toBe("trained:a");
     expect(lightFor("preset:sky", ["a"])).toBe("preset:sky");
-    expect(lightFor("", [])).toBe("preset:studio");
+    expect(lightFor("", [])).toBe("preset:softboxes");
   });
 });
 

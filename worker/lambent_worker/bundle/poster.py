@@ -29,8 +29,8 @@ POSTER_SIZE = (1024, 768)
 THUMBNAIL_SIZE = (512, 384)
 FIELD_OF_VIEW_DEG = 30.0
 """Horizontal: that of a lens for portraits, which bends shapes little."""
-ELEVATIONS_DEG = (12.0, 26.0)
-"""Heights from which an object on a table is usually looked at."""
+ELEVATION_DEG = 20.0
+"""The photograph whose elevation is nearest to this is the view: so one looks at a table."""
 FILLED = 0.78
 """Share of the picture's width or height that the object takes."""
 BRIGHT, BRIGHT_LEVEL = 95.0, 0.7
@@ -70,7 +70,7 @@ def try_poster(folder: Path, manifest: bundle_pb2.BundleManifest) -> str:
 
 def poster(bundle: Bundle) -> UInt8[ndarray, "height width 3"]:
     """Return the sRGB pixels of the poster; raises UnsupportedQuality without baked transport."""
-    azimuth_deg, elevation_deg = _side(bundle)
+    azimuth_deg, elevation_deg = side_of(bundle)
     camera = framed(read_mesh(bundle).vertices, azimuth_deg, elevation_deg)
     picture = Renderer(bundle).render(camera, studio(azimuth_deg), quality="baked", antialias=2)
     shown = srgb_from_linear(tone_mapped(picture.rgb * _gain(picture), "neutral"))
@@ -79,14 +79,14 @@ def poster(bundle: Bundle) -> UInt8[ndarray, "height width 3"]:
     return np.round(255.0 * (shown * cover + behind * (1.0 - cover))).astype(np.uint8)
 
 
-def _side(bundle: Bundle) -> tuple[float, float]:
-    """Return azimuth and elevation of the view, degrees: near the first photograph."""
+def side_of(bundle: Bundle) -> tuple[float, float]:
+    """Return azimuth and elevation of the view, degrees: those from which the web viewer opens the bundle."""
     target = (np.array(bundle.manifest.bounds.minimum) + np.array(bundle.manifest.bounds.maximum)) / 2.0
     offsets = np.array([camera.camera_to_world[:3, 3] for camera in bundle.cameras()]) - target
     elevations = np.degrees(np.arctan2(offsets[:, 2], np.hypot(offsets[:, 0], offsets[:, 1])))
-    wanted = np.clip(np.median(elevations), *ELEVATIONS_DEG)
-    elevation = float(np.clip(wanted, elevations.min(), elevations.max()))
-    return float(np.degrees(np.arctan2(offsets[0, 1], offsets[0, 0]))), elevation
+    nearest = int(np.argmin(np.abs(elevations - ELEVATION_DEG)))
+    azimuth = np.degrees(np.arctan2(offsets[nearest, 1], offsets[nearest, 0]))
+    return float(azimuth), float(elevations[nearest])
 
 
 def framed(

@@ -6,6 +6,7 @@ import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { statusText } from "./status.js";
 import { refinedFile } from "./stillFile.js";
+import { texts } from "../words/words.js";
 
 /** Refine a picture and offer it as a file, with its progress in a dialog in `root`; resolves when that is closed. */
 export async function saveRefined(
@@ -15,13 +16,13 @@ export async function saveRefined(
   kind: "png" | "exr",
 ): Promise<void> {
   const stop = new AbortController();
-  const bar = make("progress", { ariaLabel: "Parts refined" });
+  const bar = make("progress", { ariaLabel: texts.refine.parts });
   const told = new WorkNews();
-  told.say("Beginning…");
-  const cancel = button("Cancel", () => stop.abort(new DOMException("cancelled", "AbortError")));
-  const heading = make("h2", { textContent: `Refining ${size.width} × ${size.height} pixels` });
+  told.say(texts.refine.starting);
+  const cancel = button(texts.page.cancel, () => stop.abort(new DOMException("cancelled", "AbortError")));
+  const heading = make("h2", { textContent: texts.refine.heading(size.width, size.height) });
   const element = make("dialog", { className: "work" }, heading, bar, told.count, told.news, cancel);
-  element.setAttribute("aria-label", "Refining a picture");
+  element.setAttribute("aria-label", texts.refine.dialog);
   element.addEventListener("cancel", (event) => {
     event.preventDefault();
     cancel.click();
@@ -35,7 +36,7 @@ export async function saveRefined(
       onProgress: (part, parts, status) => {
         const made = part - (status.phase === "done" ? 0 : 1);
         Object.assign(bar, { max: parts, value: made });
-        told.reach(made / parts, `Part ${part} of ${parts}. ${statusText(status)}`);
+        told.reach(made / parts, texts.refine.part(part, parts, statusText(status)));
       },
     });
     download(blob, `${viewer.bundle?.name ?? "lambent"}.${kind}`);

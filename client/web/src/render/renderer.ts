@@ -2,6 +2,7 @@
 
 import { WebGLRenderer } from "three";
 import { GraphicsFault } from "./fault.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** Return what draws on a canvas; throws GraphicsFault where there is no WebGL2 or no target for radiance. */
 export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
@@ -9,7 +10,7 @@ export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
   try {
     renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
   } catch {
-    throw new GraphicsFault("this browser offers no WebGL 2");
+    throw new GraphicsFault(deviceFaults.noWebgl);
   }
   const context = renderer.getContext();
   if (
@@ -17,7 +18,7 @@ export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
     !context.getExtension("EXT_color_buffer_half_float")
   ) {
     renderer.dispose();
-    throw new GraphicsFault("this graphics card cannot draw into half floats");
+    throw new GraphicsFault(deviceFaults.noHalfFloats);
   }
   renderer.autoClear = false;
   renderer.debug.checkShaderErrors = true;

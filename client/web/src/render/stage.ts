@@ -32,6 +32,7 @@ import { aim } from "./projection.js";
 import { rendererOn } from "./renderer.js";
 import { cameraOfPart, type Part, partsOf, shareIn, tilesOf } from "./tiles.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {
@@ -99,10 +100,7 @@ export class Stage {
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
       closePictures(bundle);
-      throw new GraphicsFault(
-        `this graphics card takes textures of ${maxTextureSize} texels a side, the bundle's tables have ${longest}`,
-        "use another device, or a bundle with a smaller export.transport_size",
-      );
+      throw new GraphicsFault(...deviceFaults.textureLimit(maxTextureSize, longest));
     }
     const { transport, uncertainty, maps, mesh } = bundle;
     const framed = mesh.frames !== null;
@@ -127,8 +125,7 @@ export class Stage {
     for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
       if (error !== gl.OUT_OF_MEMORY) continue;
       this.#clear();
-      const advice = "close other pages, or use a bundle of the lite tier";
-      throw new GraphicsFault("this graphics card has not enough memory for the bundle", advice);
+      throw new GraphicsFault(...deviceFaults.memory());
     }
   }
 

@@ -2,7 +2,9 @@
 
 import { defineViewer } from "../viewer/element.js";
 import { sharedView } from "./link.js";
+import { speakAsBrowser } from "../words/words.js";
 
+await speakAsBrowser();
 const place = document.querySelector("main");
 const framed = window.parent !== window;
 document.documentElement.classList.toggle("framed", framed);
@@ -27,5 +29,6 @@ if ("message" in shown) {
   // In a frame there is seldom room for controls, and the wheel is the page's.
   element.toggleAttribute("controls", shown.controls ?? !framed);
   element.toggleAttribute("fullpage", !framed);
+  element.toggleAttribute("light-turn", true);
   place?.append(element);
 }

@@ -52,10 +52,16 @@ export class Controls {
     this.#undo.hold(on);
   }
 
+  /** The light turns by itself, or has stopped: nobody undoes what nobody did. */
+  turning(on: boolean): void {
+    this.viewer.moving = on;
+    if (!on) this.#undo.forget();
+  }
+
   /** Put one part of the state back. */
   reset(part: ResetPart): void {
     this.#undo.apart();
-    this.act.change(resetOf(part, this.viewer.state, this.viewer.home));
+    this.act.change(resetOf(part, this.viewer.state, this.viewer));
   }
 
   /** Follow the viewer's state. */

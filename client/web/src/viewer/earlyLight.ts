@@ -3,12 +3,13 @@
 import type { BundleNews } from "../bundle/load.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import type { PreparedLight } from "../light/prepare.js";
+import { initialState } from "./state.js";
 
 /** Return the light to show: the wanted one where the bundle has it, its first one, or a preset. */
 export function lightFor(wanted: string, trained: readonly string[]): string {
   const known = wanted !== "" && (!wanted.startsWith("trained:") || trained.includes(wanted.slice(8)));
   if (known) return wanted;
-  return trained[0] === undefined ? "preset:studio" : `trained:${trained[0]}`;
+  return trained[0] === undefined ? initialState.environment : `trained:${trained[0]}`;
 }
 
 type Host = {

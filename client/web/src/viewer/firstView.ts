@@ -4,7 +4,10 @@ import type { PhotoCamera } from "../bundle/cameras.js";
 import type { LoadedBundle } from "../bundle/load.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import { axesOf, fieldOfViewDeg } from "./camera.js";
-import { initialState, limits, type OrbitPose, within } from "./state.js";
+import { lightFor } from "./earlyLight.js";
+import { turnFor, turnTowards } from "./firstTurn.js";
+import { initialState, limits, type OrbitPose, type ViewerState, within } from "./state.js";
+import type { Viewer } from "./viewer.js";
 
 /** Share of the picture that the object spans, along the side that it fills most. */
 const filled = 0.8;
@@ -45,6 +48,28 @@ export function firstPose(bundle: Seen, width: number, height: number): OrbitPos
     )[0];
   const pose = { ...initialState.pose, ...angles };
   return framed(pose, ball, bundle.mesh.positionsXyz, width, height);
+}
+
+/** Return the state in which a bundle is first shown: what neither a link nor a person has chosen is for this bundle. */
+export function firstView(
+  { pose, turn, ...state }: ViewerState,
+  before: Pick<Viewer, "home" | "homeTurn">,
+  bundle: Seen & Pick<LoadedBundle, "trainedMaps">,
+  { width, height }: { readonly width: number; readonly height: number },
+): Pick<Viewer, "home" | "homeTurn"> & { readonly state: ViewerState } {
+  const home = firstPose(bundle, width, height);
+  const homeTurn = turnTowards(home.azimuthDeg);
+  const environment = lightFor(
+    state.environment,
+    bundle.trainedMaps.map(({ name }) => name),
+  );
+  const shown = {
+    ...state,
+    environment,
+    pose: pose === before.home ? home : pose,
+    turn: turn === before.homeTurn ? turnFor(environment, homeTurn) : turn,
+  };
+  return { home, homeTurn, state: shown };
 }
 
 /** Return a pose from the same side whose picture the points fill to 80 %, in the middle. */

@@ -4,6 +4,7 @@ import { Fault } from "../page/fault.js";
 import type { ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
 import type { ViewerState } from "./state.js";
+import { texts } from "../words/words.js";
 
 /** Draws a state with changes; returns RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
 export type Frozen = (
@@ -41,11 +42,7 @@ export function freeze(
 
 /** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
 export function interrupted(work: "film" | "refine" = "film"): Fault {
-  return new Fault(
-    `${work}.interrupted`,
-    "another bundle or light was shown, or the graphics card was lost, before it was complete",
-    "make it again",
-  );
+  return new Fault(`${work}.interrupted`, ...texts.viewer.interrupted());
 }
 
 /** Return the parts of a picture: one, or the two sides of a comparison. */

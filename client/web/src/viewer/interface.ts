@@ -8,6 +8,7 @@ import { Controls } from "./controls.js";
 import { copyLink } from "./copyLink.js";
 import { type Dropped, type DroppedBundle, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
+import { turnUntilInput } from "./firstTurn.js";
 import { buildPanel } from "./panel.js";
 import { download, exrOf, pngOf } from "./save.js";
 import type { ViewerState } from "./state.js";
@@ -16,6 +17,7 @@ import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
+import { texts } from "../words/words.js";
 
 const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
@@ -102,8 +104,8 @@ export class Interface {
   describe(): void {
     const name = this.viewer.bundle?.name;
     const alt =
-      this.host.getAttribute("alt") ?? (name ? `${name}, which can be relit` : "Relightable object");
-    this.viewer.canvas.ariaLabel = `${alt}. Arrow keys turn the camera, square brackets the light.`;
+      this.host.getAttribute("alt") ?? (name ? texts.viewer.relightable(name) : texts.viewer.object);
+    this.viewer.canvas.ariaLabel = texts.viewer.canvas(alt);
   }
 
   /** Show the progress of reading a bundle; a failure is rethrown, and not shown. `again` asks for it anew. */
@@ -140,7 +142,7 @@ export class Interface {
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
     let text = error instanceof Error ? error.message : String(error);
-    if (error instanceof RangeError) text = `There is not enough memory for this (${text}).`;
+    if (error instanceof RangeError) text = texts.viewer.noMemory(text);
     this.#tell(error instanceof Fault ? `${text} [${error.code}]` : text, true);
   }
 
@@ -175,6 +177,13 @@ export class Interface {
     });
     for (const each of [this.#view, this.#panel.element, this.#controls?.line]) if (each) size.observe(each);
     const isSheet = (): boolean => getComputedStyle(this.#dock).display === "flex";
+    if (["fullpage", "light-turn"].some((name) => this.host.hasAttribute(name))) {
+      const turning = (on: boolean): void => {
+        if (this.#controls === null) this.viewer.moving = on;
+        else this.#controls.turning(on);
+      };
+      turnUntilInput(this.viewer, this.host, turning, signal);
+    }
     draggableSheet(this.#panel.element, isSheet, signal);
     signal.addEventListener("abort", () => size.disconnect());
     this.viewer.on("change", () => this.#show());
@@ -227,11 +236,11 @@ export class Interface {
       const dropped = await found;
       if (dropped === "nothing") return;
       if (dropped === null) {
-        this.#tell("That is neither a .relight.zip, a bundle's folder, nor a .hdr or .exr map.", true);
+        this.#tell(texts.viewer.notUsable, true);
       } else if (dropped.kind === "map") {
         const data = new Uint8Array(await dropped.file.arrayBuffer());
         await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
-        this.#tell(`Lit by ${dropped.file.name}.`, false);
+        this.#tell(texts.viewer.litBy(dropped.file.name), false);
       } else {
         this.act.open(dropped);
       }

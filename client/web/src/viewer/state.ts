@@ -48,7 +48,7 @@ export type ViewerState = {
 };
 
 export const initialState: ViewerState = {
-  environment: "",
+  environment: "preset:softboxes",
   turn: { yawDeg: 0, pitchDeg: 0, rollDeg: 0, intensity: 1 },
   look: {
     channel: "final",
@@ -116,8 +116,9 @@ export function toParameters(state: ViewerState): URLSearchParams {
     // A dropped file is not at any address.
     if (value !== first[name] && !value.startsWith("file:")) found.set(name, value);
   }
-  // Without a camera the object is framed, wherever that puts the camera.
+  // Without a camera the object is framed, wherever that puts the camera, and the light turned for it.
   if (state.pose !== initialState.pose) found.set("camera", flat(state).camera!);
+  if (state.turn !== initialState.turn) found.set("rotate", flat(state).rotate!);
   return found;
 }
 
@@ -151,7 +152,7 @@ export function flat(state: ViewerState): Record<string, string> {
 
 /**
  * Return the state of an address; what it does not say, or says wrongly, is as in `from`. Where no camera is stated
- * the pose is that of `from`, the same object.
+ * the pose is that of `from`, the same object, and so is the turn of the light where none is.
  */
 export function fromParameters(
   parameters: URLSearchParams,
@@ -174,12 +175,15 @@ export function fromParameters(
   const camera = numbers("camera", [pose.azimuthDeg, pose.elevationDeg, pose.distance, ...pose.target]);
   return {
     environment: parameters.get("env") ?? from.environment,
-    turn: {
-      yawDeg: wrapped(yaw!),
-      pitchDeg: wrapped(pitch!),
-      rollDeg: wrapped(roll!),
-      intensity: one("intensity", turn.intensity, limits.intensity),
-    },
+    turn:
+      parameters.has("rotate") || parameters.has("intensity")
+        ? {
+            yawDeg: wrapped(yaw!),
+            pitchDeg: wrapped(pitch!),
+            rollDeg: wrapped(roll!),
+            intensity: one("intensity", turn.intensity, limits.intensity),
+          }
+        : turn,
     look: {
       channel: choice("channel", Object.keys(channels) as Channel[], look.channel),
       tone: choice("tone", Object.keys(toneCurves) as ToneCurve[], look.tone),
@@ -219,5 +223,5 @@ function rgb(values: readonly number[], range: Limits): Rgb {
 
 /** Return whether a word names a preset light. */
 export function isPreset(name: string): name is PresetName {
-  return Object.hasOwn(presetNames, name);
+  return presetNames.some((each) => each === name);
 }

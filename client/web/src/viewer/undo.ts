@@ -4,6 +4,7 @@ import { button, listening, make } from "./fields.js";
 import { StateHistory } from "./history.js";
 import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** What undoes, at the edge of the picture. */
 export type UndoTools = {
@@ -12,6 +13,8 @@ export type UndoTools = {
   readonly hold: (on: boolean) => void;
   /** What changes next is undone by itself, however soon it follows. */
   readonly apart: () => void;
+  /** What was shown until now cannot be brought back. */
+  readonly forget: () => void;
 };
 
 /** Follow a viewer's state until `signal`; keys are heard on `host`, and `change` shows another state. */
@@ -28,9 +31,14 @@ export function undoTools(
   };
   const undo = button("↶", () => go(history.undo()));
   const redo = button("↷", () => go(history.redo()));
-  Object.assign(undo, { ariaLabel: "Undo", title: "Undo (Ctrl+Z)" });
-  Object.assign(redo, { ariaLabel: "Redo", title: "Redo (Ctrl+Shift+Z)" });
-  const element = make("div", { className: "tools", role: "group", ariaLabel: "Undo and redo" }, undo, redo);
+  Object.assign(undo, { ariaLabel: texts.viewer.undo, title: texts.viewer.undoKey });
+  Object.assign(redo, { ariaLabel: texts.viewer.redo, title: texts.viewer.redoKey });
+  const element = make(
+    "div",
+    { className: "tools", role: "group", ariaLabel: texts.viewer.undoGroup },
+    undo,
+    redo,
+  );
 
   function show(): void {
     for (const [each, can] of [
@@ -41,6 +49,10 @@ export function undoTools(
       each.ariaDisabled = String(!can);
     }
   }
+  function forget(): void {
+    history.reset(viewer.state);
+    show();
+  }
   const stops = [
     viewer.on("change", () => {
       // The light of a bundle that is being read is found by it.
@@ -48,10 +60,7 @@ export function undoTools(
       history.record(viewer.state, performance.now());
       show();
     }),
-    viewer.on("load", () => {
-      history.reset(viewer.state);
-      show();
-    }),
+    viewer.on("load", forget),
   ];
   signal.addEventListener("abort", () => {
     for (const stop of stops) stop();
@@ -63,7 +72,7 @@ export function undoTools(
     go(step === "undo" ? history.undo() : history.redo());
   });
   show();
-  return { element, hold: (on) => history.hold(on), apart: () => history.apart() };
+  return { element, hold: (on) => history.hold(on), apart: () => history.apart(), forget };
 }
 
 type Key = Pick<KeyboardEvent, "key" | "shiftKey" | "altKey" | "ctrlKey" | "metaKey">;

@@ -13,18 +13,20 @@ import type { Refinement } from "../refine/refinement.js";
 import type { StillHost } from "../refine/still.js";
 import { notRefining, type RefineOptions, refineOptions } from "../refine/status.js";
 import { type Ball, ballOf } from "../render/ball.js";
-import type { Rgb, ViewCamera } from "../render/looks.js";
+import type { LightTurn, Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
 import { Emitter, type ViewerEvents } from "./events.js";
-import { elevationRange, firstPose } from "./firstView.js";
+import { turnedFor } from "./firstTurn.js";
+import { elevationRange, firstView } from "./firstView.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
+import { texts } from "../words/words.js";
 
 const stillSamples = 2;
 const stillAfterMs = 150;
@@ -57,6 +59,8 @@ export class Viewer {
   #closed = false;
   /** The pose that a bundle is opened with, unless another one was chosen. */
   home: OrbitPose = initialState.pose;
+  /** The turn of a built-in light until someone turns it. */
+  homeTurn: LightTurn = initialState.turn;
   /** When refining stops, and its backend. */
   refineOptions: RefineOptions = refineOptions;
 
@@ -65,7 +69,7 @@ export class Viewer {
       if (this.#closed) return;
       event.preventDefault();
       this.#stills.lose();
-      this.#tell("message", "The graphics card was taken away; waiting for it to come back.", true);
+      this.#tell("message", texts.viewer.graphicsLost, true);
     });
     canvas.addEventListener("webglcontextrestored", () => {
       this.#stage?.restored();
@@ -134,16 +138,8 @@ export class Viewer {
     this.lights.forget(early);
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
     const trained = bundle.trainedMaps.map(({ name }) => name);
-    const { pose } = this.#state;
-    const { width, height } = sizeOf(this.canvas);
-    const before = this.home;
-    this.home = firstPose(bundle, width, height);
-    this.#state = {
-      ...this.#state,
-      environment: lightFor(this.#state.environment, trained),
-      // Where neither a link nor a person has chosen another.
-      pose: pose === before ? this.home : pose,
-    };
+    const first = firstView(this.#state, this, bundle, sizeOf(this.canvas));
+    [this.home, this.homeTurn, this.#state] = [first.home, first.homeTurn, first.state];
     this.#keepRefined();
     let trouble: MapFault | null = null;
     try {
@@ -168,7 +164,7 @@ export class Viewer {
   /** Change the state. Throws MapFault where a new light cannot be used; the state then stays as it was. */
   async update(change: Partial<ViewerState>): Promise<void> {
     const before = this.#state;
-    const asked = { ...before, ...change };
+    const asked = { ...before, ...turnedFor(change, before, this.homeTurn) };
     this.#state = asked;
     this.invalidate();
     try {
@@ -381,7 +377,7 @@ export class Viewer {
         this.#refinement.changed();
         this.#refinement.rest();
       })
-      .catch((error: unknown) => this.#tell("message", `Cannot refine: ${String(error)}`, true));
+      .catch((error: unknown) => this.#tell("message", texts.refine.failed(String(error)), true));
   }
 
   #refineView() {

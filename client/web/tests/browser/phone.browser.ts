@@ -49,7 +49,7 @@ beforeAll(async () => {
   const context = await browser.newContext({
     ...{ viewport: { width, height }, hasTouch: true, isMobile: true, reducedMotion: "reduce" },
   });
-  page = await openViewer(context, { v: "2", env: "preset:studio" });
+  page = await openViewer(context, { v: "2", env: "preset:studio", rotate: "0,0,0" });
   session = await context.newCDPSession(page);
 });
 afterAll(() => closePages(browser));
@@ -144,10 +144,15 @@ describe("on a phone", () => {
 
 describe("on a desk", () => {
   it("no choice is longer than its field", async () => {
-    const desk = await openViewer(browser, { v: "2", env: "preset:studio" }, "data/bundle/", {
-      width: 1280,
-      height: 800,
-    });
+    const desk = await openViewer(
+      browser,
+      { v: "2", env: "preset:studio", rotate: "0,0,0" },
+      "data/bundle/",
+      {
+        width: 1280,
+        height: 800,
+      },
+    );
     const long = await desk.evaluate(() => {
       const root = document.querySelector("lambent-viewer")!.shadowRoot!;
       for (const part of root.querySelectorAll("details")) part.open = true;

@@ -5,12 +5,14 @@ import pytest
 from lambent_proto.v1 import bundle_pb2
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.cameras import Camera, look_at, position_around
 from lambent_worker.bundle.poster import (
     FILLED,
     POSTER_SIZE,
     THUMBNAIL_SIZE,
     framed,
     poster,
+    side_of,
     studio,
     try_poster,
     write_poster,
@@ -36,6 +38,15 @@ def test_every_object_fills_the_picture_without_leaving_it(shape, elevation_deg)
     assert np.abs(shares).max(axis=0).max() == pytest.approx(FILLED, abs=0.03)
     middle = (shares.min(axis=0) + shares.max(axis=0)) / 2.0
     assert np.abs(middle).max() < 0.02
+
+
+def test_the_view_is_that_of_the_photograph_that_looks_down_by_about_twenty_degrees(bundle, monkeypatch):
+    target = np.array([*bundle.manifest.bounds.minimum]) + np.array([*bundle.manifest.bounds.maximum])
+    angles = [(10.0, 70.0), (-120.0, 24.0), (60.0, 10.0), (80.0, -20.0)]
+    places = [position_around(0.5 * target, 4.0, *each) for each in angles]
+    cameras = [Camera.centred("c", 8, 8, 8.0, look_at(place, 0.5 * target)) for place in places]
+    monkeypatch.setattr(type(bundle), "cameras", lambda _: cameras)
+    assert side_of(bundle) == pytest.approx((-120.0, 24.0), abs=1e-3)
 
 
 def test_the_light_of_the_studio_turns_with_the_camera():

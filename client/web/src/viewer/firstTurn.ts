@@ -1,0 +1,112 @@
+/** The turn of a light that nobody has turned: towards the first view, and slowly around it until someone does something. */
+
+import type { LightTurn } from "../render/looks.js";
+import { initialState, type ViewerState, wrapped } from "./state.js";
+import type { Viewer } from "./viewer.js";
+
+const degreesPerSecond = 10;
+/** Nobody has come in that many turns. */
+const mostTurns = 3;
+/** Where frames take longer than this a turn is not smooth, and costs more than it shows. */
+const longestFrameMs = 90;
+const judgedFrames = 8;
+
+/** Return the turn of a built-in light whose key light stands at the left of someone who looks from an azimuth. */
+export function turnTowards(azimuthDeg: number): LightTurn {
+  return { ...initialState.turn, yawDeg: wrapped(Math.round(azimuthDeg)) };
+}
+
+/** Return the turn of a light that nobody has turned: `home` for built-in lights, and none for maps as they are. */
+export function turnFor(environment: string, home: LightTurn): LightTurn {
+  return environment.startsWith("preset:") ? home : initialState.turn;
+}
+
+/** Return a change of a state; one to another light brings that light's own turn, unless someone has turned the light. */
+export function turnedFor(
+  change: Partial<ViewerState>,
+  before: Pick<ViewerState, "environment" | "turn">,
+  home: LightTurn,
+): Partial<ViewerState> {
+  if (change.environment === undefined || change.turn !== undefined) return change;
+  if (before.turn !== turnFor(before.environment, home)) return change;
+  return { ...change, turn: turnFor(change.environment, home) };
+}
+
+/** Return whether the mean of the last frames is too long for a motion. */
+export function isSlow(frameMs: readonly number[]): boolean {
+  const last = frameMs.slice(-judgedFrames);
+  return (
+    last.length === judgedFrames && last.reduce((sum, ms) => sum + ms, 0) > judgedFrames * longestFrameMs
+  );
+}
+
+/**
+ * Turn the light of a viewer slowly about +z from when a bundle is there until the first input, a change by anyone
+ * else, or `signal`. A light that someone has turned, and one beside another, stays; and all do where the system asks
+ * for reduced motion. `moving` is told of the beginning and the end.
+ */
+export function turnUntilInput(
+  viewer: Viewer,
+  host: HTMLElement,
+  moving: (on: boolean) => void,
+  signal: AbortSignal,
+): void {
+  let frame = 0;
+  let lastAt = 0;
+  let turnedDeg = 0;
+  let frames: number[] = [];
+  let own: ViewerState | null = null;
+  const end = (): void => {
+    if (frame === 0) return;
+    cancelAnimationFrame(frame);
+    frame = 0;
+    // Whole degrees are enough for people.
+    if (viewer.state.turn === viewer.homeTurn) show(Math.round(viewer.homeTurn.yawDeg));
+    moving(false);
+  };
+  const show = (yawDeg: number): void => {
+    viewer.homeTurn = { ...viewer.homeTurn, yawDeg: wrapped(yawDeg) };
+    void viewer.update({ turn: viewer.homeTurn });
+    own = viewer.state;
+  };
+  const step = (now: number): void => {
+    const elapsedMs = now - lastAt;
+    lastAt = now;
+    // A page in the background has no frames; what it missed is not made up for.
+    if (elapsedMs < 1000) frames = [...frames.slice(1 - judgedFrames), elapsedMs];
+    const degrees = (degreesPerSecond * Math.min(elapsedMs, 100)) / 1000;
+    turnedDeg += degrees;
+    if (turnedDeg > mostTurns * 360 || isSlow(frames)) {
+      end();
+      return;
+    }
+    frame = requestAnimationFrame(step);
+    show(viewer.homeTurn.yawDeg + degrees);
+  };
+  const begin = (): void => {
+    const { state, homeTurn } = viewer;
+    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const isOurs = state.turn === homeTurn && state.compare === "off" && !state.refine;
+    if (frame !== 0 || isStill || !isOurs) return;
+    frames = [];
+    turnedDeg = 0;
+    own = state;
+    moving(true);
+    frame = requestAnimationFrame((now) => {
+      lastAt = now;
+      frame = requestAnimationFrame(step);
+    });
+  };
+  for (const input of ["pointerdown", "keydown", "wheel", "dragenter"] as const) {
+    // Before what the input does.
+    host.addEventListener(input, end, { signal, capture: true, passive: true });
+  }
+  const followed = (): void => {
+    if (viewer.state !== own) end();
+  };
+  const stops = [viewer.on("load", begin), viewer.on("change", followed)];
+  signal.addEventListener("abort", () => {
+    cancelAnimationFrame(frame);
+    for (const stop of stops) stop();
+  });
+}
