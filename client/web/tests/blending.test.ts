@@ -37,11 +37,16 @@ describe("the share of a refined picture", () => {
             .flatMap((pixel) => [0, 1, 2].map((channel) => of(3 * pixel + channel)))
             .reduce((a, b) => a + b, 0) /
           (3 * around.length);
-        const variance = mean((index) => given.standardErrorRgb[index]! ** 2);
+        const pixel = row * width + column;
+        const own = [0, 1, 2].reduce((sum, c) => sum + given.standardErrorRgb[3 * pixel + c]! ** 2, 0) / 3;
+        const variance = Math.max(
+          mean((index) => given.standardErrorRgb[index]! ** 2),
+          own,
+        );
         const radiance = mean((index) => given.directRgb[index]! + given.indirectRgb[index]!);
         const [refined, baked] = [1 / (variance / radiance ** 2), 1 / bakedError ** 2];
         const wanted = column < 2 ? 0 : refined / (refined + baked);
-        expect(shares[row * width + column]).toBeCloseTo(wanted, 6);
+        expect(shares[pixel]).toBeCloseTo(wanted, 6);
       }
     }
   });
@@ -56,6 +61,16 @@ describe("the share of a refined picture", () => {
     expect(loud).toBeLessThan(0.1);
     expect(quiet).toBeGreaterThan(0.9);
     expect(mean(0.5, true)).toBeGreaterThan(2 * loud);
+  });
+
+  it("is small at a single bright pixel, whatever is around", () => {
+    const given = picture(0.05);
+    const pixel = 3 * width + 5;
+    const before = refinedShares(given, true);
+    given.standardErrorRgb.fill(10, 3 * pixel, 3 * pixel + 3);
+    given.directRgb.fill(10, 3 * pixel, 3 * pixel + 3);
+    expect(before[pixel]).toBeGreaterThan(0.9);
+    expect(refinedShares(given, true)[pixel]).toBeLessThan(0.05);
   });
 
   it("is a number also where everything is black", () => {

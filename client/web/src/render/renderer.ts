@@ -3,6 +3,7 @@
 import { WebGLRenderer } from "three";
 import { deviceFaults } from "../words/deviceFaults.js";
 import { GraphicsFault } from "./fault.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** Return what draws on a canvas; throws GraphicsFault where there is no WebGL2 or no target for radiance. */
 export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {

@@ -2,6 +2,7 @@ import { ALL_FORMATS, BufferSource, EncodedPacketSink, Input } from "mediabunny"
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { FilmPlan } from "../../src/film/plan.js";
+import { texts } from "../../src/words/en.js";
 import { momentAt, momentOf, planned } from "../../src/film/plan.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { announcements, keep, meanDifference, openViewer } from "./support.js";
@@ -249,7 +250,7 @@ describe("the dialog of films", () => {
     await dialog.getByText("Saved: 6 frames").waitFor();
     // Not every frame.
     expect((await announced()).map((text) => text.replace(/, .*/, ""))).toEqual([
-      "Beginning…",
+      texts.film.starting,
       "25 %",
       "50 %",
       "75 %",

