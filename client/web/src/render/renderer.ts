@@ -1,7 +1,6 @@
 /** The graphics context of a canvas. */
 
 import { WebGLRenderer } from "three";
-import { deviceFaults } from "../words/deviceFaults.js";
 import { GraphicsFault } from "./fault.js";
 import { deviceFaults } from "../words/deviceFaults.js";
 

@@ -15,10 +15,9 @@ import { type Ball, ballOf } from "../render/ball.js";
 import type { LightTurn, Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
-import { lightFor } from "./earlyLight.js";
 import { Emitter, type ViewerEvents } from "./events.js";
 import { turnedFor } from "./firstTurn.js";
-import { elevationRange, firstView } from "./firstView.js";
+import { elevationRange, firstView, inAnotherLight } from "./firstView.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
@@ -143,14 +142,8 @@ export class Viewer {
       // The trouble of a bundle that is not shown any more is nobody's.
       loading.signal.throwIfAborted();
       if (!(error instanceof MapFault)) throw error;
-      // A link may name a map that is gone: the object is shown all the same, in a light that is there.
       trouble = error;
-      const light = lightFor(
-        "",
-        bundle.trainedMaps.map(({ name }) => name),
-      );
-      const lights = { environment: light, environmentB: light };
-      this.#state = { ...this.#state, ...turnedFor(lights, this.#state, this.homeTurn) };
+      this.#state = inAnotherLight(this.#state, bundle, this.homeTurn);
       await this.lights.apply();
     }
     loading.signal.throwIfAborted();
