@@ -98,7 +98,7 @@ describe("the row of lights", () => {
     const names = async () => (await chips()).map(({ name }) => name);
     await soon(names).toContain("low.hdr");
     expect(await names()).toContain("spots.exr");
-    await soon(async () => (await chips()).filter(({ painted }) => painted).length).toBe(6);
+    await soon(async () => (await chips()).filter(({ painted }) => painted).length).toBe(7);
   });
 
   it("closes what adds a light with Escape", async () => {
@@ -156,6 +156,6 @@ describe("the ball that shows the direction of the light", () => {
     expect(await ball().getAttribute("aria-valuetext")).toMatch(/elevation 4[456] degrees$/);
     expect((await state()).turn.pitchDeg).not.toBe(0);
     await ball().dblclick();
-    expect((await state()).turn).toEqual({ yawDeg: 0, pitchDeg: 0, rollDeg: 0, intensity: 1 });
+    expect((await state()).turn).toEqual({ yawDeg: 25, pitchDeg: 0, rollDeg: 0, intensity: 1 });
   });
 });
