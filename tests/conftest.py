@@ -30,7 +30,8 @@ os.environ |= {"LAMBENT_TEST_SESSION": SESSION, "LAMBENT_RUN_ENVIRONMENT": "LAMB
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-MUST_RUN_IN_CI = ("browser", "services")
+IN_CI = os.environ.get("CI") == "true"
+MUST_RUN_IN_CI = ("browser", "services", "long")
 _COMPILED = re.compile(r"^\s*(import|from) (numba|triton|lambent_compute\.compiling)\b", re.MULTILINE)
 
 
@@ -97,11 +98,13 @@ def nothing_is_left_behind() -> Iterator[None]:
 def pytest_configure() -> None:
     """Refuse a run in CI that would leave out the tests of the GPU's kernels."""
     missing = sys.platform == "linux" and importlib.util.find_spec("triton") is None
-    if os.environ.get("CI") == "true" and missing:
+    if IN_CI and missing:
         raise pytest.UsageError("CI tests the GPU's kernels: make setup EXTRAS=dev,gpu")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("long") and not IN_CI and "LAMBENT_TEST_ALL" not in os.environ:
+        pytest.skip("is long: make test-all")
     if item.get_closest_marker("gpu") and not _has_cuda():
         pytest.skip("needs a CUDA device")
 
@@ -110,7 +113,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
     """Fail a browser or services test that was skipped in CI, where all they need is installed."""
     report = yield
-    if not (report.skipped and os.environ.get("CI") == "true") or hasattr(report, "wasxfail"):
+    if not (report.skipped and IN_CI) or hasattr(report, "wasxfail"):
         return report
     markers = [name for name in MUST_RUN_IN_CI if item.get_closest_marker(name)]
     if markers:

@@ -144,6 +144,7 @@ class Copy:
             "OMP_WAIT_POLICY": "PASSIVE",
             "PYTHONPATH": paths,
             "COLUMNS": "400",
+            "LAMBENT_TEST_ALL": "1",
         }
         process = subprocess.Popen(
             command,

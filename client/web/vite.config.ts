@@ -1,7 +1,10 @@
 import { readdirSync } from "node:fs";
 import { resolve } from "node:path";
 import { defineConfig } from "vite";
+import { pageWords } from "./scripts/pageWords.js";
 import { precompress } from "./scripts/precompress.js";
+import * as de from "./src/words/de.js";
+import * as en from "./src/words/en.js";
 
 const here = import.meta.dirname;
 const pages = readdirSync(here).filter((name) => name.endsWith(".html"));
@@ -9,7 +12,7 @@ const pages = readdirSync(here).filter((name) => name.endsWith(".html"));
 // Pages refer to their files by relative addresses, so that they work from any folder of any host.
 export default defineConfig({
   base: "./",
-  plugins: [precompress()],
+  plugins: [pageWords({ en, de }), precompress()],
   build: {
     outDir: resolve(here, "../python/lambent_pages/dist"),
     emptyOutDir: true,

@@ -12,8 +12,10 @@ from lambent_server.database.schema import bundle_files, bundles, scenes
 from lambent_server.database.tenancy import Tenant, find, rows
 from lambent_server.problems import not_found
 
-POSTERS = ("thumbnail.webp", "poster.webp")
-"""Pictures that were made to stand for the object, the smaller one first."""
+SMALL_FIRST = ("thumbnail.webp", "poster.webp")
+"""Pictures that were made to stand for the object, for a card in a list."""
+LARGE_FIRST = SMALL_FIRST[::-1]
+"""The same for a page that shows the object alone."""
 
 
 def require_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> dict[str, Any]:
@@ -39,7 +41,7 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
     scene_ids = {row["scene_id"] for row in found}
     named = rows(tenant, scenes, scenes.c.id, scenes.c.name).where(scenes.c.id.in_(scene_ids))
     names = dict(iter(connection.execute(named)))
-    pictures = _pictures(connection, tenant, identifiers)
+    shown = pictures(connection, tenant, identifiers, SMALL_FIRST)
     return [
         Bundle(
             id=row["id"],
@@ -49,30 +51,32 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
             created_at=rfc3339(row["created_at"]),
             num_files=sizes.get(row["id"], (0, 0.0))[0],
             size_bytes=sizes.get(row["id"], (0, 0.0))[1],
-            thumbnail_url=_file_url(row["id"], pictures[row["id"]]) if row["id"] in pictures else None,
+            thumbnail_url=_file_url(row["id"], shown[row["id"]]["path"]) if row["id"] in shown else None,
         )
         for row in found
     ]
 
 
-def _pictures(connection: Connection, tenant: Tenant, identifiers: Sequence[str]) -> dict[str, str]:
-    """Return the path of the picture that stands for each bundle.
+def pictures(
+    connection: Connection, tenant: Tenant, identifiers: Sequence[str], posters: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the file that stands for each bundle that has one: path, hash and size.
 
-    That is its poster, or in bundles from before there were posters the first rendering of a view.
+    That is the first of `posters`, or in bundles from before there were any the first rendering of a view.
     """
     path = bundle_files.c.path
     renderings = (path.like("preview/%.png")) & (path.not_like("preview/photo\\_%", escape="\\"))
-    statement = rows(tenant, bundle_files, bundle_files.c.bundle_id, path).where(
-        bundle_files.c.bundle_id.in_(identifiers), path.in_(POSTERS) | renderings
+    statement = rows(tenant, bundle_files).where(
+        bundle_files.c.bundle_id.in_(identifiers), path.in_(posters) | renderings
     )
-    found: dict[str, str] = {}
-    for bundle_id, name in sorted(connection.execute(statement), key=lambda each: _rank(each[1])):
-        found.setdefault(bundle_id, name)
+
+    def rank(file: Any) -> tuple[int, str]:
+        return posters.index(file["path"]) if file["path"] in posters else len(posters), file["path"]
+
+    found: dict[str, Any] = {}
+    for file in sorted(connection.execute(statement).mappings(), key=rank):
+        found.setdefault(file["bundle_id"], file)
     return found
-
-
-def _rank(path: str) -> tuple[int, str]:
-    return (POSTERS.index(path) if path in POSTERS else len(POSTERS), path)
 
 
 def _file_url(bundle_id: str, path: str) -> str:

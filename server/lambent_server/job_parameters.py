@@ -10,6 +10,9 @@ SettingValue = Annotated[str, Field(max_length=MAX_CHARACTERS, pattern=r"^[^\x00
 CORRECTIONS = "corrections"
 """The setting that holds a person's corrections of masks, as JSON; the only long one."""
 MAX_CORRECTIONS_CHARACTERS = 64 * 1024
+SIZE_STEP = 16
+"""Texels: sizes of textures are multiples of it (as `flashcache.config.SIZE_STEP` has it)."""
+SIZES = ("export.atlas_size", "export.transport_size")
 LongValue = Annotated[str, Field(max_length=MAX_CORRECTIONS_CHARACTERS, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
 
@@ -34,3 +37,15 @@ Settings = Annotated[
     Field(max_length=64, json_schema_extra=_describe_settings),
     AfterValidator(_require_short),
 ]
+
+
+def odd_size(settings: dict[str, str]) -> str | None:
+    """Return the name of a texture's size that no run can make as it is asked for, or None.
+
+    Other values are left to the run: only a number is one that a run of an earlier release would have taken.
+    """
+    return next((name for name in SIZES if _is_odd(settings.get(name, ""))), None)
+
+
+def _is_odd(text: str) -> bool:
+    return text.isascii() and text.isdigit() and int(text) % SIZE_STEP != 0

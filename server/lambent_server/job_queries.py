@@ -13,6 +13,7 @@ from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import job_labels, jobs, scenes
 from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.idempotency import made_before
+from lambent_server.job_parameters import SIZE_STEP, odd_size
 from lambent_server.job_rows import (
     CANCELLED,
     CANCELLING,
@@ -123,11 +124,19 @@ def order_of(row: Row) -> NewJob:
 def submit_once(
     connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str | None, digest: str
 ) -> Row:
-    """Add a job to the queue, or return the one that was submitted earlier with this key."""
+    """Add a job to the queue, or return the one that was submitted earlier with this key.
+
+    Sizes that runs round are refused here, where somebody asks for them, and not when a job of an earlier
+    release is tried again.
+    """
     job_id = new_id("job")
     known = made_before(connection, tenant, key, digest, job_id)
     if known is not None:
         return require_job(connection, tenant, known)
+    odd = odd_size(order.params)
+    if odd is not None:
+        message = f"sizes of textures are multiples of {SIZE_STEP} texels, not {order.params[odd]}"
+        raise invalid("setting_invalid", f"#/params/{odd}", message)
     return submit(connection, tenant, order, services, job_id)
 
 

@@ -20,6 +20,7 @@ from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fiel
 from lambent_server.outcomes import Failure, adjustments_of, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
+from lambent_server.preview_rows import thin
 from lambent_server.problems import Problem, invalid
 from lambent_server.rest_json import enum_text, to_rest
 from lambent_server.run_inputs import inputs_of
@@ -101,6 +102,8 @@ def store_report(
                 type=event.type, message=_plain(event.message), sha256=event.sha256, name=_plain(event.name)
             ),
         )
+    if previews:
+        thin(connection, job)
 
 
 def _plain(text: str) -> str:

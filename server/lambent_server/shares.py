@@ -76,15 +76,19 @@ def revoke(connection: Connection, tenant: Tenant, share_id: str) -> None:
     connection.execute(statement.values(revoked_at=now()))
 
 
-def granted(connection: Connection, secret: str, token: str) -> Row | None:
-    """Return the share of a token, or None if the token is forged, expired or revoked."""
+def signed(connection: Connection, secret: str, token: str) -> Row | None:
+    """Return the share of a token, active or ended, or None if the token is forged or long forgotten."""
     match = _TOKEN.fullmatch(token)
     if match is None:
         return None
     row = find_any(connection, match.group(1))
-    if row is None or not hmac.compare_digest(sign(secret, row), token):
-        return None
-    return row if is_active(row) else None
+    return row if row is not None and hmac.compare_digest(sign(secret, row), token) else None
+
+
+def granted(connection: Connection, secret: str, token: str) -> Row | None:
+    """Return the share of a token, or None if the token is forged, expired or revoked."""
+    row = signed(connection, secret, token)
+    return row if row is not None and is_active(row) else None
 
 
 def find_any(connection: Connection, share_id: str) -> Row | None:
@@ -109,10 +113,7 @@ def frame_ancestors(row: Row) -> list[str]:
     return str(row["frame_ancestors"] or "").split()
 
 
-def may_be_read_from(connection: Connection, bundle_id: str, origin: str) -> bool:
-    """Return whether an active link lets pages of an origin show a bundle."""
-    statement = across_tenants(shares).where(
-        shares.c.bundle_id == bundle_id, shares.c.revoked_at.is_(None), shares.c.expires_at > now()
-    )
-    found = connection.execute(statement).mappings()
+def is_named_by_a_link(connection: Connection, bundle_id: str, origin: str) -> bool:
+    """Return whether a link, active or ended, names an origin whose pages may show a bundle."""
+    found = connection.execute(across_tenants(shares).where(shares.c.bundle_id == bundle_id)).mappings()
     return any(origin in frame_ancestors(dict(row)) for row in found)

@@ -7,7 +7,7 @@ Source: PKWARE APPNOTE 6.3.
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -53,13 +53,16 @@ def fits(entries: Sequence[Entry]) -> bool:
 def zip_pieces(entries: Sequence[Entry], made_at: float) -> Iterator[bytes]:
     """Yield the bytes of the archive; `made_at` (Unix seconds) becomes the time of every entry, in UTC.
 
+    Yields nothing, `b""`, for every piece that is read only for a checksum: no step takes longer than a
+    piece, so that a response can be given up between any two.
+
     Raises OSError if an entry has another size than it should: the receiver gets too few bytes, and can
     tell from the announced length.
     """
     stamp = _dos_time(made_at)
     offset, directory = 0, []
     for entry in entries:
-        crc = _crc_of(entry)
+        crc = yield from _crc_of(entry)
         sizes = (crc, entry.size_bytes, entry.size_bytes)
         common = (_UTF8_NAMES, 0, *stamp, *sizes)
         yield _LOCAL.pack(b"PK\x03\x04", _VERSION, *common, len(entry.name), 0) + entry.name
@@ -74,10 +77,12 @@ def zip_pieces(entries: Sequence[Entry], made_at: float) -> Iterator[bytes]:
     yield listed + _END.pack(b"PK\x05\x06", 0, 0, count, count, len(listed), offset, 0)
 
 
-def _crc_of(entry: Entry) -> int:
+def _crc_of(entry: Entry) -> Generator[bytes, None, int]:
+    """Return the checksum of an entry, after yielding `b""` for each of its pieces."""
     crc, size = 0, 0
     for piece in entry.read():
         crc, size = zlib.crc32(piece, crc), size + len(piece)
+        yield b""
     if size != entry.size_bytes:
         raise OSError(f"{entry.path} has {size} bytes instead of {entry.size_bytes}")
     return crc

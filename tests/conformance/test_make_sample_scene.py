@@ -78,6 +78,7 @@ def test_the_stored_description_is_what_the_script_writes_but_for_the_samples(pa
     assert stored == fresh
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "view"),

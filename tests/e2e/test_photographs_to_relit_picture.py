@@ -23,6 +23,10 @@ from lambent_relight.bundle.adapted import adapted_lights, environment_digest
 from PIL import Image
 from support.live_server import LiveServer
 
+# The first test waits for the training: six minutes on two cores that compile the kernels, too, and do other
+# work beside.
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
+
 SAMPLE = Path(__file__).parents[1] / "data" / "still_life"
 TRAIN_LIGHT, UNSEEN_LIGHT = "morning_000", "sunset"
 MIN_KILL_STEP = 120
@@ -103,8 +107,6 @@ def trained(server, tmp_path_factory):
     return Trained(scene.id, update, killed_at, steps_after, log, bundle)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_photographs_become_a_relit_picture_although_the_run_is_killed_once(trained, tmp_path):
     assert trained.killed_at, "training ended before it could be killed"
     assert trained.job.run == 2
@@ -128,8 +130,6 @@ def test_photographs_become_a_relit_picture_although_the_run_is_killed_once(trai
     assert np.mean(relit) > np.mean(copied) + 0.5, "relighting beats the photograph as it is"
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_a_bake_through_the_server_makes_what_the_command_line_makes(server, trained, tmp_path):
     sky = SAMPLE / "envmaps" / f"{UNSEEN_LIGHT}.hdr"
     with Client(server.url, server.key) as client:

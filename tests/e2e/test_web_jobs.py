@@ -38,6 +38,7 @@ def test_the_pages_lead_from_an_upload_to_a_result_whatever_happens_to_the_serve
     run("jobs", 390.0)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(400)
 def test_a_shared_bundle_is_seen_on_the_sites_that_its_link_names():
     run("embedding", 390.0)
@@ -48,6 +49,7 @@ def test_a_mark_on_one_photograph_takes_a_wrong_part_out_of_the_others():
     run("masks", 390.0)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(1300)
 def test_photographs_become_a_bundle_in_the_browser():
     run("training", 1290.0)

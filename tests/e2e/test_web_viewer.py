@@ -22,13 +22,14 @@ def fixture_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_viewer_passes_its_browser_tests(fixture_folder: Path) -> None:
+def run(fixture_folder: Path, *files: str) -> None:
+    """Run browser tests: all, or those of some files."""
     if program() is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("needs Chromium and the web tool chain")
     npx = shutil.which("npx")
     assert npx is not None
     done = subprocess.run(
-        [npx, "vitest", "run", "--config", "vitest.browser.config.ts"],
+        [npx, "vitest", "run", "--config", "vitest.browser.config.ts", *files],
         cwd=WEB,
         env={
             **os.environ,
@@ -40,3 +41,28 @@ def test_the_viewer_passes_its_browser_tests(fixture_folder: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+
+
+QUICK = [
+    "camera",
+    "comparisons",
+    "embed",
+    "finish",
+    "golden",
+    "ground",
+    "interface",
+    "lights",
+    "loading",
+    "picture",
+]
+BROWSER = WEB / "tests" / "browser"
+
+
+def test_the_viewer_shows_what_python_does_and_does_what_it_is_asked_for(fixture_folder: Path) -> None:
+    run(fixture_folder, *(f"tests/browser/{name}.browser.ts" for name in QUICK))
+
+
+@pytest.mark.long
+def test_the_viewer_passes_its_other_browser_tests(fixture_folder: Path) -> None:
+    files = [path for path in BROWSER.glob("**/*.browser.ts") if path.name.split(".")[0] not in QUICK]
+    run(fixture_folder, *sorted(str(path.relative_to(WEB)) for path in files))

@@ -17,7 +17,12 @@ from lambent_relight import (
     write_picture_exr,
 )
 from lambent_relight.baked.depth_steps import depth_steps
+from lambent_relight.baked.light import MAX_DOMINANT, lit_texels
+from lambent_relight.baked.renderer import BakedRenderer
+from lambent_relight.baked.shading import lobes_of, shade
+from lambent_relight.baked.shadow_maps import shadow_map
 from lambent_relight.baked.transport import read_transport
+from lambent_relight.baked.view import look_at_surface
 from lambent_relight.images import srgb_from_linear
 from support.baked_bundle import write_baked_bundle
 from support.plain_shading import shade_pixels
@@ -250,9 +255,39 @@ def test_without_soft_edges_only_outlines_differ(renderer, monkeypatch):
     hard = renderer.render(CAMERA, sky(), quality="baked", soft_edges=False)
     inside = (soft.coverage[..., 0] == 1.0) & (hard.coverage[..., 0] == 1.0)
     view = renderer.baked().view(CAMERA, 2, soft_edges=False)
-    inside.ravel()[view.pixel[depth_steps(view).at]] = False
+    steps = look_at_surface(renderer.baked().scene, CAMERA, 2)
+    inside.ravel()[steps.pixel[depth_steps(steps).at]] = False
+    # Creases of the mesh are shaded sample by sample.
+    inside.ravel()[view.pixel[view.within < 1.0]] = False
     assert inside.sum() > 400
     np.testing.assert_allclose(hard.rgb[inside], soft.rgb[inside], atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_edges_between_surfaces_are_means_of_what_each_reflects(renderer, seed):
+    """One lobe of the mean normal and the mean material reflects what neither surface does."""
+    baked, light = renderer.baked(), sky(seed, sun=30.0)
+    edit = MaterialEdit(roughness_scale=0.4)
+    prepared = baked.light(light, MAX_DOMINANT)
+    towards = zip(prepared.directions, prepared.radii_rad, strict=True)
+    shadows = [shadow_map(baked.scene.mesh, *each) for each in towards]
+
+    def drawn(camera, antialias, *, apart):
+        view = look_at_surface(baked.scene, camera, antialias, apart=apart)
+        lobes, lit = lobes_of(view, edit, preview=False), lit_texels(baked.scene, view.used)
+        gain = edit.bounce_gain(baked.scene.mean_albedo)
+        shown = shade(view, lit, lobes, prepared, shadows, preview=False, indirect=True, bounce_gain=gain)
+        return view, srgb_from_linear(np.minimum(shown["rgb"] * view.image(view.coverage), 1.0))
+
+    side, factor = CAMERA.width, 8
+    fine = drawn(CAMERA.resized(factor * side, factor * side), 1, apart=False)[1]
+    truth = fine.reshape(side, factor, side, factor, 3).mean(axis=(1, 3))
+    view, apart = drawn(CAMERA, 2, apart=True)
+    mean = drawn(CAMERA, 2, apart=False)[1]
+    edges = np.unique(view.pixel[view.within < 1.0])
+    assert len(edges) > 50
+    error = [np.sqrt(np.mean((each - truth).reshape(-1, 3)[edges] ** 2)) for each in (apart, mean)]
+    assert error[0] < 0.85 * error[1], error
 
 
 def test_two_lights_that_take_turns_are_prepared_once(renderer, monkeypatch):
@@ -264,3 +299,50 @@ def test_two_lights_that_take_turns_are_prepared_once(renderer, monkeypatch):
     again = [renderer.render(CAMERA, light, quality="baked").rgb for light in lights]
     np.testing.assert_array_equal(first, again)
     assert np.abs(first[0] - first[1]).max() > 0.01
+
+
+def test_remembered_views_are_bounded_by_their_memory_and_not_by_their_pixels(renderer):
+    cameras = turntable(3, radius=4.0, elevation_deg=35.0, width=40, height=40)
+
+    def opened(kept_bytes):
+        return BakedRenderer(renderer.bundle, renderer.caches, kept_bytes=kept_bytes)
+
+    coarse, fine = (opened(0).view(cameras[0], antialias, soft_edges=False) for antialias in (1, 4))
+    assert len(np.unique(fine.pixel)) < 1.2 * coarse.num_pixels
+    assert fine.size_bytes > 2.0 * coarse.size_bytes
+    one = opened(4 * coarse.size_bytes)
+    first = [one.view(camera, 1, soft_edges=False) for camera in cameras]
+    assert all(
+        one.view(camera, 1, soft_edges=False) is view for camera, view in zip(cameras, first, strict=True)
+    )
+    last = one.view(cameras[0], 4, soft_edges=False)
+    assert one.view(cameras[0], 4, soft_edges=False) is last
+    assert one.view(cameras[0], 1, soft_edges=False) is not first[0]
+
+
+def test_places_of_fragments_are_small_numbers_that_keep_nothing_else_in_memory(renderer):
+    points = renderer.baked().view(CAMERA, 1, soft_edges=False).points
+    for place in (points.row, points.column):
+        assert (place.dtype, place.base) == (np.int32, None)
+
+
+def test_the_memory_of_a_view_is_that_of_its_arrays(renderer):
+    view = renderer.baked().view(CAMERA, 2, soft_edges=False)
+    assert view.near is view.far
+    names = (
+        "pixel",
+        "within",
+        "first",
+        "texel",
+        "share",
+        "used",
+        "coverage",
+        "distance",
+        "omega_o",
+        "normal",
+    )
+    names += ("albedo", "perceptual_roughness", "metalness", "visibility", "openness", "surroundings")
+    names += ("near", "share_of_near")
+    fragments = len(view.points.position)
+    of_points = (12 + 12 + 4 + 4) * fragments + view.points.first.nbytes
+    assert view.size_bytes == sum(getattr(view, name).nbytes for name in names) + of_points

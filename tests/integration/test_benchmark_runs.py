@@ -15,7 +15,7 @@ from lambent.cli import app
 from lambent_relight.environment.maps import write_environment
 from support.captures import REFERENCES
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.long, pytest.mark.timeout(900)]
 
 SCENE = REFERENCES / "scenes" / "tensoir_synthetic"
 SMALL = {

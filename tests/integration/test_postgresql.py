@@ -17,7 +17,7 @@ from lambent_server.job_queries import check_quota, insert_job
 from lambent_server.problems import Problem
 from lambent_server.services import open_services
 from lambent_server.settings import Settings
-from sqlalchemy import create_engine, inspect, text
+from sqlalchemy import create_engine, inspect, literal, select, text
 from sqlalchemy.exc import OperationalError
 from support.live_server import LiveServer
 
@@ -133,6 +133,27 @@ def test_another_server_takes_over_when_the_leader_loses_its_connection(url: str
     with admin.connect() as connection:
         connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
     admin.dispose()
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "found"),
+    [
+        ("Ährenblüte", "äHREN", True),
+        ("Ährenblüte", "BLÜTE", True),
+        ("Ährenblüte", "ahren", False),
+        ("ΟΔΟΣΑ", "οδοσ", True),
+        ("ΟΔΟΣΑ", "ΟΔΟΣ", True),
+        ("100% Wolle", "% w", True),
+        ("100 Wolle", "% w", False),
+    ],
+)
+def test_both_databases_find_words_in_the_same_names(
+    url: str, tmp_path: Path, name: str, words: str, found: bool
+):
+    statement = select(literal(name).icontains(words, autoescape=True))
+    for address in (f"{url.replace('postgresql:', 'postgresql+psycopg:')}", f"sqlite:///{tmp_path / 'x'}"):
+        with contextlib.closing(Database(address)) as database, database.read() as connection:
+            assert bool(connection.execute(statement).scalar_one()) is found, address
 
 
 def test_the_tables_are_those_of_the_schema(server: LiveServer, url: str):

@@ -61,6 +61,7 @@ def test_a_job_leaves_a_report_a_page_and_a_preview(run_dir):
     assert (run_dir / "evaluation" / "report.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.long
 def test_the_full_evaluation_relights_and_is_scored_the_same_by_the_reference(run_dir, maps, tmp_path):
     request = EvaluationRequest(num_repeats=1, num_directions=8, environments=maps)
     reporter = RecordingReporter()

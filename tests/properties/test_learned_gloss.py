@@ -36,6 +36,7 @@ def learned(config: Config) -> tuple[torch.Tensor, torch.Tensor]:
     return roughness, torch.stack([ball.metalness.mean() for ball in found])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_stage_two_learns_roughness_and_metalness_of_a_glossy_ball_and_of_a_metal_one():
     """Before decision 0025: 0.42 and 0.30 for roughness, 0.11 and 0.92 for metalness."""

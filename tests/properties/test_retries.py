@@ -197,6 +197,7 @@ def server(tmp_path_factory):
 @settings(max_examples=12, deadline=None)
 @given(st.lists(FAILURES, min_size=2, max_size=4))
 # Out of memory in one stage, diverged in the other; lost after a retry with other settings.
+@pytest.mark.long
 @example([("gpu_out_of_memory", "cache", 3), ("diverged", "joint", 3)])
 @example([("diverged", "cache", 3), ("lost", "cache", 4), ("crashed", "joint", 3), ("lost", "joint", 4)])
 @example([("diverged", "joint", 3), ("gpu_out_of_memory", "cache", -1), ("lost", "cache", 3)])

@@ -5,7 +5,7 @@ import numpy as np
 
 def shade_pixels(places, light, lobes, num_pixels):
     """Return what `lambent_relight.baked.kernels.shade_pixels` returns."""
-    pixel, texel, share, first = places
+    pixel, within, texel, share, first = places
     straight, bounced, lamps, prefiltered, glint = light
     diffuse, free, around = lobes
 
@@ -19,5 +19,6 @@ def shade_pixels(places, light, lobes, num_pixels):
     )
     specular = mirrored + around * bounce
     out = np.zeros((5, num_pixels, 3), np.float32)
-    out[:, pixel] = direct + indirect, direct, indirect, direct + indirect - specular, specular
+    parts = np.stack([direct + indirect, direct, indirect, direct + indirect - specular, specular])
+    np.add.at(out, (slice(None), pixel), within[:, None] * parts)
     return tuple(out)

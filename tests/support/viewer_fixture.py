@@ -78,6 +78,7 @@ def write_fixture(folder: Path) -> None:
             cameras[view],
             load_environment(folder / name),
             quality="baked",
+            soft_edges=False,
             rotate_deg=rotate_deg,
             antialias=2,
             edit=edit,

@@ -10,7 +10,7 @@ from typing import Any
 
 from flashcache.data.ray_batches import PixelChoice
 from flashcache.data.space import SpaceConfig
-from flashcache.earlier import REMOVED, check_removed, with_sizes
+from flashcache.earlier import REMOVED, check_removed, in_steps, with_sizes
 from flashcache.errors import ConfigError
 from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
@@ -321,11 +321,13 @@ def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     return cls(**{name: _convert(hints[name], values[name], path + name) for name in values if name in names})
 
 
-def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
+def with_overrides(config: Config, overrides: Mapping[str, str], *, size_step: int = 1) -> Config:
     """Return `config` with settings changed by dotted path, as `--set stage_one.num_rays=512` does.
 
     Values are JSON, or bare words for strings. `export.atlas_size` alone is, where it is smaller, the size of
-    transport too, as in earlier releases. Raises `ConfigError` naming the setting.
+    transport too, as in earlier releases. Sizes of textures among them are rounded down to multiples of
+    `size_step`: `SIZE_STEP` takes those of earlier releases, which are refused otherwise. Raises
+    `ConfigError` naming the setting.
     """
     values = to_dict(config)
     for path, text in overrides.items():
@@ -343,7 +345,9 @@ def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
             node[last] = json.loads(text)
         except json.JSONDecodeError:
             node[last] = text
-    if "export.atlas_size" in overrides and "export.transport_size" not in overrides:
+    sizes = [name for name in ("atlas_size", "transport_size") if f"export.{name}" in overrides]
+    values["export"] = in_steps(values["export"], sizes, size_step)
+    if sizes == ["atlas_size"]:
         values["export"] = with_sizes(values["export"], config.export.transport_size)
     return from_dict(Config, values)
 

@@ -1,6 +1,6 @@
 """Settings of earlier releases, as far as runs and jobs that carry them can still be read."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from flashcache.errors import ConfigError
@@ -44,3 +44,17 @@ def with_sizes(export: Mapping[str, Any], transport_size: int, *, step: int = 1)
         return {**export, "transport_size": transport_size}
     size -= size % step
     return {**export, "atlas_size": size, "transport_size": min(size, transport_size) or transport_size}
+
+
+def in_steps(export: Mapping[str, Any], names: Iterable[str], step: int) -> dict[str, Any]:
+    """Return settings of an export with the sizes `names` rounded down to multiples of `step`.
+
+    Earlier releases did not ask for that. What is no integer of at least `step` is left to the checks of
+    values.
+    """
+    return {**export, **{name: _in_steps(export[name], step) for name in names}}
+
+
+def _in_steps(size: Any, step: int) -> Any:
+    is_size = isinstance(size, int) and not isinstance(size, bool) and size >= step
+    return size - size % step if is_size else size

@@ -193,10 +193,10 @@ class Renderer:
     def baked(self) -> "BakedRenderer":
         """Return what renders `preview` and `baked`; raises UnsupportedQuality without baked transport."""
         # Compiled code takes a second to import, which refined relighting through graphs does not pay.
-        from lambent_relight.baked.renderer import BakedRenderer
+        from lambent_relight.baked.renderer import BYTES_PER_RAY, BakedRenderer
 
         if self._baked is None:
-            self._baked = BakedRenderer(self.bundle, self.caches, kept_pixels=self._kept_rays * 2 // 3)
+            self._baked = BakedRenderer(self.bundle, self.caches, kept_bytes=self._kept_rays * BYTES_PER_RAY)
         return self._baked
 
     def _tell(self, what: str) -> None:

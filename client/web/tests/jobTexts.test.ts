@@ -52,8 +52,8 @@ describe("numbers", () => {
       num_ahead: 0,
     };
     expect(estimateText(estimate)).toBe("about 6 minutes on the hardware it is made for");
-    expect(estimateText({ ...estimate, num_measured: 3 })).toBe("about 6 minutes, as 3 jobs took here");
-    expect(estimateText({ ...estimate, seconds: null })).toBe("no time is known yet");
+    expect(estimateText({ ...estimate, num_measured: 3 })).toBe("about 6 minutes, measured here on 3 jobs");
+    expect(estimateText({ ...estimate, seconds: null })).toBe("no estimate yet");
   });
 
   it("of an evaluation carry unit and standard error", () => {
@@ -84,14 +84,14 @@ describe("numbers", () => {
       "recognisable",
       "far from the photographs",
     ]);
-    expect(told(20, "training_views/psnr")!.about).toBe("Views it was trained on");
+    expect(told(20, "training_views/psnr")!.about).toBe("Training views");
     expect(told(35, "relight/psnr")!.words).toBe("hard to tell from the real pictures");
     expect(told(6.21, "normal/mae_mask", "deg")).toEqual({
       about: "Shape",
       figure: "6.2° off",
-      words: "right overall, with small dents",
+      words: "correct overall, with small dents",
     });
-    expect(told(0.3, "roughness/rmse", "1")!.words).toBe("gloss is not to be relied on");
+    expect(told(0.3, "roughness/rmse", "1")!.words).toBe("gloss is not reliable");
     expect(told(0.9, "nvs/ssim", "1")).toBeUndefined();
     expect(told(Number.NaN)).toBeUndefined();
     expect(verdicts({})).toEqual([]);
@@ -126,7 +126,7 @@ describe("a report", () => {
   it("says what was measured, and nothing where nothing was", () => {
     expect(measured(report)).toEqual([
       ["Layout", "COLMAP"],
-      ["Views", "40 to train on, 6 to test"],
+      ["Views", "40 for training, 6 for testing"],
     ]);
     expect(measured({ ...report, layout: "", num_train_frames: 0, num_test_frames: 0 })).toEqual([]);
   });
@@ -183,7 +183,7 @@ describe("a share link", () => {
     expect(await openShare("", api)).toMatchObject({ message: expect.stringContaining("incomplete") });
     const fail = (error: Error) => ({ openShare: () => Promise.reject(error) });
     const ended = await openShare("#x", fail(new Refused(401, "share_invalid", "no", false)));
-    expect(ended).toMatchObject({ message: expect.stringContaining("taken back") });
+    expect(ended).toMatchObject({ message: expect.stringContaining("revoked") });
     const away = await openShare("#x", fail(new Unreachable("away")));
     expect(away).toMatchObject({ message: expect.stringContaining("does not answer") });
   });

@@ -218,16 +218,16 @@ describe("the tools", () => {
 
 describe("the words", () => {
   it("say how well the views agree, and what to do where nothing was found", () => {
-    expect(agreementText(0.876, "", false)).toBe("The views agree to 88 %.");
+    expect(agreementText(0.876, "", false)).toBe("Agreement between the views: 88%.");
     expect(agreementText(0, "the views differ", false)).toMatch(
       /No object was found: the views differ\. Mark/,
     );
-    expect(agreementText(0.9, "the views differ", true)).toBe("The views agree to 90 %.");
+    expect(agreementText(0.9, "the views differ", true)).toBe("Agreement between the views: 90%.");
     const applied = { agreement: 0.9, doubtful: [], changed: ["a"] };
     expect(appliedText(applied, 40, 3.21)).toBe(
-      "All 40 photographs compared in 3.2 s: 1 mask changed. The views agree to 90 %.",
+      "All 40 photographs compared in 3.2 s: 1 mask changed. Agreement between the views: 90%.",
     );
-    expect(appliedText({ ...applied, changed: [] }, 40, 1)).toMatch(/no mask has changed/);
+    expect(appliedText({ ...applied, changed: [] }, 40, 1)).toMatch(/no mask changed/);
   });
 });
 

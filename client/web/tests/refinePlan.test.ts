@@ -53,7 +53,7 @@ describe("the status", () => {
     expect(statusText(notRefining)).toBe("");
     const running = { ...notRefining, phase: "running", backend: "wgsl", samplesPerPixel: 64 } as const;
     expect(statusText({ ...running, relativeError: 0.0234 })).toBe(
-      "64 samples a pixel, noise 2.3 %, by WebGPU…",
+      "64 samples per pixel, noise 2.3%, by WebGPU…",
     );
     const slow = {
       ...running,

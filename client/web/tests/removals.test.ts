@@ -16,7 +16,7 @@ function asked(send: (keepalive: boolean) => Promise<unknown> = async () => {}) 
   const removals = new Removals((error) => told.push(error));
   const removal = {
     id: "scene_1",
-    what: 'the scene "Cup"',
+    what: 'The scene "Cup"',
     gone,
     send: (keepalive: boolean) => {
       sent.push(keepalive);

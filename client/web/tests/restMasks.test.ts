@@ -183,7 +183,7 @@ describe("masks on a server", () => {
   it("are told in words", async () => {
     const server = new FakeServer();
     const prepared = await readPrepared(server, job());
-    expect(verdict(prepared)).toBe("The views agree to 91 %; least sure of b.");
+    expect(verdict(prepared)).toBe("Agreement between the views: 91%; least certain: b.");
     expect(verdict({ ...prepared, preparation: { ...preparation, reason: "too few views" } })).toContain(
       "too few views",
     );

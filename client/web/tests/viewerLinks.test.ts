@@ -135,10 +135,10 @@ describe("what a link cannot carry", () => {
   it("is told in a sentence", () => {
     expect(missingText({ bundle: false, maps: [] })).toBe("");
     expect(missingText({ bundle: true, maps: [] })).toBe(
-      "It cannot carry the object, which is on this computer only.",
+      "It does not include the object, which is on this computer only.",
     );
     expect(missingText({ bundle: true, maps: ["a.exr", "b.exr"] })).toBe(
-      "It cannot carry the object, a.exr and b.exr, which are on this computer only.",
+      "It does not include the object, a.exr, and b.exr, which are on this computer only.",
     );
   });
   it("is uploaded under a name that the server takes, by which the light is called", async () => {

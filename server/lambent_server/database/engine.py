@@ -87,6 +87,8 @@ def _sqlite(url: str) -> Engine:
         cursor.execute("PRAGMA synchronous=FULL")
         cursor.execute("PRAGMA foreign_keys=ON")
         cursor.close()
+        # SQLite's own knows only ASCII; searches go by it, and PostgreSQL's knows all letters.
+        raw.create_function("lower", 1, _lower, deterministic=True)
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
@@ -95,3 +97,13 @@ def _sqlite(url: str) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
     return engine
+
+
+def _lower(value: Any) -> Any:
+    """Return a text in small letters; anything else, NULL among it, as it is.
+
+    Letter by letter, as PostgreSQL does: a sigma at the end of a word is not at the end of a longer one.
+    """
+    if not isinstance(value, str):
+        return value
+    return value.lower() if value.isascii() else "".join(letter.lower() for letter in value)

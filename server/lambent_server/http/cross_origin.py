@@ -3,7 +3,7 @@
 from starlette.datastructures import Headers
 
 from lambent_server.database.engine import Database
-from lambent_server.shares import bundle_read, may_be_read_from
+from lambent_server.shares import bundle_read, is_named_by_a_link
 
 _PREFLIGHT_S = 600
 
@@ -16,9 +16,13 @@ def preflight(method: str, path: str, headers: Headers) -> tuple[str, str] | Non
 
 
 def answer(database: Database, bundle_id: str, origin: str) -> dict[str, str]:
-    """Return the headers of the answer to `preflight`; nothing is allowed to origins that no link names."""
+    """Return the headers of the answer to `preflight`; nothing is allowed to origins that no link names.
+
+    Where the links that name one have ended, its pages may still ask, and read that they have: what a request
+    gets is decided by the link that it brings.
+    """
     with database.read() as connection:
-        if not may_be_read_from(connection, bundle_id, origin):
+        if not is_named_by_a_link(connection, bundle_id, origin):
             return {"vary": "origin"}
     return {
         **allowing(origin),

@@ -13,7 +13,7 @@ from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, remove
 from lambent_server.secrets import sha256_text
 from lambent_server.services import Services
-from lambent_server.shares import Row, granted
+from lambent_server.shares import Row, signed
 
 COOKIE = "lambent_session"
 
@@ -95,7 +95,7 @@ def tenant_of_session(database: Database, token: str) -> Tenant | None:
 
 
 def share_of_token(database: Database, secret: str, token: str, bundle_id: str) -> Row | None:
-    """Return the link that lets this request read a bundle; None for other requests."""
+    """Return the link to a bundle that a token belongs to, active or ended; None for other tokens."""
     with database.read() as connection:
-        share = granted(connection, secret, token)
+        share = signed(connection, secret, token)
     return share if share is not None and share["bundle_id"] == bundle_id else None

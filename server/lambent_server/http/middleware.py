@@ -21,7 +21,7 @@ from lambent_server.metrics import REQUEST_SECONDS
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.services import Services
 from lambent_server.shares import COOKIE as SHARE_COOKIE
-from lambent_server.shares import bundle_read, frame_ancestors, is_token
+from lambent_server.shares import bundle_read, frame_ancestors, is_active, is_token
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -132,11 +132,12 @@ class Gate:
             return await to_thread.run_sync(tenant_of_key, self._services, bearer)
         if bundle_id and shared:
             share = await to_thread.run_sync(share_of_token, database, self._share_secret, shared, bundle_id)
-            if share is not None:
+            # Cookies are of this site only, so that nobody elsewhere reads with those of a visitor. The pages
+            # that a link names may read, too, that it has ended.
+            if share is not None and by_header and headers.get("origin") in frame_ancestors(share):
+                state["cross_origin"] = headers["origin"]
+            if share is not None and is_active(share):
                 state["by_share"] = True
-                # Cookies are of this site only, so that nobody elsewhere reads with those of a visitor.
-                if by_header and headers.get("origin") in frame_ancestors(share):
-                    state["cross_origin"] = headers["origin"]
                 return Tenant(share["tenant_id"])
         if by_header:
             return None

@@ -1,7 +1,6 @@
 """The page of a share link: shown by itself, or in frames of the origins that the link names."""
 
 from html import escape
-from typing import Any
 
 import lambent_pages
 from fastapi import APIRouter, Request, Response
@@ -9,16 +8,14 @@ from sqlalchemy import Connection
 from starlette.exceptions import HTTPException
 
 from lambent_server import shares
-from lambent_server.bundle_rows import require_bundle, show
-from lambent_server.database.schema import bundle_files
-from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.bundle_rows import LARGE_FIRST, pictures, require_bundle, show
+from lambent_server.database.tenancy import Tenant
 from lambent_server.routes.common import Id, ServicesOf
 from lambent_server.routes.files import send_blob
 from lambent_server.store import Blob
 
 router = APIRouter(include_in_schema=False)
 
-_POSTERS = ("poster.webp", "thumbnail.webp")
 _MEDIA_TYPES = {"webp": "image/webp", "png": "image/png"}
 _PICTURE_SECONDS = 600
 
@@ -82,15 +79,11 @@ def _head(connection: Connection, row: shares.Row, base: str) -> str:
 
 
 def _picture(connection: Connection, row: shares.Row) -> Blob | None:
-    """Return the poster of a bundle, else the first rendering of a view, or None."""
-    path = bundle_files.c.path
-    rendering = path.like("preview/%.png") & path.not_like("preview/photo\\_%", escape="\\")
-    statement = rows(Tenant(row["tenant_id"]), bundle_files).where(
-        bundle_files.c.bundle_id == row["bundle_id"], path.in_(_POSTERS) | rendering
-    )
-    found: list[Any] = list(connection.execute(statement).mappings())
-    if not found:
+    """Return the picture of a link's bundle, or None."""
+    bundle_id = row["bundle_id"]
+    found = pictures(connection, Tenant(row["tenant_id"]), [bundle_id], LARGE_FIRST).get(bundle_id)
+    if found is None:
         return None
-    first = min(found, key=lambda each: (each["path"] not in _POSTERS, each["path"]))
-    media_type = _MEDIA_TYPES[first["path"].rpartition(".")[2]]
-    return Blob(first["sha256"], int(first["size_bytes"]), media_type)
+    # What a run called its file is not what a browser is told.
+    media_type = _MEDIA_TYPES[found["path"].rpartition(".")[2]]
+    return Blob(found["sha256"], int(found["size_bytes"]), media_type)

@@ -2,11 +2,13 @@
 
 import hashlib
 import re
+from collections.abc import AsyncIterator, Iterator
 from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import StreamingResponse
+from starlette.concurrency import iterate_in_threadpool
 
 from lambent_server import zip_stream
 from lambent_server.bundle_rows import require_bundle, show
@@ -189,7 +191,14 @@ def get_bundle_archive(
     if lost:
         raise damaged(lost[0])
     pieces = zip_stream.zip_pieces(entries, row["created_at"])
-    return StreamingResponse(pieces, headers=headers, media_type="application/zip")
+    return StreamingResponse(_sent(pieces), headers=headers, media_type="application/zip")
+
+
+async def _sent(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    """Yield pieces that are not empty; between any two steps the client may have gone."""
+    async for piece in iterate_in_threadpool(pieces):
+        if piece:
+            yield piece
 
 
 def _entry(services: Services, file: Any) -> zip_stream.Entry:

@@ -108,12 +108,14 @@ def test_a_gpu_without_kernels_of_its_own_needs_the_memory_of_the_reference(monk
     assert fixed_on == {(stage, fixed) for stage in ("cache", "joint") for fixed in (True, False)}
 
 
+@pytest.mark.long
 def test_on_a_gpu_all_directions_are_traced():
     config = tiny()
     (_, here), (_, there) = (estimate(config, device=device) for device in ("cpu", "cuda"))
     assert there.activations > 0.95 * here.activations
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_more_rays_need_proportionally_more_memory():
     config = tiny()

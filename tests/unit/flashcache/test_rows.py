@@ -122,6 +122,7 @@ def test_steps_that_pick_rows_out_do_wait():
     assert {"nonzero", "_local_scalar_dense", "index by a mask"} <= host_waits(stage.step).keys()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["standard", "paper_tensoir", "paper_glossy"])
 def test_no_step_of_a_large_preset_waits_for_a_gpu(name):
@@ -235,6 +236,7 @@ def test_brightness_and_psnr_are_those_of_picked_rows():
         assert float(same) == pytest.approx(psnr, rel=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cache", "joint"])
 def test_losses_fall_alike_with_fixed_shapes(kind):

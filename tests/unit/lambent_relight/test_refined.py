@@ -1,11 +1,16 @@
 """Rounds of directions of a refined picture, and how many every pixel gets."""
 
+import math
+
 import numpy as np
 import pytest
+from lambent_relight.refined import sampling_plan
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.running import Running
-from lambent_relight.refined.sampling_plan import numbers_for
-from lambent_relight.refined.shading import Radiance
+from lambent_relight.refined.sampling_plan import MAX_FACTOR, costs_of, estimated, numbers_for, steps_for
+from lambent_relight.refined.scattering import SurfacePoints
+from lambent_relight.refined.shading import Radiance, split_samples
+from lambent_relight.settings import settled
 from support.statistics import assert_mean
 
 EVERY = np.arange(2)
@@ -114,3 +119,45 @@ def test_neighbours_say_how_noisy_a_pixel_is():
     apart = np.r_[0:40, 60:100]
     found = np.abs(total.spread() / true[:, 0] - 1.0)[apart].mean()
     assert found < 0.5 * np.abs(own / true[:, 0] - 1.0)[apart].mean()
+
+
+@pytest.mark.parametrize("per_ray", [2, 5, 9, 16, 50])
+def test_a_round_ends_at_the_limit_where_the_nearest_length_would_not(per_ray: int):
+    costs = costs_of(per_ray, 4)
+    spent = np.arange(1, MAX_FACTOR + 1) * per_ray
+    lacking = MAX_FACTOR * per_ray - spent
+    room = np.searchsorted(costs, lacking, side="right")
+    steps = steps_for(lacking / per_ray, spent / per_ray, room)
+    assert (spent + steps * per_ray <= MAX_FACTOR * per_ray).all()
+    # Whoever has room for a first round gets one at least.
+    assert (steps[lacking >= costs[0]] > 0).all()
+
+
+@pytest.mark.parametrize(("spp", "rays"), [(2, 1), (9, 1), (14, 1), (16, 4), (50, 1)])
+def test_no_pixel_gets_more_than_64_times_the_first_round_and_those_that_lack_them_do(
+    monkeypatch, spp: int, rays: int
+):
+    count = 400
+    pixels = PixelRays(np.repeat(np.arange(count), rays), np.full((count * rays, 1), 1.0 / rays))
+    noise = np.geomspace(1e-3, 30.0, count)
+    rng = np.random.default_rng(spp)
+
+    def noisy(points, *_, num_samples: int, pixels: PixelRays, **__) -> Radiance:
+        passes, length = split_samples(num_samples, pixels.most)
+        spread = noise[points.position[pixels.first, 0].astype(int)]
+        of_passes = spread[:, None] * rng.normal(size=(len(spread), passes)) / np.sqrt(length)
+        error = np.repeat(of_passes.std(axis=1, ddof=1)[:, None] / np.sqrt(passes), 3, axis=1)
+        flat = np.full((len(points.position), 3), 0.5, np.float32)
+        shares = np.zeros((2, len(spread)))
+        return Radiance(flat, flat, flat, flat, error.astype(np.float32), passes * length, passes - 1, shares)
+
+    monkeypatch.setattr(sampling_plan, "outgoing_radiance", noisy)
+    place = np.repeat(np.arange(count, dtype=np.float32)[:, None], rays, axis=0)
+    points = SurfacePoints(place, place, place, place)
+    settings = settled(spp=spp, antialias=1, until_stderr=1e-3)
+    found = estimated(points, pixels, None, None, settings, None)
+    first = math.prod(split_samples(max(2, spp), rays))
+    most = MAX_FACTOR * first
+    assert found.num_samples.max() <= most
+    # Nothing shorter than a first round is left to give.
+    assert found.num_samples[-40:].min() > most - 2 * first

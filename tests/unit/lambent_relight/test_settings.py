@@ -37,3 +37,15 @@ def test_what_cannot_be_used_is_refused_with_what_can(changes, error, text):
     with pytest.raises(error) as caught:
         settled(**changes)
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [-0.02, -1e-9, 1.0, 2, float("nan"), float("inf"), "low"])
+def test_a_noise_that_cannot_be_reached_is_refused_with_the_range(value):
+    with pytest.raises(SettingError, match=r"relight\.until_stderr: .* from 0 to 0\.999"):
+        settled(until_stderr=value)
+
+
+@pytest.mark.parametrize("value", [0, -1, -64, 65537, 2.5])
+def test_a_number_of_directions_that_there_cannot_be_is_refused_with_the_range(value):
+    with pytest.raises(SettingError, match=r"relight\.num_samples: .* from 2 to 65536"):
+        settled(spp=value)

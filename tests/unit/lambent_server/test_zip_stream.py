@@ -3,7 +3,9 @@
 import io
 import shutil
 import subprocess
+import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Iterator
 
 import pytest
@@ -57,9 +59,50 @@ def test_no_more_than_a_piece_is_held():
             yield bytes(1000)
 
     made = zip_pieces([Entry("a", 10**6, pieces), Entry("b", 10**6, pieces)], AT)
-    assert max(len(piece) for piece, _ in zip(made, range(500), strict=False)) == 1000
+    assert max(len(piece) for piece, _ in zip(made, range(1500), strict=False)) == 1000
     # Once for the checksum of the first entry and once for its bytes; the second was not touched.
     assert len(reads) == 2
+
+
+def test_a_large_entry_is_read_piece_by_piece_also_for_its_checksum():
+    num_pieces, piece = 200, bytes(1 << 20)
+    read = []
+
+    def pieces() -> Iterator[bytes]:
+        for number in range(num_pieces):
+            read.append(number)
+            yield bytes(1 << 20)
+
+    digest, size, most_at_once = 0, 0, 0
+    tracemalloc.start()
+    before = 0
+    for part in zip_pieces([Entry("large", num_pieces << 20, pieces)], AT):
+        most_at_once = max(most_at_once, len(read) - before)
+        before, size = len(read), size + len(part)
+        if len(part) == len(piece):
+            digest = zlib.crc32(part, digest)
+        elif part.startswith(b"PK\x03\x04"):
+            told = int.from_bytes(part[14:18], "little")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most_at_once == 1
+    assert size == length_of([Entry("large", num_pieces << 20, pieces)])
+    assert told == digest
+    assert peak < 5 << 20
+
+
+def test_an_archive_that_nobody_waits_for_any_more_is_not_read_on():
+    read = []
+
+    def pieces() -> Iterator[bytes]:
+        for number in range(1000):
+            read.append(number)
+            yield bytes(1000)
+
+    made = zip_pieces([Entry("a", 10**6, pieces)], AT)
+    assert [next(made) for _ in range(3)] == [b""] * 3
+    made.close()
+    assert len(read) == 3
 
 
 def test_an_entry_that_has_lost_bytes_ends_the_stream():

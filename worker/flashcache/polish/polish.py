@@ -72,12 +72,13 @@ def polish(
     seed: int,
     card: Card | None = None,
     advance: Callable[[int], None] = lambda part: None,
+    pulse: Callable[[], None] = lambda: None,
 ) -> PolishReport:
     """Fit materials, light and normals to the photographs, and write them into `model`.
 
-    `advance` is called with the number of parts that are done, of `NUM_PARTS`; it may raise to end the
-    polish, which leaves the model as it was until the last part. With a `card`, albedo and light are brought
-    to what it reflects. Beyond the paper.
+    `advance` is called with the number of parts that are done, of `NUM_PARTS`, and `pulse` every few seconds
+    inside the long ones; both may raise to end the polish, which leaves the model as it was until the last
+    part. With a `card`, albedo and light are brought to what it reflects. Beyond the paper.
     """
     if model.environment.turns is not None:
         return PolishReport("the light turns from photograph to photograph")
@@ -108,6 +109,7 @@ def polish(
         learned = not model.environment.known and not model.environment.rotations
         for number in range(ROUNDS if learned else 1):
             reflectance = choose(seen, tables, sky, normals, trained, neighbours)
+            pulse()
             if learned:
                 prediction = Prediction(seen, tables, reflectance, SIDE * FINER)
                 sky, before, after = _refitted(prediction, sky)
@@ -129,12 +131,12 @@ def polish(
         if verdict.contradicted:
             return PolishReport("the photographs contradict the known light", values, verdict.findings)
     light = sky if learned else None
-    written = _written(model, elements, reflectance, light, generator)
+    written = _written(model, elements, reflectance, light, generator, pulse=pulse)
     advance(NUM_PARTS - 3)
     with torch.no_grad():
         render = partial(rendered, written.model, pixels, seed=seed)
         reflectance = corrected_albedo(render, seen, reflectance, neighbours, seed)
-    written = _written(model, elements, reflectance, light, generator, before=written)
+    written = _written(model, elements, reflectance, light, generator, before=written, pulse=pulse)
     advance(NUM_PARTS - 2)
     with torch.no_grad():
         kept = gate(model, written.model, pixels, checks, neighbours, seed)
@@ -160,7 +162,7 @@ def polish(
         values, findings, factor = values | settled.values, settled.findings, settled.factor
     if share < 1.0 or factor is not None:
         light = sky if learned or factor is not None else None
-        written = _written(model, elements, reflectance, light, generator, factor, written)
+        written = _written(model, elements, reflectance, light, generator, factor, written, pulse=pulse)
     values["metal_share"] = float((reflectance.metalness > 0.5).float().mean())
     confidence = confidence_of(seen, tables, sky, reflectance, neighbours)
     model.load_state_dict(written.model.state_dict())
@@ -190,6 +192,8 @@ def _written(
     generator: torch.Generator,
     factor: Float[Tensor, "3"] | None = None,
     before: _Written | None = None,
+    *,
+    pulse: Callable[[], None] = lambda: None,
 ) -> _Written:
     """Return a copy of the model that has learned materials and normals of elements, and the light `sky`.
 
@@ -200,9 +204,9 @@ def _written(
     if before is not None:
         normal, lesson = before.normal, AGAIN
         polished.nerf.normals.load_state_dict(before.model.nerf.normals.state_dict())
-    write_materials(polished, elements, reflectance, generator, factor)
+    write_materials(polished, elements, reflectance, generator, factor, pulse)
     changed = (reflectance.normal * normal).sum(dim=-1) < SAME_NORMAL
-    write_normals(polished, elements, reflectance.normal, changed, generator, lesson)
+    write_normals(polished, elements, reflectance.normal, changed, generator, lesson, pulse)
     if sky is not None:
         polished.environment.set_texture(sky)
     return _Written(polished, reflectance.normal)

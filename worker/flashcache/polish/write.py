@@ -29,6 +29,8 @@ MATERIAL_STEPS, MATERIAL_RATE = 300, 1e-2
 FIRST, AGAIN = Lesson(150, 4e-3), Lesson(60, 4e-3)
 """The second where nearly the same normals were learned before."""
 FINAL_RATE = 0.03
+PULSE_STEPS = 50
+"""About a second on two cores."""
 MOST_REST = 0.25
 """Largest share of a batch for what no element covers."""
 ASIDE = 0.3
@@ -41,11 +43,13 @@ def write_materials(
     found: Reflectance,
     generator: torch.Generator,
     factor: Float[Tensor, "3"] | None = None,
+    pulse: Callable[[], None] = lambda: None,
 ) -> None:
     """Replace the material field by one that is taught `found` at the observed points.
 
     It begins afresh: what the trained one holds beyond the elements' values is grain. Where opaque pixels are
-    no observations, it is taught what the trained one has there, with its albedo times `factor`.
+    no observations, it is taught what the trained one has there, with its albedo times `factor`. `pulse` is
+    called every `PULSE_STEPS`.
     """
     device = elements.positions.device
     field = _fresh_field(model, generator).to(device)
@@ -77,7 +81,7 @@ def write_materials(
         values = (materials.albedo.pow(GAMMA), materials.alpha.sqrt(), materials.metalness)
         return torch.stack([(a - b).abs().mean() for a, b in zip(values, targets, strict=True)]).sum()
 
-    _learn(field, loss, MATERIAL_STEPS, MATERIAL_RATE)
+    _learn(field, loss, MATERIAL_STEPS, MATERIAL_RATE, pulse)
     model.materials.load_state_dict(field.state_dict())
 
 
@@ -94,8 +98,12 @@ def write_normals(
     changed: Tensor,
     generator: torch.Generator,
     lesson: Lesson = FIRST,
+    pulse: Callable[[], None] = lambda: None,
 ) -> None:
-    """Teach the predicted normals `normal` at elements that are `changed`, and their own everywhere else."""
+    """Teach the predicted normals `normal` at elements that are `changed`, and their own everywhere else.
+
+    `pulse` is called every `PULSE_STEPS`.
+    """
     moved, kept = ((changed == flag)[elements.element].nonzero()[:, 0] for flag in (True, False))
     if not len(moved):
         return
@@ -123,7 +131,7 @@ def write_normals(
         places, hidden, target = next(remaining)
         return (1.0 - dot(field(places, hidden), target)).mean()
 
-    _learn(field, loss, lesson.steps, lesson.rate)
+    _learn(field, loss, lesson.steps, lesson.rate, pulse)
 
 
 def _places(
@@ -136,7 +144,9 @@ def _places(
     return elements.places[drawn, which] + ASIDE * elements.size * aside
 
 
-def _learn(part: nn.Module, loss: Callable[[], Tensor], steps: int, rate: float) -> None:
+def _learn(
+    part: nn.Module, loss: Callable[[], Tensor], steps: int, rate: float, pulse: Callable[[], None]
+) -> None:
     """Take Adam's steps on the parameters of `part`, with a rate that falls to `FINAL_RATE` of it."""
     part.requires_grad_(True)
     optimiser = torch.optim.Adam(part.parameters(), lr=rate, betas=(0.9, 0.99), eps=1e-15)
@@ -147,4 +157,6 @@ def _learn(part: nn.Module, loss: Callable[[], Tensor], steps: int, rate: float)
             optimiser.zero_grad()
             loss().backward()
             optimiser.step()
+            if step % PULSE_STEPS == 0:
+                pulse()
     part.requires_grad_(False)

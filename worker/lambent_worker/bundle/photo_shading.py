@@ -17,9 +17,9 @@ from lambent_relight.baked.light import (
     MAX_DOMINANT,
     BakedLight,
     LitTexels,
-    coarse_bounce,
     lit_texels,
     prepare_light,
+    texel_bounce,
     texel_irradiance,
 )
 from lambent_relight.baked.scene import BakedScene
@@ -103,6 +103,10 @@ class SurfaceUnderLight:
 def irradiance(
     texels: LitTexels, light: BakedLight, bands: int
 ) -> tuple[Float32[ndarray, "texels 3"], Float32[ndarray, "texels 3"]]:
-    """Return direct and indirect irradiance of every texel, not negative."""
-    bounced = np.maximum(coarse_bounce(texels, light), 0.0)[texels.coarse]
+    """Return direct and indirect irradiance of every texel, not negative.
+
+    Indirect light is bilinear between the blocks where it was baked, as pictures show it: what photographs
+    are divided by is what the albedo is multiplied by later.
+    """
+    bounced = np.maximum(texel_bounce(texels, light), 0.0)
     return np.maximum(texel_irradiance(texels, light, bands), 0.0), bounced

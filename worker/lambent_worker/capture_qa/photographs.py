@@ -71,7 +71,8 @@ class PhotographsFigures:
     thumbnails: Mapping[str, str]
     """JPEG in base64 by name."""
     portrait: str
-    """The first usable photograph, by which people recognise them: JPEG in base64; empty without any."""
+    """The first photograph that is no mask, by which people recognise them: JPEG in base64; empty without
+    any that can be read."""
 
     @property
     def usable(self) -> tuple[PhotographFigures, ...]:
@@ -107,7 +108,6 @@ class _Seen:
     small: UInt8[ndarray, "32 32"]
     bits: int
     thumbnail: str
-    portrait: str
 
 
 def look(
@@ -124,6 +124,8 @@ def look(
     """
     seen: dict[str, _Seen] = {}
     rows: list[dict[str, Any]] = []
+    # The first that looks like a mask is shown only where all do: see `_tell_masks_apart`.
+    portraits: dict[bool, str] = {}
     for name in names:
         announce(name)
         row: dict[str, Any] = {"name": name}
@@ -133,7 +135,7 @@ def look(
             row |= {"fault": "scene.image_too_large", "reason": reason}
             continue
         try:
-            seen[name] = _read(folder / name, limits, row, is_first=not seen)
+            seen[name] = _read(folder / name, limits, row, portraits)
             row |= seen[name].figures
         except PictureError as error:
             row |= {"fault": error.code, "reason": str(error)}
@@ -154,13 +156,15 @@ def look(
         lenses=Counter(_lens(each) for each in usable),
         exposure_range_ev=float(high - low),
         thumbnails={name: each.thumbnail for name, each in seen.items()},
-        portrait=next((each.portrait for each in seen.values()), ""),
+        portrait=portraits.get(False, portraits.get(True, "")),
     )
 
 
-def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], *, is_first: bool) -> _Seen:
-    """Return what a photograph shows, after filling in its size; raises `PictureError` where it is
-    unusable."""
+def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: dict[bool, str]) -> _Seen:
+    """Return what a photograph shows, after filling in its size; raises `PictureError` where it is unusable.
+
+    `portraits` gets its portrait where it is the first that looks like a mask, or the first that does not.
+    """
     row["width"], row["height"] = size = picture_size(path)
     if min(size) < limits.min_side:
         raise PictureError(
@@ -175,6 +179,9 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], *, is_first
         raise PictureError("scene.image_not_finite", "holds NaN or infinity; export it again without")
     shown = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if linear else pixels
     luma = measures.luma_of(shown)
+    is_like_a_mask = measures.is_like_a_mask(shown)
+    if is_like_a_mask not in portraits:
+        portraits[is_like_a_mask] = portrait_of(shown, alpha, is_linear=False)
     return _Seen(
         figures={
             "brightness_ev": measures.brightness_ev(shown),
@@ -184,7 +191,7 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], *, is_first
             "has_alpha": bool((alpha < 1.0).any()),
             "num_pictures": num_pictures,
             "is_panorama": is_panorama,
-            "is_like_a_mask": measures.is_like_a_mask(shown),
+            "is_like_a_mask": is_like_a_mask,
         },
         detail=measures.sharpness_of(luma),
         digest=file_sha256(path),
@@ -193,7 +200,6 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], *, is_first
         thumbnail=thumbnail_of(
             shown, np.ones(luma.shape, dtype=np.float32), is_linear=False, side=limits.thumbnail_side
         ),
-        portrait=portrait_of(shown, alpha, is_linear=False) if is_first else "",
     )
 
 

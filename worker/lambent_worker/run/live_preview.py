@@ -119,6 +119,23 @@ class LivePreview:
     """When the next one is made, on `clock`: the first at once, so that there is something to see."""
     seconds: float = 0.0
     """Spent on previews."""
+    given_up: bool = False
+    """Whether one could not be made."""
+
+    def attempt(self, model: InverseModel, step: int) -> None:
+        """Show the model as `show` does, until one preview fails: a picture is not worth a training."""
+        if self.given_up:
+            return
+        try:
+            self.show(model)
+        except Exception as error:
+            self.given_up = True
+            self.reporter.log("previews.failed", step=step, reason=repr(error)[:200])
+
+    def tell(self) -> None:
+        """Log how many previews were made, and what they cost."""
+        if not self.given_up:
+            self.reporter.log("previews.made", number=self.number, seconds=round(self.seconds, 3))
 
     def show(self, model: InverseModel) -> None:
         """Make a preview of the model in its training light, if one is due."""

@@ -143,7 +143,8 @@ class RunSpec:
 
         `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
         `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". `corrections` is the JSON document itself, at most
-        `MOST_BYTES` of it, `grey_card` is as on the command line. Raises `ConfigError` for an unknown preset
+        `MOST_BYTES` of it, `grey_card` is as on the command line. Sizes of textures are rounded down to those
+        that this release can make (`rounded_sizes` tells which). Raises `ConfigError` for an unknown preset
         or setting and for files outside the capture, `UsageError` for what cannot be used.
         """
         settings = dict(job.params)
@@ -151,10 +152,12 @@ class RunSpec:
             settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
         )
         fixed_to, grey_card = settings.pop(LIGHT_FIXED_TO, "auto"), settings.pop(GREY_CARD, "")
-        from flashcache.config import with_overrides
+        from flashcache.config import SIZE_STEP, with_overrides
         from flashcache.presets import preset as preset_of
 
-        config = adjust(with_overrides(preset_of(job.preset), settings), adjustments)
+        # Jobs wait, and are retried, longer than a release lasts: servers refuse such sizes only of new ones.
+        config = with_overrides(preset_of(job.preset), settings, size_step=SIZE_STEP)
+        config = adjust(config, adjustments)
         items = []
         for item in _listed(known_lights):
             light, equals, name = item.rpartition("=")

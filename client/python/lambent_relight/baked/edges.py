@@ -141,6 +141,7 @@ def _mixed(
     return BakedView(
         camera=view.camera,
         pixel=pixel,
+        within=np.ones(len(pixel), np.float32),
         first=start[::2],
         texel=view.texel[place],
         share=(view.share[place] * np.repeat(weight, counts)).astype(np.float32),

@@ -16,8 +16,9 @@ from lambent_relight.baked.traced_surface import Settled, TracedSurface
 from lambent_relight.baked.transport import shadow_directions
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.bundle.graphs import SurfaceCaches
+from lambent_relight.bundle.graphs import NoCaches, SurfaceCaches
 from lambent_relight.cameras import Camera
+from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture
@@ -25,8 +26,10 @@ from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.known_sky import KnownSky, SkyCells
 from lambent_relight.refined.scattering import SurfacePoints
 
-_KEPT_PIXELS = 2_000_000
-"""Maximum number of pixels in cached views; about 400 bytes each."""
+KEPT_BYTES = 768_000_000
+"""Maximum memory of cached views: 200 bytes a pixel with one fragment each, 800 with 4 x 4."""
+BYTES_PER_RAY = 256
+"""Part of it for each camera ray whose refined view may be remembered."""
 _KEPT_SHADOWS = 3 * MAX_DOMINANT
 """Number of cached shadow maps, 4 MB each."""
 _KEPT_LIGHTS = 3
@@ -36,12 +39,12 @@ _KEPT_LIGHTS = 3
 class BakedRenderer:
     """Renders from baked transport; with view and light cached, a picture costs a matrix product."""
 
-    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_pixels: int = _KEPT_PIXELS) -> None:
+    def __init__(self, bundle: Bundle, caches: SurfaceCaches, *, kept_bytes: int = KEPT_BYTES) -> None:
         """Read the transport of `bundle`; raises UnsupportedQuality when it has none.
 
-        `kept_pixels` bounds the views that are remembered; the last one always is.
+        `kept_bytes` bounds the memory of the views that are remembered; the last one always is.
         """
-        self._kept_pixels = kept_pixels
+        self._kept_bytes = kept_bytes
         self.scene = load_baked_scene(bundle)
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
@@ -57,12 +60,14 @@ class BakedRenderer:
         """Return the view of `camera`; the last few cameras are cached."""
         key = (camera.key(), antialias, soft_edges)
         if key not in self._views:
-            view = look_at_surface(self.scene, camera, antialias)
+            # Without networks the edges are the mesh's.
+            soft_edges = soft_edges and not isinstance(self._caches, NoCaches)
+            view = look_at_surface(self.scene, camera, antialias, apart=not soft_edges)
             if soft_edges:
                 view = with_soft_edges(view, self._caches, antialias)
             while (
                 self._views
-                and sum(v.num_pixels for v in self._views.values()) + view.num_pixels > self._kept_pixels
+                and sum(each.size_bytes for each in self._views.values()) + view.size_bytes > self._kept_bytes
             ):
                 self._views.pop(next(iter(self._views)))
             self._views[key] = view
@@ -218,7 +223,7 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         specular=black,
         visibility=view.image(view.openness),
         albedo=view.image(lobes.albedo),
-        normal=view.image(view.normal),
+        normal=normalise(view.image(view.normal)),
         perceptual_roughness=view.image(lobes.perceptual_roughness),
         metalness=view.image(view.metalness),
         distance=distance,

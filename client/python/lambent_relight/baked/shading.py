@@ -114,7 +114,7 @@ def shade(
             prefiltered,
         )
     parts = baked_kernels.shade_pixels(
-        (view.pixel, view.texel, view.share, view.first),
+        (view.pixel, view.within, view.texel, view.share, view.first),
         (straight, bounced, lamps, prefiltered, glint),
         (lobes.diffuse, lobes.free, lobes.surrounded),
         view.camera.height * view.camera.width,

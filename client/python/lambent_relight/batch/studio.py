@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 _KEPT = ("rgb", "standard_error", "coverage")
 KEPT_RAYS = 1_000_000
-"""Camera rays whose views are remembered, about 70 MB; other lights of the same cameras find them again."""
+"""Camera rays whose views are remembered, about 70 MB, or 256 MB of baked views; other lights of the same
+cameras find them again."""
 
 
 class Studio:

@@ -5,6 +5,7 @@ of what its error would be after one. So a first round measures all pixels alike
 what it lacks. The numbers come from means over neighbours, so that they hardly depend on a pixel's own noise.
 """
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -15,10 +16,11 @@ from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.running import Running
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.shading import Light, Scene, outgoing_radiance, split_samples
 
 MAX_FACTOR = 64
-"""A pixel that is still noisier than requested gets no more than this many times `spp` directions."""
+"""A pixel that is still noisier than requested gets no more than this many times the first round's
+directions."""
 GROWTH = 3
 """Largest ratio of a round to all before it, which say how much is needed, and a short one says little."""
 AIM = 0.98
@@ -43,7 +45,8 @@ def estimated(
     """
     per_ray = max(2, -(-settings.spp // settings.antialias**2))
     known = KnownLight.nothing(len(points.position)) if known is None else known
-    total, number, shares = Running.of(pixels), 0, None
+    total, number, shares, most = Running.of(pixels), 0, None, 0
+    costs = costs_of(per_ray, pixels.most)
     every = np.full(len(pixels.first), per_ray)
     wanted, done, left = every, 0.0, float(every.sum())
     while True:
@@ -73,13 +76,16 @@ def estimated(
         target = settings.until_stderr
         if not target or not len(every) or total.relative_error() <= target:
             return total
-        most = MAX_FACTOR * per_ray
-        if int(total.num_samples.min()) >= most:
-            return total
+        # Of the first round, which is whole passes too.
+        most = most or MAX_FACTOR * int(total.num_samples.max())
         mean = float(pixels.mean(total.direct + total.indirect).mean())
         needed = numbers_for(total.spread(), total.num_samples, AIM * target * mean, most)
         left = float((needed - total.num_samples).sum())
-        wanted = per_ray * _steps((needed - total.num_samples) / per_ray, total.num_samples / per_ray)
+        room = np.searchsorted(costs, most - total.num_samples, side="right")
+        lacking, spent = needed - total.num_samples, total.num_samples
+        wanted = per_ray * steps_for(lacking / per_ray, spent / per_ray, room)
+        if not wanted.any():
+            return total
 
 
 def numbers_for(
@@ -100,15 +106,30 @@ def numbers_for(
     return np.clip(high * share, spent, most)
 
 
-def _steps(lacking: NDArray[np.float64], spent: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the length of the next round of every pixel in first rounds, [pixel]; 0: none."""
+def steps_for(
+    lacking: NDArray[np.float64], spent: NDArray[np.float64], room: NDArray[np.integer]
+) -> NDArray[np.int64]:
+    """Return the length of the next round of every pixel in first rounds, [pixel]; 0: none.
+
+    `room` says how many of `_STEPS`, from the shortest, keep a pixel within its limit.
+    """
     wanted = np.minimum(lacking, GROWTH * spent)
     nearest = np.argmin(np.abs(np.log(np.maximum(wanted, 1e-9))[:, None] - np.log(_STEPS)), axis=1)
-    steps = np.where(wanted >= 0.5, _STEPS[nearest], 0)
-    if steps.any():
+    longest = _STEPS[np.maximum(np.minimum(nearest, room - 1), 0)]
+    steps = np.where((wanted >= 0.5) & (room > 0), longest, 0)
+    if steps.any() or not (room > 0).any():
         return steps
     # All of them nearly there: those that lack most.
-    return np.where(lacking >= np.quantile(lacking, 0.75), 1, 0)
+    return np.where((room > 0) & (lacking >= np.quantile(lacking[room > 0], 0.75)), 1, 0)
+
+
+def costs_of(per_ray: int, most_rays: int) -> NDArray[np.int64]:
+    """Return the directions of a ray that rounds of `_STEPS` take at most, [step]: passes are whole."""
+    counts = [
+        max(math.prod(split_samples(step * per_ray, rays)) for rays in range(1, most_rays + 1))
+        for step in _STEPS.tolist()
+    ]
+    return np.maximum.accumulate(np.array(counts, np.int64))
 
 
 def _lengths(wanted: NDArray[np.integer]) -> Iterator[int]:

@@ -4,6 +4,7 @@ import { transferablesOf } from "../page/buffers.js";
 import { bundleTold } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
+import { workerSpeaks } from "../words/languages.js";
 
 /** Messages of the worker; the last one is "loaded" or "failed". */
 export type BundleAnswer =
@@ -23,6 +24,7 @@ const decode = (png: Uint8Array<ArrayBuffer>): Promise<ImageBitmap> =>
   });
 
 self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
+  await workerSpeaks();
   try {
     const bundle = await loadBundle(data, (news) => answer(news), decode);
     answer({ kind: "loaded", bundle }, transferablesOf(bundle));

@@ -1,6 +1,7 @@
 /** The cameras of cameras.json: those the object was photographed from. */
 
 import { exportAgain } from "./fault.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** A pinhole camera; axes x right, y up, looking along -z; pixels from the top left corner. */
 export type PhotoCamera = {
@@ -17,7 +18,7 @@ export type PhotoCamera = {
 
 /** Return the cameras of the text of a cameras.json; throws BundleFault where it is none. */
 export function parseCameras(data: Uint8Array): PhotoCamera[] {
-  const fault = exportAgain("bundle.manifest_invalid", "cameras.json cannot be read");
+  const fault = exportAgain("bundle.manifest_invalid", bundleFaults.cameras);
   let entries: unknown;
   try {
     entries = (JSON.parse(new TextDecoder().decode(data)) as { cameras?: unknown }).cameras;

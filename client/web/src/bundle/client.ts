@@ -6,6 +6,7 @@ import { BundleFault } from "./fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
 import type { BundleNews, LoadedBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** Read a bundle in a worker that exits afterwards; `signal` aborts it. Throws BundleFault. */
 export function loadInWorker(
@@ -22,7 +23,7 @@ export function loadInWorker(
     });
     worker.onerror = (event) => {
       end();
-      reject(new BundleFault("bundle.failed", event.message || "the reader failed", "reload the page"));
+      reject(new BundleFault("bundle.failed", event.message || bundleFaults.reader, bundleFaults.reload));
     };
     worker.onmessage = ({ data }: MessageEvent<BundleAnswer>) => {
       if (data.kind === "loaded") {

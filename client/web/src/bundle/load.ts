@@ -9,6 +9,7 @@ import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.j
 import { type BundleOrigin, openSource } from "./source.js";
 import { type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** A file of the bundle, as it is. */
 export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };
@@ -72,11 +73,7 @@ export async function loadBundle(
   const { manifest, read } = await openBundle(await openSource(origin));
   const stated = manifest.transport;
   if (stated === undefined) {
-    throw new BundleFault(
-      "bundle.transport_missing",
-      "this bundle has no baked light transport",
-      "export it again with a version from 1.1 on",
-    );
+    throw new BundleFault("bundle.transport_missing", ...bundleFaults.noTransport());
   }
   const paths = new Set(manifest.files.map((file) => file.path));
   const sizes = new Map(manifest.files.map((file) => [file.path, file.sizeBytes]));
@@ -149,7 +146,7 @@ async function maskOf(png: Uint8Array<ArrayBuffer>, decode: Decode): Promise<Ima
   try {
     return await decode(png);
   } catch {
-    throw exportAgain("bundle.mesh_invalid", "mesh/unseen.png cannot be decoded");
+    throw exportAgain("bundle.mesh_invalid", bundleFaults.unseenDamaged);
   }
 }
 
@@ -164,7 +161,7 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     if (width !== stated || height !== stated) {
       throw exportAgain(
         "bundle.mesh_invalid",
-        `mesh/asset.glb has a texture of ${width} x ${height} texels, but the manifest states ${stated} a side`,
+        bundleFaults.mesh(bundleFaults.textureSize(width, height, stated)),
       );
     }
   }
@@ -176,6 +173,6 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     ]);
     return { albedo, packed, normal };
   } catch {
-    throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb has a texture that cannot be decoded");
+    throw exportAgain("bundle.mesh_invalid", bundleFaults.mesh(bundleFaults.textureDamaged));
   }
 }

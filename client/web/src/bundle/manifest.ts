@@ -5,6 +5,7 @@ import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_p
 import { BundleFault, exportAgain, fetchAgain, unsafe } from "./fault.js";
 import { sha256Hex } from "./sha256.js";
 import type { FileSource } from "./source.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 const manifestLimit = 16 << 20;
 const fileLimit = 512 << 20;
@@ -33,10 +34,10 @@ export async function openBundle(source: FileSource): Promise<OpenBundle> {
   const files = new Map(manifest.files.map((file) => [file.path, file]));
   const read = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
     const stated = files.get(path);
-    if (stated === undefined) throw exportAgain("bundle.file_missing", `"${path}" is not in files`);
+    if (stated === undefined) throw exportAgain("bundle.file_missing", bundleFaults.unlisted(path));
     const data = await source.read(path, fileLimit);
     if (data.length !== stated.sizeBytes || (await sha256Hex(data)) !== stated.sha256) {
-      throw fetchAgain("bundle.digest_mismatch", `"${path}" is not the file the manifest describes`);
+      throw fetchAgain("bundle.digest_mismatch", bundleFaults.otherFile(path));
     }
     return data;
   };
@@ -48,8 +49,8 @@ function parseManifest(data: Uint8Array): BundleManifest {
     const text = new TextDecoder("utf-8", { fatal: true }).decode(data);
     return fromJsonString(BundleManifestSchema, text, { ignoreUnknownFields: true });
   } catch (error) {
-    const reason = error instanceof Error ? error.message.split("\n")[0]!.slice(0, 200) : "no text";
-    throw fetchAgain("bundle.manifest_unreadable", `manifest.json cannot be read (${reason})`);
+    const reason = error instanceof Error ? error.message.split("\n")[0]!.slice(0, 200) : bundleFaults.noText;
+    throw fetchAgain("bundle.manifest_unreadable", bundleFaults.manifestUnreadable(reason));
   }
 }
 
@@ -58,8 +59,7 @@ function checkVersion(manifest: BundleManifest): void {
   if (match?.[1] !== "1") {
     throw new BundleFault(
       "bundle.version_unknown",
-      `schema_version is "${manifest.schemaVersion.slice(0, 32)}", this viewer knows 1.x`,
-      "open it with a newer Lambent, or export it with a matching one",
+      ...bundleFaults.unknownVersion(manifest.schemaVersion.slice(0, 32)),
     );
   }
 }
@@ -69,30 +69,29 @@ export function checkPath(path: string): void {
   const parts = path.split("/");
   const plain = parts.every((part) => part !== "" && part !== "." && part !== "..");
   if (!plain || /[\\:\0]/.test(path) || path.length > 1024) {
-    throw unsafe("bundle.path_unsafe", `the path "${path.slice(0, 200)}" leaves the bundle`);
+    throw unsafe("bundle.path_unsafe", bundleFaults.leavesBundle(path.slice(0, 200)));
   }
 }
 
 function checkFiles(manifest: BundleManifest, present: ReadonlySet<string> | null): void {
   const stated = new Set(manifest.files.map((file) => file.path));
   if (manifest.files.length > 4096) {
-    throw unsafe("bundle.too_many_files", "more than 4096 files");
+    throw unsafe("bundle.too_many_files", bundleFaults.tooManyFiles(4096));
   }
   for (const path of stated) checkPath(path);
   if (stated.size !== manifest.files.length)
-    throw exportAgain("bundle.manifest_invalid", "a file is listed twice");
+    throw exportAgain("bundle.manifest_invalid", bundleFaults.listedTwice);
   if (present === null) return;
   for (const path of present) checkPath(path);
   const missing = [...stated].filter((path) => !present.has(path));
   const extra = [...present].filter((path) => path !== "manifest.json" && !stated.has(path));
   if (missing.length > 0) {
-    throw fetchAgain("bundle.file_missing", `${missing.slice(0, 4).join(", ")} are not there`);
+    throw fetchAgain("bundle.file_missing", bundleFaults.filesMissing(missing.slice(0, 4).join(", ")));
   }
   if (extra.length > 0) {
     throw new BundleFault(
       "bundle.file_unlisted",
-      `${extra.slice(0, 4).join(", ")} are not in the manifest`,
-      "remove them",
+      ...bundleFaults.filesUnlisted(extra.slice(0, 4).join(", ")),
     );
   }
 }
@@ -103,31 +102,24 @@ function checkValues(manifest: BundleManifest): void {
     if (found !== expected) {
       throw new BundleFault(
         "bundle.convention_unknown",
-        `world.${name} is "${found.slice(0, 64)}", this viewer knows "${expected}"`,
-        "export the bundle with the conventions of docs/reference/conventions.md",
+        ...bundleFaults.convention(name, found.slice(0, 64), expected),
       );
     }
   }
   const [low, high] = [manifest.bounds?.minimum ?? [], manifest.bounds?.maximum ?? []];
   const ordered = low.every((value, axis) => Number.isFinite(value) && value < high[axis]!);
   if (low.length !== 3 || high.length !== 3 || !ordered || !high.every(Number.isFinite)) {
-    throw exportAgain(
-      "bundle.manifest_invalid",
-      "bounds needs three minimum values below three maximum values",
-    );
+    throw exportAgain("bundle.manifest_invalid", bundleFaults.bounds);
   }
   const scale = manifest.albedoScaleRgb;
   if (scale.length !== 3 || !scale.every((value) => value > 0 && Number.isFinite(value))) {
-    throw exportAgain("bundle.manifest_invalid", "albedo_scale_rgb needs three positive numbers");
+    throw exportAgain("bundle.manifest_invalid", bundleFaults.albedoScale);
   }
   const atlas = manifest.atlas;
   if (atlas !== undefined && atlas.albedoSource !== "") {
     const sizes = [atlas.size, atlas.materialSize].every((size) => size >= 1 && size <= maxAtlasSize);
     if (!(sizes && atlas.texelSize > 0 && Number.isFinite(atlas.texelSize))) {
-      throw exportAgain(
-        "bundle.manifest_invalid",
-        `atlas needs a positive texel_size and sizes of 1 to ${maxAtlasSize} texels`,
-      );
+      throw exportAgain("bundle.manifest_invalid", bundleFaults.atlas(maxAtlasSize));
     }
   }
 }

@@ -2,6 +2,7 @@
 
 import { type BundleFault, exportAgain } from "./fault.js";
 import { maxAtlasSize } from "./manifest.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** Triangles with a place in the atlas; positions are the world's, z up. */
 export type AtlasMesh = {
@@ -25,7 +26,7 @@ const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3:
 const itemBytes: Readonly<Record<number, 1 | 2 | 4>> = { 5121: 1, 5123: 2, 5125: 4, 5126: 4 };
 
 function invalid(what: string): BundleFault {
-  return exportAgain("bundle.mesh_invalid", `mesh/asset.glb ${what}`);
+  return exportAgain("bundle.mesh_invalid", bundleFaults.mesh(what));
 }
 
 /** Return the first primitive of a binary glTF file; throws BundleFault for one that cannot be used. */
@@ -37,27 +38,26 @@ export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
   const places = accessor(document, payload, attributes.TEXCOORD_0, "VEC2");
   const found = accessor(document, payload, primitive.indices, "SCALAR");
   if ((primitive.mode ?? 4) !== 4 || found.length % 3 !== 0 || found instanceof Float32Array) {
-    throw invalid("is not made of triangles");
+    throw invalid(bundleFaults.notTriangles);
   }
   const numVertices = positions.length / 3;
   if (!(positions instanceof Float32Array) || places.length !== 2 * numVertices) {
-    throw invalid("has other texture coordinates than positions");
+    throw invalid(bundleFaults.coordinateCount);
   }
   const largest = places instanceof Float32Array ? 1 : 2 ** (8 * places.BYTES_PER_ELEMENT) - 1;
   const uv = Float32Array.from(places, (value) => value / largest);
   if (!positions.every(Number.isFinite) || !uv.every((value) => value >= 0 && value <= 1)) {
-    throw invalid("has coordinates out of range");
+    throw invalid(bundleFaults.coordinateRange);
   }
   const indices = Uint32Array.from(found);
   if (numVertices === 0 || indices.length === 0 || !indices.every((index) => index < numVertices)) {
-    throw invalid("refers to vertices that are not there");
+    throw invalid(bundleFaults.noSuchVertex);
   }
   const shading = (slot: unknown, kind: string): Float32Array<ArrayBuffer> | null => {
     if (slot === undefined) return null;
     const values = accessor(document, payload, slot, kind);
     const fits = values instanceof Float32Array && values.length === components[kind]! * numVertices;
-    if (!fits || !values.every(Number.isFinite))
-      throw invalid("has normals or tangents that do not fit its positions");
+    if (!fits || !values.every(Number.isFinite)) throw invalid(bundleFaults.shadingCount);
     return new Float32Array(values);
   };
   const normalsXyz = shading(attributes.NORMAL, "VEC3");
@@ -99,7 +99,7 @@ export function texturesFromGlb(data: Uint8Array<ArrayBuffer>): TextureFiles {
     const view = object(list(document.bufferViews)[whole(image.bufferView)]);
     const start = whole(view.byteOffset ?? 0);
     const end = start + whole(view.byteLength);
-    if (end > payload.length) throw invalid("has a texture that leaves the file");
+    if (end > payload.length) throw invalid(bundleFaults.textureLeaves);
     return sizedPng(payload.slice(start, end));
   };
   return {
@@ -112,11 +112,11 @@ export function texturesFromGlb(data: Uint8Array<ArrayBuffer>): TextureFiles {
 /** Return a PNG file with the size of its header (PNG specification, 11.2.2: IHDR is the first chunk). */
 function sizedPng(data: Uint8Array<ArrayBuffer>): PngFile {
   if (data.length < 33 || pngStart.some((byte, index) => data[index] !== byte))
-    throw invalid("has a texture that is no PNG");
+    throw invalid(bundleFaults.textureNotPng);
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   const [width, height] = [view.getUint32(16), view.getUint32(20)];
   if (Math.max(width, height) > maxAtlasSize)
-    throw invalid(`has a texture of ${width} x ${height} texels, more than ${maxAtlasSize} a side`);
+    throw invalid(bundleFaults.textureTooLarge(width, height, maxAtlasSize));
   return { data, width, height };
 }
 
@@ -133,37 +133,37 @@ export function boundsOf(positionsXyz: Float32Array): { boundsMin: number[]; bou
 
 function object(value: unknown): Json {
   if (typeof value !== "object" || value === null || Array.isArray(value))
-    throw invalid("cannot be read as glTF");
+    throw invalid(bundleFaults.notGltf);
   return value as Json;
 }
 
 function list(value: unknown): readonly unknown[] {
-  if (!Array.isArray(value)) throw invalid("cannot be read as glTF");
+  if (!Array.isArray(value)) throw invalid(bundleFaults.notGltf);
   return value;
 }
 
 function whole(value: unknown): number {
   if (typeof value !== "number" || !Number.isSafeInteger(value) || value < 0)
-    throw invalid("has a size that is no size");
+    throw invalid(bundleFaults.badCount);
   return value;
 }
 
 function chunks(data: Uint8Array<ArrayBuffer>): { document: Json; payload: Uint8Array<ArrayBuffer> } {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   if (data.length < 28 || view.getUint32(0, true) !== 0x46546c67 || view.getUint32(4, true) !== 2) {
-    throw invalid("is not a GLB of version 2");
+    throw invalid(bundleFaults.notGlb);
   }
   const length = view.getUint32(12, true);
   const start = 20 + length;
-  if (view.getUint32(16, true) !== 0x4e4f534a || start + 8 > data.length) throw invalid("has no JSON chunk");
+  if (view.getUint32(16, true) !== 0x4e4f534a || start + 8 > data.length) throw invalid(bundleFaults.noJson);
   const end = start + 8 + view.getUint32(start, true);
   if (view.getUint32(start + 4, true) !== 0x004e4942 || end > data.length)
-    throw invalid("has no binary chunk");
+    throw invalid(bundleFaults.noBinary);
   try {
     const document = object(JSON.parse(new TextDecoder().decode(data.subarray(20, start))));
     return { document, payload: data.slice(start + 8, end) };
   } catch {
-    throw invalid("cannot be read as glTF");
+    throw invalid(bundleFaults.notGltf);
   }
 }
 
@@ -174,13 +174,13 @@ function accessor(document: Json, payload: Uint8Array<ArrayBuffer>, index: unkno
   const size = itemBytes[type];
   const width = components[kind]!;
   if (stated.type !== kind || "sparse" in stated || (view.buffer ?? 0) !== 0 || size === undefined) {
-    throw invalid("has an accessor of another form");
+    throw invalid(bundleFaults.accessorForm);
   }
   const count = whole(stated.count);
   const stride = whole(view.byteStride ?? size * width);
   const start = whole(view.byteOffset ?? 0) + whole(stated.byteOffset ?? 0);
   if (stride < size * width || (count > 0 && start + (count - 1) * stride + size * width > payload.length)) {
-    throw invalid("has an accessor that leaves the file");
+    throw invalid(bundleFaults.accessorLeaves);
   }
   const packed = new Uint8Array(count * size * width);
   for (let row = 0; row < count; row++) {

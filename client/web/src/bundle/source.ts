@@ -3,6 +3,7 @@
 import { refusal, silence } from "./answers.js";
 import { BundleFault, fetchAgain, unsafe } from "./fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
 
@@ -29,7 +30,7 @@ export async function openSource(origin: BundleOrigin): Promise<FileSource> {
 }
 
 function tooLarge(path: string, limitBytes: number): BundleFault {
-  return unsafe("bundle.too_large", `"${path}" is above ${limitBytes} bytes`);
+  return unsafe("bundle.too_large", bundleFaults.tooLarge(path, limitBytes));
 }
 
 /** Return the secret of a share link behind an address, or null; it goes to our server's files only, in a header. */
@@ -86,7 +87,7 @@ async function remoteArchive(url: URL): Promise<FileSource> {
       if (length === 0) return new Uint8Array(0);
       const response = await request(url, { range: `bytes=${start}-${start + length - 1}` });
       if (response.status !== 206) {
-        throw new BundleFault("bundle.archive_damaged", `${url.href} stopped answering`, "try again");
+        throw new BundleFault("bundle.archive_damaged", ...bundleFaults.rangesEnded(url.href));
       }
       return new Uint8Array(await response.arrayBuffer());
     };
@@ -94,7 +95,7 @@ async function remoteArchive(url: URL): Promise<FileSource> {
   }
   if (!probe.ok) {
     if (probe.status !== 404) throw refusal(probe.status, url.pathname, url);
-    throw new BundleFault("bundle.missing", `nothing is at ${url.href} (404)`, "check the address");
+    throw new BundleFault("bundle.missing", ...bundleFaults.nothingAt(url.href));
   }
   return zipSource(await ZipArchive.ofFile(await probe.blob()));
 }
@@ -112,9 +113,8 @@ function zipSource(archive: ZipArchive): FileSource {
 }
 
 function missing(path: string): BundleFault {
-  if (path !== "manifest.json") return fetchAgain("bundle.file_missing", `"${path}" is not there`);
-  const advice = "drop the folder that holds it, or a .relight.zip";
-  return new BundleFault("bundle.manifest_missing", "there is no manifest.json", advice);
+  if (path !== "manifest.json") return fetchAgain("bundle.file_missing", bundleFaults.missing(path));
+  return new BundleFault("bundle.manifest_missing", ...bundleFaults.manifestMissing());
 }
 
 /** Files of a folder that was dropped; the folder that holds manifest.json is the bundle. */

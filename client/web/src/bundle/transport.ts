@@ -10,6 +10,7 @@ import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bu
 import { type BundleFault, exportAgain } from "./fault.js";
 import { maxAtlasSize } from "./manifest.js";
 import { blocksAround, spreadTexels } from "./texels.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** Columns of all tables. */
 export const tableWidth = 1024;
@@ -54,7 +55,7 @@ type Reader = (path: string) => Promise<Uint8Array<ArrayBuffer>>;
 const sets = { direct: [1, 9], visibility: [1, 9], indirect: [3, 9], material: [8, 1] } as const;
 
 function invalid(what: string): BundleFault {
-  return exportAgain("bundle.transport_invalid", `the transport ${what}`);
+  return exportAgain("bundle.transport_invalid", bundleFaults.transport(what));
 }
 
 /** Return the number of rows of a table of `count` texels. */
@@ -65,19 +66,19 @@ export function tableRows(count: number): number {
 /** Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first. */
 export async function readTransport(stated: Transport, read: Reader): Promise<PackedTransport> {
   const { size } = stated;
-  if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(`has an atlas of ${size} texels along a side`);
+  if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(bundleFaults.atlasSize(size));
   const texelIndex = coveredTexels(await read(stated.texelsPath), size);
   const numTexels = texelIndex.length;
   if (numTexels !== stated.numTexels || numTexels === 0) {
-    throw invalid(`covers ${numTexels} texels, the manifest states ${stated.numTexels}`);
+    throw invalid(bundleFaults.covers(numTexels, stated.numTexels));
   }
   const { numCoarse, coarseOfTexel } = coarseTexels(texelIndex, size);
   const load = async (name: keyof typeof sets): Promise<PlaneTable> => {
     const planes = stated.planes.find((each) => each.name === name);
-    if (planes === undefined) throw invalid(`has no planes "${name}"`);
+    if (planes === undefined) throw invalid(bundleFaults.noPlanes(name));
     const [channels, most] = sets[name];
     if (planes.channels !== channels || !(planes.bands >= 1 && planes.bands <= most)) {
-      throw invalid(`has "${name}" in ${planes.bands} bands and ${planes.channels} channels`);
+      throw invalid(bundleFaults.planes(name, planes.bands, planes.channels));
     }
     return packPlanes(planes, await read(planes.path), name === "indirect" ? numCoarse : numTexels);
   };
@@ -87,9 +88,9 @@ export async function readTransport(stated: Transport, read: Reader): Promise<Pa
     load("indirect"),
     load("material"),
   ]);
-  if (indirect.bands > direct.bands) throw invalid("has more bands of indirect than of direct transfer");
+  if (indirect.bands > direct.bands) throw invalid(bundleFaults.moreIndirect);
   if (stated.shadowBitsPath !== "" && stated.numShadowDirections !== numShadowDirections) {
-    throw invalid(`has ${stated.numShadowDirections} shadow directions`);
+    throw invalid(bundleFaults.shadowDirections(stated.numShadowDirections));
   }
   const texelPlane = spreadTexels(texelIndex, size);
   return {
@@ -120,7 +121,7 @@ export async function withShadowBits(
 /** Return the places of covered texels, rising, from one bit per place, lowest first. */
 function coveredTexels(mask: Uint8Array, size: number): Uint32Array {
   if (mask.length !== Math.ceil((size * size) / 8)) {
-    throw invalid(`has ${mask.length} bytes of mask for ${size} x ${size} texels`);
+    throw invalid(bundleFaults.maskBytes(mask.length, size));
   }
   const found = new Uint32Array(size * size);
   let count = 0;
@@ -158,12 +159,14 @@ function packPlanes(stated: TransportPlanes, data: Uint8Array<ArrayBuffer>, numT
     data.length !== count * numTexels
   ) {
     throw invalid(
-      `"${stated.path.slice(0, 200)}" has ${data.length} bytes and ${stated.scales.length} scales ` +
-        `for ${count} planes of ${numTexels} texels`,
+      bundleFaults.planeBytes(
+        stated.path.slice(0, 200),
+        ...([data.length, stated.scales.length, count, numTexels] as const),
+      ),
     );
   }
   if (![...stated.scales, ...stated.offsets].every(Number.isFinite)) {
-    throw invalid(`"${stated.path.slice(0, 200)}" has a scale that is not finite`);
+    throw invalid(bundleFaults.scaleNotFinite(stated.path.slice(0, 200)));
   }
   const layers = Math.ceil(count / 4);
   const rows = tableRows(numTexels);
@@ -183,7 +186,7 @@ function packPlanes(stated: TransportPlanes, data: Uint8Array<ArrayBuffer>, numT
 
 function packShadowBits(data: Uint8Array<ArrayBuffer>, numTexels: number): Uint32Array<ArrayBuffer> {
   if (data.length !== (numTexels * numShadowDirections) / 8)
-    throw invalid(`has ${data.length} bytes of shadows`);
+    throw invalid(bundleFaults.shadowBytes(data.length));
   const words = new Uint32Array(data.buffer.slice(data.byteOffset, data.byteOffset + data.length));
   const layer = 4 * tableWidth * tableRows(numTexels);
   const packed = new Uint32Array(2 * layer);

@@ -2,6 +2,7 @@
 
 import type { Uncertainty } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { exportAgain, type BundleFault } from "./fault.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** One channel of the grid, x fastest. */
 export type UncertaintyGrid = {
@@ -16,32 +17,31 @@ export type UncertaintyGrid = {
 const magic = [0x93, 0x4e, 0x55, 0x4d, 0x50, 0x59, 1, 0];
 
 function invalid(what: string): BundleFault {
-  return exportAgain("bundle.uncertainty_invalid", `the uncertainty grid ${what}`);
+  return exportAgain("bundle.uncertainty_invalid", bundleFaults.uncertainty(what));
 }
 
 /** Return the channel "albedo" of the grid in `data`. */
 export function readUncertainty(stated: Uncertainty, data: Uint8Array<ArrayBuffer>): UncertaintyGrid {
-  if (!magic.every((byte, index) => data[index] === byte)) throw invalid("cannot be read as NPY");
+  if (!magic.every((byte, index) => data[index] === byte)) throw invalid(bundleFaults.notNpy);
   const start = 10 + (data[8]! | (data[9]! << 8));
   const text = new TextDecoder("latin1").decode(data.subarray(10, start));
   const shape = /'shape': \((\d+), (\d+), (\d+), (\d+)\)/.exec(text)?.slice(1).map(Number);
   const channel = stated.channels.indexOf("albedo");
   if (!text.includes("'<f2'") || !text.includes("'fortran_order': False") || shape === undefined) {
-    throw invalid("is not float16 [x, y, z, channel]");
+    throw invalid(bundleFaults.notGrid);
   }
   const [x, y, z, channels] = shape as [number, number, number, number];
   if (channels !== stated.channels.length || Math.min(x, y, z) < 1 || Math.max(x, y, z) > 256) {
-    throw invalid(`has the shape ${shape.join(" x ")}`);
+    throw invalid(bundleFaults.gridShape(shape.join(" x ")));
   }
-  if (channel < 0) throw invalid('has no channel "albedo"');
-  if (data.length - start !== 2 * x * y * z * channels)
-    throw invalid("has another length than its header says");
+  if (channel < 0) throw invalid(bundleFaults.noAlbedo);
+  if (data.length - start !== 2 * x * y * z * channels) throw invalid(bundleFaults.gridLength);
   const [low, high] = [stated.box?.minimum ?? [], stated.box?.maximum ?? []];
   if (low.length !== 3 || high.length !== 3 || !low.every((value, axis) => value < high[axis]!)) {
-    throw invalid("fills a box without a size");
+    throw invalid(bundleFaults.gridBox);
   }
   const values = new Uint16Array(data.slice(start).buffer);
-  if (values.some((half) => (half & 0x7c00) === 0x7c00)) throw invalid("holds values that are not finite");
+  if (values.some((half) => (half & 0x7c00) === 0x7c00)) throw invalid(bundleFaults.gridNotFinite);
   const albedoHalf = new Uint16Array(x * y * z);
   for (let i = 0, from = channel; i < x; i++) {
     for (let j = 0; j < y; j++) {

@@ -2,6 +2,7 @@
 
 import { inflated } from "../page/inflate.js";
 import { BundleFault, unsafe } from "./fault.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /** Some bytes of a file; `start` may be negative, counted from the end. */
 export type RangeReader = (start: number, length: number) => Promise<Uint8Array<ArrayBuffer>>;
@@ -19,7 +20,7 @@ const fileMark = 0x04034b50;
 const maxFiles = 4096;
 
 function damaged(what: string): BundleFault {
-  return new BundleFault("bundle.archive_damaged", `the zip archive ${what}`, "fetch it again");
+  return new BundleFault("bundle.archive_damaged", bundleFaults.archive(what), bundleFaults.downloadAgain);
 }
 
 /** An archive whose directory has been read. */
@@ -43,15 +44,15 @@ export class ZipArchive {
     const view = new DataView(tail.buffer, tail.byteOffset, tail.byteLength);
     let end = tail.length - 22;
     while (end >= 0 && view.getUint32(end, true) !== endMark) end--;
-    if (end < 0) throw damaged("has no directory");
+    if (end < 0) throw damaged(bundleFaults.noDirectory);
     const count = view.getUint16(end + 10, true);
     const length = view.getUint32(end + 12, true);
     const start = view.getUint32(end + 16, true);
     if (count === 0xffff || start === 0xffffffff || start + length > totalBytes) {
-      throw damaged("is of the large kind or ends early");
+      throw damaged(bundleFaults.largeOrCut);
     }
     if (count > maxFiles) {
-      throw unsafe("bundle.too_many_files", `more than ${maxFiles} files`);
+      throw unsafe("bundle.too_many_files", bundleFaults.tooManyFiles(maxFiles));
     }
     const directory = await read(start, length);
     return new ZipArchive(parseDirectory(directory, count), read);
@@ -60,18 +61,18 @@ export class ZipArchive {
   /** Return the bytes of a file of the archive. */
   async file(name: string): Promise<Uint8Array<ArrayBuffer>> {
     const entry = this.entries.get(name);
-    if (entry === undefined) throw damaged(`has no "${name}"`);
+    if (entry === undefined) throw damaged(bundleFaults.noEntry(name));
     const head = await this.read(entry.offset, 30);
     const view = new DataView(head.buffer, head.byteOffset, head.byteLength);
-    if (head.length < 30 || view.getUint32(0, true) !== fileMark) throw damaged(`is damaged at "${name}"`);
+    if (head.length < 30 || view.getUint32(0, true) !== fileMark) throw damaged(bundleFaults.damagedAt(name));
     const start = entry.offset + 30 + view.getUint16(26, true) + view.getUint16(28, true);
     const packed = await this.read(start, entry.packedBytes);
-    if (packed.length !== entry.packedBytes) throw damaged(`ends early in "${name}"`);
+    if (packed.length !== entry.packedBytes) throw damaged(bundleFaults.endsIn(name));
     if (entry.method === 0) return packed;
     const found = await inflated(packed, "deflate-raw", entry.sizeBytes);
-    if (found === null) throw damaged(`cannot be unpacked at "${name}"`);
-    if (found.length > entry.sizeBytes) throw damaged(`holds more in "${name}" than it states`);
-    if (found.length < entry.sizeBytes) throw damaged(`holds less in "${name}" than it states`);
+    if (found === null) throw damaged(bundleFaults.packedAt(name));
+    if (found.length > entry.sizeBytes) throw damaged(bundleFaults.holdsMore(name));
+    if (found.length < entry.sizeBytes) throw damaged(bundleFaults.holdsLess(name));
     return found.bytes;
   }
 }
@@ -82,7 +83,7 @@ function parseDirectory(directory: Uint8Array, count: number): Map<string, Entry
   let place = 0;
   for (let index = 0; index < count; index++) {
     if (place + 46 > directory.length || view.getUint32(place, true) !== entryMark) {
-      throw damaged("has a damaged directory");
+      throw damaged(bundleFaults.directoryDamaged);
     }
     const flags = view.getUint16(place + 8, true);
     const nameLength = view.getUint16(place + 28, true);
@@ -97,17 +98,12 @@ function parseDirectory(directory: Uint8Array, count: number): Map<string, Entry
     };
     place += 46 + nameLength + rest;
     if (name.endsWith("/")) continue;
-    if (flags & 1)
-      throw new BundleFault("bundle.encrypted", `"${name}" is encrypted`, "store the bundle unencrypted");
+    if (flags & 1) throw new BundleFault("bundle.encrypted", ...bundleFaults.encrypted(name));
     if (kind !== 0 && kind !== 8) {
-      throw new BundleFault(
-        "bundle.not_a_plain_file",
-        `"${name}" is a link or a device`,
-        "replace it by the file",
-      );
+      throw new BundleFault("bundle.not_a_plain_file", ...bundleFaults.notPlain(name));
     }
-    if (entry.method !== 0 && entry.method !== 8) throw damaged(`packs "${name}" in an unknown way`);
-    if (entries.has(name)) throw damaged(`holds "${name}" twice`);
+    if (entry.method !== 0 && entry.method !== 8) throw damaged(bundleFaults.unknownPacking(name));
+    if (entries.has(name)) throw damaged(bundleFaults.holdsTwice(name));
     entries.set(name, entry);
   }
   return entries;

@@ -1,25 +1,22 @@
 /** The dialog that makes films; loaded when it is first opened. */
 
+import { formatSize } from "../page/format.js";
 import { button, check, choice, type Field, make } from "../viewer/fields.js";
 import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { codecFor, codecNames } from "./encoder.js";
 import { makeFilm } from "./film.js";
-import { defaultPlan, type FilmFormat, type FilmPlan, frameCount, type Motion, planned } from "./plan.js";
+import { defaultPlan, type FilmFormat, type FilmPlan, frameCount, motions, planned } from "./plan.js";
+import { texts } from "../words/words.js";
 
 const sizes = {
-  "1080p": ["1920 × 1080 (1080p)", 1920, 1080],
-  "720p": ["1280 × 720 (720p)", 1280, 720],
-  square: ["1080 × 1080 (square)", 1080, 1080],
-  custom: ["Another size", 0, 0],
+  "1080p": [1920, 1080],
+  "720p": [1280, 720],
+  square: [1080, 1080],
+  custom: [0, 0],
 } as const;
 type SizeName = keyof typeof sizes;
 
-const motionTexts: readonly (readonly [Motion, string])[] = [
-  ["turntable", "The camera goes around"],
-  ["light", "The light goes around"],
-  ["both", "Both, opposite ways"],
-];
 const formatTexts: Readonly<Record<FilmFormat, string>> = { mp4: "MP4", webm: "WebM" };
 
 /** Return the dialog of a viewer. */
@@ -28,8 +25,8 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
   let size: SizeName = "1080p";
   let running: AbortController | null = null;
   const news = make("p", { className: "hint", role: "status" });
-  const bar = make("progress", { hidden: true, ariaLabel: "Frames made" });
-  const preview = make("canvas", { hidden: true, ariaLabel: "The last frame" });
+  const bar = make("progress", { hidden: true, ariaLabel: texts.film.framesMade });
+  const preview = make("canvas", { hidden: true, ariaLabel: texts.film.lastFrame });
   const codecs = new Map<FilmFormat, string>();
   const followers: (() => void)[] = [];
   const follow = <T>(field: Field<T>, value: () => T): HTMLElement => {
@@ -49,7 +46,7 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     return make("label", {}, label, entry);
   };
   const formats = choice(
-    "Format",
+    texts.film.format,
     () =>
       (Object.keys(formatTexts) as FilmFormat[]).map(
         (format) => [format, `${formatTexts[format]}${codecs.get(format) ?? ""}`] as const,
@@ -57,45 +54,45 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     (format) => change({ format }),
   );
   const sizeList = choice(
-    "Size",
-    () => (Object.keys(sizes) as SizeName[]).map((name) => [name, sizes[name][0]] as const),
+    texts.film.size,
+    () => (Object.keys(sizes) as SizeName[]).map((name) => [name, texts.film.sizes[name]] as const),
     (name) => {
       size = name;
-      const [, width, height] = sizes[name];
+      const [width, height] = sizes[name];
       change(name === "custom" ? {} : { width, height });
     },
   );
-  const ownSize = [number("Width", "width", "2"), number("Height", "height", "2")];
+  const ownSize = [number(texts.film.width, "width", "2"), number(texts.film.height, "height", "2")];
   const fields = make(
     "fieldset",
     { className: "fields" },
     follow(
       choice(
-        "Motion",
-        () => motionTexts,
+        texts.film.motion,
+        () => motions.map((motion) => [motion, texts.film.motions[motion]] as const),
         (motion) => change({ motion }),
       ),
       () => plan.motion,
     ),
     follow(sizeList, () => size),
     ...ownSize,
-    number("Seconds", "seconds", "0.1"),
-    number("Frames per second", "framesPerSecond", "1"),
+    number(texts.film.seconds, "seconds", "0.1"),
+    number(texts.film.framesPerSecond, "framesPerSecond", "1"),
     follow(formats, () => plan.format),
     follow(
-      check("Seamless when repeated", (loop) => change({ loop })),
+      check(texts.film.loop, (loop) => change({ loop })),
       () => plan.loop,
     ),
   );
-  const start = make("button", { type: "submit", textContent: "Make the film" });
-  const close = button("Close", () => {
+  const start = make("button", { type: "submit", textContent: texts.film.make });
+  const close = button(texts.page.close, () => {
     if (running === null) element.close();
     else running.abort(new DOMException("the film was cancelled", "AbortError"));
   });
   const form = make("form", { method: "dialog", noValidate: true }, fields, preview, bar, news);
   form.append(make("div", { className: "buttons" }, close, start));
-  const element = make("dialog", { className: "work" }, make("h2", { textContent: "Make a film" }), form);
-  element.setAttribute("aria-label", "Make a film");
+  const element = make("dialog", { className: "work" }, make("h2", { textContent: texts.film.title }), form);
+  element.setAttribute("aria-label", texts.film.title);
 
   const say = (text: string, problem = false): void => {
     news.textContent = text;
@@ -106,8 +103,8 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     try {
       const count = frameCount(planned(plan));
       const bare = viewer.state.look.background === "transparent";
-      const behind = bare ? ", on the background colour, because films are opaque" : "";
-      say(`${count} ${count === 1 ? "frame" : "frames"}${behind}.`);
+      const behind = bare ? texts.film.opaque : "";
+      say(`${texts.film.frames(count)}${behind}.`);
       start.disabled = false;
     } catch (error) {
       say(textOf(error), true);
@@ -119,7 +116,7 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     for (const format of Object.keys(formatTexts) as FilmFormat[]) {
       const text = await codecFor(format, { width, height, framesPerSecond }).then(
         (codec) => ` (${codecNames[codec]})`,
-        () => " (not in this browser at this size)",
+        () => texts.film.noCodec,
       );
       codecs.set(format, text);
     }
@@ -136,12 +133,12 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     fields.disabled = on;
     start.disabled = on;
     bar.hidden = !on;
-    close.textContent = on ? "Cancel" : "Close";
+    close.textContent = on ? texts.page.cancel : texts.page.close;
   };
   const onFrame = (made: number, count: number, rgba: Uint8ClampedArray<ArrayBuffer>): void => {
     bar.max = count;
     bar.value = made;
-    say(`Frame ${made} of ${count}`);
+    say(texts.film.frame(made, count));
     preview.hidden = false;
     if (preview.width !== plan.width || preview.height !== plan.height) {
       Object.assign(preview, { width: plan.width, height: plan.height });
@@ -151,13 +148,13 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
   const work = async (): Promise<void> => {
     running = new AbortController();
     busy(true);
-    say("Beginning…");
+    say(texts.film.starting);
     try {
       const film = await makeFilm(viewer, plan, { signal: running.signal, onFrame });
       download(film, `${viewer.bundle?.name ?? "lambent"}-${plan.motion}.${plan.format}`);
-      say(`Saved: ${frameCount(plan)} frames, ${(film.size / 1e6).toFixed(1)} MB.`);
+      say(texts.film.saved(texts.film.frames(frameCount(plan)), formatSize(film.size)));
     } catch (error) {
-      if (running.signal.aborted) say("Cancelled; nothing was saved.");
+      if (running.signal.aborted) say(texts.film.cancelled);
       else say(textOf(error), true);
     } finally {
       running = null;

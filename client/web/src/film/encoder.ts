@@ -13,6 +13,7 @@ import {
 } from "mediabunny";
 import { Fault } from "../page/fault.js";
 import type { FilmFormat, FilmPlan } from "./plan.js";
+import { texts } from "../words/words.js";
 
 /** Codecs of a format, the one that most players know first. */
 const codecs: Readonly<Record<FilmFormat, readonly VideoCodec[]>> = {
@@ -39,21 +40,13 @@ type Size = Pick<FilmPlan, "width" | "height" | "framesPerSecond">;
  */
 export async function codecFor(format: FilmFormat, size: Size): Promise<VideoCodec> {
   if (typeof VideoEncoder === "undefined") {
-    throw new Fault(
-      "film.unsupported",
-      "this page cannot encode films in this browser",
-      "open the page over https or from this computer, with a browser that has WebCodecs",
-    );
+    throw new Fault("film.unsupported", ...texts.film.noEncoder());
   }
   const { width, height, framesPerSecond: frameRate } = size;
   for (const codec of codecs[format]) {
     if (await canEncodeVideo(codec, { width, height, frameRate, quality })) return codec;
   }
-  throw new Fault(
-    "film.unsupported",
-    `this browser encodes no ${format} of ${width} x ${height}`,
-    "choose a smaller size or another format",
-  );
+  throw new Fault("film.unsupported", ...texts.film.notEncoded(format, width, height));
 }
 
 /** A film being written. */

@@ -4,6 +4,7 @@ import { Fault } from "../page/fault.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { beginFilm } from "./encoder.js";
 import { type FilmPlan, frameCount, momentAt, momentOf, planned } from "./plan.js";
+import { texts } from "../words/words.js";
 
 /** How a film is made, besides what it shows. */
 export type FilmCallbacks = {
@@ -51,8 +52,7 @@ export async function makeFilm(
   } catch (error) {
     await writer.cancel();
     if (error instanceof DOMException && error !== signal?.reason) {
-      const advice = "choose a smaller size or another format";
-      throw new Fault("film.incomplete", `the encoder of the browser failed (${error.message})`, advice);
+      throw new Fault("film.incomplete", ...texts.film.encoderFailed(error.message));
     }
     throw error;
   }

@@ -3,6 +3,7 @@
 import { Fault } from "../page/fault.js";
 import type { ViewerState } from "../viewer/state.js";
 import { wrapped } from "../viewer/state.js";
+import { texts } from "../words/words.js";
 
 /** What turns once in a film: the camera, the light, or the camera one way and the light the other. */
 export const motions = ["turntable", "light", "both"] as const;
@@ -51,25 +52,25 @@ export function planned(asked: Partial<FilmPlan>): FilmPlan {
   const plan: FilmPlan = { ...defaultPlan, ...Object.fromEntries(given) };
   const inside = (value: number, [least, most]: readonly [number, number]): boolean =>
     value >= least && value <= most;
-  const refuse = (what: string, advice: string): never => {
-    throw new Fault("film.plan", what, advice);
+  const refuse = (fault: readonly [what: string, advice: string]): never => {
+    throw new Fault("film.plan", ...fault);
   };
   if (!motions.includes(plan.motion)) {
-    refuse(`a film cannot show "${plan.motion}"`, `choose one of ${motions.join(", ")}`);
+    refuse(texts.film.badMotion(plan.motion, motions.join(", ")));
   }
   if (!filmFormats.includes(plan.format)) {
-    refuse(`"${plan.format}" is not a format of films`, `choose one of ${filmFormats.join(", ")}`);
+    refuse(texts.film.badFormat(plan.format, filmFormats.join(", ")));
   }
   for (const side of [plan.width, plan.height]) {
     if (!inside(side, filmLimits.side) || side % 2 !== 0) {
-      refuse(`a film cannot be ${plan.width} x ${plan.height}`, "use even numbers from 16 to 4096");
+      refuse(texts.film.badSize(plan.width, plan.height));
     }
   }
   if (!inside(plan.seconds, filmLimits.seconds)) {
-    refuse(`a film cannot last ${plan.seconds} s`, "use 0.1 to 60 seconds");
+    refuse(texts.film.badSeconds(plan.seconds));
   }
   if (!inside(plan.framesPerSecond, filmLimits.framesPerSecond)) {
-    refuse(`a film cannot have ${plan.framesPerSecond} frames per second`, "use 1 to 120");
+    refuse(texts.film.badRate(plan.framesPerSecond));
   }
   return plan;
 }

@@ -2,37 +2,19 @@
 
 import { jobAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
-import { formatDuration, formatTime } from "../page/format.js";
+import { formatDuration, formatNumber, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { thumbnail } from "../page/thumbnail.js";
 import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
+import { named, texts } from "../words/words.js";
 
-export const stageNames: ReadonlyMap<string, string> = new Map([
-  ["cameras", "finding the cameras"],
-  ["ingest", "reading the photographs"],
-  ["masks", "cutting the object out"],
-  ["cache", "training the radiance cache"],
-  ["joint", "training materials and light"],
-  ["polish", "fitting materials and light once more"],
-  ["evaluate", "evaluating"],
-  ["export", "writing the bundle"],
-]);
-
-/** Descriptions of jobs that do not train. */
-const otherSteps: ReadonlyMap<string, string> = new Map([["contact_sheet", "laying out the contact sheet"]]);
-
-const purposes: ReadonlyMap<string, string> = new Map([
-  ["check", "check of the scene"],
-  ["prepare", "cameras and masks"],
-  ["bake", "fast cache for another light"],
-  ["render", "pictures of a bundle"],
-  ["batch", "part of a batch of pictures"],
-]);
+/** The stages of a training, in their order. */
+export const stages = ["cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export"];
 
 /** Return a description of a job's work. */
 export function purpose(job: Job): string {
-  return purposes.get(job.kind) ?? `preset ${job.preset}`;
+  return job.kind === "train" ? texts.jobs.preset(job.preset) : named(texts.jobs.purposes, job.kind);
 }
 
 /** Return whether a job stands in lists: checks belong to their scene, and corrections to the editor of masks. */
@@ -49,15 +31,14 @@ export function jobName(job: Job): string {
 export function progressText(job: Job): string {
   if (isFinal(job)) {
     if (job.started_at === null || job.finished_at === null) return "";
-    return `took ${formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000)}`;
+    return texts.jobs.took(formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000));
   }
   const { progress } = job;
   if (progress === null) return "";
-  const parts = [stageNames.get(progress.stage) ?? otherSteps.get(progress.stage) ?? progress.stage];
-  if (progress.num_steps > 1)
-    parts.push(`${progress.doing || "step"} ${progress.step} of ${progress.num_steps}`);
-  if (progress.psnr > 0) parts.push(`PSNR ${progress.psnr.toFixed(1)} dB`);
-  if (progress.eta_s > 0) parts.push(`about ${formatDuration(progress.eta_s)} to go`);
+  const parts = [named(texts.stages, progress.stage)];
+  if (progress.num_steps > 1) parts.push(texts.jobs.step(progress.doing, progress.step, progress.num_steps));
+  if (progress.psnr > 0) parts.push(`PSNR ${formatNumber(progress.psnr, 1)} dB`);
+  if (progress.eta_s > 0) parts.push(texts.jobs.toGo(formatDuration(progress.eta_s)));
   return parts.join(" · ");
 }
 
@@ -69,7 +50,7 @@ export function fractionDone(job: Job): number {
 /** A card of a list that is changed in place, so that focus stays where it is. */
 export function jobLine(first: Job, name: string): { element: HTMLLIElement; update: (job: Job) => void } {
   const state = h("span");
-  const bar = h("progress", { max: 1, "aria-label": "share of the job that is done" });
+  const bar = h("progress", { max: 1, "aria-label": texts.jobs.share });
   const figures = h("p", { class: "figures" });
   const picture = thumbnail();
   const element = h(

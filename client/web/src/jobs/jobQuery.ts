@@ -2,6 +2,7 @@
 
 import type { Job } from "../page/rest.js";
 import { isFinal } from "./store.js";
+import { texts } from "../words/words.js";
 
 export type JobQuery = {
   /** Part of the name of the scene, or how the id or the preset begins. */
@@ -13,24 +14,24 @@ export type JobQuery = {
   readonly oldestFirst: boolean;
 };
 
-type Choice = { readonly text: string; readonly values: readonly string[] };
+type Choice = { readonly text: () => string; readonly values: readonly string[] };
 
 /** Kinds that stand in lists: checks belong to their scene. */
 const listed: readonly string[] = ["train", "prepare", "bake", "render", "batch"];
 /** What can be chosen; the empty choice is everything. */
 export const stateChoices: ReadonlyMap<string, Choice> = new Map([
-  ["", { text: "in any state", values: [] }],
-  ["active", { text: "not finished", values: ["queued", "running", "cancelling", "retry_wait"] }],
-  ["succeeded", { text: "done", values: ["succeeded"] }],
-  ["failed", { text: "failed", values: ["failed"] }],
-  ["cancelled", { text: "cancelled", values: ["cancelled"] }],
+  ["", { text: () => texts.jobs.anyState, values: [] }],
+  ["active", { text: () => texts.jobs.active, values: ["queued", "running", "cancelling", "retry_wait"] }],
+  ["succeeded", { text: () => texts.states.succeeded, values: ["succeeded"] }],
+  ["failed", { text: () => texts.states.failed, values: ["failed"] }],
+  ["cancelled", { text: () => texts.states.cancelled, values: ["cancelled"] }],
 ]);
 export const kindChoices: ReadonlyMap<string, Choice> = new Map([
-  ["", { text: "of any kind", values: listed }],
-  ["train", { text: "trainings", values: ["train"] }],
-  ["prepare", { text: "cameras and masks", values: ["prepare"] }],
-  ["bake", { text: "caches for another light", values: ["bake"] }],
-  ["pictures", { text: "pictures", values: ["render", "batch"] }],
+  ["", { text: () => texts.jobs.anyKind, values: listed }],
+  ["train", { text: () => texts.jobs.trainings, values: ["train"] }],
+  ["prepare", { text: () => texts.jobs.preparations, values: ["prepare"] }],
+  ["bake", { text: () => texts.jobs.bakes, values: ["bake"] }],
+  ["pictures", { text: () => texts.jobs.pictures, values: ["render", "batch"] }],
 ]);
 export const everything: JobQuery = { words: "", state: "", kind: "", oldestFirst: false };
 

@@ -11,7 +11,8 @@ import { logView } from "./log.js";
 import { previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
-import { type Context, stateLabel, stateNames, type View } from "./view.js";
+import { type Context, stateLabel, type View } from "./view.js";
+import { named, texts } from "../words/words.js";
 
 /** Return the page of a job. */
 export async function jobView(context: Context, jobId: string): Promise<View> {
@@ -24,24 +25,24 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
 
   const state = h("span");
   const news = h("p", { class: "sr", role: "status" });
-  const bar = h("progress", { max: 1, "aria-label": "share of the job that is done" });
+  const bar = h("progress", { max: 1, "aria-label": texts.jobs.share });
   const figures = h("p", { class: "figures" });
   const fault = h("div");
   const parts = [stageList(), previews(), curves()] as const;
   const [stages, pictures, plots] = parts;
   const results = h("div");
   const log = logView(context, jobId);
-  const cancel = button("Cancel", context, async () => store.put(await api.cancel(jobId)));
-  const retry = button("Run again", context, async () => {
+  const cancel = button(texts.page.cancel, context, async () => store.put(await api.cancel(jobId)));
+  const retry = button(texts.job.runAgain, context, async () => {
     const fresh = await api.retry(jobId);
     store.put(fresh);
     location.hash = jobAddress(fresh.id);
   });
 
-  const remove = button("Delete the job", context, async () => {
+  const remove = button(texts.job.delete, context, async () => {
     context.removals.ask({
       id: jobId,
-      what: `the job "${name}"`,
+      what: texts.job.theJob(name),
       send: (keepalive) => api.deleteJob(jobId, keepalive),
       gone: () => store.forget(jobId),
     });
@@ -53,7 +54,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     if (record === undefined) return;
     const { job } = record;
     replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
-    setText(news, `Job ${stateNames.get(job.state) ?? job.state}`);
+    setText(news, texts.job.news(named(texts.states, job.state)));
     bar.value = fractionDone(job);
     bar.hidden = isFinal(job);
     setText(figures, statusText(job));
@@ -68,8 +69,8 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   }
   const live = h("div", { class: "live" }, pictures.element, plots.element);
   const progressed = isFinal(first)
-    ? h("details", { class: "fold" }, h("summary", {}, "How it went"), live, stages.element)
-    : section("Progress", {}, live, stages.element);
+    ? h("details", { class: "fold" }, h("summary", {}, texts.job.history), live, stages.element)
+    : section(texts.job.progress, {}, live, stages.element);
   draw();
 
   return {
@@ -77,7 +78,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     element: h(
       "div",
       {},
-      h("p", {}, h("a", { href: "#/" }, "All jobs and scenes")),
+      h("p", {}, h("a", { href: "#/" }, texts.start.allJobs)),
       h("h1", { tabindex: -1 }, name, " ", state),
       news,
       h(
@@ -85,7 +86,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
         { class: "faint" },
         `${purpose(first)} · ${formatTime(first.created_at)}`,
         scene !== null && " · ",
-        scene !== null && h("a", { href: sceneAddress(scene.id) }, "the scene and its findings"),
+        scene !== null && h("a", { href: sceneAddress(scene.id) }, texts.job.scene),
       ),
       bar,
       figures,
@@ -94,7 +95,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
       results,
       progressed,
       log.element,
-      h("section", { "aria-label": "Job" }, h("div", { class: "actions" }, remove)),
+      h("section", { "aria-label": texts.job.section }, h("div", { class: "actions" }, remove)),
     ),
     update: (changed) => {
       if (changed === null) store.loadHistory(jobId).catch(fail);
@@ -110,14 +111,14 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
 /** Return the line below the bar. */
 export function statusText(job: Job): string {
   const parts = [];
-  if (job.state === "queued") parts.push("waiting for its turn");
-  if (job.state === "cancelling") parts.push("stopping; the process writes what it has and ends");
+  if (job.state === "queued") parts.push(texts.job.waiting);
+  if (job.state === "cancelling") parts.push(texts.job.stopping);
   const progress = progressText(job);
   if (progress !== "") parts.push(progress);
-  if (job.run > 1) parts.push(`run ${job.run}`);
+  if (job.run > 1) parts.push(texts.job.run(job.run));
   if (job.state === "retry_wait" && job.retry_at !== null) {
     const seconds = (Date.parse(job.retry_at) - Date.now()) / 1000;
-    parts.push(`next try in ${formatDuration(seconds)}`);
+    parts.push(texts.job.nextTry(formatDuration(seconds)));
   }
   return parts.join(" · ");
 }
@@ -127,7 +128,7 @@ function hasMasks(job: Job): boolean {
 }
 
 function masksLink(sceneId: string): HTMLElement {
-  return h("a", { class: "button", href: masksAddress(sceneId) }, "Look at the masks");
+  return h("a", { class: "button", href: masksAddress(sceneId) }, texts.job.masks);
 }
 
 function faultNotice(job: Job): HTMLElement[] {
@@ -137,8 +138,8 @@ function faultNotice(job: Job): HTMLElement[] {
     h(
       "div",
       { class: "notice bad", role },
-      h("b", {}, job.state === "failed" ? "The job has failed. " : "The last run failed. "),
-      `${job.error.message} `,
+      h("b", {}, job.state === "failed" ? texts.job.failed : texts.job.lastRunFailed),
+      ` ${job.error.message} `,
       h("code", { class: "faint" }, job.error.code),
     ),
   ];

@@ -15,6 +15,7 @@ import {
   stateChoices,
 } from "./jobQuery.js";
 import type { Context } from "./view.js";
+import { texts } from "../words/words.js";
 
 const typingMs = 250;
 
@@ -33,23 +34,23 @@ export function jobsPanel(context: Context) {
     id: "job-words",
     maxlength: 100,
     value: query.words,
-    placeholder: "Search by name",
-    "aria-label": "Search jobs by name, preset or id",
+    placeholder: texts.jobs.searchHint,
+    "aria-label": texts.jobs.search,
   });
-  const state = choice("State", stateChoices, query.state);
-  const kind = choice("Kind", kindChoices, query.kind);
+  const state = choice(texts.jobs.state, stateChoices, query.state);
+  const kind = choice(texts.jobs.kind, kindChoices, query.kind);
   const order = choice(
-    "Order",
+    texts.jobs.order,
     new Map([
-      ["newest", { text: "newest first" }],
-      ["oldest", { text: "oldest first" }],
+      ["newest", { text: () => texts.jobs.newest }],
+      ["oldest", { text: () => texts.jobs.oldest }],
     ]),
     query.oldestFirst ? "oldest" : "newest",
   );
-  const list = jobList("Jobs", jobName);
+  const list = jobList(texts.jobs.title, jobName);
   const none = h("p", { class: "faint", hidden: true });
   const news = h("p", { class: "sr", role: "status" });
-  const more = button("Show more jobs", context, () => fetchPage(query, cursor));
+  const more = button(texts.jobs.more, context, () => fetchPage(query, cursor));
   more.hidden = true;
 
   function ask(): void {
@@ -75,7 +76,10 @@ export function jobsPanel(context: Context) {
     cursor = page.next_cursor;
     for (const job of page.items) store.put(job);
     draw();
-    if (from === null) setText(news, `${found.length}${cursor === null ? "" : " or more"} jobs found`);
+    if (from === null) {
+      const { found: all, foundMore } = texts.jobs;
+      setText(news, cursor === null ? all(found.length) : foundMore(found.length));
+    }
   }
 
   function draw(): void {
@@ -93,7 +97,7 @@ export function jobsPanel(context: Context) {
     more.hidden = cursor === null;
     none.hidden = shown.length > 0;
     const narrowed = fragmentOf({ ...query, oldestFirst: false }) !== fragmentOf(everything);
-    setText(none, narrowed ? "No job fits." : "None yet.");
+    setText(none, narrowed ? texts.jobs.noMatch : texts.page.noneYet);
   }
 
   words.addEventListener("input", () => {
@@ -104,7 +108,7 @@ export function jobsPanel(context: Context) {
 
   return {
     element: section(
-      "Jobs",
+      texts.jobs.title,
       {},
       h("search", { class: "finder" }, words, state, kind, order),
       news,
@@ -120,12 +124,12 @@ export function jobsPanel(context: Context) {
 
 function choice(
   label: string,
-  choices: ReadonlyMap<string, { readonly text: string }>,
+  choices: ReadonlyMap<string, { readonly text: () => string }>,
   chosen: string,
 ): HTMLSelectElement {
   return h(
     "select",
     { "aria-label": label },
-    ...[...choices].map(([value, { text }]) => h("option", { value, selected: value === chosen }, text)),
+    ...[...choices].map(([value, { text }]) => h("option", { value, selected: value === chosen }, text())),
   );
 }

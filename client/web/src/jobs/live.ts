@@ -1,11 +1,12 @@
 /** The live view of a running job: stages, pictures, curves. */
 
 import { h, replaceKeyed, setText } from "../page/dom.js";
-import { formatDuration } from "../page/format.js";
+import { formatDuration, formatNumber } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { chart, thinned } from "./curves.js";
-import { stageNames } from "./jobLine.js";
+import { stages } from "./jobLine.js";
 import type { JobRecord, Sample } from "./store.js";
+import { named, texts } from "../words/words.js";
 
 const width = 400;
 const height = 100;
@@ -17,10 +18,9 @@ export type StageState = "done" | "now" | "waiting";
 
 /** Return the state of each stage of a job, in their order. */
 export function stageStates(job: Job): [string, StageState][] {
-  const names = [...stageNames.keys()];
-  if (job.state === "succeeded") return names.map((name) => [name, "done"]);
-  const now = names.indexOf(job.progress?.stage ?? "");
-  return names.map((name, place) => [name, place < now ? "done" : place === now ? "now" : "waiting"]);
+  if (job.state === "succeeded") return stages.map((name) => [name, "done"]);
+  const now = stages.indexOf(job.progress?.stage ?? "");
+  return stages.map((name, place) => [name, place < now ? "done" : place === now ? "now" : "waiting"]);
 }
 
 /** Return the time a stage has taken so far, in seconds; null where that is not known. */
@@ -35,18 +35,20 @@ export function stageSeconds(record: JobRecord, stage: string): number | null {
 
 /** The list of stages, each with its own bar. */
 export function stageList(): Part {
-  const rows = [...stageNames].map(([stage, name]) => {
+  const rows = stages.map((stage) => {
+    const name = named(texts.stages, stage);
     const mark = h("span", { "aria-hidden": "true" });
     const hidden = h("span", { class: "sr" });
     const text = h("span", {}, name, hidden);
     const time = h("span", { class: "figures" });
-    const bar = h("progress", { max: 1, value: 0, "aria-label": `progress of ${name}` });
+    const bar = h("progress", { max: 1, value: 0, "aria-label": texts.job.stageProgress(name) });
     return { stage, mark, hidden, time, bar, element: h("li", {}, mark, text, time, bar) };
   });
   const marks: Record<StageState, string> = { done: "✓", now: "▸", waiting: "·" };
-  const words: Record<StageState, string> = { done: " (done)", now: "", waiting: " (to come)" };
+  const { stageDone, stageToCome } = texts.job;
+  const words: Record<StageState, string> = { done: stageDone, now: "", waiting: stageToCome };
   return {
-    element: h("ol", { class: "stages", "aria-label": "Stages" }, ...rows.map((row) => row.element)),
+    element: h("ol", { class: "stages", "aria-label": texts.job.stages }, ...rows.map((row) => row.element)),
     update: (record) => {
       const states = new Map(stageStates(record.job));
       const { progress } = record.job;
@@ -58,10 +60,11 @@ export function stageList(): Part {
         row.bar.hidden = state !== "now";
         if (state === "now" && progress !== null) {
           row.bar.value = progress.num_steps > 0 ? progress.step / progress.num_steps : 0;
-          const doing = progress.doing === "" ? "" : `${progress.doing} `;
-          const steps = progress.num_steps > 1 ? `${doing}${progress.step} of ${progress.num_steps}` : "";
-          const speed = progress.steps_per_s > 0 ? ` · ${progress.steps_per_s.toFixed(1)} a second` : "";
-          setText(row.time, `${steps}${speed}`);
+          const { doing, step, num_steps: all, steps_per_s: speed } = progress;
+          const parts = [];
+          if (all > 1) parts.push(texts.page.of(`${doing} ${step}`.trim(), String(all)));
+          if (speed > 0) parts.push(texts.job.perSecond(formatNumber(speed, 1)));
+          setText(row.time, parts.join(" · "));
         } else {
           const seconds = stageSeconds(record, row.stage);
           setText(row.time, state === "done" && seconds !== null ? formatDuration(seconds) : "");
@@ -80,7 +83,7 @@ export function stageList(): Part {
 export function curves(): Part {
   const element = h("div", { class: "charts" });
   const losses = h("div", { class: "charts" });
-  const folded = h("details", { hidden: true }, h("summary", {}, "Losses"), losses);
+  const folded = h("details", { hidden: true }, h("summary", {}, texts.job.losses), losses);
   const plots = new Map<string, ReturnType<typeof plot>>();
   const plotOf = (kind: "psnr" | "loss", stage: string) => {
     const key = `${kind} ${stage}`;
@@ -89,8 +92,8 @@ export function curves(): Part {
       const title = titleOf(stage);
       found =
         kind === "psnr"
-          ? plot(`${title}: PSNR on training pixels`, "dB", 1, false)
-          : plot(`${title}: loss (logarithmic)`, "", 4, true);
+          ? plot(texts.job.psnrOf(title), "dB", 1, false)
+          : plot(texts.job.lossOf(title), "", 4, true);
       plots.set(key, found);
       if (kind === "psnr") element.insertBefore(found.element, folded);
       else losses.append(found.element);
@@ -121,7 +124,7 @@ export function byStage(samples: readonly Sample[]): Map<string, Sample[]> {
 }
 
 function titleOf(stage: string): string {
-  const name = stageNames.get(stage) ?? stage;
+  const name = named(texts.stages, stage);
   return name.charAt(0).toUpperCase() + name.slice(1);
 }
 
@@ -133,15 +136,15 @@ function plot(name: string, unit: string, digits: number, logarithmic: boolean) 
   picture.setAttribute("class", "chart");
   const caption = h("figcaption", { class: "faint" });
   const element = h("figure", { hidden: true }, caption, picture as unknown as HTMLElement);
-  const number = (value: number) => `${value.toFixed(digits)}${unit === "" ? "" : ` ${unit}`}`;
+  const number = (value: number) => `${formatNumber(value, digits)}${unit === "" ? "" : ` ${unit}`}`;
   const update = (samples: readonly Sample[]) => {
     const drawn = chart(thinned(samples, maxSamples), width, height, logarithmic);
     element.hidden = drawn === null;
     if (drawn === null) return;
     const now = samples.at(-1)!.value;
-    const range = `${number(drawn.lowest)} to ${number(drawn.highest)}`;
-    setText(caption, `${name}: now ${number(now)} (${range} in ${formatDuration(drawn.spanS)})`);
-    picture.setAttribute("aria-label", `${name} over time, from ${range}, now ${number(now)}`);
+    const range = texts.page.range(number(drawn.lowest), number(drawn.highest));
+    setText(caption, texts.job.plot(name, number(now), range, formatDuration(drawn.spanS)));
+    picture.setAttribute("aria-label", texts.job.plotLabel(name, number(now), range));
     const key = drawn.curves.map((curve) => curve.points).join("|");
     replaceKeyed(picture as unknown as HTMLElement, key, () =>
       drawn.curves.map((curve) => {

@@ -3,6 +3,7 @@
 import { h } from "../page/dom.js";
 import { type Api, Refused } from "../page/rest.js";
 import type { View } from "./view.js";
+import { texts } from "../words/words.js";
 
 /** Return the code in a one-time link, or in what was copied of it; null where there is none. */
 export function codeIn(text: string): string | null {
@@ -31,10 +32,7 @@ export function lockedView(
     } catch (error) {
       if (!(error instanceof Refused) || error.status >= 500) throw error;
     }
-    problem.textContent =
-      code === null
-        ? "That is no login link: it ends in #code= and letters."
-        : "This link was used before, or has expired. Ask for a new one.";
+    problem.textContent = code === null ? texts.locked.noLink : texts.locked.used;
     problem.hidden = false;
     link.focus();
   }
@@ -44,26 +42,26 @@ export function lockedView(
     enter().catch(fail);
   };
   return {
-    title: "Log in",
+    title: texts.locked.title,
     element: h(
       "div",
       { class: "locked" },
-      h("h1", { tabindex: -1 }, "Log in"),
-      h("p", {}, "This browser is not logged in to this server."),
+      h("h1", { tabindex: -1 }, texts.locked.title),
+      h("p", {}, texts.locked.notLoggedIn),
       h(
         "form",
         { onsubmit: submit },
-        h("label", { for: "link" }, "One-time link"),
+        h("label", { for: "link" }, texts.locked.link),
         link,
-        h("button", { class: "first" }, "Log in"),
+        h("button", { class: "first" }, texts.locked.logIn),
       ),
       problem,
       h(
         "p",
         { class: "faint" },
-        "The server prints a link when it starts, and makes another one with ",
+        texts.locked.helpBefore,
         h("code", {}, "POST /v1/login-links"),
-        ". Each logs one browser in, once.",
+        texts.locked.helpAfter,
       ),
     ),
   };

@@ -4,24 +4,25 @@ import { h, setText } from "../page/dom.js";
 import type { Job } from "../page/rest.js";
 import { isFinal } from "./store.js";
 import type { Context } from "./view.js";
+import { texts } from "../words/words.js";
 
 const everyMs = 3000;
 
 /** Return the section, closed at first; while it is open and the job runs it is kept current. */
 export function logView({ api, fail }: Context, jobId: string) {
-  const text = h("pre", { tabindex: 0, "aria-label": "Log" });
+  const text = h("pre", { tabindex: 0, "aria-label": texts.job.log });
   const all = h(
     "a",
     { href: `/v1/jobs/${jobId}/log`, target: "_blank", rel: "noopener" },
-    "The whole log (opens in a new tab)",
+    texts.job.wholeLog,
   );
-  const details = h("details", {}, h("summary", {}, "Log"), text, h("p", {}, all));
+  const details = h("details", {}, h("summary", {}, texts.job.log), text, h("p", {}, all));
   let ended = false;
   let timer: ReturnType<typeof setInterval> | undefined;
 
   async function load(): Promise<void> {
     const atEnd = text.scrollTop + text.clientHeight >= text.scrollHeight - 8;
-    setText(text, (await api.log(jobId)) || "Nothing yet.");
+    setText(text, (await api.log(jobId)) || texts.job.nothingYet);
     if (atEnd) text.scrollTop = text.scrollHeight;
   }
   const stop = () => clearInterval(timer);
@@ -33,7 +34,7 @@ export function logView({ api, fail }: Context, jobId: string) {
     if (!ended) timer = setInterval(() => void load().catch(() => {}), everyMs);
   });
   return {
-    element: h("section", { "aria-label": "Log" }, details),
+    element: h("section", { "aria-label": texts.job.log }, details),
     update: (job: Job) => {
       if (ended || !isFinal(job)) return;
       ended = true;

@@ -15,12 +15,15 @@ import { startView } from "./startView.js";
 import { JobStore } from "./store.js";
 import { follow } from "./stream.js";
 import type { Context, View } from "./view.js";
+import { speakAsBrowser, texts } from "../words/words.js";
 
+await speakAsBrowser();
 const api = createApi();
 const store = new JobStore(api);
 const message = document.querySelector<HTMLElement>("#message")!;
 const connection = document.querySelector<HTMLElement>("#connection")!;
 const main = document.querySelector<HTMLElement>("#main")!;
+setText(connection, texts.connection.connecting);
 
 const fail = (error: unknown): void => {
   if (error instanceof Refused && error.status === 401) {
@@ -42,7 +45,7 @@ function lock(): void {
   if (isLocked) return;
   isLocked = true;
   number += 1;
-  setText(connection, "not logged in");
+  setText(connection, texts.locked.status);
   logOut.remove();
   message.hidden = true;
   put(lockedView(api, context.fail, () => location.reload()));
@@ -62,7 +65,7 @@ async function show(): Promise<void> {
     else view = startView(context);
   } catch (error) {
     context.fail(error);
-    view = { title: "Lambent", element: h("p", {}, h("a", { href: "#/" }, "All jobs and scenes")) };
+    view = { title: "Lambent", element: h("p", {}, h("a", { href: "#/" }, texts.start.allJobs)) };
   }
   // The visitor went on meanwhile.
   if (mine !== number) {
@@ -93,7 +96,7 @@ async function logIn(): Promise<void> {
 }
 
 let wasAway = false;
-const logOut = button("Log out", context, async () => {
+const logOut = button(texts.locked.logOut, context, async () => {
   // What the page says is deleted must be, and only a session can do that.
   await removals.flush();
   await api.logOut();
@@ -103,7 +106,7 @@ const logOut = button("Log out", context, async () => {
 function showConnection(connected: boolean): void {
   if (isLocked) return;
   if (connected) connection.after(logOut);
-  setText(connection, connected ? "live" : "the server does not answer; trying again …");
+  setText(connection, connected ? texts.connection.live : texts.connection.away);
   if (connected && wasAway) shown?.update?.(null);
   wasAway = !connected;
 }

@@ -3,12 +3,14 @@
 import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
+import { formatPercent } from "../page/format.js";
 import { type Job, newKey } from "../page/rest.js";
 import type { Finished, MaskBackend } from "../masks/backend.js";
 import { latestPrepared, type Prepared, RestMaskBackend, readPrepared } from "../masks/restBackend.js";
 import { progressText } from "./jobLine.js";
 import { isFinal } from "./store.js";
 import type { Context, View } from "./view.js";
+import { texts } from "../words/words.js";
 
 /** Makes the element in which masks are corrected. */
 export type OpenEditor = (given: {
@@ -21,10 +23,11 @@ export type OpenEditor = (given: {
 /** Return in words how far the masks are to be believed. */
 export function verdict({ preparation }: Prepared): string {
   const { editable, reason, doubtful, overlap } = preparation;
-  if (!editable) return "These masks came with the capture.";
-  if (reason !== "") return `These masks are not used as they are: ${reason}.`;
-  const some = doubtful.length > 0 ? `; least sure of ${doubtful.slice(0, 3).join(", ")}` : "";
-  return `The views agree to ${Math.round(100 * overlap)} %${some}.`;
+  if (!editable) return texts.masks.brought;
+  if (reason !== "") return texts.masks.unused(reason);
+  const share = formatPercent(overlap);
+  if (doubtful.length === 0) return texts.masks.agree(share);
+  return texts.masks.agreeBut(share, doubtful.slice(0, 3).join(", "));
 }
 
 /** Return the page; without `openEditor` masks are shown and cannot be corrected. */
@@ -33,7 +36,7 @@ export async function masksView(context: Context, sceneId: string, openEditor?: 
   const scene = await api.scene(sceneId);
   const status = h("p", { class: "figures", role: "status" });
   const content = h("div");
-  const again = button("Look for the masks again", context, order);
+  const again = button(texts.masks.again, context, order);
   let job: Job | null = null;
   let shown: string | null = null;
   let closed = false;
@@ -59,7 +62,7 @@ export async function masksView(context: Context, sceneId: string, openEditor?: 
     const finished = ({ address }: Finished) => {
       if (address !== undefined) location.hash = address;
     };
-    const editor = await openEditor({ backend, fail, finishLabel: "Use these masks", finished });
+    const editor = await openEditor({ backend, fail, finishLabel: texts.masks.use, finished });
     if (closed) {
       editor.close();
       return;
@@ -78,9 +81,9 @@ export async function masksView(context: Context, sceneId: string, openEditor?: 
       show(job).catch(fail);
       return;
     }
-    if (isFinal(job)) setText(status, error?.message ?? "The job was cancelled.");
-    else setText(status, progressText(job) || "Waiting for its turn …");
-    replaceKeyed(content, id, () => [h("p", {}, h("a", { href: jobAddress(id) }, "The job"))]);
+    if (isFinal(job)) setText(status, error?.message ?? texts.masks.jobCancelled);
+    else setText(status, progressText(job) || texts.masks.waiting);
+    replaceKeyed(content, id, () => [h("p", {}, h("a", { href: jobAddress(id) }, texts.masks.theJob))]);
   }
 
   job = await latestPrepared(api, sceneId);
@@ -92,12 +95,12 @@ export async function masksView(context: Context, sceneId: string, openEditor?: 
   draw();
 
   return {
-    title: `${scene.name}: masks`,
+    title: texts.masks.pageOf(scene.name),
     element: h(
       "div",
       {},
-      h("p", {}, h("a", { href: sceneAddress(sceneId) }, "The scene")),
-      h("h1", { tabindex: -1 }, `Masks of ${scene.name}`),
+      h("p", {}, h("a", { href: sceneAddress(sceneId) }, texts.masks.theScene)),
+      h("h1", { tabindex: -1 }, texts.masks.titleOf(scene.name)),
       status,
       h("div", { class: "actions" }, again),
       content,
@@ -121,6 +124,6 @@ function isUnderWay(job: Job, sceneId: string): boolean {
 function sheetOf({ artifacts }: Prepared): HTMLElement[] {
   const sheet = artifacts.get("masks.jpg");
   if (sheet === undefined) return [];
-  const alt = "All photographs, small; what does not belong to the object is dimmed";
+  const alt = texts.masks.sheet;
   return [h("img", { src: sheet.url, alt, class: "sheet" })];
 }

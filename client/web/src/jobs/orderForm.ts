@@ -3,10 +3,11 @@
 import { button } from "../page/actions.js";
 import { jobAddress, masksAddress } from "../page/addresses.js";
 import { h, section, setText } from "../page/dom.js";
-import { formatAbout, plural } from "../page/format.js";
+import { formatAbout } from "../page/format.js";
 import { type Estimate, newKey, type Preset } from "../page/rest.js";
 import { correctionsOf, correctionsText, latestPrepared } from "../masks/restBackend.js";
 import type { Context } from "./view.js";
+import { texts } from "../words/words.js";
 
 /** An invalid line of the settings. */
 export class BadSetting extends Error {
@@ -19,7 +20,7 @@ export function parseSettings(text: string): Record<string, string> {
   for (const line of text.split("\n").map((each) => each.trim())) {
     if (line === "") continue;
     const match = /^([a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)*)\s*=\s*(.*)$/.exec(line);
-    if (match === null) throw new BadSetting(`"${line}" is no setting; write one as name=value`);
+    if (match === null) throw new BadSetting(texts.order.badSetting(line));
     found[match[1]!] = match[2]!;
   }
   return found;
@@ -27,10 +28,10 @@ export function parseSettings(text: string): Record<string, string> {
 
 /** Return the text about a preset's time. */
 export function estimateText(estimate: Estimate): string {
-  if (estimate.seconds === null) return "no time is known yet";
-  const about = `about ${formatAbout(estimate.seconds)}`;
-  if (estimate.num_measured === 0) return `${about} on the hardware it is made for`;
-  return `${about}, as ${plural(estimate.num_measured, "job")} took here`;
+  if (estimate.seconds === null) return texts.order.noTime;
+  const about = texts.page.about(formatAbout(estimate.seconds));
+  if (estimate.num_measured === 0) return texts.order.onHardware(about);
+  return texts.order.asMeasured(about, estimate.num_measured);
 }
 
 /** Return the form. */
@@ -46,9 +47,9 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
   const marks = h("label", { for: "corrected" });
   const corrections = h("p", { hidden: true }, corrected, " ", marks);
   let correctionsGiven = "";
-  const start = button("Start the job", { ...context, className: "first" }, async () => {
+  const start = button(texts.order.start, { ...context, className: "first" }, async () => {
     const preset = options.querySelector<HTMLInputElement>("input:checked")?.value;
-    if (preset === undefined) throw new BadSetting("Choose a preset first.");
+    if (preset === undefined) throw new BadSetting(texts.order.noPreset);
     const order = {
       scene_id: sceneId,
       preset,
@@ -70,7 +71,7 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
     const list = correctionsOf(prepared);
     correctionsGiven = correctionsText(list);
     corrections.hidden = correctionsGiven === "";
-    setText(marks, `Use the masks as they were corrected (${plural(list.corrections.length, "mark")})`);
+    setText(marks, texts.order.corrected(list.corrections.length));
   }
 
   async function load(): Promise<void> {
@@ -82,43 +83,34 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
       ),
     );
     const ahead = estimates[0]?.num_ahead ?? 0;
-    setText(queue, ahead > 0 ? `${plural(ahead, "job")} may go first.` : "");
+    setText(queue, ahead > 0 ? texts.order.ahead(ahead) : "");
   }
   load().catch(fail);
 
   return section(
-    "Train it",
+    texts.order.title,
     {},
-    h("fieldset", {}, h("legend", {}, "Preset"), options),
+    h("fieldset", {}, h("legend", {}, texts.order.preset), options),
     h(
       "details",
       {},
-      h("summary", {}, "More settings"),
-      h("p", {}, h("label", { for: "seed" }, "Seed of every random number"), " ", seed),
-      h(
-        "p",
-        {},
-        h(
-          "label",
-          { for: "settings" },
-          "Settings that override the preset, one per line, such as stage_two.num_rays=512",
-        ),
-        settings,
-      ),
+      h("summary", {}, texts.order.more),
+      h("p", {}, h("label", { for: "seed" }, texts.order.seed), " ", seed),
+      h("p", {}, h("label", { for: "settings" }, texts.order.settings), settings),
     ),
     corrections,
     h(
       "div",
       { class: "actions" },
       start,
-      h("a", { class: "button", href: masksAddress(sceneId) }, "Look at the masks"),
+      h("a", { class: "button", href: masksAddress(sceneId) }, texts.order.masks),
       queue,
     ),
   );
 }
 
 function option(preset: Preset, estimate: Estimate, available: boolean, chosen: boolean): HTMLElement {
-  const time = available ? estimateText(estimate) : "needs a GPU, and this server has none";
+  const time = available ? estimateText(estimate) : texts.order.noGpu;
   return h(
     "label",
     {},

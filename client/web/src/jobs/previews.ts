@@ -2,9 +2,9 @@
 
 import { blobAddress } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
-import { stageNames } from "./jobLine.js";
 import type { Part } from "./live.js";
 import type { JobRecord, Preview } from "./store.js";
+import { named, texts } from "../words/words.js";
 
 /** Begins the names of pictures between which the camera has moved on by a step. */
 const turning = "turning_";
@@ -20,18 +20,19 @@ export function turnOf(previews: readonly Preview[]): number[] {
 
 /** Return what a picture shows, in words. */
 export function previewText(preview: Preview): string {
-  if (!preview.name.startsWith(turning)) return preview.name || "preview";
-  const stage = preview.name.slice(turning.length);
-  return stageNames.get(stage) ?? stage;
+  if (!preview.name.startsWith(turning)) return preview.name || texts.job.preview;
+  return named(texts.stages, preview.name.slice(turning.length));
 }
 
 /** The pictures of a run, the turning ones as a film. */
 export function previews(): Part & { readonly close: () => void } {
   const images = new Map<string, HTMLImageElement>();
+  /** Pictures that the server has let go of since the history was read. */
+  const gone = new Set<string>();
   const stack = h("div", { class: "stack" });
   const caption = h("figcaption", { class: "faint" });
-  const slider = h("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": "earlier pictures" });
-  const play = h("button", { type: "button" }, "Turn");
+  const slider = h("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": texts.job.earlier });
+  const play = h("button", { type: "button" }, texts.job.turn);
   const row = h("div", { class: "actions" }, play, slider);
   const element = h("figure", { hidden: true, class: "previews" }, stack, caption, row);
   let shown: JobRecord | null = null;
@@ -41,17 +42,31 @@ export function previews(): Part & { readonly close: () => void } {
   let frame = 0;
 
   function imageOf(sha256: string): HTMLImageElement {
-    let image = images.get(sha256);
-    if (image === undefined) {
-      image = h("img", { alt: "", src: blobAddress(sha256), decoding: "async" });
-      images.set(sha256, image);
-      stack.append(image);
-    }
+    const known = images.get(sha256);
+    if (known !== undefined) return known;
+    const image = h("img", { alt: "", src: blobAddress(sha256), decoding: "async" });
+    image.addEventListener("error", () => leaveOut(sha256, image));
+    images.set(sha256, image);
+    stack.append(image);
     return image;
   }
 
+  async function leaveOut(sha256: string, image: HTMLImageElement): Promise<void> {
+    // A server that is away for a while still has its pictures.
+    const answer = await fetch(blobAddress(sha256), { method: "HEAD" }).catch(() => null);
+    if (answer?.status !== 404) return;
+    gone.add(sha256);
+    images.delete(sha256);
+    image.remove();
+    update();
+  }
+
+  function pictures(): Preview[] {
+    return (shown?.previews ?? []).filter(({ sha256 }) => !gone.has(sha256));
+  }
+
   function draw(): void {
-    const all = shown?.previews ?? [];
+    const all = pictures();
     const turn = turns ? turnOf(all) : [];
     const place = turn.length > 0 ? turn[frame % turn.length]! : Number(slider.value);
     const preview = all[Math.min(place, all.length - 1)];
@@ -67,9 +82,15 @@ export function previews(): Part & { readonly close: () => void } {
       } else image.classList.toggle("on", image === now);
     }
     const text = previewText(preview);
-    now.alt = turn.length > 0 ? `The model, turning: ${text}` : `The model: ${text}`;
+    now.alt = turn.length > 0 ? texts.job.modelTurning(text) : texts.job.model(text);
     for (const image of images.values()) if (image !== now) image.alt = "";
-    setText(caption, `${text} · ${turn.length > 0 ? "the newest" : "picture"} ${count(turn, place, all)}`);
+    const { newestPreviews, previewOf } = texts.job;
+    setText(
+      caption,
+      turn.length > 0
+        ? newestPreviews(text, turn.length, all.length)
+        : previewOf(text, place + 1, all.length),
+    );
   }
 
   slider.addEventListener("input", () => {
@@ -88,14 +109,14 @@ export function previews(): Part & { readonly close: () => void } {
   }, frameMs);
 
   function update(): void {
-    const all = shown?.previews ?? [];
+    const all = pictures();
     const last = all.length - 1;
     element.hidden = last < 0;
     slider.hidden = last < 1;
     slider.max = String(Math.max(last, 0));
     if (follows) slider.value = slider.max;
     play.hidden = turnOf(all).length === 0;
-    setText(play, turns ? "Pause" : "Turn");
+    setText(play, turns ? texts.job.pause : texts.job.turn);
     draw();
   }
 
@@ -107,8 +128,4 @@ export function previews(): Part & { readonly close: () => void } {
     },
     close: () => clearInterval(timer),
   };
-}
-
-function count(turn: readonly number[], place: number, all: readonly Preview[]): string {
-  return turn.length > 0 ? `${turn.length} of ${all.length} pictures` : `${place + 1} of ${all.length}`;
 }

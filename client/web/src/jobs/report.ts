@@ -1,21 +1,21 @@
 /** The report on a capture: its layout, findings, and measurements. */
 
 import { h, section } from "../page/dom.js";
-import { plural } from "../page/format.js";
+import { formatNumber } from "../page/format.js";
 import type { Finding, Scene, SceneReport } from "../page/rest.js";
+import { texts } from "../words/words.js";
 
 const layouts: ReadonlyMap<string, string> = new Map([
   ["tensoir_synthetic", "TensoIR-synthetic"],
   ["openillumination", "OpenIllumination"],
   ["glossy_synthetic", "Glossy Synthetic"],
   ["nerf_blender", "NeRF-Blender (transforms_*.json)"],
-  ["nerfstudio", "nerfstudio or instant-ngp (transforms.json)"],
   ["colmap", "COLMAP"],
-  ["photographs", "photographs, whose cameras are found first"],
 ]);
 
 /** Return the name of a layout for display. */
 export function layoutName(layout: string): string {
+  if (layout === "photographs" || layout === "nerfstudio") return texts.scene[layout];
   return layouts.get(layout) ?? layout;
 }
 
@@ -27,19 +27,23 @@ export function ordered(findings: readonly Finding[]): Finding[] {
 /** Return the lines of the table of what was measured. */
 export function measured(report: SceneReport): [string, string][] {
   const rows: [string, string][] = [];
-  if (report.layout !== "") rows.push(["Layout", layoutName(report.layout)]);
+  if (report.layout !== "") rows.push([texts.scene.layout, layoutName(report.layout)]);
   if (report.num_train_frames + report.num_test_frames > 0) {
-    const held = report.num_test_frames > 0 ? `, ${report.num_test_frames} to test` : "";
-    rows.push(["Views", `${report.num_train_frames} to train on${held}`]);
+    const parts = [texts.scene.trainViews(report.num_train_frames)];
+    if (report.num_test_frames > 0) parts.push(texts.scene.testViews(report.num_test_frames));
+    rows.push([texts.scene.views, parts.join(", ")]);
   }
   const { figures } = report;
   if (figures === null) return rows;
   if (figures.lacks_cameras) return rows;
-  rows.push(["Largest gap between views", `${figures.upper_gap_deg.toFixed(0)}° of the upper half`]);
-  const heights = `${figures.lowest_elevation_deg.toFixed(0)}° to ${figures.highest_elevation_deg.toFixed(0)}°`;
-  rows.push(["Heights of the cameras", heights]);
-  rows.push(["Exposure differs by", `${figures.exposure_range_ev.toFixed(2)} EV`]);
-  rows.push(["Masks", figures.has_masks ? "yes" : "no"]);
+  rows.push([texts.scene.gap, texts.scene.gapOf(formatNumber(figures.upper_gap_deg))]);
+  const heights = texts.page.range(
+    `${formatNumber(figures.lowest_elevation_deg)}°`,
+    `${formatNumber(figures.highest_elevation_deg)}°`,
+  );
+  rows.push([texts.scene.heights, heights]);
+  rows.push([texts.scene.exposure, `${formatNumber(figures.exposure_range_ev, 2)} EV`]);
+  rows.push([texts.scene.masks, figures.has_masks ? texts.scene.yes : texts.scene.no]);
   return rows;
 }
 
@@ -49,14 +53,14 @@ export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
   const rows = measured(report);
   if (!report.checked && findings.length === 0) return h("div");
   const errors = findings.filter((finding) => finding.severity === "error").length;
-  const summary = report.checked ? verdict(errors, findings.length - errors) : "Not checked yet.";
+  const summary = report.checked ? verdict(errors, findings.length - errors) : texts.scene.notChecked;
   return section(
-    "What was found",
+    texts.scene.found,
     { id: "report" },
     h("p", {}, summary),
     rows.length > 0 && table(rows),
     findings.length > 0 &&
-      h("ul", { class: "findings", "aria-label": "Findings" }, ...findings.map(findingLine)),
+      h("ul", { class: "findings", "aria-label": texts.scene.findings }, ...findings.map(findingLine)),
     report.checked &&
       report.figures !== null &&
       h(
@@ -65,18 +69,15 @@ export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
         h(
           "a",
           { href: `/v1/scenes/${scene.id}/report?format=html`, target: "_blank", rel: "noopener" },
-          "Report with thumbnails (opens in a new tab)",
+          texts.scene.report,
         ),
       ),
   );
 }
 
 function verdict(errors: number, notes: number): string {
-  if (errors > 0) {
-    return `This capture cannot be used yet: fix ${plural(errors, "problem")} and upload it again.`;
-  }
-  if (notes > 0) return `This capture can be used. ${plural(notes, "note")} on how to improve it:`;
-  return "This capture can be used; no problems were found.";
+  if (errors > 0) return texts.scene.unusable(errors);
+  return notes > 0 ? texts.scene.usableNotes(notes) : texts.scene.usable;
 }
 
 function table(rows: readonly [string, string][]): HTMLElement {
@@ -96,7 +97,7 @@ function table(rows: readonly [string, string][]): HTMLElement {
 }
 
 function findingLine(finding: Finding): HTMLLIElement {
-  const kind = finding.severity === "error" ? "To fix" : "Note";
+  const kind = finding.severity === "error" ? texts.scene.toFix : texts.scene.note;
   const about = finding.subject === "" ? "" : `${finding.subject}: `;
   return h(
     "li",

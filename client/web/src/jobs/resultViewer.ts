@@ -2,6 +2,7 @@
 
 import { explain } from "../page/actions.js";
 import { h } from "../page/dom.js";
+import { texts } from "../words/words.js";
 
 /** Where the files of a bundle are. */
 export type Shown = {
@@ -13,8 +14,9 @@ export type Shown = {
 
 /** Return the element; the renderer and the bundle are loaded when it comes near the window. */
 export function resultViewer({ bundleId, name, poster }: Shown): HTMLElement {
-  const picture = poster === null ? null : h("img", { src: poster, alt: `${name}, relit`, class: "poster" });
-  const news = h("p", { class: "loading", role: "status" }, "Loading the viewer …");
+  const picture =
+    poster === null ? null : h("img", { src: poster, alt: texts.results.relit(name), class: "poster" });
+  const news = h("p", { class: "loading", role: "status" }, texts.results.loadingViewer);
   const frame = h("div", { class: "viewer" }, picture, news);
 
   async function start(): Promise<void> {
@@ -40,7 +42,7 @@ export function resultViewer({ bundleId, name, poster }: Shown): HTMLElement {
       start().catch((error) => {
         // The picture stays.
         frame.querySelector("lambent-viewer")?.remove();
-        news.textContent = `The viewer could not be started here. ${explain(error)}`;
+        news.textContent = texts.results.noViewer(explain(error));
       });
     },
     { rootMargin: "200px" },

@@ -8,11 +8,12 @@ import { sharePanel } from "../share/panel.js";
 import { resultViewer } from "./resultViewer.js";
 import { metricRows, type Report, verdicts } from "./verdicts.js";
 import type { Context } from "./view.js";
+import { texts } from "../words/words.js";
 
-/** Files of a bundle that other programs open, by their path: what the button says. */
+/** Files of a bundle that other programs open: their path, and what the button calls them. */
 const assets: readonly [string, string][] = [
-  ["mesh/asset.glb", "Download .glb"],
-  ["mesh/asset.usdz", "Download .usdz"],
+  ["mesh/asset.glb", ".glb"],
+  ["mesh/asset.usdz", ".usdz"],
 ];
 const posters: readonly string[] = ["poster.webp", "thumbnail.webp"];
 
@@ -42,12 +43,12 @@ export function resultSection(context: Context, job: Job, name: string): HTMLEle
   load().catch(fail);
 
   return section(
-    "Results",
+    texts.results.title,
     { id: "results" },
     place,
     buttons,
     figures,
-    bundleId !== null && fold("Share a link", sharePanel(context, bundleId)),
+    bundleId !== null && fold(texts.results.share, sharePanel(context, bundleId)),
     files,
   );
 }
@@ -63,17 +64,26 @@ function actionsOf(artifacts: readonly Artifact[], bundle: BundleDetail | null):
   const report = artifacts.find((artifact) => artifact.name === "report.html");
   const found: HTMLElement[] = [];
   if (bundle !== null) {
-    found.push(h("a", { class: "button first", href: viewerAddress(bundle.id) }, "Open the full viewer"));
-    for (const [path, text] of assets) {
+    found.push(h("a", { class: "button first", href: viewerAddress(bundle.id) }, texts.results.fullViewer));
+    for (const [path, suffix] of assets) {
       const file = bundle.files.find((each) => each.path === path);
       if (file !== undefined)
-        found.push(downloadButton(text, file.url, path.split("/").at(-1)!, file.size_bytes));
+        found.push(
+          downloadButton(texts.results.download(suffix), file.url, path.split("/").at(-1)!, file.size_bytes),
+        );
     }
-    found.push(downloadButton("Download .relight.zip", archiveAddress(bundle.id), "", bundle.size_bytes));
+    found.push(
+      downloadButton(
+        texts.results.download(".relight.zip"),
+        archiveAddress(bundle.id),
+        "",
+        bundle.size_bytes,
+      ),
+    );
   }
   if (report !== undefined) {
     const link = { class: "button", href: report.url, target: "_blank", rel: "noopener" };
-    found.push(h("a", link, "Report", h("span", { class: "sr" }, " (opens in a new tab)")));
+    found.push(h("a", link, texts.results.report, h("span", { class: "sr" }, texts.page.newTab)));
   }
   return found;
 }
@@ -96,7 +106,10 @@ function downloads(artifacts: readonly Artifact[], files: BundleDetail["files"])
   const lines = downloadLines(artifacts, files);
   if (lines.length === 0) return [];
   return [
-    fold(`All ${lines.length} files`, h("ul", { class: "downloads", "aria-label": "Downloads" }, ...lines)),
+    fold(
+      texts.results.allFiles(lines.length),
+      h("ul", { class: "downloads", "aria-label": texts.results.downloads }, ...lines),
+    ),
   ];
 }
 
@@ -128,15 +141,15 @@ function downloadLines(artifacts: readonly Artifact[], files: BundleDetail["file
 function metricTable(report: Report): HTMLElement[] {
   const rows = metricRows(report);
   if (rows.length === 0) return [];
-  const views = report.num_views ? `, mean of ${report.num_views} views` : "";
-  return [fold("All figures", table(rows, "All figures", views))];
+  const { figures, figure } = texts.results;
+  return [fold(figures, table(rows, figures, figure(report.num_views ?? 0)))];
 }
 
-function table(rows: readonly [string, string, string][], label: string, views: string): HTMLElement {
+function table(rows: readonly [string, string, string][], label: string, figure: string): HTMLElement {
   const head = [
-    h("th", { scope: "col" }, `Figure${views}`),
-    h("th", { scope: "col", class: "number" }, "Value"),
-    h("th", { scope: "col", class: "number" }, "Standard error"),
+    h("th", { scope: "col" }, figure),
+    h("th", { scope: "col", class: "number" }, texts.results.value),
+    h("th", { scope: "col", class: "number" }, texts.results.error),
   ];
   const body = rows.map(([name, value, error]) =>
     h(

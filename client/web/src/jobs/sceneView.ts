@@ -2,7 +2,7 @@
 
 import { button } from "../page/actions.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
-import { formatSize, formatTime, plural } from "../page/format.js";
+import { formatSize, formatTime } from "../page/format.js";
 import type { Scene, SceneReport } from "../page/rest.js";
 import { isListed, jobList, progressText, purpose } from "./jobLine.js";
 import { orderForm } from "./orderForm.js";
@@ -10,6 +10,7 @@ import { reportSection } from "./report.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
+import { texts } from "../words/words.js";
 
 /** Return the page of a scene that is known. */
 export async function sceneView(context: Context, sceneId: string): Promise<View> {
@@ -20,16 +21,16 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
   const figures = h("p", { class: "faint" });
   const panel = scene.state === "open" ? uploadPanel(context, scene) : null;
   const checking = h("p", { class: "notice", role: "status", hidden: true });
-  const check = button("Check the capture", context, () => startCheck(context, sceneId));
+  const check = button(texts.scene.check, context, () => startCheck(context, sceneId));
   const checkRow = h("div", { class: "actions" }, check);
   const findings = h("div");
   const order = h("div");
-  const jobs = jobList("Jobs of this scene, the newest first", purpose);
-  const jobsSection = section("Jobs", {}, jobs.element);
-  const remove = button("Delete the scene", context, async () => {
+  const jobs = jobList(texts.scene.jobs, purpose);
+  const jobsSection = section(texts.jobs.title, {}, jobs.element);
+  const remove = button(texts.scene.delete, context, async () => {
     context.removals.ask({
       id: sceneId,
-      what: `the scene "${scene.name}"`,
+      what: texts.scene.theScene(scene.name),
       send: (keepalive) => api.deleteScene(sceneId, keepalive),
     });
     location.hash = "#/";
@@ -43,12 +44,12 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
     const running = all.find((job) => job.kind === "check" && !isFinal(job));
     replaceKeyed(state, scene.state, () => [stateLabel(scene.state)]);
     const size =
-      scene.num_files > 0 ? `${plural(scene.num_files, "file")}, ${formatSize(scene.size_bytes)} · ` : "";
-    setText(figures, `${size}made ${formatTime(scene.created_at)}`);
+      scene.num_files > 0 ? `${texts.page.files(scene.num_files)}, ${formatSize(scene.size_bytes)} · ` : "";
+    setText(figures, `${size}${texts.scene.created(formatTime(scene.created_at))}`);
     checking.hidden = running === undefined;
     if (running !== undefined) {
       const progress = progressText(running);
-      setText(checking, `Looking at the photographs … ${progress}`);
+      setText(checking, `${texts.scene.checking} ${progress}`);
     }
     checkRow.hidden = scene.state !== "uploaded" || running !== undefined;
     replaceKeyed(findings, JSON.stringify(report), () => [reportSection(scene, report)]);
@@ -77,10 +78,10 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
     element: h(
       "div",
       {},
-      h("p", {}, h("a", { href: "#/" }, "All jobs and scenes")),
+      h("p", {}, h("a", { href: "#/" }, texts.start.allJobs)),
       h("h1", { tabindex: -1 }, scene.name, " ", state),
       figures,
-      panel !== null && h("section", { "aria-label": "Upload" }, panel.element),
+      panel !== null && h("section", { "aria-label": texts.scene.upload }, panel.element),
       checking,
       checkRow,
       findings,
@@ -88,9 +89,9 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
       jobsSection,
       h(
         "section",
-        { "aria-label": "Scene" },
+        { "aria-label": texts.scene.section },
         h("div", { class: "actions" }, remove),
-        h("p", { class: "faint" }, "Bundles made from it stay."),
+        h("p", { class: "faint" }, texts.scene.bundlesStay),
       ),
     ),
     update: (jobId) => {

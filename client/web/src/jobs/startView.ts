@@ -3,13 +3,14 @@
 import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
 import { h, section } from "../page/dom.js";
-import { formatSize, formatTime, plural } from "../page/format.js";
+import { formatSize, formatTime } from "../page/format.js";
 import type { Bundle, Scene } from "../page/rest.js";
 import { thumbnailOf } from "../page/thumbnail.js";
 import { jobsPanel } from "./jobsPanel.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
+import { texts } from "../words/words.js";
 
 type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | null };
 
@@ -18,9 +19,9 @@ export function startView(context: Context): View {
   const { api, store, fail } = context;
   const panel = uploadPanel(context, null);
   const jobs = jobsPanel(context);
-  const scenes = pagedList("Scenes, the newest first", sceneLine, api.scenes, context);
+  const scenes = pagedList(texts.start.sceneList, sceneLine, api.scenes, context);
   const bundles = pagedList(
-    "Bundles, the newest first",
+    texts.start.bundleList,
     (bundle) => bundleLine(context, bundle),
     api.bundles,
     context,
@@ -48,11 +49,11 @@ export function startView(context: Context): View {
     element: h(
       "div",
       {},
-      h("h1", { tabindex: -1 }, "Relight your photographs"),
-      h("section", { "aria-label": "New scene" }, panel.element),
+      h("h1", { tabindex: -1 }, texts.start.title),
+      h("section", { "aria-label": texts.start.newScene }, panel.element),
       jobs.element,
-      section("Bundles", {}, bundles.element),
-      section("Scenes", {}, scenes.element),
+      section(texts.start.bundles, {}, bundles.element),
+      section(texts.start.scenes, {}, scenes.element),
     ),
     update: (jobId) => {
       if (jobId === null) {
@@ -98,7 +99,7 @@ function soon(act: () => void): { ask: () => void; stop: () => void } {
 
 function sceneLine(scene: Scene): HTMLLIElement {
   const size =
-    scene.num_files > 0 ? `${plural(scene.num_files, "file")}, ${formatSize(scene.size_bytes)} · ` : "";
+    scene.num_files > 0 ? `${texts.page.files(scene.num_files)}, ${formatSize(scene.size_bytes)} · ` : "";
   return h(
     "li",
     { class: "card tile" },
@@ -115,14 +116,14 @@ function sceneLine(scene: Scene): HTMLLIElement {
 
 function bundleLine(context: Context, bundle: Bundle): HTMLLIElement {
   const name = bundle.scene_name || bundle.scene_id;
-  const remove = button("Delete", context, async () =>
+  const remove = button(texts.page.delete, context, async () =>
     context.removals.ask({
       id: bundle.id,
-      what: `the bundle "${name}"`,
+      what: texts.start.theBundle(name),
       send: (keepalive) => context.api.deleteBundle(bundle.id, keepalive),
     }),
   );
-  remove.setAttribute("aria-label", `Delete the bundle ${name}`);
+  remove.setAttribute("aria-label", texts.start.deleteBundle(name));
   return h(
     "li",
     { class: "card tile" },
@@ -135,7 +136,7 @@ function bundleLine(context: Context, bundle: Bundle): HTMLLIElement {
       h(
         "a",
         { class: "button", href: viewerAddress(bundle.id) },
-        "View",
+        texts.start.view,
         h("span", { class: "sr" }, ` ${name}`),
       ),
       remove,
@@ -151,8 +152,8 @@ function pagedList<T extends { readonly id: string }>(
   context: Context,
 ) {
   const list = h("ol", { class: "list tiles", "aria-label": label });
-  const empty = h("p", { class: "faint", hidden: true }, "None yet.");
-  const more = button("Show older ones", context, async () => {
+  const empty = h("p", { class: "faint", hidden: true }, texts.page.noneYet);
+  const more = button(texts.start.showOlder, context, async () => {
     const page = await ask(cursor);
     items = [...(items ?? []), ...page.items];
     cursor = page.next_cursor;

@@ -3,25 +3,19 @@
 import { sceneAddress } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
 import { chosenFiles, droppedEntries, filesIn } from "../page/files.js";
-import { formatSize, plural } from "../page/format.js";
+import { formatSize } from "../page/format.js";
 import type { Scene } from "../page/rest.js";
 import { type Candidate, collect } from "../upload/collect.js";
 import type { UploadStep } from "../upload/upload.js";
 import type { Running } from "../upload/uploads.js";
 import type { Context } from "./view.js";
-
-const texts: Record<UploadStep["what"], string> = {
-  hash: "reading the files",
-  send: "sending what the server lacks",
-  wait: "the server does not answer; going on as soon as it does",
-  commit: "finishing",
-};
+import { texts } from "../words/words.js";
 
 /** Return the status of an upload in a line. */
 export function describe(step: UploadStep): string {
-  const parts = [texts[step.what]];
-  if (step.totalBytes > 0) parts.push(`${formatSize(step.doneBytes)} of ${formatSize(step.totalBytes)}`);
-  if (step.numKnown > 0) parts.push(`${plural(step.numKnown, "file")} there already`);
+  const parts = [texts.upload.steps[step.what] as string];
+  if (step.totalBytes > 0) parts.push(texts.page.of(formatSize(step.doneBytes), formatSize(step.totalBytes)));
+  if (step.numKnown > 0) parts.push(texts.upload.known(step.numKnown));
   return parts.join(" · ");
 }
 
@@ -55,29 +49,18 @@ export function uploadPanel(
   const area = h(
     "div",
     { class: "drop" },
-    h(
-      "p",
-      {},
-      scene === null
-        ? "Drop a folder of photographs of one object here, or a zip of it."
-        : "Drop the same folder again: only what is missing is sent.",
-    ),
-    h(
-      "p",
-      { class: "faint" },
-      "Forty photographs from all sides are good: JPEG, HEIC or PNG. Cameras and masks are found, or taken " +
-        "from COLMAP, nerfstudio, Blender and three more layouts.",
-    ),
+    h("p", {}, scene === null ? texts.upload.drop : texts.upload.dropAgain),
+    h("p", { class: "faint" }, texts.upload.hint),
     h(
       "div",
       { class: "actions" },
       h(
         "button",
         { type: "button", class: "first", onclick: () => photographs.click() },
-        "Choose photographs",
+        texts.upload.choosePhotographs,
       ),
-      h("button", { type: "button", onclick: () => folder.click() }, "Choose a folder"),
-      h("button", { type: "button", onclick: () => archive.click() }, "Choose an archive"),
+      h("button", { type: "button", onclick: () => folder.click() }, texts.upload.chooseFolder),
+      h("button", { type: "button", onclick: () => archive.click() }, texts.upload.chooseArchive),
     ),
     folder,
     photographs,
@@ -94,7 +77,7 @@ export function uploadPanel(
     take(filesIn(droppedEntries(event.dataTransfer?.items ?? []))).catch(fail);
   });
 
-  const list = h("ul", { class: "list", "aria-label": "Uploads" });
+  const list = h("ul", { class: "list", "aria-label": texts.upload.uploads });
   const rows = new Map<Promise<unknown>, { element: HTMLElement; update: (one: Running) => void }>();
   const draw = () => {
     const shown = uploads.all().filter((one) => one.sceneId === (scene?.id ?? null));
@@ -120,9 +103,9 @@ export function uploadPanel(
 }
 
 function uploadRow(one: Running): { element: HTMLElement; update: (one: Running) => void } {
-  const bar = h("progress", { max: 1, value: 0, "aria-label": `upload of ${one.name}` });
+  const bar = h("progress", { max: 1, value: 0, "aria-label": texts.upload.uploadOf(one.name) });
   const text = h("p", { class: "figures" });
-  const stop = h("button", { type: "button", onclick: one.stop }, "Stop");
+  const stop = h("button", { type: "button", onclick: one.stop }, texts.upload.stop);
   const element = h("li", { class: "card" }, h("h3", {}, one.name), bar, text, h("div", {}, stop));
   return {
     element,

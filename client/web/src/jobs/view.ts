@@ -5,6 +5,7 @@ import type { Api } from "../page/rest.js";
 import type { Removals } from "../page/removals.js";
 import type { Uploads } from "../upload/uploads.js";
 import type { JobStore } from "./store.js";
+import { named, texts } from "../words/words.js";
 
 export type Context = {
   readonly api: Api;
@@ -26,15 +27,5 @@ export type View = {
 
 /** Return a paragraph for a state, with the name that people use. */
 export function stateLabel(state: string): HTMLElement {
-  return h("span", { class: "state", "data-state": state }, stateNames.get(state) ?? state);
+  return h("span", { class: "state", "data-state": state }, named(texts.states, state));
 }
-
-export const stateNames: ReadonlyMap<string, string> = new Map([
-  ["queued", "waiting"],
-  ["retry_wait", "waiting for the next try"],
-  ["succeeded", "done"],
-  ["open", "upload not finished"],
-  ["uploaded", "not checked yet"],
-  ["ready", "ready"],
-  ["rejected", "cannot be used"],
-]);

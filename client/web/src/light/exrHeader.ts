@@ -1,6 +1,7 @@
 /** Reads and checks the header of an OpenEXR file, like `lambent_relight.environment.exr`. */
 
 import { MapFault, tooLarge } from "./fault.js";
+import { mapFaults } from "../words/mapFaults.js";
 
 const rec709 = [0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329];
 /** The numbers of the chromaticities of a header, in the order of its bytes. */
@@ -27,11 +28,7 @@ export type Stated = {
 
 /** Return the fault of a file that is no whole OpenEXR picture. */
 export function damaged(): MapFault {
-  return new MapFault(
-    "environment.exr_damaged",
-    "the map cannot be decoded as OpenEXR (damaged, or more than the memory there is)",
-    "export the map again as .exr or .hdr, or reduce it",
-  );
+  return new MapFault("environment.exr_damaged", ...mapFaults.exrDamaged());
 }
 
 /**
@@ -81,33 +78,24 @@ export function statedBy(data: Uint8Array<ArrayBuffer>, maxPixels: number): Stat
 /** Throw for a picture that is not a whole one of red, green and blue in linear Rec. 709. */
 export function checkHeader(header: Header, width: number, height: number): void {
   if (header.spec.deepFormat) {
-    throw new MapFault("environment.exr_deep", "the map is a deep picture", "flatten it");
+    throw new MapFault("environment.exr_deep", ...mapFaults.exrDeep());
   }
   const names = (header.channels ?? []).map((channel) => channel.name);
   if (!["R", "G", "B"].every((name) => names.includes(name))) {
     throw new MapFault(
       "environment.exr_channels",
-      `the map has the channels ${names.sort().slice(0, 16).join(", ")}, expected R, G and B`,
-      "save the map as RGB or RGBA",
+      ...mapFaults.exrChannels(names.sort().slice(0, 16).join(", ")),
     );
   }
   const shown = header.displayWindow;
   if (shown === undefined) throw damaged();
   if (shown.xMax - shown.xMin + 1 !== width || shown.yMax - shown.yMin + 1 !== height) {
-    throw new MapFault(
-      "environment.exr_cropped",
-      "the map stores a part of its picture",
-      "save the whole picture (data window equal to display window)",
-    );
+    throw new MapFault("environment.exr_cropped", ...mapFaults.exrCropped());
   }
   const stated = header.chromaticities;
   if (stated === undefined) return;
   const found = primaries.map((name) => stated[name] ?? Number.NaN);
   if (!found.every((value, index) => Math.abs(value - rec709[index]!) < 2e-3)) {
-    throw new MapFault(
-      "environment.exr_primaries",
-      "the map states other primaries than Rec. 709",
-      "convert it to linear Rec. 709 (sRGB primaries)",
-    );
+    throw new MapFault("environment.exr_primaries", ...mapFaults.exrPrimaries());
   }
 }

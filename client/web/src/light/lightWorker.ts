@@ -9,6 +9,8 @@ import { type PreparedLight, prepareLight, usableMap } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { readRgbe } from "./rgbe.js";
 import { ballPicture, smallMap } from "./thumbnail.js";
+import { mapFaults } from "../words/mapFaults.js";
+import { workerSpeaks } from "../words/languages.js";
 
 /** The source of a map; the format is detected from the first bytes. */
 export type MapOrigin =
@@ -34,12 +36,14 @@ export type LightAnswer =
   | { readonly id: number; readonly kind: "failed"; readonly code: string; readonly message: string };
 
 const maxPixels = 1 << 27;
+const speaks = workerSpeaks();
 
 self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
   const { id } = question;
   const answer = (message: LightAnswer, transfer: Transferable[]): void => {
     self.postMessage(message, { transfer });
   };
+  await speaks;
   try {
     if (question.ask === "splitSum") {
       const table = new Float32Array(splitSumTable());
@@ -81,11 +85,7 @@ function decode(data: Uint8Array<ArrayBuffer>) {
   const [first, second, third, fourth] = data;
   if (first === 0x76 && second === 0x2f && third === 0x31 && fourth === 0x01) return readExr(data, maxPixels);
   if (first === 0x23 && second === 0x3f) return readRgbe(data, maxPixels);
-  throw new MapFault(
-    "environment.unknown_format",
-    "the file is neither .hdr nor .exr",
-    "convert it to one of them",
-  );
+  throw new MapFault("environment.unknown_format", ...mapFaults.unknownFormat());
 }
 
 /** Addresses that the page's content security policy has kept from being read. */
@@ -112,24 +112,12 @@ async function fetched(url: string): Promise<Uint8Array<ArrayBuffer>> {
   } catch {
     const { host } = new URL(url);
     if (await isForbidden(url)) {
-      throw new MapFault(
-        "environment.blocked",
-        `the server of this page lets it read from no other host, so not from ${host}`,
-        "download the map and drop it here",
-      );
+      throw new MapFault("environment.blocked", ...mapFaults.blocked(host));
     }
-    throw new MapFault(
-      "environment.missing",
-      `nothing can be read from ${url}`,
-      "check the address, and that its host and this page's allow it; or download the map and drop it here",
-    );
+    throw new MapFault("environment.missing", ...mapFaults.unreadable(url));
   }
   if (!response.ok) {
-    throw new MapFault(
-      "environment.missing",
-      `no map is at ${url} (${response.status})`,
-      "check the address",
-    );
+    throw new MapFault("environment.missing", ...mapFaults.notFound(url, response.status));
   }
   return new Uint8Array(await response.arrayBuffer());
 }

@@ -10,6 +10,7 @@ import { project } from "../engine/harmonics.js";
 import { prefilter } from "../engine/prefilter.js";
 import { MapFault } from "./fault.js";
 import { toHalf } from "../engine/half.js";
+import { mapFaults } from "../words/mapFaults.js";
 
 /** Levels of roughness: 0, 1/8, ... 1. */
 export const numLevels = 9;
@@ -97,7 +98,7 @@ export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: 
   if (map.width > maxWidth) {
     const height = Math.max(1, Math.round((map.height * maxWidth) / map.width));
     map = resized(map, height, maxWidth);
-    notes.push(`Reduced from ${given.width} x ${given.height} to ${map.width} x ${map.height} pixels.`);
+    notes.push(mapFaults.reduced(`${given.width} x ${given.height}`, `${map.width} x ${map.height}`));
   }
   return { map, notes };
 }
@@ -114,13 +115,9 @@ function repaired(map: EnvironmentMap, notes: string[]): EnvironmentMap {
   }
   if (count === 0) return map;
   if (count === map.radianceRgb.length) {
-    throw new MapFault(
-      "environment.no_values",
-      "the map holds no finite, non-negative value",
-      "export the map again",
-    );
+    throw new MapFault("environment.no_values", ...mapFaults.noValues());
   }
-  notes.push(`Replaced ${count} negative, infinite or NaN values.`);
+  notes.push(mapFaults.replaced(count));
   const radianceRgb = Float32Array.from(map.radianceRgb, (value) => {
     if (!(value >= 0)) return 0;
     return value === Number.POSITIVE_INFINITY ? largest : value;

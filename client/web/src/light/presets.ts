@@ -3,15 +3,9 @@
 import { directionOfPixel, type Direction } from "../engine/environment.js";
 import type { EnvironmentMap, Rgb } from "../engine/environmentMap.js";
 
-/** Names of the maps, as they are shown. */
-export const presetNames = {
-  softboxes: "Softboxes",
-  studio: "Studio",
-  sky: "Clear sky",
-  sunset: "Low sun",
-  even: "Even grey",
-} as const;
-export type PresetName = keyof typeof presetNames;
+/** Names of the maps, in the order in which they are offered. */
+export const presetNames = ["softboxes", "studio", "sky", "sunset", "even"] as const;
+export type PresetName = (typeof presetNames)[number];
 
 type Lamp = {
   readonly azimuth: number;

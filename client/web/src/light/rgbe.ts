@@ -6,11 +6,12 @@
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "./fault.js";
+import { mapFaults } from "../words/mapFaults.js";
 
 const resolutionLine = /^([-+])Y (\d{1,7}) ([-+])X (\d{1,7})$/;
 
 function damaged(what: string): MapFault {
-  return new MapFault("environment.hdr_damaged", `the map ${what}`, "export the map again as .hdr or .exr");
+  return new MapFault("environment.hdr_damaged", ...mapFaults.hdr(what));
 }
 
 /** Return the linear picture, row 0 at the top; throws MapFault. */
@@ -19,9 +20,9 @@ export function readRgbe(data: Uint8Array, maxPixels: number): EnvironmentMap {
   const end = data.indexOf(10, start);
   const line = end > 0 && end < start + 64 ? ascii(data.subarray(start, end)) : "";
   const match = resolutionLine.exec(line);
-  if (match === null) throw damaged("has no resolution line of the form -Y <height> +X <width>");
+  if (match === null) throw damaged(mapFaults.hdrNoSize);
   const [height, width] = [Number(match[2]), Number(match[4])];
-  if (height === 0 || width === 0) throw damaged("has no pixels");
+  if (height === 0 || width === 0) throw damaged(mapFaults.hdrEmpty);
   if (height * width > maxPixels) throw tooLarge(width, height, maxPixels);
   const pixels = decode(data.subarray(end + 1), height, width);
   const radianceRgb = new Float32Array(3 * height * width);
@@ -49,30 +50,26 @@ function ascii(bytes: Uint8Array): string {
 function readHeader(data: Uint8Array): { start: number; scale: readonly number[] } {
   const text = ascii(data.subarray(0, 1 << 16));
   if (!text.startsWith("#?RADIANCE") && !text.startsWith("#?RGBE")) {
-    throw damaged('does not start with "#?RADIANCE" or "#?RGBE"');
+    throw damaged(mapFaults.hdrStart);
   }
   const stop = text.indexOf("\n\n");
-  if (stop < 0) throw damaged("has no end of header within 64 KiB");
+  if (stop < 0) throw damaged(mapFaults.hdrNoEnd);
   const scale = [1, 1, 1];
   for (const line of text.slice(0, stop).split("\n").slice(1)) {
     const [key = "", value = ""] = line.split("=", 2).map((part) => part.trim());
     if (key === "FORMAT" && value !== "32-bit_rle_rgbe") {
-      throw new MapFault(
-        "environment.hdr_format",
-        `the map stores ${value.slice(0, 32)}`,
-        "convert it to 32-bit_rle_rgbe (linear Rec. 709) or to .exr",
-      );
+      throw new MapFault("environment.hdr_format", ...mapFaults.hdrFormat(value.slice(0, 32)));
     }
     if (key === "EXPOSURE" || key === "COLORCORR") {
       const numbers = value.split(/\s+/).map(Number);
-      if (numbers.length !== 1 && numbers.length !== 3) throw damaged(`has an unreadable ${key} line`);
+      if (numbers.length !== 1 && numbers.length !== 3) throw damaged(mapFaults.hdrLine(key));
       scale.forEach((before, channel) => {
         scale[channel] = before * numbers[numbers.length === 1 ? 0 : channel]!;
       });
     }
   }
   if (!scale.every((value) => value > 0 && Number.isFinite(value))) {
-    throw damaged("has an exposure that is not a positive number");
+    throw damaged(mapFaults.hdrExposure);
   }
   return { start: stop + 2, scale };
 }
@@ -85,16 +82,16 @@ function decode(data: Uint8Array, height: number, width: number): Uint8Array {
   for (let row = 0; row < height; row++) {
     const stated = (data[position + 2]! << 8) | data[position + 3]!;
     if (data[position] !== 2 || data[position + 1] !== 2 || stated !== width) {
-      throw damaged(`is damaged or ends early at row ${row}`);
+      throw damaged(mapFaults.hdrRowDamaged(row));
     }
     position += 4;
     for (let filled = 0; filled < 4 * width; ) {
-      if (position + 1 >= data.length) throw damaged(`ends early at row ${row}`);
+      if (position + 1 >= data.length) throw damaged(mapFaults.hdrRowEnds(row));
       const code = data[position++]!;
       const repeated = code > 128;
       const count = repeated ? code - 128 : code;
       if (count === 0 || filled + count > 4 * width || (!repeated && position + count > data.length)) {
-        throw damaged(`is damaged at row ${row}`);
+        throw damaged(mapFaults.hdrRowDamaged(row));
       }
       for (let index = 0; index < count; index++, filled++) {
         // Planes of a row follow each other: red, green, blue, exponent.
@@ -113,9 +110,9 @@ function decodeFlat(data: Uint8Array, count: number): Uint8Array {
   let filled = 0;
   let digit = 0;
   for (let place = 0; filled < count; place += 4) {
-    if (place + 4 > data.length) throw damaged(`has ${filled} of ${count} pixels`);
+    if (place + 4 > data.length) throw damaged(mapFaults.hdrPixels(filled, count));
     if (data[place] === 1 && data[place + 1] === 1 && data[place + 2] === 1) {
-      if (filled === 0 || digit > 3) throw damaged("repeats a pixel that is not there");
+      if (filled === 0 || digit > 3) throw damaged(mapFaults.hdrRepeats);
       // Consecutive repeats are digits of one count, least significant first.
       const repeats = Math.min(data[place + 3]! * 256 ** digit++, count - filled);
       const last = pixels.slice(4 * (filled - 1), 4 * filled);

@@ -1,13 +1,14 @@
 /** The editor of masks: all photographs, one of them large, and what was marked. */
 
 import { h, section, setText } from "../page/dom.js";
-import { plural } from "../page/format.js";
+import { formatNumber, formatPercent } from "../page/format.js";
 import { Applier, type ApplyState } from "./applier.js";
 import type { Applied, Capture, Finished, Frame, MaskBackend } from "./backend.js";
 import { documentOf, History } from "./corrections.js";
 import { doubtfulFirst, Grid } from "./grid.js";
 import { Pad } from "./pad.js";
 import { toolControls } from "./tools.js";
+import { texts } from "../words/words.js";
 
 export type EditorContext = {
   readonly backend: MaskBackend;
@@ -27,18 +28,17 @@ const largeSide = 1600;
 /** Return in words what the views make of the masks. */
 export function agreementText(agreement: number, reason: string, marked: boolean): string {
   if (reason !== "" && !marked) {
-    return `No object was found: ${reason}. Mark it with a box or a few strokes on two or three photographs.`;
+    return texts.masks.notFound(reason);
   }
-  return `The views agree to ${Math.round(100 * agreement)} %.`;
+  return texts.masks.agree(formatPercent(agreement));
 }
 
 /** Return in words what came of the last change. */
 export function appliedText(applied: Applied, frames: number, seconds: number): string {
   const changed =
-    applied.changed.length === 0
-      ? "no mask has changed"
-      : `${plural(applied.changed.length, "mask")} changed`;
-  return `All ${frames} photographs compared in ${seconds.toFixed(1)} s: ${changed}. The views agree to ${Math.round(100 * applied.agreement)} %.`;
+    applied.changed.length === 0 ? texts.masks.unchanged : texts.masks.changed(applied.changed.length);
+  const agree = texts.masks.agree(formatPercent(applied.agreement));
+  return texts.masks.applied(frames, formatNumber(seconds, 1), changed, agree);
 }
 
 /** Load the capture and return the editor. */
@@ -58,8 +58,8 @@ class MaskEditor implements Editor {
   );
   readonly #status = h("p", { class: "figures", role: "status" });
   readonly #heading = h("h2", { tabindex: -1 });
-  readonly #undo = button("Undo", "Ctrl-Z", () => this.#takeBack());
-  readonly #clear = button("Clear this photograph", "", () => this.#clearOpen());
+  readonly #undo = button(texts.masks.undo, texts.masks.undoKey, () => this.#takeBack());
+  readonly #clear = button(texts.masks.clear, "", () => this.#clearOpen());
   readonly #large: HTMLElement;
   readonly #over = new AbortController();
   #open: Frame | null = null;
@@ -98,14 +98,10 @@ class MaskEditor implements Editor {
     this.element = h(
       "div",
       { class: "masks" },
-      h(
-        "p",
-        {},
-        "What is dimmed does not belong to the object. Open a photograph where that is wrong and mark all that is wrong there: the others follow. Repeat it on another one where something is left.",
-      ),
+      h("p", {}, texts.masks.about),
       h("div", { class: "actions bar" }, finish, this.#undo, this.#status),
       this.#large,
-      section("All photographs", {}, this.#grid.element),
+      section(texts.masks.all, {}, this.#grid.element),
     );
     setText(
       this.#status,
@@ -128,15 +124,10 @@ class MaskEditor implements Editor {
       element.setAttribute("aria-label", name);
       return element;
     };
-    const help = h(
-      "p",
-      { class: "faint help" },
-      "A box around the object says that all outside of it is not the object. Two fingers, the wheel, or Shift and dragging zoom and move. ",
-      "Keys: arrows and Space mark, o / n what it is, b / x / m the tool, [ ] the brush, + - 0 zoom, Page Up / Down other photographs, Escape closes.",
-    );
+    const help = h("p", { class: "faint help" }, texts.masks.help);
     return h(
       "section",
-      { class: "large", hidden: true, "aria-label": "One photograph" },
+      { class: "large", hidden: true, "aria-label": texts.masks.one },
       h(
         "div",
         { class: "line" },
@@ -144,9 +135,9 @@ class MaskEditor implements Editor {
         h(
           "div",
           { class: "actions" },
-          zoom("◀", "Photograph before", () => this.#turn(-1)),
-          zoom("▶", "Next photograph", () => this.#turn(1)),
-          button("Close", "Escape", () => this.#hide()),
+          zoom("◀", texts.masks.before, () => this.#turn(-1)),
+          zoom("▶", texts.masks.next, () => this.#turn(1)),
+          button(texts.masks.close, texts.masks.closeKey, () => this.#hide()),
         ),
       ),
       this.#controls.element,
@@ -154,9 +145,9 @@ class MaskEditor implements Editor {
       h(
         "div",
         { class: "actions" },
-        zoom("+", "Zoom in", () => this.#pad.zoom(1.4)),
-        zoom("−", "Zoom out", () => this.#pad.zoom(1 / 1.4)),
-        button("Whole", "0", () => this.#pad.whole()),
+        zoom("+", texts.masks.zoomIn, () => this.#pad.zoom(1.4)),
+        zoom("−", texts.masks.zoomOut, () => this.#pad.zoom(1 / 1.4)),
+        button(texts.masks.whole, "0", () => this.#pad.whole()),
         this.#clear,
       ),
       help,
@@ -214,7 +205,7 @@ class MaskEditor implements Editor {
     if (this.#pad.cancel() || !this.#history.canUndo) return;
     const frames = this.#history.undo();
     this.#changed();
-    setText(this.#status, `Taken back on ${[...frames].join(", ")}.`);
+    setText(this.#status, texts.masks.undone([...frames].join(", ")));
   }
 
   #clearOpen(): void {
@@ -232,7 +223,7 @@ class MaskEditor implements Editor {
   #changed(): void {
     if (this.#open !== null) this.#pad.marks(this.#history.of(this.#open.name));
     this.#label();
-    setText(this.#status, "Noted; the other photographs follow.");
+    setText(this.#status, texts.masks.noted);
     this.#applier.change(this.#history.now);
   }
 
@@ -246,17 +237,17 @@ class MaskEditor implements Editor {
     clearInterval(this.#ticking);
     this.element.setAttribute("aria-busy", String(state.kind === "applying"));
     if (state.kind === "failed") {
-      setText(this.#status, "The last marks could not be carried to the other photographs.");
+      setText(this.#status, texts.masks.notCarried);
       this.context.fail(state.error);
       return;
     }
     this.context.recovered?.();
     if (state.kind === "applying") {
       const began = performance.now();
-      const text = `Carrying the marks to all ${this.#frames.length} photographs …`;
+      const text = texts.masks.carrying(this.#frames.length);
       setText(this.#status, text);
       this.#ticking = setInterval(() => {
-        setText(this.#status, `${text} ${Math.round((performance.now() - began) / 1000)} s`);
+        setText(this.#status, texts.masks.seconds(text, Math.round((performance.now() - began) / 1000)));
       }, 1000);
       return;
     }
@@ -293,5 +284,5 @@ class MaskEditor implements Editor {
 }
 
 function button(text: string, key: string, act: () => void): HTMLButtonElement {
-  return h("button", { type: "button", title: key === "" ? null : `key ${key}`, onclick: act }, text);
+  return h("button", { type: "button", title: key === "" ? null : texts.page.key(key), onclick: act }, text);
 }

@@ -1,9 +1,9 @@
 /** All photographs, small, with their masks. */
 
 import { h, setText } from "../page/dom.js";
-import { plural } from "../page/format.js";
 import type { Frame, MaskBackend } from "./backend.js";
 import { drawThumbnail } from "./paint.js";
+import { texts } from "../words/words.js";
 
 const thumbnailSide = 240;
 /** So many requests are under way at once. */
@@ -25,7 +25,7 @@ export async function inLines<T>(items: readonly T[], work: (item: T) => Promise
 
 /** Return the words for a photograph's state. */
 export function badge(doubtful: boolean, marks: number): string {
-  return [doubtful && "doubtful", marks > 0 && plural(marks, "mark")].filter(Boolean).join(", ");
+  return [doubtful && texts.masks.doubtful, marks > 0 && texts.masks.marks(marks)].filter(Boolean).join(", ");
 }
 
 type Cell = {
@@ -37,7 +37,7 @@ type Cell = {
 };
 
 export class Grid {
-  readonly element = h("ol", { class: "shots", "aria-label": "All photographs" });
+  readonly element = h("ol", { class: "shots", "aria-label": texts.masks.all });
   readonly #cells = new Map<string, Cell>();
 
   constructor(

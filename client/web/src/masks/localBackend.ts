@@ -3,6 +3,7 @@
 import { requireOk } from "../page/rest.js";
 import type { Applied, Capture, MaskBackend } from "./backend.js";
 import type { CorrectionList } from "./corrections.js";
+import { texts } from "../words/words.js";
 
 /** Return the key in the address of the page, or null where there is none. */
 export function keyOf(fragment: string): string | null {
@@ -19,7 +20,7 @@ export function localBackend(key: string, send: typeof fetch = (...given) => fet
       response = await send(`${base}/${path}`, init);
     } catch (error) {
       if (init.signal?.aborted) throw error;
-      throw new Error("The command that shows this page has ended. Start it again to go on; all is kept.");
+      throw new Error(texts.masks.ended);
     }
     return requireOk(response);
   }
@@ -42,7 +43,7 @@ export function localBackend(key: string, send: typeof fetch = (...given) => fet
     finish: async (corrections) => {
       const { command } = (await (await post("finish", corrections)).json()) as { command: string };
       return {
-        told: "The corrections are kept, and the command draws the masks now. You can close this page.",
+        told: texts.masks.toldLocal,
         command,
       };
     },

@@ -5,9 +5,14 @@ import { h } from "../page/dom.js";
 import type { Finished } from "./backend.js";
 import { maskEditor } from "./editor.js";
 import { keyOf, localBackend } from "./localBackend.js";
+import { speakAsBrowser, texts } from "../words/words.js";
 
+await speakAsBrowser();
 const main = document.querySelector<HTMLElement>("#main")!;
 const message = document.querySelector<HTMLElement>("#message")!;
+
+document.title = `${texts.masks.title} · Lambent`;
+main.querySelector("[role=status]")!.textContent = texts.masks.loading;
 
 function fail(error: unknown): void {
   message.textContent = explain(error);
@@ -20,9 +25,9 @@ function recovered(): void {
 
 function finished({ told: text, command }: Finished): void {
   main.replaceChildren(
-    h("h1", { tabindex: -1 }, "Done"),
+    h("h1", { tabindex: -1 }, texts.masks.done),
     h("p", { role: "status" }, text),
-    h("p", {}, "When it says so, go on in the terminal with:"),
+    h("p", {}, texts.masks.goOn),
     h("pre", { tabindex: 0 }, h("code", {}, command ?? "")),
   );
   main.querySelector("h1")?.focus();
@@ -30,10 +35,10 @@ function finished({ told: text, command }: Finished): void {
 
 async function run(): Promise<void> {
   const key = keyOf(location.hash);
-  if (key === null) throw new Error("This address is incomplete. Open the one that the command printed.");
+  if (key === null) throw new Error(texts.masks.incomplete);
   const backend = localBackend(key);
-  const editor = await maskEditor({ backend, fail, recovered, finished, finishLabel: "Done" });
-  main.replaceChildren(h("h1", { tabindex: -1 }, "Correct the masks"), editor.element);
+  const editor = await maskEditor({ backend, fail, recovered, finished, finishLabel: texts.masks.done });
+  main.replaceChildren(h("h1", { tabindex: -1 }, texts.masks.title), editor.element);
 }
 
 run().catch((error) => {

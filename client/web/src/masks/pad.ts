@@ -6,6 +6,7 @@ import type { Frame } from "./backend.js";
 import { drawCursor, drawMark, overlayOf } from "./paint.js";
 import { afterKey, brushShare, type Tools } from "./tools.js";
 import { fitted, moved, showing, toPhoto, toScreen, type Viewport, zoomed } from "./viewport.js";
+import { texts } from "../words/words.js";
 
 export type PadHost = {
   readonly tools: () => Tools;
@@ -63,10 +64,7 @@ export class Pad {
     this.#points = null;
     this.#cursor = null;
     this.element.style.aspectRatio = `${frame.width} / ${frame.height}`;
-    this.element.setAttribute(
-      "aria-label",
-      `Photograph ${frame.name}: arrow keys move the brush, Space begins and ends a mark`,
-    );
+    this.element.setAttribute("aria-label", texts.masks.canvas(frame.name));
     this.whole();
   }
 
@@ -252,7 +250,7 @@ export class Pad {
       PageUp: () => this.host.turn(-1),
       PageDown: () => this.host.turn(1),
       Escape: () => {
-        if (this.cancel()) this.host.say("The mark was given up.");
+        if (this.cancel()) this.host.say(texts.masks.given);
         else this.host.leave();
       },
       " ": () => this.#mark(),
@@ -289,7 +287,7 @@ export class Pad {
     }
     this.#setCursor(this.#cursor ?? this.#middle);
     this.#points = [this.#cursor!];
-    this.host.say("A mark is begun: move with the arrow keys, Space ends it, Escape gives it up.");
+    this.host.say(texts.masks.begun);
   }
 
   get #middle(): Point {

@@ -4,6 +4,7 @@ import { sceneAddress } from "../page/addresses.js";
 import type { Api, Artifact, Job } from "../page/rest.js";
 import type { Applied, Capture, Finished, MaskBackend } from "./backend.js";
 import type { CorrectionList } from "./corrections.js";
+import { named, texts } from "../words/words.js";
 
 /** `preparation/frames.json` of a job: see `lambent_worker.masks.preview`. */
 export type Preparation = {
@@ -61,10 +62,10 @@ export async function readPrepared(api: PreparationApi, job: Job): Promise<Prepa
   const { items } = await api.artifacts(job.id);
   const artifacts = new Map(items.map((item) => [item.name, item]));
   const frames = artifacts.get(`${folder}frames.json`);
-  if (frames === undefined) throw new Error(`Job ${job.id} shows no masks.`);
+  if (frames === undefined) throw new Error(texts.masks.noMasks(job.id));
   const preparation = await api.document<Preparation>(frames.url);
   if (preparation.version !== version) {
-    throw new Error(`Masks of version ${preparation.version} cannot be shown; this page reads ${version}.`);
+    throw new Error(texts.masks.version(preparation.version, version));
   }
   return { job, preparation, artifacts };
 }
@@ -147,7 +148,7 @@ export class RestMaskBackend implements MaskBackend {
       await this.apply(corrections, new AbortController().signal);
     }
     this.#mine.clear();
-    return { told: "The masks are kept. Train with them now.", address: sceneAddress(this.sceneId) };
+    return { told: texts.masks.toldServer, address: sceneAddress(this.sceneId) };
   }
 
   async #order(corrections: CorrectionList, signal: AbortSignal): Promise<Job> {
@@ -169,7 +170,7 @@ export class RestMaskBackend implements MaskBackend {
       throw error;
     }
     if (job.state !== "succeeded") {
-      throw new Error(job.error?.message ?? `The masks were not computed: the job was ${job.state}.`);
+      throw new Error(job.error?.message ?? texts.masks.notComputed(named(texts.states, job.state)));
     }
     return job;
   }
@@ -177,7 +178,9 @@ export class RestMaskBackend implements MaskBackend {
   #file(frame: string, kind: "picture" | "mask"): Artifact {
     const entry = this.#shown.preparation.frames.find(({ name }) => name === frame);
     const file = entry === undefined ? undefined : this.#shown.artifacts.get(folder + entry[kind]);
-    if (file === undefined) throw new Error(`There is no ${kind} of "${frame}".`);
+    if (file === undefined) {
+      throw new Error(kind === "mask" ? texts.masks.noMask(frame) : texts.masks.noPicture(frame));
+    }
     return file;
   }
 }

@@ -2,6 +2,7 @@
 
 import { h } from "../page/dom.js";
 import type { Label } from "./corrections.js";
+import { texts } from "../words/words.js";
 
 export type Shape = "brush" | "box" | "move";
 export type Tools = { label: Label; shape: Shape; brush: number };
@@ -41,7 +42,7 @@ export function toolControls(initial: Tools, changed: (tools: Tools) => void) {
   ) => {
     const inputs = options.map(([value, text, key]) => {
       const input = h("input", { type: "radio", name, value, onchange: () => choose({ [name]: value }) });
-      return { value, input, label: h("label", { title: `key ${key}` }, input, text) };
+      return { value, input, label: h("label", { title: texts.page.key(key) }, input, text) };
     });
     const element = h(
       "fieldset",
@@ -51,23 +52,23 @@ export function toolControls(initial: Tools, changed: (tools: Tools) => void) {
     );
     return { inputs, element };
   };
-  const label = choices("label", "This is", [
-    ["background", "not the object", "n"],
-    ["object", "the object", "o"],
+  const label = choices("label", texts.masks.label, [
+    ["background", texts.masks.labels.background, "n"],
+    ["object", texts.masks.labels.object, "o"],
   ]);
-  const shape = choices("shape", "Tool", [
-    ["brush", "brush", "b"],
-    ["box", "box", "x"],
-    ["move", "move", "m"],
+  const shape = choices("shape", texts.masks.tool, [
+    ["brush", texts.masks.tools.brush, "b"],
+    ["box", texts.masks.tools.box, "x"],
+    ["move", texts.masks.tools.move, "m"],
   ]);
   const brush = h("input", {
     type: "range",
     min: 1,
     max: 100,
-    title: "keys [ and ]",
+    title: texts.masks.brushKeys,
     oninput: () => choose({ brush: Number(brush.value) }),
   });
-  const size = h("label", { class: "size" }, "Brush size", brush);
+  const size = h("label", { class: "size" }, texts.masks.brushSize, brush);
 
   function show(): void {
     for (const each of label.inputs) each.input.checked = each.value === tools.label;

@@ -2,12 +2,13 @@
 
 import { h } from "./dom.js";
 import { Refused, Unreachable } from "./rest.js";
+import { texts } from "../words/words.js";
 
 /** Return the message for an error. */
 export function explain(error: unknown): string {
-  if (error instanceof Unreachable) return "The server does not answer. Is it running?";
+  if (error instanceof Unreachable) return texts.page.noServer;
   if (error instanceof Refused && error.status === 401) {
-    return "This browser is not logged in. Open the one-time link that `lambent serve` printed.";
+    return texts.page.notLoggedIn;
   }
   if (error instanceof Refused) {
     const details = error.errors

@@ -1,4 +1,17 @@
-/** Numbers as people read them. */
+/** Numbers as people read them, in the language of the page. */
+
+import { locale } from "../words/words.js";
+
+/** Return a number with `digits` decimals. */
+export function formatNumber(value: number, digits = 0): string {
+  const limits = { minimumFractionDigits: digits, maximumFractionDigits: digits };
+  return new Intl.NumberFormat(locale, limits).format(value);
+}
+
+/** Return a share of one as whole percent. */
+export function formatPercent(share: number): string {
+  return new Intl.NumberFormat(locale, { style: "percent" }).format(share);
+}
 
 /** Return seconds as "m:ss" or "h:mm:ss". */
 export function formatDuration(seconds: number): string {
@@ -11,27 +24,31 @@ export function formatDuration(seconds: number): string {
 
 /** Return seconds in words that promise no more than an estimate can: "45 seconds", "6 minutes", "2.5 hours". */
 export function formatAbout(seconds: number): string {
-  if (seconds < 90) return `${Math.max(Math.round(seconds / 5) * 5, 5)} seconds`;
-  if (seconds < 90 * 60) return `${Math.round(seconds / 60)} minutes`;
-  return `${Number((seconds / 3600).toFixed(1))} hours`;
+  const told = (value: number, unit: string, digits = 0): string =>
+    new Intl.NumberFormat(locale, {
+      ...{ style: "unit", unit, unitDisplay: "long", maximumFractionDigits: digits },
+    }).format(value);
+  if (seconds < 90) return told(Math.max(Math.round(seconds / 5) * 5, 5), "second");
+  if (seconds < 90 * 60) return told(seconds / 60, "minute");
+  return told(seconds / 3600, "hour", 1);
 }
 
 /** Return a size in the largest unit that keeps it at or above one (1 MiB = 1048576 bytes). */
 export function formatSize(sizeBytes: number): string {
   let size = sizeBytes;
   for (const unit of ["B", "KiB", "MiB"]) {
-    if (size < 1024) return unit === "B" ? `${size} B` : `${size.toFixed(1)} ${unit}`;
+    if (size < 1024) return `${formatNumber(size, unit === "B" ? 0 : 1)} ${unit}`;
     size /= 1024;
   }
-  return `${size.toFixed(1)} GiB`;
+  return `${formatNumber(size, 1)} GiB`;
 }
 
-/** Return an RFC 3339 time in the visitor's zone and language. */
+/** Return an RFC 3339 time in the visitor's zone. */
 export function formatTime(at: string): string {
-  return new Date(at).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
+  return new Date(at).toLocaleString(locale, { dateStyle: "medium", timeStyle: "short" });
 }
 
-/** Return "1 file" or "3 files". */
-export function plural(count: number, one: string, many = `${one}s`): string {
-  return `${count} ${count === 1 ? one : many}`;
+/** Return names as a list in a sentence: "a, b, and c". */
+export function formatList(names: readonly string[]): string {
+  return new Intl.ListFormat(locale, { type: "conjunction" }).format(names);
 }

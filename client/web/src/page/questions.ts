@@ -1,5 +1,7 @@
 /** Numbered questions to a worker and their answers. */
 
+import { texts } from "../words/words.js";
+
 export type Unnumbered<T> = T extends { readonly id: number } ? Omit<T, "id"> : never;
 type Waiting<Answer> = {
   readonly resolve: (answer: Answer) => void;
@@ -18,7 +20,7 @@ export class Questions<Question extends { readonly id: number }, Answer extends 
       this.#waiting.delete(data.id);
     });
     worker.addEventListener("error", (event) => {
-      const fault = new Error(event.message || "a part of this page could not be started; reload the page");
+      const fault = new Error(event.message || texts.page.partFailed);
       // Only a script that failed to load has no message; after any other error the worker continues.
       if (!event.message) this.#fault = fault;
       for (const { reject } of this.#waiting.values()) reject(fault);

@@ -3,13 +3,14 @@
 import { explain } from "./actions.js";
 import { h } from "./dom.js";
 import { Refused } from "./rest.js";
+import { texts } from "../words/words.js";
 
 export const undoMs = 10_000;
 
 /** Something to delete; `send` tells the server, with `keepalive` so that it arrives after the page has gone. */
 export type Removal = {
   readonly id: string;
-  /** What it is, as the middle of a sentence: 'the scene "Cup"'. */
+  /** What it is, as a sentence begins: 'The scene "Cup"'. */
   readonly what: string;
   readonly send: (keepalive: boolean) => Promise<unknown>;
   /** Called when it is gone for good. */
@@ -81,7 +82,7 @@ export class Removals {
       if (error instanceof Refused && error.status === 404) waiting.removal.gone?.();
       else {
         this.#sent.delete(id);
-        this.fail(new Error(`${capital(waiting.removal.what)} could not be deleted. ${explain(error)}`));
+        this.fail(new Error(texts.page.notDeleted(waiting.removal.what, explain(error))));
       }
     }
     this.#tell();
@@ -108,9 +109,13 @@ export function removalNotices(removals: Removals): HTMLElement {
     }
     for (const { id, what } of removals.waiting) {
       if (shown.has(id)) continue;
-      const undo = h("button", { type: "button", "aria-label": `Undo: keep ${what}` }, "Undo");
+      const undo = h(
+        "button",
+        { type: "button", "aria-label": texts.page.undoDelete(what) },
+        texts.page.undo,
+      );
       undo.addEventListener("click", () => removals.undo(id));
-      const notice = h("p", { class: "notice toast" }, `${capital(what)} is deleted. `, undo);
+      const notice = h("p", { class: "notice toast" }, texts.page.deleted(what), " ", undo);
       shown.set(id, notice);
       element.append(notice);
       // The button that was pressed is gone, and the next thing wanted may be the way back.
@@ -118,8 +123,4 @@ export function removalNotices(removals: Removals): HTMLElement {
     }
   });
   return element;
-}
-
-function capital(text: string): string {
-  return text.charAt(0).toUpperCase() + text.slice(1);
 }

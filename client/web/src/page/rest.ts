@@ -1,6 +1,7 @@
 /** The REST API for the pages: typed bodies, problems as exceptions. */
 
 import type { components } from "../contract/rest.js";
+import { texts } from "../words/words.js";
 
 export type Schemas = components["schemas"];
 export type Job = Schemas["Job"];
@@ -49,7 +50,7 @@ export async function requireOk(response: Response): Promise<Response> {
   throw new Refused(
     response.status,
     problem.code ?? `http_${response.status}`,
-    problem.detail ?? `the server answered ${response.status}`,
+    problem.detail ?? texts.page.answered(response.status),
     problem.retryable ?? response.status >= 500,
     problem.errors ?? [],
   );
@@ -72,7 +73,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
       response = await send(path, { ...init, method, headers: { "x-lambent-csrf": "1", ...init.headers } });
     } catch (error) {
       if (init.signal?.aborted) throw error;
-      throw new Unreachable("the server does not answer");
+      throw new Unreachable(texts.page.noServerShort);
     }
     return requireOk(response);
   }

@@ -1,5 +1,7 @@
 /** Starts workers, also for pages of other origins than our scripts. */
 
+import { locale } from "../words/words.js";
+
 const begun = new Map<string, string>();
 
 /**
@@ -7,7 +9,11 @@ const begun = new Map<string, string>();
  * there a script of the page's own, a blob, imports it, which needs `worker-src` with `blob:` and our origin in a strict policy of that page.
  */
 export function startWorker(address: string): Worker {
-  return new Worker(workerScript(new URL(address, location.href), location.origin), { type: "module" });
+  return new Worker(workerScript(new URL(address, location.href), location.origin), {
+    type: "module",
+    // What it says is in the language of the page.
+    name: locale,
+  });
 }
 
 /** Return the address to start: that of the module, or of a script that imports it. */

@@ -4,6 +4,7 @@ import { startWorker } from "../page/workers.js";
 import type { OpenQuestion, RefineAnswer, RefineQuestion } from "./messages.js";
 import workerUrl from "./refineWorker.ts?worker&url";
 import type { RefineOptions } from "./status.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 const mostWorkers = 4;
 
@@ -32,7 +33,7 @@ export class RefinePool {
       this.#workers.push(worker);
       worker.onmessage = ({ data }: MessageEvent<RefineAnswer>) => this.#take(data);
       worker.onerror = (event) => {
-        const message = event.message || "the worker could not be started";
+        const message = event.message || deviceFaults.worker;
         this.#take({ kind: "failed", code: "refine.failed", message });
       };
       const ports = index === 0 ? channels.map(({ port1 }) => port1) : [channels[index - 1]!.port2];

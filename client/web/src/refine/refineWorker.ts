@@ -24,6 +24,8 @@ import { pixelFeatures } from "./pixelFeatures.js";
 import { brightness, SkyLight } from "./skyLight.js";
 import { type SurfacePoints, surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
+import { bundleFaults } from "../words/bundleFaults.js";
+import { workerSpeaks } from "../words/languages.js";
 
 /** Directions of a point in one pass. */
 const perPass = 8;
@@ -40,7 +42,7 @@ let opened: Opened | null = null;
 let light: Light | null = null;
 let current = 0;
 let taking: ((pass: SharedPass) => void) | null = null;
-let work: Promise<void> = Promise.resolve();
+let work: Promise<void> = workerSpeaks();
 
 function answer(message: RefineAnswer, transfer: Transferable[] = []): void {
   self.postMessage(message, { transfer });
@@ -70,7 +72,7 @@ async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQu
   const files = await openBundle(await openSource(origin));
   const { manifest } = files;
   if (manifest.sceneId !== sceneId) {
-    throw new BundleFault("bundle.digest_mismatch", "the bundle is another one by now", "reload the page");
+    throw new BundleFault("bundle.digest_mismatch", ...bundleFaults.changed());
   }
   const stated = manifest.transport;
   const lit = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
@@ -88,11 +90,7 @@ async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQu
 async function cacheFiles({ manifest, read }: Awaited<ReturnType<typeof openBundle>>): Promise<CacheFiles> {
   const graph = manifest.graphs.find(({ name }) => name === "fast_cache");
   if (graph === undefined) {
-    throw new BundleFault(
-      "bundle.graph_missing",
-      "this bundle carries baked light transport and no networks",
-      "use a bundle of the full tier",
-    );
+    throw new BundleFault("bundle.graph_missing", ...bundleFaults.noNetworks());
   }
   const [model, weights] = await Promise.all([read(graph.path), read("models/weights.bin")]);
   return { manifest, model, weights };

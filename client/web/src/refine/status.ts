@@ -1,5 +1,7 @@
 /** The status and options of refining. */
 
+import { locale, texts } from "../words/words.js";
+
 /**
  * What finds the light that reaches a point: "mesh": exact rays against the mesh, on the processor; "wgsl" and "wasm":
  * the fast cache, as a shader on graphics hardware or by onnxruntime on the processor.
@@ -55,21 +57,18 @@ export const refineOptions: RefineOptions = {
   samplesPerPixel: 512,
 };
 
-const places: Readonly<Record<Backend, string>> = {
-  mesh: "tracing the mesh",
-  wgsl: "WebGPU",
-  wasm: "WebAssembly, which is slow",
-};
-
 /** Return a status as a sentence. */
 export function statusText(status: RefineStatus): string {
   const { phase, backend, note, samplesPerPixel, relativeError, message } = status;
   if (phase === "off") return "";
-  if (phase === "waiting") return "Starts when nothing moves.";
-  if (phase === "loading") return "Preparing…";
-  if (phase === "failed") return `Cannot refine: ${message}`;
-  const by = backend === null ? "" : `, by ${places[backend]}${note === "" ? "" : ` (${note})`}`;
-  const progress = `${samplesPerPixel} samples a pixel, noise ${(100 * relativeError).toPrecision(2)} %${by}`;
-  if (samplesPerPixel === 0) return `First samples${by}…`;
-  return phase === "done" ? `Done: ${progress}.` : `${progress}…`;
+  if (phase === "waiting") return texts.refine.waiting;
+  if (phase === "loading") return texts.refine.preparing;
+  if (phase === "failed") return texts.refine.failed(message);
+  const by =
+    backend === null ? "" : texts.refine.by(`${texts.refine.places[backend]}${note && ` (${note})`}`);
+  if (samplesPerPixel === 0) return texts.refine.first(by);
+  const digits = { minimumSignificantDigits: 2, maximumSignificantDigits: 2 };
+  const noise = new Intl.NumberFormat(locale, { style: "percent", ...digits }).format(relativeError);
+  const progress = texts.refine.progress(samplesPerPixel, noise, by);
+  return phase === "done" ? texts.refine.done(progress) : texts.refine.running(progress);
 }

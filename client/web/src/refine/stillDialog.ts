@@ -6,6 +6,7 @@ import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { statusText } from "./status.js";
 import { refinedFile } from "./stillFile.js";
+import { texts } from "../words/words.js";
 
 /** Refine a picture and offer it as a file, with its progress in a dialog in `root`; resolves when that is closed. */
 export async function saveRefined(
@@ -15,12 +16,12 @@ export async function saveRefined(
   kind: "png" | "exr",
 ): Promise<void> {
   const stop = new AbortController();
-  const bar = make("progress", { ariaLabel: "Parts refined" });
-  const news = make("p", { className: "hint", role: "status", textContent: "Beginning…" });
-  const cancel = button("Cancel", () => stop.abort(new DOMException("cancelled", "AbortError")));
-  const heading = make("h2", { textContent: `Refining ${size.width} × ${size.height} pixels` });
+  const bar = make("progress", { ariaLabel: texts.refine.parts });
+  const news = make("p", { className: "hint", role: "status", textContent: texts.refine.starting });
+  const cancel = button(texts.page.cancel, () => stop.abort(new DOMException("cancelled", "AbortError")));
+  const heading = make("h2", { textContent: texts.refine.heading(size.width, size.height) });
   const element = make("dialog", { className: "work" }, heading, bar, news, cancel);
-  element.setAttribute("aria-label", "Refining a picture");
+  element.setAttribute("aria-label", texts.refine.dialog);
   element.addEventListener("cancel", (event) => {
     event.preventDefault();
     cancel.click();
@@ -33,7 +34,7 @@ export async function saveRefined(
       signal: stop.signal,
       onProgress: (part, parts, status) => {
         Object.assign(bar, { max: parts, value: part - (status.phase === "done" ? 0 : 1) });
-        news.textContent = `Part ${part} of ${parts}. ${statusText(status)}`;
+        news.textContent = texts.refine.part(part, parts, statusText(status));
       },
     });
     download(blob, `${viewer.bundle?.name ?? "lambent"}.${kind}`);

@@ -4,6 +4,7 @@ import type { AtlasMesh } from "../bundle/mesh.js";
 import { exportAgain } from "../bundle/fault.js";
 import { spreadTexels } from "../bundle/texels.js";
 import type { PackedTransport } from "../bundle/transport.js";
+import { bundleFaults } from "../words/bundleFaults.js";
 
 /**
  * Return the position of every covered texel's centre on the mesh, triples; throws BundleFault where the mesh covers
@@ -12,7 +13,8 @@ import type { PackedTransport } from "../bundle/transport.js";
 export function texelPositions(mesh: AtlasMesh, transport: PackedTransport): Float32Array {
   const { size, numTexels, texelPlane } = transport;
   const drawn = drawCharts(mesh, size);
-  if (drawn.places.length === 0) throw exportAgain("bundle.mesh_invalid", "mesh/asset.glb covers no texel");
+  if (drawn.places.length === 0)
+    throw exportAgain("bundle.mesh_invalid", bundleFaults.mesh(bundleFaults.coversNothing));
   const positions = new Float32Array(3 * numTexels);
   const known = new Uint8Array(numTexels);
   const place = new Int32Array(numTexels).fill(-1);

@@ -10,6 +10,7 @@ import { NotFused } from "../engine/fusedWeights.js";
 import { openGraph } from "../engine/onnxGraphs.js";
 import { MeshRays } from "./meshRays.js";
 import type { Backend } from "./status.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** Opacity and distance of rays, one number each, and the texels that were met where those are known. */
 export type Traced = {
@@ -97,26 +98,26 @@ export async function openTracer(files: CacheFiles, wanted: Backend | "auto"): P
     const opened = await openWgsl(files);
     if (typeof opened !== "string") return { tracer: opened, note: "" };
     reason = opened;
-    if (wanted === "wgsl") throw new RefineFault(`${reason}; use another browser, or WebAssembly`);
+    if (wanted === "wgsl") throw new RefineFault(deviceFaults.tryAnother(reason));
   }
   try {
     return { tracer: await openWasm(files), note: reason };
   } catch (error) {
-    const both = `${reason === "" ? "" : `${reason}, and `}WebAssembly does not work here`;
-    throw new RefineFault(`${both} (${firstLine(error)}); use another browser, or look at the baked picture`);
+    const { noWasm, and, noTracer } = deviceFaults;
+    throw new RefineFault(noTracer(reason === "" ? noWasm : and(reason, noWasm), firstLine(error)));
   }
 }
 
 /** Return a tracer on graphics hardware, or why there is none. */
 async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Tracer | string> {
   const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
-  if (!adapter) return "this browser offers no WebGPU";
+  if (!adapter) return deviceFaults.noWebgpu;
   let device: GPUDevice | null = null;
   try {
     const packed = packFastCache(manifest, model, weights);
     const largest = Math.max(packed.tables.byteLength, packed.blocks.byteLength, 24 * mostRays);
     if (largest > Math.min(adapter.limits.maxStorageBufferBindingSize, adapter.limits.maxBufferSize)) {
-      return "the graphics hardware offers too little memory in one piece";
+      return deviceFaults.smallBuffers;
     }
     const opened = await adapter.requestDevice({
       requiredLimits: { maxStorageBufferBindingSize: largest, maxBufferSize: largest },
@@ -128,7 +129,7 @@ async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Trace
       trouble = firstLine(error);
     });
     void opened.lost.then(({ message }) => {
-      trouble = message || "the graphics hardware went away";
+      trouble = message || deviceFaults.lost;
     });
     return paced("wgsl", adapter.info.isFallbackAdapter, offsetOf(manifest), async (rays) => {
       const answers = await cache.run(rays).catch((error: unknown) => {
@@ -136,15 +137,15 @@ async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Trace
         return null;
       });
       if (answers === null || trouble !== "") {
-        throw new RefineFault(`WebGPU failed (${trouble}); switch refining off and on again`);
+        throw new RefineFault(deviceFaults.webgpuFailed(trouble));
       }
       return answers;
     });
   } catch (error) {
     device?.destroy();
-    if (error instanceof NotFused) return `the bundle's fast cache has another form (${error.message})`;
+    if (error instanceof NotFused) return deviceFaults.otherForm(error.message);
     if (error instanceof GPUPipelineError || error instanceof DOMException) {
-      return `WebGPU refused the fast cache (${firstLine(error)})`;
+      return deviceFaults.webgpuRefused(firstLine(error));
     }
     throw error;
   }

@@ -5,6 +5,7 @@
 
 import type { LoadedBundle } from "../bundle/load.js";
 import type { AtlasMesh } from "../bundle/mesh.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** Share of the seen vertices that may lie under the ground: stray ones, and thickness that fits are off by. */
 const below = 0.005;
@@ -39,7 +40,7 @@ export function groundHeight(bundle: LoadedBundle): number {
 export function seenBy(unseen: ImageBitmap): Seen {
   const { width, height } = unseen;
   const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  if (context === null) throw new Error("the browser gives no canvas to read a mask with");
+  if (context === null) throw new Error(deviceFaults.noCanvas);
   context.drawImage(unseen, 0, 0);
   const { data } = context.getImageData(0, 0, width, height);
   const inside = (share: number, side: number): number => Math.min(Math.floor(share * side), side - 1);

@@ -4,7 +4,8 @@
  *     radiance = (1 - m) albedo / pi (E_direct + E_indirect)
  *              + (F0 scale + bias) (s prefiltered(mirror) + (1 - s) surroundings) + dominant lights
  *
- * Materials, visibility and irradiance are means over the samples of a pixel; the rest is computed once.
+ * Materials, visibility and irradiance are means over the samples of a pixel; the rest is computed once, or for every
+ * sample where they differ too much.
  */
 
 import type { DataTexture, RawShaderMaterial, Texture } from "three";
@@ -55,6 +56,27 @@ vec3 rayOf(vec2 place) {
   return vec3((place.x - lens.z) / lens.x, -(size.y - place.y - lens.w) / lens.y, -1.0);
 }
 
+/** Whether samples of a pixel are too unlike the first for one lobe: LEAST_COSINE and MOST_DIFFERENCE of Python. */
+bool differing(ivec2 first) {
+  bool found = false;
+  vec3 facet = vec3(0.0);
+  vec2 own = vec2(0.0);
+  for (int index = 0; index < samples * samples; index++) {
+    // From the top, as Python's.
+    ivec2 at = first + ivec2(index % samples, samples - 1 - index / samples);
+    uvec4 sampled = texelFetch(seen, at, 0);
+    if (sampled.g == 0u) continue;
+    vec3 normal = unfolded(texelFetch(facing, at, 0).r);
+    vec2 material = vec2((sampled.a >> 16) & 0xffu, sampled.a >> 24) / 255.0;
+    if (!found) {
+      facet = normal;
+      own = material;
+      found = true;
+    } else if (dot(normal, facet) < 0.9 || any(greaterThan(abs(material - own), vec2(0.1)))) return true;
+  }
+  return false;
+}
+
 void main() {
   vec2 pixel = gl_FragCoord.xy;
   ivec2 first = ivec2(pixel) * samples;
@@ -70,13 +92,19 @@ void main() {
       break;
     }
   }
+  bool lit = channel <= ${channels.indirect};
+  // Samples that differ too much for one lobe reflect each for itself.
+  int all = samples * samples;
+  int each = lit && differing(first) ? 1 : all;
+  float total = 0.0;
+  vec3 sum = vec3(0.0);
+  for (int from = 0; from < all; from += each) {
   float count = 0.0, distance = 0.0, roughness = 0.0, metalness = 0.0, openness = 0.0, surroundings = 0.0;
   vec3 albedo = vec3(0.0), normal = vec3(0.0), arriving = vec3(0.0), bounce = vec3(0.0);
   vec4 lightShares = vec4(0.0);
   vec4 open[${layers}];
   for (int layer = 0; layer < ${layers}; layer++) open[layer] = vec4(0.0);
-  bool lit = channel <= ${channels.indirect};
-  for (int index = 0; index < samples * samples; index++) {
+  for (int index = from; index < from + each; index++) {
     ivec2 at = first + ivec2(index % samples, index / samples);
     uvec4 found = texelFetch(seen, at, 0);
     if (found.g == 0u) continue;
@@ -114,10 +142,7 @@ void main() {
       surroundings += again.a;
     }
   }
-  if (count == 0.0 || covered == 0.0) {
-    result = vec4(0.0);
-    return;
-  }
+  if (count == 0.0 || covered == 0.0) continue;
   float share = 1.0 / count;
   albedo = clamp(albedo * share * albedoGain, 0.0, 1.0);
   roughness = clamp(roughness * share * roughnessScale, 0.0, 1.0);
@@ -164,8 +189,11 @@ void main() {
     vec3 world = eye - distance * toViewer;
     shown = vec3(${hasGrid ? "min(texture(uncertainty, (world - gridLow) / gridSize).r, 1.0)" : "0.0"});
   }
-  float coverage = masked ? covered : count / float(samples * samples);
-  result = vec4(shown * coverage, coverage);
+  sum += count * shown;
+  total += count;
+  }
+  float coverage = masked ? covered : total / float(all);
+  result = total == 0.0 ? vec4(0.0) : vec4(sum * (coverage / total), coverage);
 }`;
 }
 

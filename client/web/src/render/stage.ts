@@ -28,6 +28,7 @@ import { maskTarget, Surface, sampleTarget } from "./surface.js";
 import { halfFloatTarget } from "./targets.js";
 import { aim } from "./projection.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {
@@ -84,7 +85,7 @@ export class Stage {
     try {
       this.renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
     } catch {
-      throw new GraphicsFault("this browser offers no WebGL 2");
+      throw new GraphicsFault(deviceFaults.noWebgl);
     }
     const context = this.renderer.getContext();
     if (
@@ -92,7 +93,7 @@ export class Stage {
       !context.getExtension("EXT_color_buffer_half_float")
     ) {
       this.renderer.dispose();
-      throw new GraphicsFault("this graphics card cannot draw into half floats");
+      throw new GraphicsFault(deviceFaults.noHalfFloats);
     }
     this.renderer.autoClear = false;
     this.renderer.debug.checkShaderErrors = true;
@@ -112,10 +113,7 @@ export class Stage {
     const { maxTextureSize } = this.renderer.capabilities;
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
-      throw new GraphicsFault(
-        `this graphics card takes textures of ${maxTextureSize} texels a side, the bundle's tables have ${longest}`,
-        "use another device, or a bundle with a smaller export.transport_size",
-      );
+      throw new GraphicsFault(...deviceFaults.textureLimit(maxTextureSize, longest));
     }
     const { transport, uncertainty, maps, mesh } = bundle;
     const framed = mesh.frames !== null;
@@ -140,8 +138,7 @@ export class Stage {
     for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
       if (error !== gl.OUT_OF_MEMORY) continue;
       this.#clear();
-      const advice = "close other pages, or use a bundle of the lite tier";
-      throw new GraphicsFault("this graphics card has not enough memory for the bundle", advice);
+      throw new GraphicsFault(...deviceFaults.memory());
     }
   }
 

@@ -2,7 +2,9 @@
 
 import { defineViewer } from "../viewer/element.js";
 import { sharedView } from "./link.js";
+import { speakAsBrowser } from "../words/words.js";
 
+await speakAsBrowser();
 const place = document.querySelector("main");
 const framed = window.parent !== window;
 document.documentElement.classList.toggle("framed", framed);

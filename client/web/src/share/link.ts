@@ -1,5 +1,7 @@
 /** What the page of a share link shows. */
 
+import { texts } from "../words/words.js";
+
 export type SharedView = {
   /** The bundle's address, with the secret. */
   readonly source: string;
@@ -20,10 +22,9 @@ export function sharedView(
 ): SharedView | { readonly message: string } {
   const [secret = "", view = ""] = hash.replace(/^#/, "").split(/&(.*)/s);
   if (bundleId === "") {
-    return { message: "This link is invalid, has expired, or was taken back. Ask the sender for a new one." };
+    return { message: texts.share.ended };
   }
-  if (secret === "")
-    return { message: "This address is incomplete. Open the complete link that you received." };
+  if (secret === "") return { message: texts.share.incomplete };
   const parameters = new URLSearchParams(view);
   const controls = parameters.get("controls");
   parameters.delete("controls");

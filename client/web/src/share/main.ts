@@ -2,12 +2,16 @@
 
 import { createApi } from "../page/rest.js";
 import { openShare } from "./open.js";
+import { speakAsBrowser, texts } from "../words/words.js";
 
+await speakAsBrowser();
+document.title = texts.share.title;
+const place = document.querySelector("#message")!;
+place.textContent = texts.share.opening;
 const opened = await openShare(location.hash, createApi());
 if ("viewer" in opened) {
   // Replaced, so that the secret does not stay in the history.
   location.replace(opened.viewer);
 } else {
-  const place = document.querySelector("#message");
-  if (place !== null) place.textContent = opened.message;
+  place.textContent = opened.message;
 }

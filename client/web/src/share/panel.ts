@@ -6,6 +6,7 @@ import { h } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
 import type { Api, Share } from "../page/rest.js";
 import { elementSnippet, frameSnippet, originsIn } from "./snippets.js";
+import { texts } from "../words/words.js";
 
 /** The callbacks of the panel. */
 export type ShareContext = {
@@ -16,12 +17,8 @@ export type ShareContext = {
 };
 
 const dayS = 24 * 3600;
-const lifetimes: readonly [string, number][] = [
-  ["one day", dayS],
-  ["one week", 7 * dayS],
-  ["30 days", 30 * dayS],
-  ["one year", 365 * dayS],
-];
+const lifetimes = { day: dayS, week: 7 * dayS, month: 30 * dayS, year: 365 * dayS } as const;
+type Lifetime = keyof typeof lifetimes;
 
 /** Return the panel that creates and revokes links. */
 export function sharePanel(context: ShareContext, bundleId: string): HTMLElement {
@@ -30,8 +27,8 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
   const lifetime = h(
     "select",
     { id: "lifetime" },
-    ...lifetimes.map(([name, seconds]) =>
-      h("option", { value: seconds, selected: seconds === 7 * dayS }, name),
+    ...(Object.keys(lifetimes) as Lifetime[]).map((name) =>
+      h("option", { value: lifetimes[name], selected: name === "week" }, texts.share.lifetimes[name]),
     ),
   );
   const sites = h("input", {
@@ -40,7 +37,7 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     placeholder: "https://shop.example",
     maxlength: 2000,
   });
-  const list = h("ul", { class: "shares", "aria-label": "Links" });
+  const list = h("ul", { class: "shares", "aria-label": texts.share.links });
   const news = h("p", { class: "faint", role: "status" });
 
   async function load(): Promise<void> {
@@ -54,20 +51,20 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     const address = h("input", {
       readonly: true,
       value: linkOf(share),
-      "aria-label": `Link that ends ${ends}`,
+      "aria-label": texts.share.linkUntil(ends),
     });
     address.addEventListener("focus", () => address.select());
-    const copy = button("Copy", context, async () => {
+    const copy = button(texts.share.copy, context, async () => {
       address.value = linkOf(share);
       address.select();
       // Pages that came over plain HTTP have no clipboard; the selection is then what can be offered.
-      if (navigator.clipboard === undefined) throw new Error("Press Ctrl-C to copy the link.");
+      if (navigator.clipboard === undefined) throw new Error(texts.share.copyByKey);
       await navigator.clipboard.writeText(address.value);
-      news.textContent = "The link is copied.";
+      news.textContent = texts.share.copied;
     });
-    const put = (text: string, what: string) => async (): Promise<void> => {
-      if (!(await copied(text))) throw new Error(`This page cannot use the clipboard. Copy it here: ${text}`);
-      news.textContent = `The HTML of ${what} is copied.`;
+    const put = (text: string) => async (): Promise<void> => {
+      if (!(await copied(text))) throw new Error(texts.share.copyHere(text));
+      news.textContent = texts.share.htmlCopied;
     };
     const view = (): string => context.view?.() ?? "";
     const origins = share.frame_ancestors ?? [];
@@ -75,41 +72,35 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       origins.length === 0
         ? []
         : [
-            h("span", { class: "faint" }, `may be shown on ${origins.join(", ")}`),
-            button("Copy a frame", context, () => put(frameSnippet(share, view()), "a frame")()),
-            button("Copy the element", context, () => put(elementSnippet(share, view()), "the element")()),
+            h("span", { class: "faint" }, texts.share.sites(origins.join(", "))),
+            button(texts.share.copyFrame, context, () => put(frameSnippet(share, view()))()),
+            button(texts.share.copyElement, context, () => put(elementSnippet(share, view()))()),
           ];
-    const revoke = button("Take back", context, async () => {
+    const revoke = button(texts.share.revoke, context, async () => {
       await api.revokeShare(share.id);
-      news.textContent = "The link no longer works.";
+      news.textContent = texts.share.revoked;
       await load();
     });
-    revoke.setAttribute("aria-label", `Take back the link that expires ${ends}`);
-    const expires = h("span", { class: "faint" }, `expires ${ends}`);
+    revoke.setAttribute("aria-label", texts.share.revokeUntil(ends));
+    const expires = h("span", { class: "faint" }, texts.share.expires(ends));
     return h("li", {}, address, expires, copy, revoke, ...embedding);
   }
 
-  const make = button("Make a link", context, async () => {
+  const make = button(texts.share.create, context, async () => {
     const share = await api.createShare(bundleId, Number(lifetime.value), originsIn(sites.value));
     await load();
-    news.textContent = (await copied(linkOf(share)))
-      ? "The link was created and copied."
-      : "The link was created.";
+    news.textContent = (await copied(linkOf(share))) ? texts.share.createdAndCopied : texts.share.created;
   });
   return h(
     "div",
     { id: "share" },
-    h(
-      "p",
-      { class: "faint" },
-      "Anyone with the link can see this one object and nothing else until it expires.",
-    ),
+    h("p", { class: "faint" }, texts.share.about),
     h(
       "div",
       { class: "actions" },
-      h("label", { for: "lifetime" }, "The link works for"),
+      h("label", { for: "lifetime" }, texts.share.worksFor),
       lifetime,
-      h("label", { for: "sites" }, "Sites that may show it"),
+      h("label", { for: "sites" }, texts.share.allowedSites),
       sites,
       make,
     ),

@@ -2,6 +2,7 @@
 
 import { linkWithView } from "../page/addresses.js";
 import type { Share } from "../page/rest.js";
+import { texts } from "../words/words.js";
 
 /** Return the origins in a text of addresses, in the form that browsers send; what is no address stays as it is. */
 export function originsIn(text: string): string[] {
@@ -26,7 +27,7 @@ function escaped(text: string): string {
 export function frameSnippet(share: Share, view: string): string {
   const address = escaped(linkWithView(share.url, view));
   return (
-    `<iframe src="${address}" title="Relightable object" width="640" height="480" style="border:0" ` +
+    `<iframe src="${address}" title="${escaped(texts.viewer.object)}" width="640" height="480" style="border:0" ` +
     `loading="lazy" allow="fullscreen"></iframe>`
   );
 }
@@ -39,6 +40,6 @@ export function elementSnippet(share: Share, view: string): string {
   return [
     `<script type="module" src="${escaped(origin)}/lambent-viewer.js"></script>`,
     `<lambent-viewer src="${escaped(source)}"${state} poster="${escaped(origin + pathname)}/picture" loading="lazy" ` +
-      `alt="Relightable object" style="height:480px"></lambent-viewer>`,
+      `alt="${escaped(texts.viewer.object)}" style="height:480px"></lambent-viewer>`,
   ].join("\n");
 }

@@ -2,6 +2,7 @@
 
 import { BundleFault } from "../bundle/fault.js";
 import { ZipArchive } from "../bundle/zip.js";
+import { texts } from "../words/words.js";
 
 /** A file of a scene whose bytes are read when they are needed. */
 export type SceneFile = {
@@ -32,7 +33,7 @@ const maxName = 100;
 export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candidate> {
   const all = [...chosen].filter(([path]) => !path.split("/").some((part) => part.startsWith(".")));
   const [only] = all;
-  if (only === undefined) throw new NotAScene("There are no files in it. Choose the folder of one capture.");
+  if (only === undefined) throw new NotAScene(texts.upload.empty);
   const [path, file] = only;
   if (all.length === 1 && !path.includes("/")) {
     const name = file.name.toLowerCase();
@@ -40,9 +41,7 @@ export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candid
     for (const [suffix, mediaType] of archives) {
       if (name.endsWith(suffix)) return { kind: "archive", name: plainName(file.name), file, mediaType };
     }
-    throw new NotAScene(
-      `"${file.name}" alone is no capture. Choose its folder, or a zip or tar archive of it.`,
-    );
+    throw new NotAScene(texts.upload.notAScene(file.name));
   }
   const { name, inside } = withoutTopFolder(all);
   const files = inside.map(([inner, each]) => ({
@@ -50,7 +49,11 @@ export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candid
     sizeBytes: each.size,
     read: () => Promise.resolve<Blob>(each),
   }));
-  return { kind: "files", name: name === "" ? "photographs" : plainName(name), files: sorted(files) };
+  return {
+    kind: "files",
+    name: name === "" ? texts.upload.photographs : plainName(name),
+    files: sorted(files),
+  };
 }
 
 /** Return the files of a zip archive, each of which is unpacked when it is read. */
@@ -69,7 +72,7 @@ async function zipped(file: File): Promise<Candidate> {
   const entries = [...archive.entries]
     .filter(([path]) => !path.split("/").some((part) => part.startsWith(".") || part === "__MACOSX"))
     .map(([path, { sizeBytes }]) => [path, { stored: path, sizeBytes }] as const);
-  if (entries.length === 0) throw new NotAScene(`"${file.name}" holds no files.`);
+  if (entries.length === 0) throw new NotAScene(texts.upload.emptyArchive(file.name));
   const files = withoutTopFolder(entries).inside.map(([path, { stored, sizeBytes }]) => ({
     path,
     sizeBytes,
@@ -91,7 +94,7 @@ function withoutTopFolder<T>(entries: readonly (readonly [string, T])[]): {
 function plainName(name: string): string {
   const whole = name.replace(/\.(zip|tar|tgz|tar\.gz)$/i, "");
   // biome-ignore lint/suspicious/noControlCharactersInRegex: they are what the server refuses in a name
-  return whole.replace(/[\u0000-\u001f\u007f]/g, "").slice(0, maxName) || "scene";
+  return whole.replace(/[\u0000-\u001f\u007f]/g, "").slice(0, maxName) || texts.upload.scene;
 }
 
 function sorted(files: readonly SceneFile[]): SceneFile[] {

@@ -5,12 +5,13 @@ import { lightText } from "./lightTexts.js";
 import { edgeOf } from "./photograph.js";
 import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** The comparison of one viewer; its elements lie on the picture. */
 export class ComparisonView {
   readonly #handle = make("div", {
     ...{ className: "handle", tabIndex: 0, role: "slider", textContent: "⇔" },
-    ...{ ariaLabel: "Divide the comparison", ariaValueMin: "0", ariaValueMax: "100" },
+    ...{ ariaLabel: texts.compare.divide, ariaValueMin: "0", ariaValueMax: "100" },
   });
   readonly #split = make("div", { className: "split", hidden: true }, this.#handle);
   readonly #sides = make("div", { className: "sides", hidden: true });
@@ -59,10 +60,11 @@ export class ComparisonView {
     const right = {
       off: "",
       environment: lightText(this.viewer, state.environmentB),
-      plain: "Image-based light",
-      photo: "Photograph",
+      plain: texts.compare.plain,
+      photo: texts.compare.photograph,
     };
-    const left = state.compare === "environment" ? lightText(this.viewer, state.environment) : "Relit";
+    const left =
+      state.compare === "environment" ? lightText(this.viewer, state.environment) : texts.compare.relit;
     this.#sides.replaceChildren(
       ...[left, right[state.compare]].map((text) => make("span", { textContent: text })),
     );

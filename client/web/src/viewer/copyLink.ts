@@ -1,10 +1,12 @@
 /** Copies a link to what is shown, and says what it cannot carry. */
 
 import type { Api } from "../page/rest.js";
+import { formatList } from "../page/format.js";
 import { button, make } from "./fields.js";
 import { linkOf, missingOf } from "./links.js";
 import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** What copying needs of the interface. */
 export type CopyHost = {
@@ -31,10 +33,9 @@ export async function copyLink(host: CopyHost): Promise<void> {
 
 /** Return a sentence about what a link leaves out, or "". */
 export function missingText({ bundle, maps }: ReturnType<typeof missingOf>): string {
-  const parts = [...(bundle ? ["the object"] : []), ...maps];
+  const parts = [...(bundle ? [texts.link.object] : []), ...maps];
   if (parts.length === 0) return "";
-  const list = parts.length === 1 ? parts[0] : `${parts.slice(0, -1).join(", ")} and ${parts.at(-1)}`;
-  return `It cannot carry ${list}, which ${parts.length === 1 ? "is" : "are"} on this computer only.`;
+  return texts.link.lacks(parts.length, formatList(parts));
 }
 
 async function copy({ viewer, tell, full }: CopyHost): Promise<void> {
@@ -42,7 +43,7 @@ async function copy({ viewer, tell, full }: CopyHost): Promise<void> {
   const lacks = missingText(missingOf(viewer));
   try {
     await navigator.clipboard.writeText(link);
-    tell(`The link is on the clipboard. ${lacks}`.trim(), false);
+    tell(`${texts.link.copied} ${lacks}`.trim(), false);
   } catch {
     tell(`${link} ${lacks}`.trim(), false);
   }
@@ -50,12 +51,10 @@ async function copy({ viewer, tell, full }: CopyHost): Promise<void> {
 
 function askToUpload(host: CopyHost, maps: readonly string[]): void {
   const news = make("p", { className: "hint", role: "alert" });
-  const text =
-    `${missingText({ bundle: false, maps })} Upload ${maps.length === 1 ? "it" : "them"} to this server? ` +
-    "Everyone who is logged in to it then sees this light; guests with a share link do not.";
-  const upload = button("Upload and copy", () => {
+  const parts = [missingText({ bundle: false, maps }), texts.link.ask(maps.length), texts.link.askMore];
+  const upload = button(texts.link.upload, () => {
     upload.disabled = true;
-    news.textContent = "Uploading…";
+    news.textContent = texts.link.uploading;
     uploadMaps(host.viewer, maps)
       .then(async () => {
         dialog.close();
@@ -67,18 +66,18 @@ function askToUpload(host: CopyHost, maps: readonly string[]): void {
         upload.disabled = false;
       });
   });
-  const without = button("Copy without", () => {
+  const without = button(texts.link.without, () => {
     dialog.close();
     void copy(host);
   });
   const dialog = make(
     "dialog",
-    { className: "ask", ariaLabel: "Copy link" },
-    make("h2", { textContent: "Copy link" }),
-    make("p", { textContent: text }),
+    { className: "ask", ariaLabel: texts.link.title },
+    make("h2", { textContent: texts.link.title }),
+    make("p", { textContent: parts.join(" ") }),
     news,
     make("div", { className: "buttons" }, upload, without),
-    button("Cancel", () => dialog.close()),
+    button(texts.page.cancel, () => dialog.close()),
   );
   dialog.addEventListener("close", () => dialog.remove());
   host.root.append(dialog);

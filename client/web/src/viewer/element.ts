@@ -12,6 +12,7 @@ import { type Guest, seats } from "./seats.js";
 import { firstState, fromParameters, initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 type Source = string | Blob | ReadonlyMap<string, Blob>;
 
@@ -80,7 +81,7 @@ export class LambentViewerElement extends HTMLElement {
     if (this.#viewer !== null) this.#show(source);
     // This shows it, too.
     else this.reveal();
-    if (this.#viewer === null) throw new Error("all viewers of this page are busy");
+    if (this.#viewer === null) throw new Error(texts.viewer.busy);
     await this.#ready;
   }
 
@@ -181,7 +182,7 @@ export class LambentViewerElement extends HTMLElement {
   }
 
   get #label(): string {
-    return this.getAttribute("alt") ?? "Relightable object";
+    return this.getAttribute("alt") ?? texts.viewer.object;
   }
 
   /** Draw from now on, if there is a seat. */

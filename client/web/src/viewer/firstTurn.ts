@@ -13,7 +13,7 @@ const judgedFrames = 8;
 
 /** Return the turn of a built-in light whose key light stands at the left of someone who looks from an azimuth. */
 export function turnTowards(azimuthDeg: number): LightTurn {
-  return { ...initialState.turn, yawDeg: wrapped(azimuthDeg) };
+  return { ...initialState.turn, yawDeg: wrapped(Math.round(azimuthDeg)) };
 }
 
 /** Return the turn of a light that nobody has turned: `home` for built-in lights, and none for maps as they are. */
@@ -60,7 +60,14 @@ export function turnUntilInput(
     if (frame === 0) return;
     cancelAnimationFrame(frame);
     frame = 0;
+    // Whole degrees are enough for people.
+    if (viewer.state.turn === viewer.homeTurn) show(Math.round(viewer.homeTurn.yawDeg));
     moving(false);
+  };
+  const show = (yawDeg: number): void => {
+    viewer.homeTurn = { ...viewer.homeTurn, yawDeg: wrapped(yawDeg) };
+    void viewer.update({ turn: viewer.homeTurn });
+    own = viewer.state;
   };
   const step = (now: number): void => {
     const elapsedMs = now - lastAt;
@@ -74,10 +81,7 @@ export function turnUntilInput(
       return;
     }
     frame = requestAnimationFrame(step);
-    const { turn } = viewer.state;
-    viewer.homeTurn = { ...turn, yawDeg: wrapped(turn.yawDeg + degrees) };
-    void viewer.update({ turn: viewer.homeTurn });
-    own = viewer.state;
+    show(viewer.homeTurn.yawDeg + degrees);
   };
   const begin = (): void => {
     const { state, homeTurn } = viewer;

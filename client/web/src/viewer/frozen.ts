@@ -4,6 +4,7 @@ import { Fault } from "../page/fault.js";
 import type { ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
 import type { ViewerState } from "./state.js";
+import { texts } from "../words/words.js";
 
 /** Draws a state with changes; returns RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
 export type Frozen = (
@@ -41,11 +42,7 @@ export function freeze(
 
 /** Return the fault of a state that can no longer be drawn. */
 export function interrupted(): Fault {
-  return new Fault(
-    "film.interrupted",
-    "another bundle or light was shown, or the graphics card was lost, before it was complete",
-    "make it again",
-  );
+  return new Fault("film.interrupted", ...texts.viewer.interrupted());
 }
 
 /** Return the parts of a picture: one, or the two sides of a comparison. */

@@ -17,6 +17,7 @@ import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
+import { texts } from "../words/words.js";
 
 const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
@@ -94,8 +95,8 @@ export class Interface {
   describe(): void {
     const name = this.viewer.bundle?.name;
     const alt =
-      this.host.getAttribute("alt") ?? (name ? `${name}, which can be relit` : "Relightable object");
-    this.viewer.canvas.ariaLabel = `${alt}. Arrow keys turn the camera, square brackets the light.`;
+      this.host.getAttribute("alt") ?? (name ? texts.viewer.relightable(name) : texts.viewer.object);
+    this.viewer.canvas.ariaLabel = texts.viewer.canvas(alt);
   }
 
   /** Show the progress of reading a bundle; a failure is rethrown, and not shown. `again` asks for it anew. */
@@ -118,7 +119,7 @@ export class Interface {
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
     let text = error instanceof Error ? error.message : String(error);
-    if (error instanceof RangeError) text = `There is not enough memory for this (${text}).`;
+    if (error instanceof RangeError) text = texts.viewer.noMemory(text);
     this.#tell(error instanceof Fault ? `${text} [${error.code}]` : text, true);
   }
 
@@ -216,11 +217,11 @@ export class Interface {
       const dropped = await found;
       if (dropped === "nothing") return;
       if (dropped === null) {
-        this.#tell("That is neither a .relight.zip, a bundle's folder, nor a .hdr or .exr map.", true);
+        this.#tell(texts.viewer.notUsable, true);
       } else if (dropped.kind === "map") {
         const data = new Uint8Array(await dropped.file.arrayBuffer());
         await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
-        this.#tell(`Lit by ${dropped.file.name}.`, false);
+        this.#tell(texts.viewer.litBy(dropped.file.name), false);
       } else {
         await this.during(this.viewer.open(dropped));
       }

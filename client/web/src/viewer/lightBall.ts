@@ -7,6 +7,7 @@ import { listening, make } from "./fields.js";
 import { initialState } from "./state.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** What the ball asks for. */
 export type BallActions = {
@@ -24,9 +25,9 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
   const element = make(
     "div",
     {
-      ...{ className: "ball", tabIndex: 0, role: "slider", ariaLabel: "Direction of the light" },
+      ...{ className: "ball", tabIndex: 0, role: "slider", ariaLabel: texts.light.direction },
       ...{ ariaValueMin: "-180", ariaValueMax: "180" },
-      title: "Drag to turn the light; double-click to turn it back",
+      title: texts.light.ball,
     },
     dot,
   );
@@ -104,8 +105,8 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
     element.ariaValueNow = String(Math.round(azimuth));
     element.ariaValueText =
       towards === null
-        ? "from all sides alike"
-        : `azimuth ${azimuth} degrees, elevation ${deg(Math.asin(Math.min(Math.max(towards[2], -1), 1)))} degrees`;
+        ? texts.light.allSides
+        : texts.light.angles(azimuth, deg(Math.asin(Math.min(Math.max(towards[2], -1), 1))));
   }
   return { element, show };
 }

@@ -3,6 +3,7 @@
 import { button, make } from "./fields.js";
 import { lightTexts } from "./lightTexts.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** What the row asks for. */
 export type StripActions = {
@@ -20,8 +21,8 @@ type Chip = { readonly element: HTMLButtonElement; readonly picture: HTMLCanvasE
 export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSignal) {
   const chips = new Map<string, Chip>();
   const add = make("button", { type: "button", className: "chip add", ariaExpanded: "false" });
-  add.append(make("span", { className: "plus", textContent: "+", ariaHidden: "true" }), "Add a light");
-  const row = make("div", { className: "chips", role: "toolbar", ariaLabel: "Light" });
+  add.append(make("span", { className: "plus", textContent: "+", ariaHidden: "true" }), texts.light.add);
+  const row = make("div", { className: "chips", role: "toolbar", ariaLabel: texts.light.strip });
   const adding = addForm(act, () => open(false));
   const line = make("div", { className: "line" }, row);
   const element = make("div", { className: "strip" }, adding, line);
@@ -66,14 +67,14 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
   let lights: readonly string[] = [];
   function show(): void {
     const { environment } = viewer.state;
-    const texts = lightTexts(viewer);
-    const key = JSON.stringify(texts);
+    const named = lightTexts(viewer);
+    const key = JSON.stringify(named);
     if (key !== listed) {
       listed = key;
-      lights = texts.map(([light]) => light);
+      lights = named.map(([light]) => light);
       for (const name of [...chips.keys()]) if (!lights.includes(name)) chips.delete(name);
       row.replaceChildren(...lights.map((light) => chipOf(light).element), add);
-      for (const [light, text] of texts) {
+      for (const [light, text] of named) {
         const { element: chip } = chipOf(light);
         chip.querySelector("span")!.textContent = text;
         chip.title = text;
@@ -135,16 +136,16 @@ function addForm(act: StripActions, done: () => void): HTMLElement {
     event.preventDefault();
     use();
   });
-  const file = button("Open a .hdr or .exr map…", () => {
+  const file = button(texts.light.openMap, () => {
     done();
     act.openMap();
   });
   const form = make(
     "div",
-    { className: "adding", hidden: true, role: "group", ariaLabel: "Add a light" },
+    { className: "adding", hidden: true, role: "group", ariaLabel: texts.light.add },
     file,
-    make("label", {}, "Or from an address", address),
-    button("Use address", use),
+    make("label", {}, texts.light.fromAddress, address),
+    button(texts.light.useAddress, use),
   );
   return form;
 }

@@ -1,7 +1,7 @@
 /** Display names of lights. */
 
-import { presetNames } from "../light/presets.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** Return all lights that can be chosen now, by their name in the state, and what people read. */
 export function lightTexts(viewer: Viewer): [string, string][] {
@@ -12,9 +12,9 @@ export function lightTexts(viewer: Viewer): [string, string][] {
   return [
     ...trained.map(({ name }): [string, string] => [
       `trained:${name}`,
-      trained.length === 1 ? "As photographed" : `As photographed (${name})`,
+      trained.length === 1 ? texts.light.asPhotographed : texts.light.asPhotographedOf(name),
     ]),
-    ...Object.entries(presetNames).map(([name, text]): [string, string] => [`preset:${name}`, text]),
+    ...Object.entries(texts.light.presets).map(([name, text]): [string, string] => [`preset:${name}`, text]),
     ...viewer.lights.mapNames.map((name): [string, string] => [`file:${name}`, name]),
     ...[...addresses].map((name): [string, string] => [name, addressText(name)]),
   ];

@@ -8,6 +8,7 @@ import { sharing } from "./sharing.js";
 import { type Comparison, initialState, limits, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
 import { statusText } from "../refine/status.js";
+import { texts } from "../words/words.js";
 
 /** Actions of the panel other than changes of state. */
 export type PanelActions = {
@@ -21,30 +22,9 @@ export type PanelActions = {
   readonly copyLink: () => void;
 };
 
-const channelTexts: readonly (readonly [Channel, string])[] = [
-  ["final", "Final picture"],
-  ["direct", "Direct light"],
-  ["indirect", "Indirect light"],
-  ["visibility", "Visibility of the sky"],
-  ["albedo", "Albedo"],
-  ["roughness", "Perceptual roughness"],
-  ["metalness", "Metalness"],
-  ["normal", "Normals"],
-  ["depth", "Depth"],
-  ["uncertainty", "Uncertainty of albedo"],
-];
-const toneTexts: readonly (readonly [ToneCurve, string])[] = [
-  ["neutral", "Neutral"],
-  ["agx", "AgX"],
-  ["aces", "ACES"],
-  ["linear", "Linear (clipped)"],
-];
-const backgroundTexts: readonly (readonly [BackgroundKind, string])[] = [
-  ["environment", "Environment"],
-  ["blurred", "Environment, blurred"],
-  ["colour", "Colour"],
-  ["transparent", "Transparent"],
-];
+/** Return the choices of a field by their names in the state. */
+const choicesOf = <T extends string>(names: Readonly<Record<T, string>>) =>
+  Object.entries(names) as [T, string][];
 
 /** Build the panel; the result follows the viewer's state. */
 export function buildPanel(
@@ -73,21 +53,23 @@ export function buildPanel(
   const ofTurn = fieldsOf((state) => state.turn, turn);
 
   const environments = () => lightTexts(viewer);
-  const lightsB = choice("On the right", environments, (environmentB) => act.change({ environmentB }));
+  const lightsB = choice(texts.panel.onTheRight, environments, (environmentB) =>
+    act.change({ environmentB }),
+  );
   const angle = (label: string, part: "yawDeg" | "pitchDeg" | "rollDeg"): HTMLElement =>
     ofTurn(part, (change) => slider(label, limits.angle, 1, change, "°"));
   const photos = choice(
-    "Photograph",
+    texts.panel.photograph,
     () => photoNames(viewer).map((name) => [name, name] as const),
     (photo) => act.change({ photo }),
   );
   const compare = choice<Comparison>(
-    "Compare with",
+    texts.panel.compareWith,
     () => [
-      ["off", "Nothing"],
-      ["environment", "Another light"],
-      ["plain", "Image-based light"],
-      ...(photoNames(viewer).length > 0 ? ([["photo", "A photograph"]] as const) : []),
+      ["off", texts.panel.nothing],
+      ["environment", texts.panel.otherLight],
+      ["plain", texts.panel.plain],
+      ...(photoNames(viewer).length > 0 ? ([["photo", texts.panel.aPhotograph]] as const) : []),
     ],
     (next) => {
       const photo = viewer.state.photo || (photoNames(viewer)[0] ?? "");
@@ -118,79 +100,91 @@ export function buildPanel(
   const element = make(
     "details",
     { className: "panel", open: true },
-    make("summary", { textContent: "Controls" }),
+    make("summary", { textContent: texts.panel.controls }),
   );
   element.append(
     section(
-      "Light",
+      texts.panel.light,
       true,
-      angle("Rotate", "yawDeg"),
-      ofTurn("intensity", (change) => slider("Intensity", limits.intensity, 0.05, change)),
-      button("Reset light", () => act.reset("light")),
+      angle(texts.panel.rotate, "yawDeg"),
+      ofTurn("intensity", (change) => slider(texts.panel.intensity, limits.intensity, 0.05, change)),
+      button(texts.panel.resetLight, () => act.reset("light")),
     ),
-    section("Tilt of the light", false, angle("About y", "pitchDeg"), angle("About x", "rollDeg")),
     section(
-      "Picture",
+      texts.panel.tilt,
+      false,
+      angle(texts.panel.aboutY, "pitchDeg"),
+      angle(texts.panel.aboutX, "rollDeg"),
+    ),
+    section(
+      texts.panel.picture,
       true,
-      ofLook("channel", (change) => choice("Show", () => channelTexts, change)),
-      ofLook("autoExposure", (change) => check("Auto exposure", change)),
-      ofLook("exposureEv", (change) => slider("Exposure", limits.exposure, 0.1, change, "EV")),
-      ofLook("tone", (change) => choice("Tone curve", () => toneTexts, change)),
-      ofLook("background", (change) => choice("Background", () => backgroundTexts, change)),
+      ofLook("channel", (change) =>
+        choice(texts.panel.show, () => choicesOf<Channel>(texts.panel.channels), change),
+      ),
+      ofLook("autoExposure", (change) => check(texts.panel.autoExposure, change)),
+      ofLook("exposureEv", (change) => slider(texts.panel.exposure, limits.exposure, 0.1, change, "EV")),
+      ofLook("tone", (change) =>
+        choice(texts.panel.tone, () => choicesOf<ToneCurve>(texts.panel.tones), change),
+      ),
+      ofLook("background", (change) =>
+        choice(texts.panel.background, () => choicesOf<BackgroundKind>(texts.panel.backgrounds), change),
+      ),
       follow(
         colourField((backgroundSrgb) => look({ backgroundSrgb, background: "colour" })),
         (state) => state.look.backgroundSrgb,
       ),
-      ofLook("indirect", (change) => check("Bounce light", change)),
-      ofState("refine", (change) => check("Refine while nothing moves", change)),
+      ofLook("indirect", (change) => check(texts.panel.indirect, change)),
+      ofState("refine", (change) => check(texts.panel.refine, change)),
       refining,
-      ofLook("ground", (change) => check("Shadow on the ground", change)),
-      button("Reset picture", () => act.reset("picture")),
+      ofLook("ground", (change) => check(texts.panel.ground, change)),
+      button(texts.panel.resetPicture, () => act.reset("picture")),
     ),
     section(
-      "Camera",
+      texts.panel.camera,
       false,
-      ofState("free", (change) => check("Look from where no photograph was taken", change)),
-      button("Reset camera", () => act.reset("camera")),
+      ofState("free", (change) => check(texts.panel.free, change)),
+      button(texts.panel.resetCamera, () => act.reset("camera")),
     ),
     section(
-      "Material",
+      texts.panel.material,
       false,
       follow(
-        slider("Albedo ×", limits.gain, 0.05, (gain) => edit({ albedoGain: [gain, gain, gain] })),
+        slider(texts.panel.albedo, limits.gain, 0.05, (gain) => edit({ albedoGain: [gain, gain, gain] })),
         (state) => state.look.edit.albedoGain[1],
       ),
-      ofEdit("roughnessScale", (change) => slider("Roughness ×", limits.roughness, 0.05, change)),
-      ofEdit("metalnessShift", (change) => slider("Metalness +", limits.metalness, 0.05, change)),
-      button("Reset material", () => act.reset("material")),
+      ofEdit("roughnessScale", (change) => slider(texts.panel.roughness, limits.roughness, 0.05, change)),
+      ofEdit("metalnessShift", (change) => slider(texts.panel.metalness, limits.metalness, 0.05, change)),
+      button(texts.panel.resetMaterial, () => act.reset("material")),
     ),
     section(
-      "Compare",
+      texts.panel.compare,
       false,
       follow(compare, (state) => state.compare),
       follow(lightsB, (state) => state.environmentB),
       follow(photos, (state) => state.photo),
-      ofState("split", (change) => slider("Divide at", [0, 1], 0.01, change)),
+      ofState("split", (change) => slider(texts.panel.divideAt, [0, 1], 0.01, change)),
     ),
     section(
-      "Save",
+      texts.panel.save,
       false,
-      make("label", {}, "Width (pixels)", size[0]!),
-      make("label", {}, "Height (pixels)", size[1]!),
-      buttons(button("Save PNG", inSize(act.savePng)), button("Save EXR", inSize(act.saveExr))),
-      button("Make a film…", act.film),
-      button("Copy link to this view", act.copyLink),
+      make("label", {}, texts.panel.width, size[0]!),
+      make("label", {}, texts.panel.height, size[1]!),
+      buttons(
+        button(texts.panel.savePng, inSize(act.savePng)),
+        button(texts.panel.saveExr, inSize(act.saveExr)),
+      ),
+      button(texts.panel.film, act.film),
+      button(texts.panel.copyLink, act.copyLink),
     ),
     share.element,
     section(
-      "Open and help",
+      texts.panel.open,
       false,
-      buttons(button("Open bundle…", act.openBundle), button("Open folder…", act.openFolder)),
+      buttons(button(texts.panel.openBundle, act.openBundle), button(texts.panel.openFolder, act.openFolder)),
       make("p", {
         className: "hint",
-        textContent:
-          "Drag or arrow keys: turn the camera. Shift and drag, [ and ]: turn the light. Wheel, two fingers, + and -: " +
-          "nearer. Ctrl and drag, Shift and up or down: move.",
+        textContent: texts.panel.help,
       }),
     ),
   );
@@ -227,7 +221,7 @@ function colourField(change: (rgb: readonly [number, number, number]) => void): 
     change([byte(1), byte(3), byte(5)]);
   });
   return {
-    element: make("label", {}, "Background colour", input),
+    element: make("label", {}, texts.panel.backgroundColour, input),
     show: (rgb) => {
       const hex = rgb.map((value) =>
         Math.round(255 * value)

@@ -1,6 +1,7 @@
 /** The picture in place of a viewer that does not draw: while it loads, until it is wanted, or because others draw. */
 
 import { button, make } from "./fields.js";
+import { texts } from "../words/words.js";
 
 /** A layer above the canvas. */
 export class Poster {
@@ -11,7 +12,7 @@ export class Poster {
 
   /** `open` is called when someone wants to see more than the picture. */
   constructor(open: () => void) {
-    this.#open = button("Show in 3D", open);
+    this.#open = button(texts.viewer.show3d, open);
     this.element = make("div", { className: "poster" }, this.#image, this.#still, this.#open);
     // A picture that cannot be had is none: what is behind it shows the progress.
     this.#image.addEventListener("error", () => this.source(null));
@@ -42,7 +43,7 @@ export class Poster {
   /** Show the picture; with `asks`, a button that opens the viewer. */
   show(asks: boolean, label: string): void {
     this.#open.hidden = !asks;
-    this.#open.ariaLabel = `Show in 3D: ${label}`;
+    this.#open.ariaLabel = texts.viewer.show3dOf(label);
     this.element.hidden = !asks && !this.isThere;
     this.element.toggleAttribute("data-asks", asks);
   }

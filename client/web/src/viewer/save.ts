@@ -1,6 +1,7 @@
 /** Pictures as files. */
 
 import type { Viewer } from "./viewer.js";
+import { deviceFaults } from "../words/deviceFaults.js";
 
 /** Return the view as PNG; tone mapping is not applied twice, and alpha is straight. */
 export function pngOf(viewer: Viewer, width: number, height: number): Promise<Blob> {
@@ -15,7 +16,7 @@ export async function pngFrom(
 ): Promise<Blob> {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
-  if (context === null) throw new Error("the browser gives no canvas to write a PNG with");
+  if (context === null) throw new Error(deviceFaults.noCanvas);
   context.putImageData(new ImageData(rgba, width, height), 0, 0);
   return canvas.convertToBlob({ type: "image/png" });
 }

@@ -3,12 +3,13 @@
 import { make, section } from "./fields.js";
 import { toParameters } from "./state.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** Return the part; it is there for bundles of the server that the page came from, and only for those. */
 export function sharing(viewer: Viewer): { element: HTMLElement; show: () => void } {
   const place = make("div", { className: "fields" });
   const news = make("p", { className: "hint", role: "alert" });
-  const element = section("Share", false, place, news);
+  const element = section(texts.panel.share, false, place, news);
   let filled = "";
 
   const fail = async (error: unknown): Promise<void> => {

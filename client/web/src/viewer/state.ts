@@ -223,5 +223,5 @@ function rgb(values: readonly number[], range: Limits): Rgb {
 
 /** Return whether a word names a preset light. */
 export function isPreset(name: string): name is PresetName {
-  return Object.hasOwn(presetNames, name);
+  return presetNames.some((each) => each === name);
 }

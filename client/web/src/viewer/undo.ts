@@ -4,6 +4,7 @@ import { button, listening, make } from "./fields.js";
 import { StateHistory } from "./history.js";
 import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
+import { texts } from "../words/words.js";
 
 /** What undoes, at the edge of the picture. */
 export type UndoTools = {
@@ -30,9 +31,14 @@ export function undoTools(
   };
   const undo = button("↶", () => go(history.undo()));
   const redo = button("↷", () => go(history.redo()));
-  Object.assign(undo, { ariaLabel: "Undo", title: "Undo (Ctrl+Z)" });
-  Object.assign(redo, { ariaLabel: "Redo", title: "Redo (Ctrl+Shift+Z)" });
-  const element = make("div", { className: "tools", role: "group", ariaLabel: "Undo and redo" }, undo, redo);
+  Object.assign(undo, { ariaLabel: texts.viewer.undo, title: texts.viewer.undoKey });
+  Object.assign(redo, { ariaLabel: texts.viewer.redo, title: texts.viewer.redoKey });
+  const element = make(
+    "div",
+    { className: "tools", role: "group", ariaLabel: texts.viewer.undoGroup },
+    undo,
+    redo,
+  );
 
   function show(): void {
     for (const [each, can] of [

@@ -24,6 +24,7 @@ import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { mainDirection } from "./turning.js";
+import { texts } from "../words/words.js";
 
 const stillSamples = 2;
 const stillAfterMs = 150;
@@ -65,7 +66,7 @@ export class Viewer {
     canvas.addEventListener("webglcontextlost", (event) => {
       if (this.#closed) return;
       event.preventDefault();
-      this.#tell("message", "The graphics card was taken away; waiting for it to come back.", true);
+      this.#tell("message", texts.viewer.graphicsLost, true);
     });
     canvas.addEventListener("webglcontextrestored", () => {
       this.#stage?.restored();
@@ -374,7 +375,7 @@ export class Viewer {
         this.#refinement.changed();
         this.#refinement.rest();
       })
-      .catch((error: unknown) => this.#tell("message", `Cannot refine: ${String(error)}`, true));
+      .catch((error: unknown) => this.#tell("message", texts.refine.failed(String(error)), true));
   }
 
   #refineView() {

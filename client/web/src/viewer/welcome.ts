@@ -2,14 +2,15 @@
 
 import { formatSize } from "../page/format.js";
 import { make } from "./fields.js";
+import { texts } from "../words/words.js";
 
 /** The panel over an empty picture. */
 export class Welcome {
   readonly #heading = make("h1");
   readonly #text = make("p");
-  readonly #progress = make("progress", { max: 1, ariaLabel: "Reading the bundle" });
+  readonly #progress = make("progress", { max: 1, ariaLabel: texts.viewer.reading });
   readonly #bytes = make("p", { className: "bytes" });
-  readonly #again = make("button", { type: "button", textContent: "Try again" });
+  readonly #again = make("button", { type: "button", textContent: texts.viewer.tryAgain });
   #retry: (() => void) | null = null;
   readonly element = make(
     "div",
@@ -28,17 +29,14 @@ export class Welcome {
 
   /** Ask for a bundle. */
   invite(): void {
-    this.#say(
-      "Drop a relightable bundle here",
-      "A folder or a .relight.zip that Lambent has exported. Nothing leaves this computer.",
-    );
+    this.#say(texts.viewer.invite, texts.viewer.inviteMore);
     this.#progress.hidden = true;
     this.#bytes.hidden = true;
   }
 
   /** A bundle is asked for. */
   reading(): void {
-    this.#say("Opening the bundle…", "");
+    this.#say(texts.viewer.opening, "");
     this.#progress.hidden = false;
     this.#progress.removeAttribute("value");
     // A line of its own from the start: nothing moves when the first bytes come.
@@ -55,13 +53,13 @@ export class Welcome {
   arrived(readBytes: number, totalBytes: number): void {
     this.#progress.value = readBytes / Math.max(totalBytes, 1);
     this.#bytes.hidden = false;
-    this.#bytes.textContent = `${formatSize(readBytes)} of ${formatSize(totalBytes)}`;
+    this.#bytes.textContent = texts.page.of(formatSize(readBytes), formatSize(totalBytes));
   }
 
   /** The bundle cannot be shown; `retry` asks for it again. */
   failed(retry: (() => void) | null): void {
     // What went wrong stands in the message, which is told to those who do not see it, too.
-    this.#say("This bundle cannot be shown", "");
+    this.#say(texts.viewer.notShown, "");
     this.#retry = retry;
     this.#again.hidden = retry === null;
     this.#progress.hidden = true;

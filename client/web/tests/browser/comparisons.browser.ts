@@ -1,6 +1,5 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { presetNames } from "../../src/light/presets.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { expectedPictures, meanDifference, openViewer, pictureOf } from "./support.js";
 
@@ -40,8 +39,8 @@ describe("comparisons", () => {
       });
     });
     expect(labels).toEqual([
-      [presetNames.studio, "left"],
-      [presetNames.even, "right"],
+      ["Studio", "left"],
+      ["Even grey", "right"],
     ]);
   });
 

@@ -171,7 +171,7 @@ describe("a graphics card that is taken away", () => {
       document
         .querySelector("lambent-viewer")!
         .shadowRoot!.querySelector("[data-problem]")
-        ?.textContent?.includes("graphics card was taken away"),
+        ?.textContent?.includes("graphics card is not available"),
     );
     await page.evaluate(() => {
       (globalThis as unknown as { lose: WEBGL_lose_context }).lose.restoreContext();

@@ -106,7 +106,7 @@ describe("environments", () => {
       document
         .querySelector("lambent-viewer")!
         .shadowRoot!.querySelector(".message")!
-        .textContent?.startsWith("That is neither"),
+        .textContent?.startsWith("This is neither"),
     );
   });
 });

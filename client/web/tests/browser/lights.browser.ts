@@ -39,9 +39,10 @@ afterAll(() => closePages(browser));
 
 describe("the row of lights", () => {
   it("shows each of them as a ball, and which one is chosen", async () => {
-    await soon(async () => (await chips()).filter(({ painted }) => painted).length).toBe(4);
+    await soon(async () => (await chips()).filter(({ painted }) => painted).length).toBe(5);
     const found = await chips();
     expect(found.map(({ name }) => name)).toEqual([
+      "Softboxes",
       "Studio",
       "Clear sky",
       "Low sun",
@@ -50,7 +51,7 @@ describe("the row of lights", () => {
     ]);
     expect(found.filter(({ pressed }) => pressed === "true").map(({ name }) => name)).toEqual(["Studio"]);
     // Nothing is painted twice.
-    expect(await page.evaluate(() => (globalThis as unknown as { painted: number }).painted)).toBe(4);
+    expect(await page.evaluate(() => (globalThis as unknown as { painted: number }).painted)).toBe(5);
   });
 
   it("is one stop of the Tab key; arrows go along it, and Enter chooses", async () => {
@@ -62,6 +63,8 @@ describe("the row of lights", () => {
     await soon(async () => (await state()).environment).toBe("preset:sky");
     await page.keyboard.press("End");
     expect(await focused()).toBe("+Add a light");
+    await page.keyboard.press("ArrowRight");
+    expect(await focused()).toBe("Softboxes");
     await page.keyboard.press("ArrowRight");
     expect(await focused()).toBe("Studio");
     await page.keyboard.press("Tab");

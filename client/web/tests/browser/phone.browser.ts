@@ -144,10 +144,15 @@ describe("on a phone", () => {
 
 describe("on a desk", () => {
   it("no choice is longer than its field", async () => {
-    const desk = await openViewer(browser, { v: "2", env: "preset:studio", rotate: "0,0,0" }, "data/bundle/", {
-      width: 1280,
-      height: 800,
-    });
+    const desk = await openViewer(
+      browser,
+      { v: "2", env: "preset:studio", rotate: "0,0,0" },
+      "data/bundle/",
+      {
+        width: 1280,
+        height: 800,
+      },
+    );
     const long = await desk.evaluate(() => {
       const root = document.querySelector("lambent-viewer")!.shadowRoot!;
       for (const part of root.querySelectorAll("details")) part.open = true;

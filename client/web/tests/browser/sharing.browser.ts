@@ -56,7 +56,7 @@ it("a bundle of the server is shared by a link with the view, which ends and is 
   await open("/v1/bundles/bundle_1");
   await page.click("summary:text-is('Share')");
   await page.selectOption("#lifetime", { label: "30 days" });
-  await page.click("text=Make a link");
+  await page.click("text=Create a link");
   await page.waitForSelector("text=The link was created and copied.");
   expect(asked).toEqual([{ expires_in_s: 30 * 24 * 3600 }]);
   const copied = await page.evaluate(() => navigator.clipboard.readText());
@@ -72,7 +72,7 @@ it("a bundle of the server is shared by a link with the view, which ends and is 
   expect(seen).toBe(40);
   expect(guest.url()).not.toContain("secret");
   await guest.close();
-  await page.click("text=Take back");
+  await page.click("text=Revoke");
   await page.waitForSelector("text=no longer works");
   expect(links).toEqual([]);
 });
@@ -109,9 +109,9 @@ it("a link to a view in a dropped map says so, and carries the map once it is up
   }, map.toString("base64"));
   await page.click("summary:text-is('Save')");
   await page.click("text=Copy link to this view");
-  await page.waitForSelector("text=It cannot carry my light.hdr, which is on this computer only.");
+  await page.waitForSelector("text=It does not include my light.hdr, which is on this computer only.");
   await page.click("text=Copy without");
-  await page.waitForSelector("text=The link is on the clipboard. It cannot carry my light.hdr");
+  await page.waitForSelector("text=The link was copied. It does not include my light.hdr");
   expect(await page.evaluate(() => navigator.clipboard.readText())).not.toContain("env=");
   await page.click("text=Copy link to this view");
   await page.click("text=Upload and copy");
@@ -138,5 +138,5 @@ it("a link from a bundle of another kind of host says what it cannot carry, and 
   });
   await page.click("summary:text-is('Save')");
   await page.click("text=Copy link to this view");
-  await page.waitForSelector("text=The link is on the clipboard. It cannot carry a.hdr, which is on this");
+  await page.waitForSelector("text=The link was copied. It does not include a.hdr, which is on this");
 });

@@ -60,15 +60,15 @@ beforeAll(async () => {
   // Someone types the address of a page; what counts is its origin.
   await page.click("summary:text-is('Share a link')");
   await page.fill("#sites", `${shop.origin}/bowls.html`);
-  await page.click("text=Make a link");
+  await page.click("text=Create a link");
   const copiedBy = async (text: string): Promise<string> => {
     await page.click(`text=${text}`);
-    await page.waitForSelector("text=is copied");
+    await page.waitForSelector("text=was copied");
     return page.evaluate(() => navigator.clipboard.readText());
   };
   await page.waitForSelector(`text=may be shown on ${shop.origin}`);
-  frameHtml = await copiedBy("Copy a frame");
-  elementHtml = await copiedBy("Copy the element");
+  frameHtml = await copiedBy("Copy as iframe");
+  elementHtml = await copiedBy("Copy as element");
   const job = page.url().split("/").at(-1)!;
   const { bundle_id: bundle } = await server.ask<{ bundle_id: string }>("GET", `/v1/jobs/${job}`);
   const { items } = await server.ask<{ items: Share[] }>("GET", `/v1/bundles/${bundle}/shares`);
@@ -213,7 +213,7 @@ describe("a shared bundle on another site", () => {
     await shown(page.frames()[1]!);
     await server.ask("DELETE", `/v1/shares/${share.id}`).catch(() => {});
     await page.reload();
-    await page.frames()[1]!.waitForSelector("text=taken back");
+    await page.frames()[1]!.waitForSelector("text=revoked");
     const element = await visit(`${shop.origin}/element`);
     await element.page.locator("lambent-viewer [data-problem]").waitFor();
   });

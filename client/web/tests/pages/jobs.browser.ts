@@ -98,7 +98,7 @@ describe("an upload", () => {
     await uploaded("bowl", { ...capture, "notes.pdf": "left out" });
     await stateIs("ready");
     await page.waitForSelector("text=NeRF-Blender");
-    await page.waitForSelector("text=3 to train on, 1 to test");
+    await page.waitForSelector("text=3 for training, 1 for testing");
     await page.waitForSelector(".presets :text('about 45 seconds')");
     expect(await page.isDisabled("input[value=standard]")).toBe(true);
     expect(await page.isChecked("input[value=fast]")).toBe(true);
@@ -122,7 +122,7 @@ describe("an upload", () => {
     });
     await page.goto(`${server.url}/#/`);
     await choose(page, folder);
-    await page.waitForSelector(".upload :text('sending what the server lacks · 18 B of 48 B')");
+    await page.waitForSelector(".upload :text('sending files that the server does not have · 18 B of 48 B')");
     page.once("dialog", (dialog) => dialog.accept());
     await page.reload();
     await live(page);
@@ -143,7 +143,7 @@ describe("an upload", () => {
     await page.waitForSelector("#message:has-text('no file is planned')");
     const file = (name: string, text: string) => ({ name, mimeType: "", buffer: Buffer.from(text) });
     await page.setInputFiles("input[accept*=zip]", file("photo.jpg", "x"));
-    await page.waitForSelector("#message:has-text('alone is no capture')");
+    await page.waitForSelector("#message:has-text('alone is not a scene')");
     await page.setInputFiles("input[accept*=zip]", file("broken.zip", "PK but no directory"));
     await page.waitForSelector("#message:has-text('archive cannot be read')");
     expect(await serious(page)).toEqual([]);
@@ -200,10 +200,26 @@ describe("a job", () => {
     await keepPicture(page, "job");
   });
 
+  it("leaves out pictures that the server has let go of", async () => {
+    await page.waitForSelector(".previews:not([hidden]) img", { state: "attached" });
+    await page.route("**/v1/blobs/*", (route) => route.fulfill({ status: 404 }));
+    try {
+      await page.reload();
+      // The history has come, and its pictures with it.
+      await page.waitForSelector(".chart polyline", { state: "attached" });
+      await page.waitForSelector(".previews[hidden]", { state: "attached" });
+    } finally {
+      await page.unroute("**/v1/blobs/*");
+    }
+    await page.reload();
+    await page.waitForSelector(".chart polyline", { state: "attached" });
+    await page.waitForSelector(".previews:not([hidden]) img", { state: "attached" });
+  });
+
   it("is shown to others by a link, which opens nothing else and is taken back", async () => {
     await page.click("summary:text-is('Share a link')");
     await page.selectOption("#lifetime", { label: "one day" });
-    await page.click("text=Make a link");
+    await page.click("text=Create a link");
     const link = await page.inputValue(".shares input");
     const stranger = await browser.newContext();
     const guest = await stranger.newPage();
@@ -227,12 +243,12 @@ describe("a job", () => {
     const withCookie = async (path: string) => guest.evaluate(async (url) => (await fetch(url)).status, path);
     expect(await withCookie(`${bundle}/manifest`)).toBe(200);
     expect(await withCookie("/v1/jobs")).toBe(401);
-    await page.click("text=Take back");
+    await page.click("text=Revoke");
     await page.waitForSelector("text=no longer works");
     expect(await withCookie(`${bundle}/manifest`)).toBe(401);
     await guest.goto("about:blank");
     await guest.goto(link);
-    await guest.waitForSelector("text=taken back");
+    await guest.waitForSelector("text=revoked");
     expect(await serious(guest)).toEqual([]);
     await stranger.close();
   });
@@ -275,7 +291,7 @@ describe("a job", () => {
     const status = () => page.evaluate(async (one) => (await fetch(`/v1/jobs/${one}`)).status, id);
     const inList = `ol[aria-label=Jobs] a[href='#/jobs/${id}']`;
     await page.click("button:text-is('Delete the job')");
-    await page.waitForSelector(".toast:has-text('The job \"bowl\" is deleted.')");
+    await page.waitForSelector(".toast:has-text('The job \"bowl\" was deleted.')");
     await page.waitForSelector("ol[aria-label=Jobs] li");
     expect(await page.$(inList)).toBeNull();
     expect(await status()).toBe(200);
@@ -302,7 +318,7 @@ describe("a job", () => {
     await page.goto(`${server.url}/#/`);
     await page.waitForSelector("ol[aria-label=Jobs] li");
     await page.fill("#job-words", "nothing like it");
-    await page.waitForSelector("text=No job fits.");
+    await page.waitForSelector("text=No job matches.");
     await page.fill("#job-words", "BOW");
     await page.waitForSelector("ol[aria-label=Jobs] li:has-text('bowl')");
     await page.selectOption("select[aria-label=State]", "failed");
@@ -322,7 +338,7 @@ describe("a job", () => {
     await page.click("text=More settings");
     await page.fill("#settings", "rays 512");
     await page.click("text=Start the job");
-    await page.waitForSelector("#message:has-text('is no setting')");
+    await page.waitForSelector("#message:has-text('is not a setting')");
   });
 
   it("stands in the list with its scene's name, in dark colours too", async () => {

@@ -105,7 +105,7 @@ const compared = (marks: string) =>
 
 it("shows every photograph with its mask, usable by all, and fits a phone", async () => {
   expect(await page.locator(".shots button").count()).toBe(12);
-  expect(await page.textContent(".masks [role=status]")).toMatch(/^The views agree to \d+ %\.$/);
+  expect(await page.textContent(".masks [role=status]")).toMatch(/^Agreement between the views: \d+%\.$/);
   expect(await share("v10")).toBeGreaterThan(0.7);
   expect(await serious(page)).toEqual([]);
   expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);

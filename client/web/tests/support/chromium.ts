@@ -10,6 +10,9 @@ const flags = [
   "--use-angle=swiftshader",
   "--enable-unsafe-swiftshader",
   "--disable-background-networking",
+  // The pages speak the language of the browser, and tests look for English texts.
+  "--lang=en-US",
+  "--accept-lang=en-US",
 ];
 
 /** Return the browser's path; throws where there is none. */

@@ -39,6 +39,7 @@ def compiled(name: str, num_features: int, target: int, counts: str = "*i32") ->
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KERNELS)
 def test_kernels_fit_into_registers(name):
     for target, num_features in itertools.product(TARGETS, MAX_REGISTERS):
@@ -47,6 +48,7 @@ def test_kernels_fit_into_registers(name):
         assert memory == 0, (target, num_features)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KERNELS)
 def test_kernels_with_64_bit_offsets_fit_into_registers(name):
     for target, num_features in itertools.product(TARGETS, (2, 8)):

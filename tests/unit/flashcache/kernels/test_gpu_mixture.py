@@ -58,6 +58,7 @@ def test_no_rays_give_an_empty_mixture(found):
     assert found["nothing"]["mixture"].shape == (0, HashGrid(fused_cases.GRIDS["2 features"]).out_features)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KERNELS)
 def test_kernels_fit_into_registers(name):
     for target, num_features in itertools.product(compiled_kernels.TARGETS, MAX_REGISTERS):
@@ -66,6 +67,7 @@ def test_kernels_fit_into_registers(name):
         assert memory == 0, (target, num_features)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KERNELS)
 def test_kernels_with_64_bit_offsets_need_no_memory_of_their_own(name):
     for target in compiled_kernels.TARGETS:

@@ -185,6 +185,7 @@ def test_fitted_materials_do_not_take_in_that_the_map_is_turned(glossy):
     assert not by_elements(glossy, 0.0).contradicted
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_an_error_of_all_albedo_is_not_one_of_the_light():
     dull = sphere_elements((0.5, 0.4, 0.3), 0.5, 0.0, count=1200, views=10)

@@ -246,6 +246,7 @@ def test_stage_one_learns_the_sphere():
     assert record.psnr > 20.0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PRESETS if name not in ("tiny", "fast")])
 def test_every_large_preset_takes_steps_of_both_stages(name):

@@ -134,6 +134,15 @@ def test_the_picture_is_a_rendering_or_the_poster(api: Api):
     assert "<title>A relightable object</title>" in page
 
 
+def test_of_two_posters_a_list_shows_the_small_one_and_a_link_the_large_one(api: Api, tmp_path: Path):
+    files = {"manifest.json": b"{}", "thumbnail.webp": b"small", "poster.webp": b"large"}
+    add_bundle(api, tmp_path, files, bundle_id="bundle_two_posters")
+    share, _ = make(api, "bundle_two_posters")
+    assert api.other(None).get(f"/embed/{share['id']}/picture").content == b"large"
+    shown = expect(api.get("/v1/bundles/bundle_two_posters"), 200)["thumbnail_url"]
+    assert api.get(shown).content == b"small"
+
+
 def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypatch: pytest.MonkeyPatch):
     visitor = api.other(None)
     revoked, _ = make(api, frame_ancestors=[SHOP])
@@ -225,7 +234,44 @@ def test_a_browser_learns_before_it_reads_which_origins_may(api: Api):
     expect_problem(preflight(api, path, method="DELETE"), 401, "not_authenticated")
     expect_problem(preflight(api, "/v1/bundles/bundle_poster"), 401, "not_authenticated")
     expect(api.delete(f"/v1/shares/{share['id']}"), 204)
-    assert "access-control-allow-origin" not in preflight(api, path).headers
+    # Or its page could not be told that the link has ended.
+    assert preflight(api, path).headers["access-control-allow-origin"] == SHOP
+    assert "access-control-allow-origin" not in preflight(api, path, "https://evil.example").headers
+
+
+@pytest.mark.parametrize("end", ["revoked", "expired"])
+def test_pages_that_a_link_names_can_read_that_it_has_ended_and_others_nothing(
+    api: Api, monkeypatch: pytest.MonkeyPatch, end: str
+):
+    share, token = make(api, frame_ancestors=[SHOP], expires_in_s=60)
+    _, other = make(api, frame_ancestors=["https://other.example"])
+    if end == "revoked":
+        expect(api.delete(f"/v1/shares/{share['id']}"), 204)
+    else:
+        monkeypatch.setattr("lambent_server.shares.now", lambda: time.time() + 61)
+    path = "/v1/bundles/bundle_shown/files/preview/a.png"
+    for asked in ("/v1/bundles/bundle_shown/manifest", path):
+        answer = read(api, token, asked, origin=SHOP)
+        expect_problem(answer, 401, "not_authenticated")
+        assert answer.headers["access-control-allow-origin"] == SHOP
+        assert "origin" in answer.headers["vary"].lower()
+        assert "access-control-allow-credentials" not in answer.headers
+        assert preflight(api, asked).headers["access-control-allow-origin"] == SHOP
+    forged = f"{token[:-1]}{'0' if token[-1] != '0' else '1'}"
+    silent = [
+        read(api, token, origin="https://evil.example"),
+        read(api, token, origin="https://other.example"),
+        # Links to others, and secrets that are none.
+        read(api, other, origin=SHOP),
+        read(api, forged, origin=SHOP),
+        read(api, token, "/v1/bundles/bundle_bare/manifest", origin=SHOP),
+        read(api, token, "/v1/bundles", origin=SHOP),
+        api.other(None).get(path, headers={"origin": SHOP}),
+        api.other(None).get(path, headers={"origin": SHOP, "cookie": f"lambent_share={token}"}),
+        preflight(api, path, "https://evil.example"),
+    ]
+    for answer in silent:
+        assert "access-control-allow-origin" not in answer.headers
 
 
 def test_the_scripts_of_the_element_may_be_read_from_anywhere(tmp_path: Path):

@@ -11,6 +11,8 @@ from lambent_server.database.tenancy import change
 from sqlalchemy import event
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 
+NAME = "Ährenblüte ΟΔΟΣΑ"
+
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
@@ -22,7 +24,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
 def made(api: Api) -> dict[str, list[str]]:
     """Return the ids of jobs by the name of their scene, in the order they were made in."""
     found: dict[str, list[str]] = {}
-    for place, name in enumerate(("Copper Kettle", "100% wool", "kettle_2")):
+    for place, name in enumerate(("Copper Kettle", "100% wool", "kettle_2", NAME)):
         scene_id = api.scene({f"{place}.png": name.encode()})
         with api.services.database.write() as connection:
             connection.execute(change(TENANT, scenes).where(scenes.c.id == scene_id).values(name=name))
@@ -45,9 +47,21 @@ def test_words_are_looked_for_in_names_in_any_case_and_are_no_patterns(api: Api,
     assert ids(api, q="silver") == []
     one = made["100% wool"][0]
     assert ids(api, q=one) == [one]
-    assert len(ids(api, q="tin")) == 9
+    assert len(ids(api, q="tin")) == 12
     items = api.other(STRANGER_KEY).get("/v1/jobs", params={"q": "kettle"}).json()["items"]
     assert items == []
+
+
+@pytest.mark.parametrize("words", ["Ä", "ä", "ÄHREN", "BLÜTE", "blüte ο", "Οδοσα", "ΟΔΟΣ"])
+def test_letters_outside_ascii_are_looked_for_in_any_case_too(
+    api: Api, made: dict[str, list[str]], words: str
+):
+    assert ids(api, q=words) == made[NAME][::-1]
+
+
+def test_letters_with_and_without_marks_are_different(api: Api, made: dict[str, list[str]]):
+    assert made[NAME]
+    assert ids(api, q="ahren") == []
 
 
 def test_kinds_states_and_words_hold_together(api: Api, made: dict[str, list[str]]):

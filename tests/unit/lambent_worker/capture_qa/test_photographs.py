@@ -1,7 +1,10 @@
 """Looking at photographs: figures of each, and of all together."""
 
+import base64
+import io
 import json
 
+import numpy as np
 import pytest
 from lambent_worker.capture_qa.photograph_limits import PhotographLimits
 from lambent_worker.capture_qa.photographs import look
@@ -44,6 +47,39 @@ def test_lenses_are_told_apart_by_focal_length_and_size_but_not_by_a_quarter_tur
     view(4).resize((384, 288)).save(tmp_path / "large.jpg", exif=exif())
     names = ["IMG_0000.jpg", "IMG_0001.jpg", "tall.jpg", "zoomed.jpg", "large.jpg"]
     assert sorted(look(tmp_path, names, LIMITS).lenses.values()) == [1, 1, 3]
+
+
+def write_masks(folder, count):
+    """Write black pictures with a white square, and return their names."""
+    names = [f"MASK_{index:04d}.png" for index in range(count)]
+    for index, name in enumerate(names):
+        mask = Image.new("L", (192, 144))
+        mask.paste(255, (40 + index, 30, 140, 110))
+        mask.save(folder / name)
+    return names
+
+
+def of_portrait(figures):
+    """Return the colours of a portrait, [row, column, 3]."""
+    with Image.open(io.BytesIO(base64.b64decode(figures.portrait))) as image:
+        return np.asarray(image.convert("RGB"), np.float32)
+
+
+def test_a_mask_among_photographs_never_stands_for_them(tmp_path):
+    write_views(tmp_path, 2)
+    photographs = ["IMG_0000.jpg", "IMG_0001.jpg"]
+    alone = look(tmp_path, photographs, LIMITS)
+    masks = write_masks(tmp_path, 2)
+    among = look(tmp_path, [*masks, *photographs], LIMITS)
+    assert among.left_out == tuple(masks)
+    assert among.portrait == alone.portrait
+    assert of_portrait(among).std(axis=(0, 1)).min() > 5.0
+
+
+def test_the_first_picture_stands_for_all_where_all_look_like_masks(tmp_path):
+    figures = look(tmp_path, write_masks(tmp_path, 2), LIMITS)
+    assert figures.left_out == ()
+    assert of_portrait(figures)[60, 90].min() > 240.0
 
 
 def test_copies_and_views_that_repeat_are_named_by_the_first(tmp_path):

@@ -36,6 +36,7 @@ def overlaps(found: list[np.ndarray], true: list[np.ndarray]) -> np.ndarray:
     return np.array([(a & b).sum() / (a | b).sum() for a, b in zip(found, true, strict=True)])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_ball_is_found_without_its_shadow_whatever_the_exposure():
     capture, work = plain()
@@ -49,6 +50,7 @@ def test_the_ball_is_found_without_its_shadow_whatever_the_exposure():
     assert overlaps(found, capture.masks).mean() > 0.96
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_is_marked_on_four_photographs_is_taken_away_from_all():
     capture, work = with_a_second_ball()

@@ -10,7 +10,7 @@ from lambent_worker.files import digest
 from lambent_worker.run.capture import read_manifest
 from lambent_worker.run.card_pixels import card_of, check_grey_card
 from lambent_worker.run.context import TaskContext
-from lambent_worker.run.tasks.training import load_trained, read_scene, training_pixels
+from lambent_worker.run.tasks.training import load_trained, previews_for, read_scene, training_pixels
 
 STEP = 1
 """Number of the only checkpoint: the polish begins again after a stop, for it takes about a minute."""
@@ -22,23 +22,31 @@ def run(context: TaskContext) -> None:
     How sure the fit is lies beside it, for the uncertainty of materials in reports and bundles.
     The user is told where stage two is kept. With a grey card, albedo and light are brought to what it
     reflects; where that cannot be done the user is told, too. On the processor whatever the run's device is:
-    the compiled fit is there, and a GPU would wait.
+    the compiled fit is there, and a GPU would wait. Meanwhile previews show the model that is polished, from
+    ever new sides.
     """
     on_cpu = replace(context, device="cpu")
     scene = read_scene(on_cpu)
     model = load_trained(on_cpu, scene, "joint").eval().requires_grad_(False)
     pixels = training_pixels(on_cpu, scene, model)
 
+    preview = previews_for(on_cpu, scene)
+
+    def pulse() -> None:
+        context.stop_if_asked()
+        preview.attempt(model, STEP)
+
     def advance(done: int) -> None:
         context.progress(done, NUM_PARTS)
-        context.stop_if_asked()
+        pulse()
 
     asked, card = context.spec.grey_card, None
     if asked is not None:
         manifest = read_manifest(on_cpu)
         check_grey_card(asked, scene, manifest)
         card = card_of(asked, scene, manifest, model)
-    report = polish(model, pixels, seed=context.spec.seed, card=card, advance=advance)
+    report = polish(model, pixels, seed=context.spec.seed, card=card, advance=advance, pulse=pulse)
+    preview.tell()
     for code, message in report.findings:
         context.reporter.finding(code, message)
     if report.kept and card is not None:

@@ -134,11 +134,7 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
             problem = stage.graphs.problem
             context.reporter.log("graphs.given_up", step=record.step, reason=problem)
         if preview is not None:
-            try:
-                preview.show(stage.model)
-            except Exception as error:  # A picture to look at is not worth a training.
-                context.reporter.log("previews.failed", step=record.step, reason=repr(error)[:200])
-                preview = None
+            preview.attempt(stage.model, record.step)
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
             rate = (record.step - reported_step) / max(now - reported_at, 1e-9)
@@ -162,7 +158,7 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
         if stopping and not stage.finished:
             raise Stopped
     if preview is not None:
-        context.reporter.log("previews.made", number=preview.number, seconds=round(preview.seconds, 3))
+        preview.tell()
 
 
 @contextmanager

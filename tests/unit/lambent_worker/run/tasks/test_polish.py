@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from flashcache.polish.confidence import FILE, Confidence
@@ -15,7 +16,7 @@ from lambent_worker.run.folder import task_folder
 from lambent_worker.run.hashes import input_hashes, last_training_task
 from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks import polish
-from lambent_worker.run.tasks.training import load_final, load_trained, new_model
+from lambent_worker.run.tasks.training import load_final, load_trained, new_model, previews_for
 from support.lit_sphere import lit_sphere
 from support.recording_reporter import RecordingReporter
 
@@ -43,7 +44,7 @@ def trained(tmp_path, monkeypatch, stop_after: int | None = None) -> TaskContext
 def test_what_the_polish_makes_is_what_later_tasks_read(tmp_path, monkeypatch):
     context = trained(tmp_path, monkeypatch)
 
-    def brighter(model, pixels, *, seed, card, advance):
+    def brighter(model, pixels, *, seed, card, advance, pulse):
         model.environment.head.bias.add_(1.0)
         advance(1)
         return PolishReport("", {"elements": 12.0})
@@ -53,6 +54,40 @@ def test_what_the_polish_makes_is_what_later_tasks_read(tmp_path, monkeypatch):
     before, after = load_trained(context, SCENE, "joint"), load_final(context, SCENE)
     assert torch.allclose(after.environment.head.bias, before.environment.head.bias + 1.0)
     assert context.reporter.named("polish.done") == [{"elements": 12.0}]
+
+
+def test_previews_go_on_while_materials_are_fitted(tmp_path, monkeypatch):
+    context, clock = trained(tmp_path, monkeypatch), [1000.0]
+    made: list[float] = []
+
+    def slow(model, camera):
+        clock[0] += 2.0
+        made.append(clock[0])
+        return np.zeros((camera.height, camera.width, 3), np.float32)
+
+    def fit(model, pixels, *, seed, card, advance, pulse):
+        for part in range(9):
+            for _ in range(3):
+                clock[0] += 4.0
+                pulse()
+            advance(part + 1)
+        return PolishReport("", {})
+
+    def with_clock(context, scene):
+        preview = previews_for(context, scene)
+        preview.clock = lambda: clock[0]
+        return preview
+
+    monkeypatch.setattr("lambent_worker.run.live_preview.turned_picture", slow)
+    monkeypatch.setattr(polish, "previews_for", with_clock)
+    monkeypatch.setattr(polish, "polish", fit)
+    polish.run(context)
+    assert np.diff(made).max() <= 30.0
+    assert made[0] < 1030.0
+    assert clock[0] - made[-1] <= 30.0
+    shown = context.reporter.named("preview")
+    assert [each["name"] for each in shown] == ["turning_polish"] * len(made)
+    assert context.reporter.named("previews.made")[0]["number"] == len(made)
 
 
 def test_a_model_without_a_surface_is_kept_and_the_user_hears_why(tmp_path, monkeypatch):
@@ -82,7 +117,7 @@ def test_the_polish_gets_the_cards_pixels_and_the_user_what_it_found(tmp_path, m
     monkeypatch.setattr(polish, "check_grey_card", lambda *given: asked.append(given))
     monkeypatch.setattr(polish, "card_of", lambda *given: given[:3])
 
-    def told(model, pixels, *, seed, card, advance):
+    def told(model, pixels, *, seed, card, advance, pulse):
         assert card == (CARD, SCENE, "manifest")
         return PolishReport("", {}, (("grey_card.brighter_than_white", "8 % of the surface"),))
 
@@ -106,7 +141,7 @@ def test_a_card_that_was_not_used_because_nothing_was_polished_is_told(tmp_path,
 
 def test_a_stopped_polish_leaves_nothing_and_begins_again(tmp_path, monkeypatch):
     context = trained(tmp_path, monkeypatch, stop_after=0)
-    monkeypatch.setattr(polish, "polish", lambda model, pixels, *, seed, card, advance: advance(1))
+    monkeypatch.setattr(polish, "polish", lambda model, pixels, *, seed, card, advance, pulse: advance(1))
     with pytest.raises(Stopped):
         polish.run(context)
     assert not list(context.folder.glob("step_*"))

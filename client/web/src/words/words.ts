@@ -1,0 +1,37 @@
+/** What the pages say, in the language that was chosen; one for all that is on a page. */
+
+import { type Texts, texts as english } from "./en.js";
+import { chosen, onSpeech, speakAs } from "./languages.js";
+
+/** Read it when something is said: it is English until another catalogue is there. */
+export let texts: Texts = english;
+
+/** The tag of the chosen language, for numbers and times: "en-GB". */
+export let locale = "en";
+
+onSpeech((catalogue) => {
+  texts = catalogue?.texts ?? english;
+});
+
+/** Speak the language of a tag from now on, once its catalogue is there. */
+export async function speak(tag: string): Promise<void> {
+  await speakAs(tag);
+  locale = tag;
+}
+
+/** Speak as the browser does, on a page of our own. */
+export async function speakAsBrowser(): Promise<void> {
+  await speak(chosen(navigator.languages));
+  document.documentElement.lang = locale;
+}
+
+/** Speak as the page does where the first element `name` is: by its own attribute `lang`, or that of what it is in. */
+export async function speakAsPage(name: string): Promise<void> {
+  const element = document.querySelector(name) ?? document.documentElement;
+  await speak(chosen([element.closest("[lang]")?.getAttribute("lang") ?? ""]));
+}
+
+/** Return what a code is called, or the code itself where this page does not know it. */
+export function named(names: Readonly<Record<string, string>>, code: string): string {
+  return Object.hasOwn(names, code) ? names[code]! : code;
+}
