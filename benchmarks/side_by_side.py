@@ -117,7 +117,8 @@ def write_maps(environments: Path, lights: Sequence[str], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for light in lights:
         name, degrees = light, 0
-        if match := re.fullmatch(r"(.+)_(\d{3})", light):
+        match = re.fullmatch(r"(.+)_(\d{3})", light)
+        if match and not (environments / f"{light}.hdr").is_file():
             name, degrees = match[1], int(match[2])
         radiance = load_environment(environments / f"{name}.hdr").radiance
         (folder / f"{light}.hdr").write_bytes(rgbe_bytes(turned(radiance, degrees)))
@@ -166,7 +167,8 @@ def strip(
         [Image.open(pictures / f"{light}_{view}_{side}.png") for side in ("truth", *sides)]
         for light in lights
     ]
-    boxes = np.array([cell.getbbox() for row in rows for cell in row])
+    # A picture may be black.
+    boxes = np.array([box for row in rows for cell in row if (box := cell.getbbox()) is not None])
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     middle, half = (low + high) / 2.0, (high - low).max() / 2.0 + 2.0
     box = (*(middle - half), *(middle + half))
@@ -257,8 +259,8 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
         strip(pictures, lights, views[options.strip_view][0].name, sides, options.strip)
     worst = min(overlaps.values())
     if worst < LEAST_OVERLAP:
-        print(f"the silhouettes do not agree: {worst:.3f}")
+        raise SystemExit(f"the silhouettes do not agree: {worst:.3f}")
     for light, found in sweeps.items():
         if max(found, key=found.__getitem__) != 0:
-            print(f"{light}: the mirror shows a turned map")
+            raise SystemExit(f"{light}: the mirror shows a turned map")
     return {"records": records, "overlaps": overlaps, "sweeps": sweeps, "versions": versions()}

@@ -37,6 +37,8 @@ def broken_links(page: Path) -> list[str]:
             problems.append(f"{page}: ({target}) leads to no file; fix the path or remove the link")
         elif fragment and file.suffix == ".md" and fragment not in anchors(file.read_text(encoding="utf-8")):
             problems.append(f"{page}: ({target}) leads to no heading of {file.name}")
+    if re.search(r"^(<{7}|>{7}) ", page.read_text(encoding="utf-8"), re.MULTILINE):
+        problems.append(f"{page}: has the marks of a merge that was not finished")
     return problems
 
 

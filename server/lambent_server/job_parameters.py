@@ -48,4 +48,6 @@ def odd_size(settings: dict[str, str]) -> str | None:
 
 
 def _is_odd(text: str) -> bool:
+    # A run reads values as JSON, which may have blanks around it.
+    text = text.strip(" ")
     return text.isascii() and text.isdigit() and int(text) % SIZE_STEP != 0

@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import { isSlow, turnedFor, turnFor, turnTowards, turnUntilInput } from "../src/viewer/firstTurn.js";
+import { sidesOf } from "../src/viewer/frozen.js";
 import { fromParameters, initialState, toParameters, type ViewerState } from "../src/viewer/state.js";
 import type { Viewer } from "../src/viewer/viewer.js";
 
@@ -38,10 +39,24 @@ describe("the turn of a light that nobody has turned", () => {
   });
 });
 
+describe("two lights side by side", () => {
+  const sides = (change: Partial<ViewerState>) =>
+    sidesOf({ ...initialState, compare: "environment", environmentB: "trained:day", ...change }, home);
+
+  it("stand as each of them stands alone, until someone turns the light", () => {
+    expect(sides({ turn: home }).map(({ turn }) => turn)).toEqual([home, initialState.turn]);
+    const trained = { environment: "trained:day", turn: initialState.turn, environmentB: "preset:sky" };
+    expect(sides(trained).map(({ turn }) => turn)).toEqual([initialState.turn, home]);
+    const chosen = { ...home, yawDeg: 3 };
+    expect(sides({ turn: chosen }).map(({ turn }) => turn)).toEqual([chosen, chosen]);
+  });
+});
+
 describe("the turn until the first input", () => {
   let frames: FrameRequestCallback[] = [];
   let now = 0;
   let isStill = false;
+  let top = 0;
   /** Draw frames, `ms` apart. */
   const pass = (count: number, ms: number): void => {
     for (let k = 0; k < count; k++) {
@@ -53,7 +68,8 @@ describe("the turn until the first input", () => {
   };
 
   beforeEach(() => {
-    [frames, now, isStill] = [[], 0, false];
+    [frames, now, isStill, top] = [[], 0, false, 0];
+    vi.stubGlobal("innerHeight", 800);
     vi.stubGlobal("requestAnimationFrame", (each: FrameRequestCallback) => frames.push(each));
     vi.stubGlobal("cancelAnimationFrame", () => {
       frames = [];
@@ -79,10 +95,11 @@ describe("the turn until the first input", () => {
       },
     };
     const told: boolean[] = [];
-    const host = new EventTarget();
+    const box = () => ({ top, bottom: top + 400 });
+    const host = Object.assign(new EventTarget(), { getBoundingClientRect: box });
     const stop = new AbortController();
     const moving = (on: boolean): void => void told.push(on);
-    turnUntilInput(viewer as unknown as Viewer, host as HTMLElement, moving, stop.signal);
+    turnUntilInput(viewer as unknown as Viewer, host as unknown as HTMLElement, moving, stop.signal);
     heard.get("load")!();
     return { viewer, told, host, stop };
   }
@@ -123,6 +140,27 @@ describe("the turn until the first input", () => {
     pass(108 * 20 + 10, 50);
     expect(third.told).toEqual([true, false]);
     expect(frames).toEqual([]);
+  });
+
+  it("gives way to a change whose light is still on its way", () => {
+    const { viewer, told } = opened();
+    pass(5, 50);
+    const asked = { ...viewer.state, environment: "url:slow.hdr", turn: initialState.turn };
+    viewer.state = asked;
+    pass(5, 50);
+    expect(told).toEqual([true, false]);
+    expect(viewer.state).toBe(asked);
+  });
+
+  it("waits while the element is out of the window", () => {
+    const { viewer } = opened();
+    pass(1, 16);
+    top = 900;
+    pass(20, 50);
+    expect(viewer.state.turn.yawDeg).toBe(70);
+    top = 0;
+    pass(20, 50);
+    expect(viewer.state.turn.yawDeg).toBeCloseTo(80);
   });
 
   it("ends where frames take long", () => {

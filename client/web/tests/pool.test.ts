@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { RefinePool, workersFor } from "../src/refine/pool.js";
+import { mostBytes, RefinePool, workersFor } from "../src/refine/pool.js";
 import { refineOptions } from "../src/refine/status.js";
 
 vi.mock("../src/refine/refineWorker.ts?worker&url", () => ({ default: "worker.js" }));
@@ -31,13 +31,45 @@ beforeEach(() => {
 });
 afterEach(() => vi.unstubAllGlobals());
 
-const open = (hear: (answer: unknown) => void) => new RefinePool({} as never, 3, hear);
+/** A bundle of some bytes of transport. */
+const bundleOf = (texelBytes: number, numTexels = 1) =>
+  ({
+    mesh: { indices: new Uint32Array(3) },
+    transport: { numTexels, texelPlane: new Uint8Array(texelBytes) },
+  }) as never;
+const open = (hear: (answer: unknown) => void) => new RefinePool(bundleOf(8), 3, hear);
 
 describe("the workers of a refinement", () => {
   it("are as many as leave a processor to the page, and one for a fast cache", () => {
-    expect([1, 2, 4, 16].map((count) => workersFor(refineOptions, count))).toEqual([1, 1, 3, 4]);
-    expect(workersFor({ ...refineOptions, backend: "wgsl" }, 16)).toBe(1);
-    expect(workersFor({ ...refineOptions, workers: 2 }, 1)).toBe(2);
+    const small = bundleOf(8);
+    expect([1, 2, 4, 16].map((count) => workersFor(refineOptions, count, small, false))).toEqual([
+      1, 1, 3, 4,
+    ]);
+    expect(workersFor({ ...refineOptions, backend: "wgsl" }, 16, small, false)).toBe(1);
+    expect(workersFor({ ...refineOptions, workers: 2 }, 1, small, false)).toBe(2);
+  });
+
+  it("are fewer where each would hold much, more of them where that is shared, and one at least", () => {
+    // 256 MiB of tables, and as much as 2^20 texels take besides.
+    const large = bundleOf(2 ** 28, 2 ** 20);
+    expect(workersFor(refineOptions, 16, large, false)).toBe(2);
+    expect(workersFor(refineOptions, 16, large, true)).toBe(4);
+    expect(workersFor(refineOptions, 16, bundleOf(2 ** 28, 2 ** 23), false)).toBe(1);
+    expect(mostBytes).toBe(2 ** 30);
+  });
+
+  it("read the same memory where the page is isolated, and have copies elsewhere", () => {
+    const tables = (): Uint8Array[] =>
+      made.map(({ asked }) => (asked[0]!.transport as { texelPlane: Uint8Array }).texelPlane);
+    vi.stubGlobal("crossOriginIsolated", true);
+    open(() => {});
+    expect(tables()[0]!.buffer).toBeInstanceOf(SharedArrayBuffer);
+    for (const each of tables()) expect(each.buffer).toBe(tables()[0]!.buffer);
+    expect([...tables()[0]!]).toEqual(new Array(8).fill(0));
+    made.length = 0;
+    vi.stubGlobal("crossOriginIsolated", false);
+    open(() => {});
+    expect(tables()[0]!.buffer).toBeInstanceOf(ArrayBuffer);
   });
 
   it("share the passes, and are open once all are", () => {

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { adaptedNote } from "../src/bundle/adapted.js";
 import { NearestPoint } from "../src/refine/nearestPoint.js";
-import { mostPoints, planOf } from "../src/refine/plan.js";
+import { mostPixels, mostPoints, planOf } from "../src/refine/plan.js";
 import { Randoms } from "../src/refine/randoms.js";
 import { notRefining, statusText } from "../src/refine/status.js";
 
@@ -77,5 +77,14 @@ describe("caches that were adapted to a light", () => {
     const note = adaptedNote(manifest(graph("fast_cache", "sky"), graph("fast_cache", "sunset")));
     expect(note).toContain("adapted to sunset");
     expect(statusText({ ...notRefining, phase: "running", backend: "wgsl", note })).toContain(note);
+  });
+});
+
+describe("the resolution of a large picture that shows little", () => {
+  it("is bounded by its pixels", () => {
+    const { step, samples } = planOf(3840, 2160, 0.01, mostPoints.mesh);
+    expect(samples).toBe(1);
+    expect((3840 * 2160) / step ** 2).toBeLessThanOrEqual(mostPixels);
+    expect(planOf(1920, 1080, 0.01, mostPoints.mesh)).toEqual({ step: 1, samples: 2 });
   });
 });

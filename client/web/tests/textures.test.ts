@@ -25,7 +25,11 @@ const transport = (size: number, rows: number): PackedTransport => ({
   shadowBits: null,
 });
 
-const picture = (width: number, height: number): ImageBitmap => ({ width, height, close: () => {} });
+const closed: number[] = [];
+const picture = (width: number, height: number): ImageBitmap => ({
+  ...{ width, height },
+  close: () => closed.push(width),
+});
 
 /** Stands for the browser's; it records what is drawn at which size. */
 const drawn: [from: number, to: number][] = [];
@@ -51,6 +55,7 @@ beforeEach(() => vi.stubGlobal("OffscreenCanvas", FakeCanvas));
 afterEach(() => {
   vi.unstubAllGlobals();
   drawn.length = 0;
+  closed.length = 0;
 });
 
 describe("a picture beyond what the graphics card takes", () => {
@@ -61,11 +66,14 @@ describe("a picture beyond what the graphics card takes", () => {
       [8192, 4096],
       [4096, 2048],
     ]);
+    // Those in between, and what was given, are of no more use.
+    expect(closed).toEqual([8192, 4096]);
   });
 
   it("is itself where it fits", () => {
     const given = picture(4096, 4096);
     expect(fitted(given, 4096)).toBe(given);
+    expect(closed).toEqual([]);
   });
 
   it("is made smaller for the albedo alone where the others fit", () => {
@@ -79,6 +87,9 @@ describe("a picture beyond what the graphics card takes", () => {
     const reduced = new BundleTextures(transport(16, 1), null, maps, true, 2048);
     expect((reduced.albedoMap!.image as ImageBitmap).width).toBe(2048);
     expect((reduced.normalMap!.image as ImageBitmap).width).toBe(512);
+    closed.length = 0;
+    reduced.dispose();
+    expect(closed.sort()).toEqual([2048, 512, 512]);
   });
 });
 

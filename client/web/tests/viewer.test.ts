@@ -1,6 +1,6 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 import { ballOf } from "../src/render/ball.js";
-import { beside, noInset, orbitCamera, photoCamera, verticalFieldDeg } from "../src/viewer/camera.js";
+import { beside, noInset, orbitCamera, photoCamera, sizeOf, verticalFieldDeg } from "../src/viewer/camera.js";
 import { afterKey, orbited, panned, zoomed } from "../src/viewer/orbit.js";
 import { pick } from "../src/viewer/pick.js";
 import { encodeExr } from "../src/viewer/save.js";
@@ -102,6 +102,16 @@ describe("the camera", () => {
     );
     expect(centreX).toBe(100);
     expect(focalX).toBeCloseTo(50 / Math.tan((17.5 * Math.PI) / 180), 9);
+  });
+  it("has as many pixels as its place, two for one at most, and not more than can be drawn", () => {
+    vi.stubGlobal("devicePixelRatio", 3);
+    expect(sizeOf({ clientWidth: 640, clientHeight: 480 })).toEqual({ width: 1280, height: 960 });
+    const wide = sizeOf({ clientWidth: 7680, clientHeight: 4320 });
+    expect(wide.width * wide.height).toBeLessThan(1.001 * 2 ** 24);
+    expect(wide.width / wide.height).toBeCloseTo(16 / 9, 3);
+    expect(sizeOf({ clientWidth: 20_000, clientHeight: 100 })).toEqual({ width: 8192, height: 41 });
+    expect(sizeOf({ clientWidth: 0, clientHeight: 0 })).toEqual({ width: 1, height: 1 });
+    vi.unstubAllGlobals();
   });
   it("of a photograph fits the whole photograph into the canvas", () => {
     const photo = {

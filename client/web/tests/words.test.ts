@@ -7,7 +7,7 @@ import { counted } from "../src/words/counted.js";
 import * as de from "../src/words/de.js";
 import * as en from "../src/words/en.js";
 import { chosen, languageOf, languages } from "../src/words/languages.js";
-import { locale, named, speak, speakAsBrowser, speakAsPage, texts } from "../src/words/words.js";
+import { languageOfPage, locale, named, speak, speakAsBrowser, texts } from "../src/words/words.js";
 
 afterEach(async () => {
   vi.unstubAllGlobals();
@@ -18,8 +18,11 @@ describe("the language", () => {
   it("is the first wanted one that is shipped, with its region, else English", () => {
     expect(languages).toEqual(["en", "de"]);
     expect(chosen(["fr-CH", "de-CH", "en"])).toBe("de-CH");
-    expect(chosen(["EN-gb", "de"])).toBe("EN-gb");
-    expect(chosen(["fr", "deu"])).toBe("en");
+    expect(chosen(["EN-gb", "de"])).toBe("en-GB");
+    expect(chosen(["fr", "deu"])).toBe("de");
+    // What a page says of itself may be no tag.
+    expect(chosen(["german!", " de-CH ", ""])).toBe("de-CH");
+    expect(chosen(["", "x"])).toBe("en");
     expect(chosen([])).toBe("en");
     expect(languageOf("de-AT")).toBe("de");
   });
@@ -41,7 +44,7 @@ describe("the language", () => {
     await speak("de");
     const place = lang === null ? null : { getAttribute: () => lang };
     vi.stubGlobal("document", { querySelector: () => ({ closest: () => place }), documentElement: {} });
-    await speakAsPage("lambent-viewer");
+    await speak(languageOfPage("lambent-viewer"));
     expect(texts.panel.light).toBe(said);
   });
 
@@ -54,6 +57,10 @@ describe("the language", () => {
 });
 
 describe("counts", () => {
+  it("leave what a name has in it as it is", () => {
+    expect(en.texts.link.lacks(1, "studio#2.hdr")).toContain("studio#2.hdr");
+  });
+
   it("have the form of their language", () => {
     expect([0, 1, 2, 12345].map(en.texts.page.files)).toEqual([
       ...["0 files", "1 file", "2 files", "12,345 files"],
@@ -64,11 +71,11 @@ describe("counts", () => {
   });
 
   it("have more than two forms where a language has", () => {
-    const forms = { one: "# plik", few: "# pliki", many: "# plików", other: "# pliku" };
+    const forms = { one: "{n} plik", few: "{n} pliki", many: "{n} plików", other: "{n} pliku" };
     expect([1, 2, 5, 22].map((count) => counted("pl", count, forms))).toEqual([
       ...["1 plik", "2 pliki", "5 plików", "22 pliki"],
     ]);
-    expect(counted("pl", 5, { other: "# rzeczy" })).toBe("5 rzeczy");
+    expect(counted("pl", 5, { other: "{n} rzeczy" })).toBe("5 rzeczy");
   });
 });
 

@@ -156,14 +156,15 @@ def look(
         lenses=Counter(_lens(each) for each in usable),
         exposure_range_ev=float(high - low),
         thumbnails={name: each.thumbnail for name, each in seen.items()},
-        portrait=portraits.get(False, portraits.get(True, "")),
+        portrait=next((portraits[rank] for rank in sorted(portraits)), ""),
     )
 
 
-def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: dict[bool, str]) -> _Seen:
+def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: dict[int, str]) -> _Seen:
     """Return what a photograph shows, after filling in its size; raises `PictureError` where it is unusable.
 
-    `portraits` gets its portrait where it is the first that looks like a mask, or the first that does not.
+    `portraits` gets its portrait where it is the first photograph (0), the first even picture, which may be
+    the mask of a photograph without the object (1), or the first that looks like a mask (2).
     """
     row["width"], row["height"] = size = picture_size(path)
     if min(size) < limits.min_side:
@@ -180,8 +181,9 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: 
     shown = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if linear else pixels
     luma = measures.luma_of(shown)
     is_like_a_mask = measures.is_like_a_mask(shown)
-    if is_like_a_mask not in portraits:
-        portraits[is_like_a_mask] = portrait_of(shown, alpha, is_linear=False)
+    rank = 2 if is_like_a_mask else int(luma.std() < limits.blank_levels)
+    if rank not in portraits:
+        portraits[rank] = portrait_of(shown, alpha, is_linear=False)
     return _Seen(
         figures={
             "brightness_ev": measures.brightness_ev(shown),

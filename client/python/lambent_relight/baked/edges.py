@@ -142,7 +142,7 @@ def _mixed(
         camera=view.camera,
         pixel=pixel,
         within=np.ones(len(pixel), np.float32),
-        first=start[::2],
+        first=start[::2].copy(),
         texel=view.texel[place],
         share=(view.share[place] * np.repeat(weight, counts)).astype(np.float32),
         used=view.used,

@@ -58,10 +58,10 @@ class BakedRenderer:
 
     def view(self, camera: Camera, antialias: int, *, soft_edges: bool) -> BakedView:
         """Return the view of `camera`; the last few cameras are cached."""
+        # Without networks the edges are the mesh's.
+        soft_edges = soft_edges and not isinstance(self._caches, NoCaches)
         key = (camera.key(), antialias, soft_edges)
         if key not in self._views:
-            # Without networks the edges are the mesh's.
-            soft_edges = soft_edges and not isinstance(self._caches, NoCaches)
             view = look_at_surface(self.scene, camera, antialias, apart=not soft_edges)
             if soft_edges:
                 view = with_soft_edges(view, self._caches, antialias)

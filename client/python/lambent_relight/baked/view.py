@@ -104,7 +104,12 @@ class BakedView:
     def image(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return values per pixel [pixel, n] as a picture [height, width, n], zero elsewhere."""
         result = np.zeros((self.camera.height * self.camera.width, values.shape[1]), np.float32)
-        np.add.at(result, self.pixel, self.within[:, None] * values)
+        if self.within.min(initial=1.0) == 1.0:
+            result[self.pixel] = values
+        else:
+            # Rows of a pixel follow each other.
+            starts = np.flatnonzero(np.append(True, np.diff(self.pixel) > 0))
+            result[self.pixel[starts]] = np.add.reduceat(self.within[:, None] * values, starts, axis=0)
         return result.reshape(self.camera.height, self.camera.width, -1)
 
 

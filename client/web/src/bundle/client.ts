@@ -5,6 +5,7 @@ import workerUrl from "./bundleWorker.ts?worker&url";
 import { BundleFault } from "./fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
 import type { BundleNews, LoadedBundle } from "./load.js";
+import { closePictures } from "./pictures.js";
 import type { BundleOrigin } from "./source.js";
 import { bundleFaults } from "../words/bundleFaults.js";
 
@@ -36,4 +37,23 @@ export function loadInWorker(
     };
     worker.postMessage(origin);
   });
+}
+
+/** Read a bundle while `other` work goes on, of which it is nothing without; see `loadInWorker`. */
+export async function loadBeside(
+  other: Promise<void>,
+  ...[origin, tell, signal]: Parameters<typeof loadInWorker>
+): Promise<LoadedBundle> {
+  const reading = loadInWorker(origin, tell, signal);
+  reading.catch(() => {}); // Told below.
+  try {
+    await other;
+  } catch (error) {
+    reading.then(closePictures, () => {});
+    throw error;
+  }
+  const bundle = await reading;
+  if (signal.aborted) closePictures(bundle);
+  signal.throwIfAborted();
+  return bundle;
 }

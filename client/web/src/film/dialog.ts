@@ -1,6 +1,7 @@
 /** The dialog that makes films; loaded when it is first opened. */
 
 import { formatSize } from "../page/format.js";
+import { WorkNews } from "../viewer/dialogs.js";
 import { button, check, choice, type Field, make } from "../viewer/fields.js";
 import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
@@ -19,12 +20,15 @@ type SizeName = keyof typeof sizes;
 
 const formatTexts: Readonly<Record<FilmFormat, string>> = { mp4: "MP4", webm: "WebM" };
 
-/** Return the dialog of a viewer. */
-export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: () => void } {
+/** Return the dialog of a viewer; `during` keeps that drawing while a film is made. */
+export function filmDialog(
+  viewer: Viewer,
+  during: <T>(work: () => Promise<T>) => Promise<T>,
+): { element: HTMLDialogElement; show: () => void } {
   let plan: FilmPlan = defaultPlan;
   let size: SizeName = "1080p";
   let running: AbortController | null = null;
-  const news = make("p", { className: "hint", role: "status" });
+  const told = new WorkNews();
   const bar = make("progress", { hidden: true, ariaLabel: texts.film.framesMade });
   const preview = make("canvas", { hidden: true, ariaLabel: texts.film.lastFrame });
   const codecs = new Map<FilmFormat, string>();
@@ -89,15 +93,20 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     if (running === null) element.close();
     else running.abort(new DOMException("the film was cancelled", "AbortError"));
   });
-  const form = make("form", { method: "dialog", noValidate: true }, fields, preview, bar, news);
+  const form = make(
+    "form",
+    { method: "dialog", noValidate: true },
+    fields,
+    preview,
+    bar,
+    told.count,
+    told.news,
+  );
   form.append(make("div", { className: "buttons" }, close, start));
   const element = make("dialog", { className: "work" }, make("h2", { textContent: texts.film.title }), form);
   element.setAttribute("aria-label", texts.film.title);
 
-  const say = (text: string, problem = false): void => {
-    news.textContent = text;
-    news.classList.toggle("problem", problem);
-  };
+  const say = (text: string, problem = false): void => told.say(text, problem);
   /** Say what would be made, or why it cannot be. */
   const describe = (): void => {
     try {
@@ -138,7 +147,7 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
   const onFrame = (made: number, count: number, rgba: Uint8ClampedArray<ArrayBuffer>): void => {
     bar.max = count;
     bar.value = made;
-    say(texts.film.frame(made, count));
+    told.reach(made / count, texts.film.frame(made, count));
     preview.hidden = false;
     if (preview.width !== plan.width || preview.height !== plan.height) {
       Object.assign(preview, { width: plan.width, height: plan.height });
@@ -150,7 +159,8 @@ export function filmDialog(viewer: Viewer): { element: HTMLDialogElement; show: 
     busy(true);
     say(texts.film.starting);
     try {
-      const film = await makeFilm(viewer, plan, { signal: running.signal, onFrame });
+      const { signal } = running;
+      const film = await during(() => makeFilm(viewer, plan, { signal, onFrame }));
       download(film, `${viewer.bundle?.name ?? "lambent"}-${plan.motion}.${plan.format}`);
       say(texts.film.saved(texts.film.frames(frameCount(plan)), formatSize(film.size)));
     } catch (error) {

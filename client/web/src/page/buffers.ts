@@ -17,3 +17,16 @@ export function transferablesOf(value: unknown): Transferable[] {
   collect(value);
   return [...(buffersOf(value) as ArrayBuffer[]), ...pictures];
 }
+
+/** Return a plain value with its arrays in memory that workers share instead of getting copies of it. */
+export function sharedCopy<T>(value: T): T {
+  if (ArrayBuffer.isView(value)) {
+    const { buffer, byteOffset, byteLength } = value;
+    const memory = new SharedArrayBuffer(byteLength);
+    new Uint8Array(memory).set(new Uint8Array(buffer, byteOffset, byteLength));
+    return new (value.constructor as new (memory: SharedArrayBuffer) => T)(memory);
+  }
+  if (Array.isArray(value)) return value.map(sharedCopy) as T;
+  if (typeof value !== "object" || value === null) return value;
+  return Object.fromEntries(Object.entries(value).map(([name, part]) => [name, sharedCopy(part)])) as T;
+}

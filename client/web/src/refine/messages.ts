@@ -5,6 +5,7 @@ import type { BundleOrigin } from "../bundle/source.js";
 import type { PackedTransport } from "../bundle/transport.js";
 import type { PreparedLight } from "../light/prepare.js";
 import type { RefinedPicture } from "./accumulation.js";
+import type { PixelFeatures } from "./denoise.js";
 import type { FallingLight } from "../engine/fallingLight.js";
 import type { PassMeans } from "./passes.js";
 import type { Backend, RefineOptions } from "./status.js";
@@ -28,6 +29,9 @@ export type WorkerShare = {
   /** To the first worker; its own: to all others. */
   readonly ports: readonly MessagePort[];
 };
+
+/** What the first worker has read for the others; null where the bundle has none. */
+export type SharedBits = { readonly shadowBits: Uint32Array<ArrayBuffer> | null };
 
 /** Passes that a worker sends to the first one. */
 export type SharedPass = { readonly id: number; readonly means: PassMeans };
@@ -61,6 +65,8 @@ export type RefineAnswer =
       readonly picture: RefinedPicture;
       /** The same, smoothed; null where that is not wanted. */
       readonly shown: RefinedPicture | null;
+      /** Of the first picture; null later on, for they do not change. */
+      readonly features: PixelFeatures | null;
       readonly done: boolean;
     }
   | { readonly kind: "failed"; readonly code: string; readonly message: string };

@@ -1,5 +1,6 @@
 /** The workers of a refinement: one that adds passes up and answers, and others that compute more of them. */
 
+import { buffersOf, sharedCopy } from "../page/buffers.js";
 import { startWorker } from "../page/workers.js";
 import type { OpenQuestion, RefineAnswer, RefineQuestion } from "./messages.js";
 import workerUrl from "./refineWorker.ts?worker&url";
@@ -7,11 +8,29 @@ import type { RefineOptions } from "./status.js";
 import { deviceFaults } from "../words/deviceFaults.js";
 
 const mostWorkers = 4;
+/** Bytes that all workers may hold of a bundle. */
+export const mostBytes = 2 ** 30;
+/** Bytes that each of them computes for a texel: shadow bits, materials, and light. */
+const bytesPerTexel = 160;
 
-/** Return how many workers to use; a fast cache has one, for graphics hardware is not shared. */
-export function workersFor({ backend, workers }: RefineOptions, processors: number): number {
+type Held = Pick<OpenQuestion, "mesh" | "transport">;
+
+/**
+ * Return how many workers to use: not more than memory allows, for each holds what a bundle has unless that is `shared`.
+ * A fast cache has one, for graphics hardware is not shared.
+ */
+export function workersFor(
+  { backend, workers }: RefineOptions,
+  processors: number,
+  { mesh, transport }: Held,
+  shared: boolean,
+): number {
   if (backend !== "auto" && backend !== "mesh") return 1;
-  return workers > 0 ? workers : Math.min(Math.max(processors - 1, 1), mostWorkers);
+  const wanted = workers > 0 ? workers : Math.min(Math.max(processors - 1, 1), mostWorkers);
+  const given = buffersOf({ mesh, transport }).reduce((sum, { byteLength }) => sum + byteLength, 0);
+  const own = bytesPerTexel * transport.numTexels;
+  const most = shared ? (mostBytes - given) / own : mostBytes / (given + own);
+  return Math.max(Math.min(wanted, Math.floor(most)), 1);
 }
 
 /** Some workers that are asked together and answer as one. */
@@ -26,6 +45,11 @@ export class RefinePool {
     count: number,
     private readonly hear: (answer: RefineAnswer) => void,
   ) {
+    // Where the page is isolated from others, all workers read the same memory.
+    const asked =
+      count > 1 && globalThis.crossOriginIsolated
+        ? { ...open, ...sharedCopy({ mesh: open.mesh, transport: open.transport }) }
+        : open;
     const channels = Array.from({ length: count - 1 }, () => new MessageChannel());
     this.#opening = count;
     for (let index = 0; index < count; index++) {
@@ -38,7 +62,7 @@ export class RefinePool {
       };
       const ports = index === 0 ? channels.map(({ port1 }) => port1) : [channels[index - 1]!.port2];
       worker.postMessage(
-        { ...open, ask: "open", share: { index, count, ports } } satisfies OpenQuestion,
+        { ...asked, ask: "open", share: { index, count, ports } } satisfies OpenQuestion,
         ports,
       );
     }

@@ -5,16 +5,17 @@ import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
 import { withShadowBits } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight } from "../engine/fallingLight.js";
-import { buffersOf } from "../page/buffers.js";
+import { buffersOf, sharedCopy } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
-import { Accumulation, type RefinedPicture } from "./accumulation.js";
+import { Accumulation } from "./accumulation.js";
 import { Hits, HitScene } from "./hitRadiance.js";
 import { LightSampler } from "./lightSampler.js";
-import { denoised } from "./denoise.js";
+import { denoised, type PixelFeatures } from "./denoise.js";
 import type {
   OpenQuestion,
   RefineAnswer,
   RefineQuestion,
+  SharedBits,
   SharedPass,
   StartQuestion,
   WorkerShare,
@@ -68,22 +69,41 @@ self.onmessage = ({ data }: MessageEvent<RefineQuestion>) => {
   });
 };
 
-async function open({ origin, sceneId, mesh, transport, backend, share }: OpenQuestion): Promise<void> {
+async function open(question: OpenQuestion): Promise<void> {
+  const { mesh, transport, share } = question;
+  if (share.index > 0) {
+    const tracer = openMesh(mesh, transport);
+    // The first one reads what there is to read.
+    const { shadowBits } = await bitsFrom(share.ports[0]!);
+    opened = { tracer, scene: new HitScene({ ...transport, shadowBits }, mesh), share };
+    answer({ kind: "opened", backend: tracer.backend, note: "", slow: tracer.slow });
+    return;
+  }
+  const { origin, sceneId, backend } = question;
   const files = await openBundle(await openSource(origin));
   const { manifest } = files;
   if (manifest.sceneId !== sceneId) {
     throw new BundleFault("bundle.digest_mismatch", ...bundleFaults.changed());
   }
   const stated = manifest.transport;
-  const lit = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
+  const read = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
+  const isShared = share.ports.length > 0 && globalThis.crossOriginIsolated;
+  const bits: SharedBits = { shadowBits: isShared ? sharedCopy(read.shadowBits) : read.shadowBits };
+  for (const port of share.ports) {
+    port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
+    port.postMessage(bits);
+  }
   let [tracer, note] = [null as Tracer | null, ""];
   if (backend === "auto" || backend === "mesh") tracer = openMesh(mesh, transport);
   else ({ tracer, note } = await openTracer(await cacheFiles(files), backend));
-  opened = { tracer, scene: new HitScene(lit, mesh), share };
-  if (share.index === 0) {
-    for (const port of share.ports) port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
-  }
+  opened = { tracer, scene: new HitScene({ ...transport, ...bits }, mesh), share };
   answer({ kind: "opened", backend: tracer.backend, note, slow: tracer.slow });
+}
+
+function bitsFrom(port: MessagePort): Promise<SharedBits> {
+  return new Promise((resolve) => {
+    port.onmessage = ({ data }: MessageEvent<SharedBits>) => resolve(data);
+  });
 }
 
 /** Fetch and check a fast cache; any of them will do, since no light changes what rays hit. */
@@ -143,7 +163,8 @@ function whole(light: FallingLight): FallingLight {
 /** Adds the passes of one picture up, and sends it. */
 class Collector {
   readonly sums: Accumulation;
-  readonly #features: ReturnType<typeof pixelFeatures>;
+  readonly #features: PixelFeatures;
+  #isFirst = true;
   #sentAt = Number.NEGATIVE_INFINITY;
   /** A picture is smoothed again when it has so many passes: that takes longer than one of them. */
   #smoothAt = 0;
@@ -174,8 +195,13 @@ class Collector {
     const done = enough || quiet;
     this.#sentAt = performance.now();
     this.#smoothAt = 2 * numPasses;
-    const pictures: RefinedPicture[] = shown === null ? [picture] : [picture, shown];
-    answer({ kind: "picture", id, picture, shown, done }, buffersOf(pictures));
+    // The denoiser keeps its own.
+    const features = this.#isFirst ? structuredClone(this.#features) : null;
+    this.#isFirst = false;
+    answer(
+      { kind: "picture", id, picture, shown, features, done },
+      buffersOf({ picture, shown, features }) as ArrayBuffer[],
+    );
     return done;
   }
 }

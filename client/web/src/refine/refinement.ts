@@ -11,7 +11,7 @@ import type { LightTurn, Look, ViewCamera } from "../render/looks.js";
 import type { Stage } from "../render/stage.js";
 import type { RefinedPicture } from "./accumulation.js";
 import type { RefineAnswer } from "./messages.js";
-import { mostPoints, planOf } from "./plan.js";
+import { mostPoints, planOf, resized } from "./plan.js";
 import { RefinePool, workersFor } from "./pool.js";
 import { RefinedLayer } from "./refinedLayer.js";
 import { notRefining, refinedChannels, type RefineOptions, type RefineStatus } from "./status.js";
@@ -21,9 +21,8 @@ import { readSamples } from "./surfaceReader.js";
 export type RefineView = {
   readonly bundle: LoadedBundle;
   readonly origin: BundleOrigin;
-  /** Of the picture on the canvas, and of the same view in another size. */
+  /** Of the picture on the canvas. */
   readonly camera: ViewCamera;
-  readonly cameraOf: (width: number, height: number) => ViewCamera;
   readonly turn: LightTurn;
   readonly look: Look;
   readonly moving: boolean;
@@ -35,11 +34,15 @@ export type RefineHost = {
   readonly stage: Stage;
   readonly view: () => RefineView;
   readonly redraw: () => void;
+  /** Whether someone looks on as the refined picture comes in. */
+  readonly fades: boolean;
   readonly tell: (status: RefineStatus) => void;
 };
 
 const restMs = 350;
 const coarseSide = 256;
+/** How long the refined picture takes to come in place of the baked one. */
+const fadeMs = 400;
 
 /** One viewer's refinement. */
 export class Refinement {
@@ -55,6 +58,7 @@ export class Refinement {
   #light: PreparedLight | null = null;
   #id = 0;
   #rest = 0;
+  #frame = 0;
 
   constructor(private readonly host: RefineHost) {}
 
@@ -103,6 +107,7 @@ export class Refinement {
 
   #stop(): void {
     clearTimeout(this.#rest);
+    cancelAnimationFrame(this.#frame);
     this.#key = "";
     this.#light = null;
     this.#pool?.ask({ ask: "stop" });
@@ -127,7 +132,8 @@ export class Refinement {
     if (this.#pool !== null) return;
     this.#bundle = bundle;
     const { sceneId, mesh, transport } = bundle;
-    const count = workersFor(options, navigator.hardwareConcurrency || 1);
+    const processors = navigator.hardwareConcurrency || 1;
+    const count = workersFor(options, processors, bundle, globalThis.crossOriginIsolated);
     const asked = { origin, sceneId, mesh, transport, backend: options.backend };
     const pool: RefinePool = new RefinePool(asked, count, (answer) => {
       if (this.#pool === pool) this.#hear(answer);
@@ -141,12 +147,13 @@ export class Refinement {
     if (light === null) return; // A new bundle is there, and its light is not yet.
     const { camera, options, turn, look, bundle } = view;
     const { slow, backend } = this.#opened!;
-    const limit = slow ? mostPoints.slow : backend === "mesh" ? mostPoints.mesh : mostPoints.quick;
+    const most = slow ? mostPoints.slow : backend === "mesh" ? mostPoints.mesh : mostPoints.quick;
+    const limit = options.points > 0 ? options.points : most;
     const scale = Math.min(1, coarseSide / Math.max(camera.width, camera.height));
     const side = (length: number, share: number): number => Math.max(1, Math.round(length * share));
-    const coarse = view.cameraOf(side(camera.width, scale), side(camera.height, scale));
+    const coarse = resized(camera, side(camera.width, scale), side(camera.height, scale));
     const ground = hasGround({ look, method: "baked" });
-    const covered = readSamples(stage.renderer, stage.samples(coarse, 1, ground), coarse, 1).place.length;
+    const covered = readSamples(stage, coarse, 1, ground).place.length;
     const { step, samples } = planOf(
       camera.width,
       camera.height,
@@ -154,9 +161,10 @@ export class Refinement {
       limit,
     );
     const size = [side(camera.width, 1 / step), side(camera.height, 1 / step)] as const;
-    const fine = step === 1 ? camera : view.cameraOf(...size);
-    const seen = readSamples(stage.renderer, stage.samples(fine, samples, ground), fine, samples);
-    this.#layer = new RefinedLayer(camera, fine);
+    const fine = step === 1 ? camera : resized(camera, ...size);
+    const seen = readSamples(stage, fine, samples, ground);
+    const edit = { ...look.edit, albedoScaleRgb: bundle.albedoScaleRgb };
+    this.#layer = new RefinedLayer(camera, fine, edit, this.#fadeMs());
     const { levels } = light.prepared;
     const known = this.#sentLight === levels;
     this.#sentLight = levels;
@@ -167,7 +175,7 @@ export class Refinement {
       turn: turnMatrix(turn).flat(),
       intensity: turn.intensity,
       falling: light.falling(turn),
-      edit: { ...look.edit, albedoScaleRgb: bundle.albedoScaleRgb },
+      edit,
       indirect: look.indirect,
       seen,
       options,
@@ -192,13 +200,24 @@ export class Refinement {
       return;
     }
     if (answer.id !== this.#id || this.#layer === null) return;
-    const { picture, shown, done } = answer;
+    const { picture, shown, features, done } = answer;
     this.#picture = picture;
-    this.#layer.set(shown ?? picture);
+    this.#layer.set(shown ?? picture, features, { smoothed: shown !== null, done });
     this.host.stage.overlay = this.#layer;
     const { samplesPerPixel, relativeError } = picture;
     this.#set({ phase: done ? "done" : "running", samplesPerPixel, relativeError });
+    this.#redraw();
+  }
+
+  #fadeMs(): number {
+    return this.host.fades && !matchMedia("(prefers-reduced-motion: reduce)").matches ? fadeMs : 0;
+  }
+
+  /** Draw, again and again until the refined picture has come in. */
+  #redraw(): void {
+    cancelAnimationFrame(this.#frame);
     this.host.redraw();
+    if (this.#layer?.isFading) this.#frame = requestAnimationFrame(() => this.#redraw());
   }
 }
 

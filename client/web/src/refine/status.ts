@@ -41,6 +41,8 @@ export type RefineOptions = {
   readonly backend: Backend | "auto";
   /** Workers that trace the mesh; 0: as many as leave a processor to the page, four at most. */
   readonly workers: number;
+  /** Points of the surface that are refined at most; 0: as many as the backend can in time. */
+  readonly points: number;
   /** Smooth what noise is left in what is shown. */
   readonly denoise: boolean;
   /** Stop at this relative standard error, */
@@ -52,6 +54,7 @@ export type RefineOptions = {
 export const refineOptions: RefineOptions = {
   backend: "auto",
   workers: 0,
+  points: 0,
   denoise: true,
   relativeError: 0.02,
   samplesPerPixel: 512,

@@ -3,6 +3,7 @@
 import { interrupted } from "../viewer/frozen.js";
 import type { ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
+import { cameraOfPart, type Part, partsOf, shareIn } from "../render/tiles.js";
 import { Refinement, type RefineView } from "./refinement.js";
 import type { RefineStatus } from "./status.js";
 
@@ -12,6 +13,8 @@ export type StillHost = {
   /** Of the picture on the canvas; the camera is another one. */
   readonly view: RefineView;
   readonly sides: readonly Side[];
+  /** Says that the picture can no longer be made. */
+  readonly lost: AbortSignal;
 };
 
 /** A picture as bytes (sRGB-encoded, straight alpha) or half floats (linear, multiplied by alpha), four to a pixel. */
@@ -23,28 +26,14 @@ export type StillOptions = {
   readonly onProgress?: (part: number, parts: number, status: RefineStatus) => void;
 };
 
-/** A rectangle of a picture: what is kept of a part, inside of what is refined. */
-export type Part = {
-  readonly left: number;
-  readonly top: number;
-  readonly width: number;
-  readonly height: number;
-};
-
 /** The longest side of a part: with 2 x 2 points to a pixel no more points than are refined at full resolution. */
 const partSide = 256;
 /** Pixels around a part, so that the denoiser sees across its border. */
 const margin = 16;
 
-/** Return the parts of a picture, row by row. */
-export function partsOf(width: number, height: number, side = partSide - 2 * margin): Part[] {
-  const parts: Part[] = [];
-  for (let top = 0; top < height; top += side) {
-    for (let left = 0; left < width; left += side) {
-      parts.push({ left, top, width: Math.min(side, width - left), height: Math.min(side, height - top) });
-    }
-  }
-  return parts;
+/** Return the parts of a picture. */
+export function stillParts(width: number, height: number): Part[] {
+  return partsOf(width, height, partSide - 2 * margin);
 }
 
 /** Return a part with what is around it, inside of the picture. */
@@ -55,25 +44,10 @@ export function widened({ left, top, width, height }: Part, whole: ViewCamera): 
   return { left: x, top: y, width: right - x, height: bottom - y };
 }
 
-/** Return the camera of a part of a picture. */
-export function cameraOfPart(camera: ViewCamera, { left, top, width, height }: Part): ViewCamera {
-  return { ...camera, width, height, centreX: camera.centreX - left, centreY: camera.centreY - top };
-}
-
-/** Return a camera's view in another size. */
-export function resized(camera: ViewCamera, width: number, height: number): ViewCamera {
-  const [x, y] = [width / camera.width, height / camera.height];
-  return {
-    ...camera,
-    ...{ width, height, focalX: camera.focalX * x, focalY: camera.focalY * y },
-    ...{ centreX: camera.centreX * x, centreY: camera.centreY * y },
-  };
-}
-
 /**
  * Return what `camera` sees, refined until the viewer's own limits of noise and directions, read by `read` part by part.
- * Throws `refine.unavailable` and the like where it cannot be refined, and `film.interrupted` where another bundle or
- * light was shown before the end.
+ * Throws `refine.unavailable` and the like where it cannot be refined, and `refine.interrupted` where another bundle or
+ * light was shown before the end, or the graphics card was lost.
  */
 export async function refinedStill<T extends Pixels>(
   host: StillHost,
@@ -82,22 +56,20 @@ export async function refinedStill<T extends Pixels>(
   read: (camera: ViewCamera, sides: readonly Side[]) => T,
   { signal, onProgress }: StillOptions = {},
 ): Promise<T> {
-  const { stage, view } = host;
+  const { stage, view, lost } = host;
+  const ends = signal === undefined ? [lost] : [signal, lost];
   const held = () => [stage.bundle, stage.light("a"), stage.light("b")];
   const first = held();
-  const parts = partsOf(camera.width, camera.height);
+  const parts = stillParts(camera.width, camera.height);
   let aim = camera;
   let hear: (status: RefineStatus) => void = () => {};
   const refinement = new Refinement({
     stage,
     view: () => ({
       ...view,
-      ...{
-        camera: aim,
-        moving: false,
-        cameraOf: (width: number, height: number) => resized(aim, width, height),
-      },
+      ...{ camera: aim, moving: false },
     }),
+    fades: false,
     redraw: () => {
       // It is of a part, and not of what is shown.
       stage.overlay = null;
@@ -109,15 +81,15 @@ export async function refinedStill<T extends Pixels>(
       const wide = widened(part, camera);
       aim = cameraOfPart(camera, wide);
       await new Promise<void>((resolve, reject) => {
-        const stop = (): void => reject(signal?.reason);
-        signal?.addEventListener("abort", stop, { once: true });
+        const stop = (): void => reject(ends.find(({ aborted }) => aborted)?.reason);
+        for (const each of ends) each.addEventListener("abort", stop);
         const follow = (status: RefineStatus): void => {
           onProgress?.(index + 1, parts.length, status);
-          if (signal?.aborted) throw signal.reason;
-          if (held().some((each, place) => each !== first[place])) throw interrupted();
+          for (const each of ends) each.throwIfAborted();
+          if (held().some((each, place) => each !== first[place])) throw interrupted("refine");
           if (status.phase === "failed") throw new Error(status.message);
           if (status.phase !== "done") return;
-          signal?.removeEventListener("abort", stop);
+          for (const each of ends) each.removeEventListener("abort", stop);
           const sides = host.sides.map((side) => ({
             ...side,
             ...{ from: shareIn(side.from, camera, wide), to: shareIn(side.to, camera, wide) },
@@ -132,6 +104,8 @@ export async function refinedStill<T extends Pixels>(
             into,
             camera.width,
           );
+          // Its loss is told later, and what was read is black.
+          if (stage.renderer.getContext().isContextLost()) throw interrupted("refine");
           resolve();
         };
         hear = (status) => {
@@ -141,7 +115,7 @@ export async function refinedStill<T extends Pixels>(
             reject(error);
           }
         };
-        if (signal?.aborted) return stop();
+        if (ends.some(({ aborted }) => aborted)) return stop();
         refinement.changed();
         refinement.rest(0);
       });
@@ -152,11 +126,6 @@ export async function refinedStill<T extends Pixels>(
     hear = () => {};
     refinement.dispose();
   }
-}
-
-/** Return a column of the whole picture as a share of a part's width. */
-function shareIn(share: number, camera: ViewCamera, part: Part): number {
-  return Math.min(Math.max((share * camera.width - part.left) / part.width, 0), 1);
 }
 
 /** Copy what is kept of a part. */

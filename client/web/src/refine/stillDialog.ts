@@ -1,6 +1,6 @@
 /** The dialog that refines a picture to save; loaded when it is first needed. */
 
-import { dialogSheet } from "../viewer/dialogs.js";
+import { dialogSheet, WorkNews } from "../viewer/dialogs.js";
 import { button, make } from "../viewer/fields.js";
 import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
@@ -17,10 +17,11 @@ export async function saveRefined(
 ): Promise<void> {
   const stop = new AbortController();
   const bar = make("progress", { ariaLabel: texts.refine.parts });
-  const news = make("p", { className: "hint", role: "status", textContent: texts.refine.starting });
+  const told = new WorkNews();
+  told.say(texts.refine.starting);
   const cancel = button(texts.page.cancel, () => stop.abort(new DOMException("cancelled", "AbortError")));
   const heading = make("h2", { textContent: texts.refine.heading(size.width, size.height) });
-  const element = make("dialog", { className: "work" }, heading, bar, news, cancel);
+  const element = make("dialog", { className: "work" }, heading, bar, told.count, told.news, cancel);
   element.setAttribute("aria-label", texts.refine.dialog);
   element.addEventListener("cancel", (event) => {
     event.preventDefault();
@@ -33,8 +34,9 @@ export async function saveRefined(
     const blob = await refinedFile(viewer, size, kind, {
       signal: stop.signal,
       onProgress: (part, parts, status) => {
-        Object.assign(bar, { max: parts, value: part - (status.phase === "done" ? 0 : 1) });
-        news.textContent = texts.refine.part(part, parts, statusText(status));
+        const made = part - (status.phase === "done" ? 0 : 1);
+        Object.assign(bar, { max: parts, value: made });
+        told.reach(made / parts, texts.refine.part(part, parts, statusText(status)));
       },
     });
     download(blob, `${viewer.bundle?.name ?? "lambent"}.${kind}`);

@@ -1,7 +1,9 @@
 /** Reads the surface at every sample of a picture back from the graphics card. */
 
-import type { WebGLRenderer, WebGLRenderTarget } from "three";
+import type { WebGLRenderTarget } from "three";
 import type { ViewCamera } from "../render/looks.js";
+import type { Stage } from "../render/stage.js";
+import { cameraOfPart, tilesOf } from "../render/tiles.js";
 import type { SurfaceSamples } from "./surfacePoints.js";
 
 type Part = Pick<SurfaceSamples, "place" | "normal" | "distance" | "material">;
@@ -9,15 +11,26 @@ type Part = Pick<SurfaceSamples, "place" | "normal" | "distance" | "material">;
 /** Samples that are read at once, 20 bytes each. */
 const atOnce = 1 << 20;
 
-/** Return the samples of `target`, as `render/surface.ts` packs them, that show the surface. */
+/** Return the samples of what a camera sees that show the surface; what lies under `ground` is left out. */
 export function readSamples(
-  renderer: WebGLRenderer,
-  target: WebGLRenderTarget,
+  stage: Stage,
   camera: ViewCamera,
   samples: number,
+  ground: boolean,
 ): SurfaceSamples {
+  const { maxTextureSize } = stage.renderer.capabilities;
+  const parts = tilesOf(camera.width, camera.height, samples, maxTextureSize).flatMap((tile) => {
+    const target = stage.samples(cameraOfPart(camera, tile), samples, ground);
+    const first = samples * (tile.top * samples * camera.width + tile.left);
+    return readTarget(stage, target, first, samples * camera.width);
+  });
+  return { camera, samples, ...joined(parts) };
+}
+
+/** Return the samples of `target`, as `render/surface.ts` packs them; `first` is the place of its first one among `across` in a row. */
+function readTarget({ renderer }: Stage, target: WebGLRenderTarget, first: number, across: number): Part[] {
   const gl = renderer.getContext() as WebGL2RenderingContext;
-  const [width, height] = [camera.width * samples, camera.height * samples];
+  const { width, height } = target;
   const strip = Math.max(1, Math.min(height, Math.floor(atOnce / width)));
   const words = new Uint32Array(4 * width * strip);
   const distances = new Float32Array(words.buffer);
@@ -39,7 +52,7 @@ export function readSamples(
       for (let column = 0; column < width; column++) {
         const from = 4 * ((rows - 1 - row) * width + column);
         if (words[from + 1] === 0) continue;
-        place[count] = (top + row) * width + column;
+        place[count] = first + (top + row) * across + column;
         normal[count] = facing[from]!;
         material.set(words.subarray(from + 2, from + 4), 2 * count);
         distance[count++] = distances[from + 1]!;
@@ -54,6 +67,11 @@ export function readSamples(
   }
   gl.readBuffer(gl.COLOR_ATTACHMENT0);
   renderer.setRenderTarget(null);
+  return parts;
+}
+
+/** Return all parts as one. */
+function joined(parts: readonly Part[]): Part {
   const count = parts.reduce((sum, part) => sum + part.place.length, 0);
   const all = {
     place: new Uint32Array(count),
@@ -69,5 +87,5 @@ export function readSamples(
     all.material.set(part.material, 2 * at);
     at += part.place.length;
   }
-  return { camera, samples, ...all };
+  return all;
 }

@@ -33,6 +33,7 @@ export function groundHeight(bundle: LoadedBundle): number {
   const { mesh, unseen } = bundle;
   const height = contactHeight(mesh, unseen === null ? null : seenBy(unseen));
   heights.set(bundle, height);
+  unseen?.close();
   return height;
 }
 

@@ -33,6 +33,23 @@ vec3 unfolded(uint halves) {
 }
 `;
 
+/**
+ * The first sample of a pixel: where a border covers a part of it but not its middle, and there is one sample to a
+ * pixel, a sample of the surface beside it.
+ */
+export const firstSample = `
+ivec2 firstSample(usampler2D seen, ivec2 first, bool masked, float covered) {
+  if (!masked || covered <= 0.0 || texelFetch(seen, first, 0).g != 0u) return first;
+  ivec2 last = textureSize(seen, 0) - 1;
+  for (int side = 0; side < 8; side++) {
+    int around = side < 4 ? side : side + 1;
+    ivec2 beside = clamp(first + ivec2(around % 3, around / 3) - 1, ivec2(0), last);
+    if (texelFetch(seen, beside, 0).g != 0u) return beside;
+  }
+  return first;
+}
+`;
+
 /** Position of a texel in a table. */
 export const tables = `
 ivec2 placeOf(uint texel) { return ivec2(int(texel) % ${tableWidth}, int(texel) / ${tableWidth}); }

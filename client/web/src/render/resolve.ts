@@ -36,6 +36,7 @@ uniform sampler2D ground;
 uniform vec4 groundPlace;
 uniform vec3 eye;
 uniform bool dither;
+uniform vec2 origin;
 
 /** Two even numbers, 0 to 1, of a pixel and a channel. Source: Jarzynski and Olano 2020 (pcg2d). */
 vec2 even(uvec2 v) {
@@ -75,9 +76,9 @@ vec4 keptAway(vec3 ray) {
   return fade > 0.0 ? fade * texture(ground, 0.5 + 0.5 * at) : vec4(0.0);
 }
 void main() {
-  vec4 sum = texelFetch(picture, ivec2(gl_FragCoord.xy), 0);
+  vec2 at = gl_FragCoord.xy - origin;
+  vec4 sum = texelFetch(picture, ivec2(at), 0);
   bool radiance = content == 0;
-  vec2 at = gl_FragCoord.xy;
   vec3 ray = cameraTurn * vec3((at.x - lens.z) / lens.x, -(size.y - at.y - lens.w) / lens.y, -1.0);
   vec4 shadow = sum.a < 1.0 ? keptAway(ray) : vec4(0.0);
   if (background >= ${backgrounds.environment} && sum.a < 1.0) {
@@ -126,6 +127,8 @@ export class Resolve {
     target: keyof typeof outputs,
     ground: GroundPlace | null,
     dither: boolean,
+    /** Where the picture begins on the canvas. */
+    origin: readonly [number, number],
   ): void {
     setUniforms(this.material, {
       ...lightUniforms(light, turn),
@@ -138,6 +141,7 @@ export class Resolve {
       content: contentOf(look),
       target: outputs[target],
       dither,
+      origin,
       hasGround: ground !== null,
       ground: ground === null ? null : light.ground.texture,
       groundPlace: ground === null ? [0, 0, 0, 1] : [...ground.centre, ground.height, ground.reach],

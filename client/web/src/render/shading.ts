@@ -21,7 +21,7 @@ import { type BundleTextures, normalisedScales } from "./textures.js";
 function fragment(bands: number, hasGrid: boolean): string {
   const plain = glsl.basisStatements(3, (index, _, value) => `sum += plainIrradiance[${index}] * ${value};`);
   const layers = Math.ceil((bands * bands) / 4);
-  return `${glsl.header}${glsl.unfolded}${glsl.environment}${glsl.splitSum}${glsl.glints}${shadowLook}${glsl.freeShare(bands)}
+  return `${glsl.header}${glsl.unfolded}${glsl.firstSample}${glsl.environment}${glsl.splitSum}${glsl.glints}${shadowLook}${glsl.freeShare(bands)}
 out vec4 result;
 uniform usampler2D seen;
 uniform usampler2D facing;
@@ -80,18 +80,8 @@ bool differing(ivec2 first) {
 void main() {
   vec2 pixel = gl_FragCoord.xy;
   ivec2 first = ivec2(pixel) * samples;
-  // A border that misses the middle of a pixel is like the surface beside it.
   float covered = masked ? texelFetch(mask, first, 0).r : 1.0;
-  if (masked && covered > 0.0 && texelFetch(seen, first, 0).g == 0u) {
-    ivec2 last = textureSize(seen, 0) - 1;
-    for (int side = 0; side < 8; side++) {
-      int around = side < 4 ? side : side + 1;
-      ivec2 beside = clamp(first + ivec2(around % 3, around / 3) - 1, ivec2(0), last);
-      if (texelFetch(seen, beside, 0).g == 0u) continue;
-      first = beside;
-      break;
-    }
-  }
+  first = firstSample(seen, first, masked, covered);
   bool lit = channel <= ${channels.indirect};
   // Samples that differ too much for one lobe reflect each for itself.
   int all = samples * samples;

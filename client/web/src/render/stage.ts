@@ -6,11 +6,12 @@ import {
   RGBAFormat,
   Scene,
   UnsignedByteType,
-  WebGLRenderer,
+  type WebGLRenderer,
   WebGLRenderTarget,
 } from "three";
 import type { DataTexture } from "three";
 import type { LoadedBundle } from "../bundle/load.js";
+import { closePictures } from "../bundle/pictures.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
 import { groundHeight } from "./contact.js";
@@ -20,13 +21,16 @@ import { IrradiancePasses } from "./irradiance.js";
 import { Ground, groundUnder, hasGround } from "./ground.js";
 import { groundLight } from "./groundLight.js";
 import { StageLight } from "./light.js";
+import type { Baked, Overlay } from "./overlay.js";
 import { type LightTurn, type Look, type Method, turnKey, type ViewCamera } from "./looks.js";
 import { type outputs, Resolve } from "./resolve.js";
 import { Shading } from "./shading.js";
 import { ShadowCaster } from "./shadowMaps.js";
 import { maskTarget, Surface, sampleTarget } from "./surface.js";
-import { halfFloatTarget } from "./targets.js";
+import { fitting, halfFloatTarget } from "./targets.js";
 import { aim } from "./projection.js";
+import { rendererOn } from "./renderer.js";
+import { cameraOfPart, type Part, partsOf, shareIn, tilesOf } from "./tiles.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
 import { deviceFaults } from "../words/deviceFaults.js";
 
@@ -55,12 +59,6 @@ type Scenery = {
 
 const tileSide = 1024;
 
-/** A picture that may be drawn in place of the light "a" with baked transport. */
-export type Overlay = {
-  /** Draw what a camera sees into `target`, radiance multiplied by coverage; false where it is not known. */
-  readonly draw: (screen: FullScreen, camera: ViewCamera, look: Look, target: WebGLRenderTarget) => boolean;
-};
-
 /** A canvas with a bundle and lights by name. */
 export class Stage {
   readonly renderer: WebGLRenderer;
@@ -74,6 +72,8 @@ export class Stage {
   /** Draws a finer picture in place of the baked one, where it has one. */
   overlay: Overlay | null = null;
   #radiance: WebGLRenderTarget | null = null;
+  /** The finer picture's. */
+  #finer: WebGLRenderTarget | null = null;
   #seen: WebGLRenderTarget | null = null;
   #mask: WebGLRenderTarget | null = null;
   /** Camera and samples that `#seen` holds. */
@@ -82,21 +82,7 @@ export class Stage {
 
   /** Throws GraphicsFault where there is no WebGL2 or no target for radiance. */
   constructor(canvas: HTMLCanvasElement, splitSumTable: Float32Array<ArrayBuffer>) {
-    try {
-      this.renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
-    } catch {
-      throw new GraphicsFault(deviceFaults.noWebgl);
-    }
-    const context = this.renderer.getContext();
-    if (
-      !context.getExtension("EXT_color_buffer_float") &&
-      !context.getExtension("EXT_color_buffer_half_float")
-    ) {
-      this.renderer.dispose();
-      throw new GraphicsFault(deviceFaults.noHalfFloats);
-    }
-    this.renderer.autoClear = false;
-    this.renderer.debug.checkShaderErrors = true;
+    this.renderer = rendererOn(canvas);
     this.#screen = new FullScreen(this.renderer);
     this.#splitSum = splitSumTexture(splitSumTable);
     this.#camera.matrixAutoUpdate = false;
@@ -113,6 +99,7 @@ export class Stage {
     const { maxTextureSize } = this.renderer.capabilities;
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
+      closePictures(bundle);
       throw new GraphicsFault(...deviceFaults.textureLimit(maxTextureSize, longest));
     }
     const { transport, uncertainty, maps, mesh } = bundle;
@@ -187,7 +174,10 @@ export class Stage {
     this.renderer.setScissorTest(false);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
-    for (const side of sides) this.#drawSide(camera, side, samples, null, "canvas");
+    const { width, height } = camera;
+    for (const part of tilesOf(width, height, samples, this.renderer.capabilities.maxTextureSize)) {
+      this.#drawPart(camera, part, sides, samples, null, "canvas");
+    }
   }
 
   /** Return the picture as RGBA bytes, rows from the top, straight alpha. */
@@ -207,6 +197,7 @@ export class Stage {
   dispose(): void {
     this.#clear();
     this.#radiance?.dispose();
+    this.#finer?.dispose();
     this.#seen?.dispose();
     this.#mask?.dispose();
     this.#splitSum.dispose();
@@ -223,6 +214,7 @@ export class Stage {
     this.#scenery?.shading.dispose();
     this.#scenery?.passes.dispose();
     this.#scenery?.textures.dispose();
+    if (this.#scenery !== null) closePictures(this.#scenery.bundle);
     this.#scenery = null;
     this.#seen?.dispose();
     this.#seen = null;
@@ -238,33 +230,38 @@ export class Stage {
     into: Uint8ClampedArray | Uint16Array,
   ): void {
     const type = output === "linear" ? HalfFloatType : UnsignedByteType;
-    for (let top = 0; top < camera.height; top += tileSide) {
-      for (let left = 0; left < camera.width; left += tileSide) {
-        const width = Math.min(tileSide, camera.width - left);
-        const height = Math.min(tileSide, camera.height - top);
-        const target = new WebGLRenderTarget(width, height, { format: RGBAFormat, type, depthBuffer: false });
-        const tile = {
-          ...camera,
-          width,
-          height,
-          centreX: camera.centreX - left,
-          centreY: camera.centreY - top,
-        };
-        const share = (at: number): number => Math.min(Math.max((at * camera.width - left) / width, 0), 1);
-        for (const side of sides) {
-          const part = { ...side, from: share(side.from), to: share(side.to) };
-          if (part.to > part.from) this.#drawSide(tile, part, samples, target, output);
-        }
-        const count = 4 * width * height;
-        const pixels = output === "linear" ? new Uint16Array(count) : new Uint8Array(count);
-        this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
-        target.dispose();
-        for (let row = 0; row < height; row++) {
-          const source = 4 * width * (height - 1 - row);
-          const line = pixels.subarray(source, source + 4 * width);
-          into.set(line, 4 * ((top + row) * camera.width + left));
-        }
+    const side = Math.min(tileSide, Math.floor(this.renderer.capabilities.maxTextureSize / samples));
+    for (const part of partsOf(camera.width, camera.height, side)) {
+      const { left, top, width, height } = part;
+      const target = new WebGLRenderTarget(width, height, { format: RGBAFormat, type, depthBuffer: false });
+      this.#drawPart(camera, part, sides, samples, target, output);
+      const count = 4 * width * height;
+      const pixels = output === "linear" ? new Uint16Array(count) : new Uint8Array(count);
+      this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
+      target.dispose();
+      for (let row = 0; row < height; row++) {
+        const source = 4 * width * (height - 1 - row);
+        const line = pixels.subarray(source, source + 4 * width);
+        into.set(line, 4 * ((top + row) * camera.width + left));
       }
+    }
+  }
+
+  /** Draw the sides of a part of a picture: into a target of its own, or where it is on the canvas. */
+  #drawPart(
+    camera: ViewCamera,
+    part: Part,
+    sides: readonly Side[],
+    samples: number,
+    target: WebGLRenderTarget | null,
+    output: keyof typeof outputs,
+  ): void {
+    const tile = cameraOfPart(camera, part);
+    const up = camera.height - part.top - part.height;
+    const origin = target === null ? ([part.left, up] as const) : ([0, 0] as const);
+    for (const side of sides) {
+      const [from, to] = [shareIn(side.from, camera, part), shareIn(side.to, camera, part)];
+      if (to > from) this.#drawSide(tile, { ...side, from, to }, samples, target, output, origin);
     }
   }
 
@@ -274,6 +271,7 @@ export class Stage {
     samples: number,
     target: WebGLRenderTarget | null,
     output: keyof typeof outputs,
+    origin: readonly [number, number],
   ): void {
     const light = this.#lights.get(side.light);
     const scenery = this.#scenery;
@@ -289,17 +287,21 @@ export class Stage {
     }
     const { width, height } = camera;
     this.#look(camera, samples, scenery, hasGround(side));
-    this.#radiance = this.#fitting(this.#radiance, width, height, halfFloatTarget);
+    this.#radiance = fitting(this.#radiance, width, height, halfFloatTarget);
     const columns = [Math.round(side.from * width), Math.round(side.to * width)] as const;
     scenery.shading.light(side.look, side.method, light, turn, scenery.caster);
     this.#scissor(this.#radiance, columns, height);
+    this.#screen.draw(scenery.shading.material, this.#radiance);
     const finer = side.light === "a" && side.method === "baked" ? this.overlay : null;
-    if (!finer?.draw(this.#screen, camera, side.look, this.#radiance)) {
-      this.#screen.draw(scenery.shading.material, this.#radiance);
+    const isFiner = finer?.shows(camera, side.look) ?? false;
+    if (isFiner) {
+      this.#finer = fitting(this.#finer, width, height, halfFloatTarget);
+      this.#scissor(this.#finer, columns, height);
+      finer!.draw(this.#screen, camera, side.look, this.#baked(samples), this.#finer);
     }
     const ground = this.#ground(side, light, samples > 1, scenery);
     this.#resolve.prepare(
-      this.#radiance.texture,
+      (isFiner ? this.#finer! : this.#radiance).texture,
       camera,
       side.look,
       light,
@@ -307,10 +309,19 @@ export class Stage {
       output,
       ground,
       this.dither,
+      origin,
     );
-    this.#scissor(target, columns, height);
+    this.#scissor(target, columns, height, origin);
+    if (target === null) this.renderer.setViewport(...origin, width, height);
     this.#screen.draw(this.#resolve.material, target);
     this.#scissor(null, null, 0);
+  }
+
+  /** Return what was drawn last, with its samples. */
+  #baked(samples: number): Baked {
+    const [seen, facing] = this.#seen!.textures;
+    const mask = samples === 1 ? this.#mask!.texture : null;
+    return { radiance: this.#radiance!.texture, seen: seen!, facing: facing!, mask, samples };
   }
 
   /** Draw the shadow on the ground if it is enabled; returns the ground, or null. */
@@ -344,7 +355,7 @@ export class Stage {
     const key = `${floor} ${samples} ${Object.values(camera).flat().join(" ")}`;
     if (this.#seenKey === key) return;
     const depthRange = aim(this.#camera, camera, scenery.bundle);
-    this.#seen = this.#fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
+    this.#seen = fitting(this.#seen, camera.width * samples, camera.height * samples, sampleTarget);
     this.renderer.setRenderTarget(this.#seen);
     this.renderer.setClearColor(0x000000, 0);
     this.renderer.clear();
@@ -357,7 +368,7 @@ export class Stage {
 
   /** Draw how much of every pixel the mesh covers, for pictures with one sample to a pixel. */
   #drawMask({ width, height }: ViewCamera, { scene, surface }: Scenery): void {
-    this.#mask = this.#fitting(this.#mask, width, height, maskTarget);
+    this.#mask = fitting(this.#mask, width, height, maskTarget);
     this.renderer.setRenderTarget(this.#mask);
     this.renderer.clear();
     const { mesh } = surface;
@@ -366,26 +377,20 @@ export class Stage {
     mesh.material = surface.program;
   }
 
-  #scissor(target: WebGLRenderTarget | null, columns: readonly number[] | null, height: number): void {
+  #scissor(
+    target: WebGLRenderTarget | null,
+    columns: readonly number[] | null,
+    height: number,
+    [x, y]: readonly [number, number] = [0, 0],
+  ): void {
     const on = columns !== null;
     const [from, to] = columns ?? [0, 0];
     if (target === null) {
       this.renderer.setScissorTest(on);
-      if (on) this.renderer.setScissor(from!, 0, to! - from!, height);
+      if (on) this.renderer.setScissor(x + from!, y, to! - from!, height);
     } else {
       target.scissorTest = on;
       target.scissor.set(from!, 0, to! - from!, height);
     }
-  }
-
-  #fitting(
-    target: WebGLRenderTarget | null,
-    width: number,
-    height: number,
-    create: (width: number, height: number) => WebGLRenderTarget,
-  ): WebGLRenderTarget {
-    if (target === null) return create(width, height);
-    if (target.width !== width || target.height !== height) target.setSize(width, height);
-    return target;
   }
 }

@@ -21,3 +21,15 @@ export function halfFloatTarget(
     count,
   });
 }
+
+/** Return a target of a size: the one that there is, if any, or a new one. */
+export function fitting(
+  target: WebGLRenderTarget | null,
+  width: number,
+  height: number,
+  create: (width: number, height: number) => WebGLRenderTarget,
+): WebGLRenderTarget {
+  if (target === null) return create(width, height);
+  if (target.width !== width || target.height !== height) target.setSize(width, height);
+  return target;
+}

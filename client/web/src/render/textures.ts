@@ -132,6 +132,10 @@ export class BundleTextures {
 
   dispose(): void {
     for (const texture of this.all) texture.dispose();
+    // Not before: a card that comes back after it was taken away gets them again.
+    for (const map of [this.albedoMap, this.packedMap, this.normalMap]) {
+      (map?.image as ImageBitmap | undefined)?.close();
+    }
   }
 }
 
@@ -148,7 +152,7 @@ function lobeTexture(bands: number): DataTexture {
 
 /**
  * Return a picture halved until no side has more than `largest` pixels: means over 2 x 2 pixels of its levels as they
- * are encoded. three.js would make it smaller too, but would not say so, and the smallest version that may be looked up belongs to the
+ * are encoded; the picture itself is closed then. three.js would make it smaller too, but would not say so, and the smallest version that may be looked up belongs to the
  * picture's size.
  */
 export function fitted(picture: ImageBitmap, largest: number): ImageBitmap {
@@ -157,6 +161,7 @@ export function fitted(picture: ImageBitmap, largest: number): ImageBitmap {
     const [width, height] = [Math.ceil(found.width / 2), Math.ceil(found.height / 2)];
     const canvas = new OffscreenCanvas(width, height);
     canvas.getContext("2d")!.drawImage(found, 0, 0, width, height);
+    found.close();
     found = canvas.transferToImageBitmap();
   }
   return found;

@@ -84,10 +84,22 @@ export function verticalFieldDeg({ height, focalY }: ViewCamera): number {
 }
 
 const maxPixelRatio = 2;
+/** Pixels of a canvas at most, of a whole and of its longer side: more are drawn too slowly, and shown smaller. */
+const [mostPixels, mostSide] = [1 << 24, 8192];
 
 /** Return the size that a canvas should have in pixels, for the room that it has on its page. */
-export function sizeOf(canvas: HTMLCanvasElement): { readonly width: number; readonly height: number } {
-  const ratio = Math.min(globalThis.devicePixelRatio || 1, maxPixelRatio);
+export function sizeOf({
+  clientWidth,
+  clientHeight,
+}: Pick<HTMLCanvasElement, "clientWidth" | "clientHeight">): {
+  readonly width: number;
+  readonly height: number;
+} {
+  const most = Math.min(
+    Math.sqrt(mostPixels / Math.max(clientWidth * clientHeight, 1)),
+    mostSide / Math.max(clientWidth, clientHeight, 1),
+  );
+  const ratio = Math.min(globalThis.devicePixelRatio || 1, maxPixelRatio, most);
   const side = (css: number): number => Math.max(1, Math.round(css * ratio));
-  return { width: side(canvas.clientWidth), height: side(canvas.clientHeight) };
+  return { width: side(clientWidth), height: side(clientHeight) };
 }

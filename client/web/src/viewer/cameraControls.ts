@@ -15,7 +15,7 @@ import {
 } from "three";
 import type { LightTurn } from "../render/looks.js";
 import { axesOf, verticalFieldDeg } from "./camera.js";
-import { listening } from "./fields.js";
+import { listening, releases } from "./fields.js";
 import { afterKey, type Turned } from "./orbit.js";
 import { pick } from "./pick.js";
 import { limits, type OrbitPose, wrapped } from "./state.js";
@@ -300,7 +300,7 @@ function listenToFingers(
     // Seen from above, the light goes with the fingers; rows of the screen go down.
     rotate(-step);
   });
-  for (const lifted of ["pointerup", "pointercancel"] as const) {
+  for (const lifted of releases) {
     on(canvas, lifted, (event) => points.delete(event.pointerId));
   }
 }

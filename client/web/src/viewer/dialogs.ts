@@ -1,4 +1,6 @@
-/** The look of the dialogs, which are loaded when they are opened. */
+/** The look of the dialogs, which are loaded when they are opened, and how they tell of their work. */
+
+import { make } from "./fields.js";
 
 const style = `
 .work { width: min(30rem, calc(100% - 2rem)); max-height: calc(100% - 2rem); overflow: auto; color: #f2f3f5; background: #181b1f;
@@ -22,4 +24,31 @@ export function dialogSheet(): CSSStyleSheet {
     sheet.replaceSync(style);
   }
   return sheet;
+}
+
+/**
+ * Two lines that tell how far work is: `count`, which may change with every frame, and `news`, which is read out to those who do
+ * not see it and therefore only has the quarters of the work, its beginning and its end.
+ */
+export class WorkNews {
+  readonly count = make("p", { className: "hint" });
+  readonly news = make("p", { className: "hint", role: "status" });
+  #quarters = 0;
+
+  /** Say something else than how far it is. */
+  say(text: string, problem = false): void {
+    this.#quarters = 0;
+    this.count.textContent = "";
+    this.news.textContent = text;
+    this.news.classList.toggle("problem", problem);
+  }
+
+  /** Say how far it is: a share of all, and a text. */
+  reach(share: number, text: string): void {
+    this.count.textContent = text;
+    const quarters = Math.floor(4 * share);
+    if (quarters <= this.#quarters) return;
+    this.#quarters = quarters;
+    this.news.textContent = `${25 * quarters} %`;
+  }
 }

@@ -6,6 +6,7 @@ import type { FilmPlan } from "../film/plan.js";
 import { Fault } from "../page/fault.js";
 import type { StillOptions } from "../refine/still.js";
 import type { ViewCamera } from "../render/looks.js";
+import { isInWindow } from "./firstTurn.js";
 import { Interface } from "./interface.js";
 import { Poster } from "./poster.js";
 import { type Guest, seats } from "./seats.js";
@@ -162,7 +163,7 @@ export class LambentViewerElement extends HTMLElement {
     this.#near?.disconnect();
     this.#near = null;
     this.#wanted = false;
-    if (this.#viewer !== null) this.#state = this.#viewer.state;
+    if (this.#viewer !== null) this.#keepState(this.#viewer);
     this.#close();
     seats.leave(this.#guest);
     this.shadowRoot?.replaceChildren();
@@ -198,7 +199,10 @@ export class LambentViewerElement extends HTMLElement {
     const root = this.shadowRoot!;
     const viewer = new Viewer(document.createElement("canvas"));
     this.#viewer = viewer;
-    this.#interface = new Interface(root, this, viewer);
+    this.#interface = new Interface(root, this, viewer, {
+      during: (work) => this.#busy(work),
+      open: (dropped) => this.#show(sourceOf(dropped)),
+    });
     // The progress is above it.
     root.querySelector(".welcome")!.before(this.#poster.element);
     this.#poster.show(false, this.#label);
@@ -211,7 +215,7 @@ export class LambentViewerElement extends HTMLElement {
   /** Give the graphics context back; the last picture stays. */
   #rest(): void {
     const viewer = this.#viewer!;
-    this.#state = viewer.state;
+    this.#keepState(viewer);
     if (viewer.bundle !== null) {
       viewer.drawNow(2);
       this.#poster.keep(viewer.canvas);
@@ -219,6 +223,11 @@ export class LambentViewerElement extends HTMLElement {
     this.#close();
     this.shadowRoot?.replaceChildren(this.#poster.element);
     this.#poster.show(true, this.#label);
+  }
+
+  /** Keep what is shown for another viewer, which turns a light that nobody has turned by itself. */
+  #keepState({ state, homeTurn }: Viewer): void {
+    this.#state = state.turn === homeTurn ? { ...state, turn: initialState.turn } : state;
   }
 
   #close(): void {
@@ -230,7 +239,13 @@ export class LambentViewerElement extends HTMLElement {
 
   #show(source: Source): void {
     const viewer = this.#viewer!;
+    this.#source = source;
     const shown = viewer.open(originOf(source));
+    // What cannot be shown is not opened again in place of what is.
+    shown.catch(() => {
+      const { source: kept } = viewer;
+      if (this.#source === source && this.#viewer === viewer && kept !== null) this.#source = sourceOf(kept);
+    });
     if (this.#promised === null) this.#ready = shown;
     this.#promised?.(shown);
     this.#promised = null;
@@ -294,14 +309,15 @@ export class LambentViewerElement extends HTMLElement {
   }
 }
 
-function isInWindow(element: HTMLElement): boolean {
-  const { top, bottom } = element.getBoundingClientRect();
-  return bottom >= 0 && top <= innerHeight;
-}
-
 function originOf(source: Source): BundleOrigin {
   if (typeof source === "string") return { kind: "url", url: new URL(source, document.baseURI).href };
   return source instanceof Blob ? { kind: "archive", file: source } : { kind: "files", files: source };
+}
+
+/** Return an origin as `show` takes it. */
+function sourceOf(origin: BundleOrigin): Source {
+  if (origin.kind === "url") return origin.url;
+  return origin.kind === "archive" ? origin.file : origin.files;
 }
 
 /** Make the element known, once. */

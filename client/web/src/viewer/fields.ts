@@ -25,6 +25,9 @@ export function listening(signal: AbortSignal) {
   ): void => element.addEventListener(name, hear, { signal });
 }
 
+/** Events that end a drag: the last one also where something else took the pointer away, as a dialog does. */
+export const releases = ["pointerup", "pointercancel", "lostpointercapture"] as const;
+
 /** A slider with a number field. */
 export function slider(
   label: string,

@@ -32,6 +32,12 @@ export function turnedFor(
   return { ...change, turn: turnFor(change.environment, home) };
 }
 
+/** Return whether a part of an element is in the window. */
+export function isInWindow(element: Element): boolean {
+  const { top, bottom } = element.getBoundingClientRect();
+  return bottom >= 0 && top <= innerHeight;
+}
+
 /** Return whether the mean of the last frames is too long for a motion. */
 export function isSlow(frameMs: readonly number[]): boolean {
   const last = frameMs.slice(-judgedFrames);
@@ -70,6 +76,11 @@ export function turnUntilInput(
     own = viewer.state;
   };
   const step = (now: number): void => {
+    // A change whose light is still being fetched.
+    if (viewer.state !== own) {
+      end();
+      return;
+    }
     const elapsedMs = now - lastAt;
     lastAt = now;
     // A page in the background has no frames; what it missed is not made up for.
@@ -81,6 +92,7 @@ export function turnUntilInput(
       return;
     }
     frame = requestAnimationFrame(step);
+    if (!isInWindow(host)) return;
     show(viewer.homeTurn.yawDeg + degrees);
   };
   const begin = (): void => {
@@ -97,7 +109,7 @@ export function turnUntilInput(
       frame = requestAnimationFrame(step);
     });
   };
-  for (const input of ["pointerdown", "keydown", "wheel", "dragenter"] as const) {
+  for (const input of ["pointerdown", "keydown", "wheel", "dragenter", "click", "input"] as const) {
     // Before what the input does.
     host.addEventListener(input, end, { signal, capture: true, passive: true });
   }

@@ -5,7 +5,7 @@ import type { LoadedBundle } from "../bundle/load.js";
 import { type Ball, ballOf } from "../render/ball.js";
 import { axesOf, fieldOfViewDeg } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
-import { turnFor, turnTowards } from "./firstTurn.js";
+import { turnedFor, turnFor, turnTowards } from "./firstTurn.js";
 import { initialState, limits, type OrbitPose, type ViewerState, within } from "./state.js";
 import type { Viewer } from "./viewer.js";
 
@@ -70,6 +70,19 @@ export function firstView(
     turn: turn === before.homeTurn ? turnFor(environment, homeTurn) : turn,
   };
   return { home, homeTurn, state: shown };
+}
+
+/** Return a state in a light that is there: a link may name a map that is gone, and the object is shown all the same. */
+export function inAnotherLight(
+  state: ViewerState,
+  { trainedMaps }: Pick<LoadedBundle, "trainedMaps">,
+  home: ViewerState["turn"],
+): ViewerState {
+  const light = lightFor(
+    "",
+    trainedMaps.map(({ name }) => name),
+  );
+  return { ...state, ...turnedFor({ environment: light, environmentB: light }, state, home) };
 }
 
 /** Return a pose from the same side whose picture the points fill to 80 %, in the middle. */

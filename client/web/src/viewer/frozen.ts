@@ -1,8 +1,9 @@
 /** One state of a viewer, drawn whatever is shown. */
 
 import { Fault } from "../page/fault.js";
-import type { ViewCamera } from "../render/looks.js";
+import type { LightTurn, ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
+import { turnFor } from "./firstTurn.js";
 import type { ViewerState } from "./state.js";
 import { texts } from "../words/words.js";
 
@@ -40,16 +41,22 @@ export function freeze(
   };
 }
 
-/** Return the fault of a state that can no longer be drawn. */
-export function interrupted(): Fault {
-  return new Fault("film.interrupted", ...texts.viewer.interrupted());
+/** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
+export function interrupted(work: "film" | "refine" = "film"): Fault {
+  return new Fault(`${work}.interrupted`, ...texts.viewer.interrupted());
 }
 
-/** Return the parts of a picture: one, or the two sides of a comparison. */
-export function sidesOf({ turn, look, compare, split }: ViewerState): Side[] {
+/**
+ * Return the parts of a picture: one, or the two sides of a comparison. A light that nobody has turned stands on each
+ * side as it does alone; `home` is the turn of built-in ones.
+ */
+export function sidesOf(state: ViewerState, home: LightTurn = state.turn): Side[] {
+  const { turn, look, compare, split, environment, environmentB } = state;
   const whole: Side = { light: "a", turn, look, method: "baked", from: 0, to: 1 };
   if (compare !== "environment" && compare !== "plain") return [whole];
-  const other = compare === "environment" ? ({ light: "b" } as const) : ({ method: "plain" } as const);
+  const turnB = turn === turnFor(environment, home) ? turnFor(environmentB, home) : turn;
+  const other =
+    compare === "environment" ? ({ light: "b", turn: turnB } as const) : ({ method: "plain" } as const);
   return [
     { ...whole, to: split },
     { ...whole, ...other, from: split },

@@ -6,7 +6,7 @@ import { CameraHands } from "./cameraControls.js";
 import { ComparisonView } from "./comparison.js";
 import { Controls } from "./controls.js";
 import { copyLink } from "./copyLink.js";
-import { type Dropped, chooseFiles, droppedFiles, readDrop } from "./drop.js";
+import { type Dropped, type DroppedBundle, chooseFiles, droppedFiles, readDrop } from "./drop.js";
 import { listening, make } from "./fields.js";
 import { turnUntilInput } from "./firstTurn.js";
 import { buildPanel } from "./panel.js";
@@ -17,11 +17,19 @@ import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
-import { texts } from "../words/words.js";
+import { locale, texts } from "../words/words.js";
 
 const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
 const mostTaken = 0.65;
+
+/** What the interface asks its element for. */
+export type InterfaceActions = {
+  /** Keep the viewer drawing during work that would be lost otherwise. */
+  readonly during: <T>(work: () => Promise<T>) => Promise<T>;
+  /** Show the files of a bundle; tells itself where they cannot be shown. */
+  readonly open: (origin: DroppedBundle) => void;
+};
 
 /** The interface of one viewer, inside a shadow root. */
 export class Interface {
@@ -41,6 +49,7 @@ export class Interface {
     root: ShadowRoot,
     private readonly host: HTMLElement,
     private readonly viewer: Viewer,
+    private readonly act: InterfaceActions,
   ) {
     root.adoptedStyleSheets = [viewerSheet()];
     this.#message.role = "status";
@@ -80,6 +89,8 @@ export class Interface {
       this.#dock.append(strip, this.#panel.element);
       root.append(this.#dock);
     }
+    // The page around may be in another language.
+    for (const part of root.children) if (part instanceof HTMLElement) part.lang = locale;
     // On a telephone the picture comes first.
     this.#panel.element.toggleAttribute("open", host.clientWidth >= 640);
     this.#listen(canvas);
@@ -104,15 +115,29 @@ export class Interface {
     this.#reading = work;
     // A bundle that is shown stays until the next one is there.
     if (this.viewer.bundle === null) {
+      this.#showPicture(false);
       this.#welcome.reading();
-      this.#dock.hidden = true;
     }
     try {
       await work;
     } catch (error) {
-      if (this.#reading === work && this.viewer.bundle === null) this.#welcome.failed(again);
+      if (this.#reading === work) {
+        // It may be one that came before, but gave way before it was lit.
+        this.#showPicture(this.viewer.bundle !== null);
+        if (this.viewer.bundle === null) this.#welcome.failed(again);
+      }
       throw error;
     }
+  }
+
+  /** Show the picture with its controls, or what stands in its place. */
+  #showPicture(isThere: boolean): void {
+    this.#welcome.element.hidden = isThere;
+    this.#dock.hidden = !isThere;
+    this.#controls?.show();
+    if (!isThere) return;
+    this.#makeRoom();
+    this.describe();
   }
 
   /** Show an error. */
@@ -172,12 +197,8 @@ export class Interface {
     this.viewer.on("opened", (name) => this.#welcome.named(name));
     this.viewer.on("progress", (...bytes) => this.#welcome.arrived(...bytes));
     this.viewer.on("load", () => {
-      this.#welcome.element.hidden = true;
-      this.#dock.hidden = false;
-      this.#controls?.show();
-      this.#makeRoom();
+      this.#showPicture(true);
       this.#tell("", false);
-      this.describe();
     });
     on(this.host, "dragover", (event) => this.#drag(event, true));
     on(this.host, "dragleave", (event) => this.#drag(event, false));
@@ -223,7 +244,7 @@ export class Interface {
         await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
         this.#tell(texts.viewer.litBy(dropped.file.name), false);
       } else {
-        await this.during(this.viewer.open(dropped));
+        this.act.open(dropped);
       }
     } catch (error) {
       this.problem(error);
@@ -244,7 +265,7 @@ export class Interface {
     };
     const plain = async (): Promise<void> => download(await make(), `${bundle?.name ?? "lambent"}.${kind}`);
     const isRefined = state.refine && refinedChannels.has(state.look.channel);
-    (isRefined ? refined() : plain()).catch((error: unknown) => this.problem(error));
+    this.act.during(isRefined ? refined : plain).catch((error: unknown) => this.problem(error));
   }
 
   /** Open the dialog that makes films. */
@@ -256,7 +277,7 @@ export class Interface {
       ]);
       if (this.#stop.signal.aborted || this.viewer.bundle === null) return;
       if (this.#filming === null) {
-        this.#filming = filmDialog(this.viewer);
+        this.#filming = filmDialog(this.viewer, this.act.during);
         root.adoptedStyleSheets.push(dialogSheet());
         root.append(this.#filming.element);
       }

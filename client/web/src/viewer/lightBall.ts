@@ -3,8 +3,8 @@
 import type { Direction } from "../engine/environment.js";
 import type { LightTurn } from "../render/looks.js";
 import { axesOf } from "./camera.js";
-import { listening, make } from "./fields.js";
-import { initialState } from "./state.js";
+import { listening, make, releases } from "./fields.js";
+import { turnFor } from "./firstTurn.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
 import { texts } from "../words/words.js";
@@ -38,8 +38,9 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
     act.turn(up === 0 ? level : turnedAbout(level, axesOf(pose).right, -up));
   };
   const reset = (): void => {
-    const { yawDeg, pitchDeg, rollDeg } = initialState.turn;
-    act.turn({ ...viewer.state.turn, yawDeg, pitchDeg, rollDeg });
+    const { environment, turn } = viewer.state;
+    const home = turnFor(environment, viewer.homeTurn);
+    act.turn(turn.intensity === home.intensity ? home : { ...home, intensity: turn.intensity });
   };
 
   let last: { readonly id: number; x: number; y: number } | null = null;
@@ -57,7 +58,7 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
     last = { id: event.pointerId, x: event.clientX, y: event.clientY };
     if (dx !== 0 || dy !== 0) turnBy(perPixel * dx, -perPixel * dy);
   });
-  for (const lifted of ["pointerup", "pointercancel"] as const) {
+  for (const lifted of releases) {
     on(element, lifted, (event) => {
       if (last?.id !== event.pointerId) return;
       last = null;

@@ -1,6 +1,6 @@
 /** The panel of controls as a sheet at the bottom of a narrow page, which opens and closes with a finger. */
 
-import { listening } from "./fields.js";
+import { listening, releases } from "./fields.js";
 
 /** Movements below this are a tap. */
 const tapPixels = 8;
@@ -50,8 +50,7 @@ export function draggableSheet(panel: HTMLDetailsElement, isSheet: () => boolean
     panel.style.height = "";
     panel.open = Math.abs(speed) > flickSpeed ? speed > 0 : isHigh;
   };
-  on(summary, "pointerup", lift);
-  on(summary, "pointercancel", lift);
+  for (const lifted of releases) on(summary, lifted, lift);
   // The click that ends a drag is no tap.
   on(summary, "click", (event) => {
     if (dragged) event.preventDefault();

@@ -1,6 +1,6 @@
 /** A bundle on a canvas under lights: redraws on changes, and prepares light in a worker. */
 
-import { loadInWorker } from "../bundle/client.js";
+import { loadBeside } from "../bundle/client.js";
 import type { BundleNews, LoadedBundle } from "../bundle/load.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
@@ -15,14 +15,14 @@ import { type Ball, ballOf } from "../render/ball.js";
 import type { LightTurn, Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
-import { lightFor } from "./earlyLight.js";
 import { Emitter, type ViewerEvents } from "./events.js";
 import { turnedFor } from "./firstTurn.js";
-import { elevationRange, firstView } from "./firstView.js";
+import { elevationRange, firstView, inAnotherLight } from "./firstView.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
+import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
 import { texts } from "../words/words.js";
 
@@ -37,6 +37,7 @@ export class Viewer {
     stage: () => this.#stage,
     state: () => this.#state,
     lit: (notes) => {
+      this.#stills.lose();
       if (notes.length > 0) this.#tell("message", notes.join(" "), false);
       this.invalidate();
     },
@@ -52,8 +53,7 @@ export class Viewer {
   #photoEdge: Rgb | null = null;
   #source: BundleOrigin | null = null;
   #refinement: Refinement | null = null;
-  /** Refined pictures that are being made for something else. */
-  #stills = 0;
+  readonly #stills = new Stills();
   #closed = false;
   /** The pose that a bundle is opened with, unless another one was chosen. */
   home: OrbitPose = initialState.pose;
@@ -66,6 +66,7 @@ export class Viewer {
     canvas.addEventListener("webglcontextlost", (event) => {
       if (this.#closed) return;
       event.preventDefault();
+      this.#stills.lose();
       this.#tell("message", texts.viewer.graphicsLost, true);
     });
     canvas.addEventListener("webglcontextrestored", () => {
@@ -123,16 +124,14 @@ export class Viewer {
       }
       early.hear(news);
     };
-    const [bundle] = await Promise.all([
-      loadInWorker(origin, hear, loading.signal),
-      this.#setStage(loading.signal),
-    ]);
-    loading.signal.throwIfAborted();
+    const bundle = await loadBeside(this.#setStage(loading.signal), origin, hear, loading.signal);
+    this.#stills.lose();
+    // Its workers hold what they need of the bundle that goes.
+    this.#endRefining();
     this.#stage!.setBundle(bundle);
     this.#source = origin;
     this.lights.forget(early);
     this.#ball = ballOf(bundle.boundsMin, bundle.boundsMax);
-    const trained = bundle.trainedMaps.map(({ name }) => name);
     const first = firstView(this.#state, this, bundle, sizeOf(this.canvas));
     [this.home, this.homeTurn, this.#state] = [first.home, first.homeTurn, first.state];
     this.#keepRefined();
@@ -143,10 +142,8 @@ export class Viewer {
       // The trouble of a bundle that is not shown any more is nobody's.
       loading.signal.throwIfAborted();
       if (!(error instanceof MapFault)) throw error;
-      // A link may name a map that is gone: the object is shown all the same, in a light that is there.
       trouble = error;
-      const light = lightFor("", trained);
-      this.#state = { ...this.#state, environment: light, environmentB: light };
+      this.#state = inAnotherLight(this.#state, bundle, this.homeTurn);
       await this.lights.apply();
     }
     loading.signal.throwIfAborted();
@@ -169,7 +166,8 @@ export class Viewer {
       const now = this.#state;
       const kept = (name: "environment" | "environmentB"): string =>
         now[name] === asked[name] ? before[name] : now[name];
-      this.#state = { ...now, environment: kept("environment"), environmentB: kept("environmentB") };
+      const turn = now.turn === asked.turn ? before.turn : now.turn;
+      this.#state = { ...now, turn, environment: kept("environment"), environmentB: kept("environmentB") };
       this.#tell("change");
       throw error;
     }
@@ -221,12 +219,16 @@ export class Viewer {
 
   /** Return the view as RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
   pixels(width: number, height: number, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(this.camera(width, height), sidesOf(this.#drawn()), samples);
+    return this.#ready().readBytes(
+      this.camera(width, height),
+      sidesOf(this.#drawn(), this.homeTurn),
+      samples,
+    );
   }
 
   /** Return the view of a camera as RGBA bytes; see `pixels`. */
   pixelsOf(camera: ViewCamera, samples = stillSamples): Uint8ClampedArray<ArrayBuffer> {
-    return this.#ready().readBytes(camera, sidesOf(this.#drawn()), samples);
+    return this.#ready().readBytes(camera, sidesOf(this.#drawn(), this.homeTurn), samples);
   }
 
   /**
@@ -240,7 +242,7 @@ export class Viewer {
 
   /** Return linear radiance, RGBA half floats multiplied by alpha, rows from the top. */
   radiance(width: number, height: number, samples = stillSamples): Uint16Array<ArrayBuffer> {
-    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#drawn()), samples);
+    return this.#ready().readHalf(this.camera(width, height), sidesOf(this.#drawn(), this.homeTurn), samples);
   }
 
   /** The refined picture that is shown in place of the baked one, or null. */
@@ -250,15 +252,13 @@ export class Viewer {
 
   /** Give up refining what is shown, and return what refines a picture of any size; its `end` goes on with it. */
   refineElsewhere(): StillHost & { readonly end: () => void } {
-    this.#refinement?.dispose();
-    this.#refinement = null;
-    const host = { stage: this.#ready(), view: this.#refineView(), sides: sidesOf(this.#drawn()) };
-    this.#stills++;
-    const end = (): void => {
-      this.#stills--;
-      this.invalidate();
+    this.#endRefining();
+    const host = {
+      stage: this.#ready(),
+      view: this.#refineView(),
+      sides: sidesOf(this.#drawn(), this.homeTurn),
     };
-    return { ...host, end };
+    return { ...host, ...this.#stills.begin(() => this.invalidate()) };
   }
 
   /** The elevations to look from, degrees. */
@@ -268,7 +268,7 @@ export class Viewer {
 
   /** Draw onto the canvas at once. */
   drawNow(samples = 1): void {
-    this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn()), samples);
+    this.#ready().draw(this.canvasCamera(), sidesOf(this.#drawn(), this.homeTurn), samples);
     this.#tell("draw");
   }
 
@@ -298,6 +298,7 @@ export class Viewer {
 
   dispose(): void {
     this.#closed = true;
+    this.#stills.lose();
     this.#refinement?.dispose();
     this.#loading?.abort(new DOMException("the viewer was closed", "AbortError"));
     cancelAnimationFrame(this.#frame);
@@ -342,6 +343,11 @@ export class Viewer {
     } else if (samples > 1) this.#refineSoon();
   }
 
+  #endRefining(): void {
+    this.#refinement?.dispose();
+    this.#refinement = null;
+  }
+
   /** Take a refined picture away that is no longer what should be shown. */
   #keepRefined(): void {
     if (this.#stage?.bundle == null || this.#refinement === null) return;
@@ -349,27 +355,27 @@ export class Viewer {
       this.#refinement.changed();
       return;
     }
-    this.#refinement.dispose();
-    this.#refinement = null;
+    this.#endRefining();
     this.#tell("refine", notRefining);
   }
 
   /** The picture at rest was drawn: refine it, if that is wanted. What that needs is fetched now. */
   #refineSoon(): void {
     // Both would draw in place of the baked picture, and share the processors.
-    if (!this.#state.refine || this.#stills > 0) return;
+    if (!this.#state.refine || this.#stills.isAny) return;
     if (this.#refinement !== null) {
       this.#refinement.rest();
       return;
     }
     import("../refine/refinement.js")
       .then(({ Refinement }) => {
-        const given = this.#closed || this.#stills > 0 || this.#refinement !== null;
+        const given = this.#closed || this.#stills.isAny || this.#refinement !== null;
         if (given || !this.#state.refine) return;
         this.#refinement = new Refinement({
           stage: this.#ready(),
           view: () => this.#refineView(),
           redraw: () => this.#drawNow(stillSamples),
+          fades: true,
           tell: (status) => this.#tell("refine", status),
         });
         this.#refinement.changed();
@@ -384,7 +390,6 @@ export class Viewer {
       bundle: this.bundle!,
       origin: this.#source!,
       camera: this.canvasCamera(),
-      cameraOf: (width: number, height: number) => this.canvasCamera({ width, height }),
       turn,
       look,
       moving: this.#moving,

@@ -171,7 +171,7 @@ export const mapFaults: MapFaults = {
   replaced: (number) =>
     count(number, {
       one: "Ein negativer, unendlicher oder ungültiger Wert (NaN) im Umgebungsbild wurde ersetzt.",
-      other: "# negative, unendliche oder ungültige Werte (NaN) im Umgebungsbild wurden ersetzt.",
+      other: "{n} negative, unendliche oder ungültige Werte (NaN) im Umgebungsbild wurden ersetzt.",
     }),
   noValues: () => ["das Umgebungsbild enthält keinen endlichen, nicht negativen Wert", "erneut exportieren"],
   exrDamaged: () => [
@@ -250,7 +250,7 @@ export const texts: Texts = {
     undoDelete: (what) => `Rückgängig: ${what} behalten`,
     partFailed: "ein Teil dieser Seite ließ sich nicht starten; Seite neu laden",
     about: (time) => `etwa ${time}`,
-    files: (number) => count(number, { one: "# Datei", other: "# Dateien" }),
+    files: (number) => count(number, { one: "{n} Datei", other: "{n} Dateien" }),
     of: (part, whole) => `${part} von ${whole}`,
     range: (from, to) => `${from} bis ${to}`,
     key: (key) => `Taste ${key}`,
@@ -448,7 +448,7 @@ export const texts: Texts = {
     make: "Film erstellen",
     framesMade: "Erstellte Bilder",
     lastFrame: "Letztes Bild",
-    frames: (number) => count(number, { one: "# Bild", other: "# Bilder" }),
+    frames: (number) => count(number, { one: "{n} Bild", other: "{n} Bilder" }),
     opaque: ", vor der Hintergrundfarbe, weil Filme nicht transparent sein können",
     noCodec: " (in diesem Browser nicht in dieser Größe)",
     frame: (made, all) => `Bild ${made} von ${all}`,
@@ -576,7 +576,7 @@ export const texts: Texts = {
     bakes: "Caches für anderes Licht",
     pictures: "Bilder",
     more: "Weitere Jobs anzeigen",
-    found: (number) => count(number, { one: "# Job gefunden", other: "# Jobs gefunden" }),
+    found: (number) => count(number, { one: "{n} Job gefunden", other: "{n} Jobs gefunden" }),
     foundMore: (number) => `${number} oder mehr Jobs gefunden`,
     noMatch: "Kein passender Job.",
     purposes: {
@@ -636,7 +636,7 @@ export const texts: Texts = {
     download: (suffix) => `${suffix} herunterladen`,
     report: "Bericht",
     share: "Link teilen",
-    allFiles: (number) => count(number, { one: "Eine Datei", other: "Alle # Dateien" }),
+    allFiles: (number) => count(number, { one: "Eine Datei", other: "Alle {n} Dateien" }),
     downloads: "Downloads",
     figures: "Alle Kennzahlen",
     figure: (views) => (views > 0 ? `Kennzahl, Mittel über ${views} Ansichten` : "Kennzahl"),
@@ -692,13 +692,13 @@ export const texts: Texts = {
     notChecked: "Noch nicht geprüft.",
     unusable: (problems) =>
       count(problems, {
-        one: "Diese Szene ist noch nicht verwendbar: # Problem beheben und erneut hochladen.",
-        other: "Diese Szene ist noch nicht verwendbar: # Probleme beheben und erneut hochladen.",
+        one: "Diese Szene ist noch nicht verwendbar: {n} Problem beheben und erneut hochladen.",
+        other: "Diese Szene ist noch nicht verwendbar: {n} Probleme beheben und erneut hochladen.",
       }),
     usableNotes: (notes) =>
       count(notes, {
-        one: "Diese Szene ist verwendbar. # Hinweis, wie sie besser wird:",
-        other: "Diese Szene ist verwendbar. # Hinweise, wie sie besser wird:",
+        one: "Diese Szene ist verwendbar. {n} Hinweis, wie sie besser wird:",
+        other: "Diese Szene ist verwendbar. {n} Hinweise, wie sie besser wird:",
       }),
     usable: "Diese Szene ist verwendbar; es wurden keine Probleme gefunden.",
     toFix: "Zu beheben",
@@ -727,18 +727,18 @@ export const texts: Texts = {
     onHardware: (about) => `${about} auf der vorgesehenen Hardware`,
     asMeasured: (about, jobs) =>
       count(jobs, {
-        one: `${about}, hier gemessen an # Job`,
-        other: `${about}, hier gemessen an # Jobs`,
+        one: `${about}, hier gemessen an {n} Job`,
+        other: `${about}, hier gemessen an {n} Jobs`,
       }),
     corrected: (marks) =>
       count(marks, {
-        one: "Korrigierte Masken verwenden (# Markierung)",
-        other: "Korrigierte Masken verwenden (# Markierungen)",
+        one: "Korrigierte Masken verwenden ({n} Markierung)",
+        other: "Korrigierte Masken verwenden ({n} Markierungen)",
       }),
     ahead: (jobs) =>
       count(jobs, {
-        one: "Vorher läuft möglicherweise noch # Job.",
-        other: "Vorher laufen möglicherweise noch # Jobs.",
+        one: "Vorher läuft möglicherweise noch {n} Job.",
+        other: "Vorher laufen möglicherweise noch {n} Jobs.",
       }),
     more: "Weitere Einstellungen",
     seed: "Startwert aller Zufallszahlen",
@@ -765,7 +765,7 @@ export const texts: Texts = {
       wait: "der Server antwortet nicht; es geht weiter, sobald er antwortet",
       commit: "wird abgeschlossen",
     },
-    known: (files) => count(files, { one: "# Datei war schon da", other: "# Dateien waren schon da" }),
+    known: (files) => count(files, { one: "{n} Datei war schon da", other: "{n} Dateien waren schon da" }),
     empty: "Darin sind keine Dateien. Wählen Sie den Ordner mit den Fotos eines Objekts.",
     notAScene: (name) =>
       `„${name}“ allein ist keine Szene. Wählen Sie den Ordner oder ein ZIP- oder TAR-Archiv davon.`,
@@ -799,7 +799,7 @@ export const texts: Texts = {
     notFound: (reason) =>
       `Kein Objekt gefunden: ${reason}. Auf zwei oder drei Fotos mit einem Rechteck oder einigen Strichen markieren.`,
     unchanged: "keine Maske geändert",
-    changed: (masks) => count(masks, { one: "# Maske geändert", other: "# Masken geändert" }),
+    changed: (masks) => count(masks, { one: "{n} Maske geändert", other: "{n} Masken geändert" }),
     applied: (frames, seconds, changed, agree) =>
       `Alle ${frames} Fotos in ${seconds} s verglichen: ${changed}. ${agree}`,
     again: "Masken neu bestimmen",
@@ -838,7 +838,7 @@ export const texts: Texts = {
     given: "Die Markierung wurde verworfen.",
     begun: "Markierung begonnen: mit den Pfeiltasten bewegen, mit der Leertaste beenden, mit Esc verwerfen.",
     doubtful: "unsicher",
-    marks: (number) => count(number, { one: "# Markierung", other: "# Markierungen" }),
+    marks: (number) => count(number, { one: "{n} Markierung", other: "{n} Markierungen" }),
     label: "Markieren als",
     labels: { background: "Hintergrund", object: "Objekt" },
     tool: "Werkzeug",

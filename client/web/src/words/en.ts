@@ -179,7 +179,7 @@ export const mapFaults = {
   replaced: (number: number) =>
     count(number, {
       one: "One negative, infinite or NaN value of the environment map was replaced.",
-      other: "# negative, infinite or NaN values of the environment map were replaced.",
+      other: "{n} negative, infinite or NaN values of the environment map were replaced.",
     }),
   noValues: (): Fault => ["the environment map has no finite, non-negative value", "export the map again"],
   exrDamaged: (): Fault => [
@@ -259,7 +259,7 @@ export const texts = {
     undoDelete: (what: string) => `Undo: keep ${what}`,
     partFailed: "a part of this page could not be started; reload the page",
     about: (time: string) => `about ${time}`,
-    files: (number: number) => count(number, { one: "# file", other: "# files" }),
+    files: (number: number) => count(number, { one: "{n} file", other: "{n} files" }),
     of: (part: string, whole: string) => `${part} of ${whole}`,
     range: (from: string, to: string) => `${from} to ${to}`,
     key: (key: string) => `key ${key}`,
@@ -457,7 +457,7 @@ export const texts = {
     make: "Make the film",
     framesMade: "Frames made",
     lastFrame: "The last frame",
-    frames: (number: number) => count(number, { one: "# frame", other: "# frames" }),
+    frames: (number: number) => count(number, { one: "{n} frame", other: "{n} frames" }),
     opaque: ", on the background colour, because films are opaque",
     noCodec: " (not in this browser at this size)",
     frame: (made: number, all: number) => `Frame ${made} of ${all}`,
@@ -590,7 +590,7 @@ export const texts = {
     bakes: "caches for another light",
     pictures: "pictures",
     more: "Show more jobs",
-    found: (number: number) => count(number, { one: "# job found", other: "# jobs found" }),
+    found: (number: number) => count(number, { one: "{n} job found", other: "{n} jobs found" }),
     foundMore: (number: number) => `${number} or more jobs found`,
     noMatch: "No job matches.",
     purposes: {
@@ -652,7 +652,7 @@ export const texts = {
     download: (suffix: string) => `Download ${suffix}`,
     report: "Report",
     share: "Share a link",
-    allFiles: (number: number) => count(number, { one: "One file", other: "All # files" }),
+    allFiles: (number: number) => count(number, { one: "One file", other: "All {n} files" }),
     downloads: "Downloads",
     figures: "All figures",
     figure: (views: number) => (views > 0 ? `Figure, mean of ${views} views` : "Figure"),
@@ -708,13 +708,13 @@ export const texts = {
     notChecked: "Not checked yet.",
     unusable: (problems: number) =>
       count(problems, {
-        one: "This scene cannot be used yet: fix # problem and upload it again.",
-        other: "This scene cannot be used yet: fix # problems and upload it again.",
+        one: "This scene cannot be used yet: fix {n} problem and upload it again.",
+        other: "This scene cannot be used yet: fix {n} problems and upload it again.",
       }),
     usableNotes: (notes: number) =>
       count(notes, {
-        one: "This scene can be used. # note on how to improve it:",
-        other: "This scene can be used. # notes on how to improve it:",
+        one: "This scene can be used. {n} note on how to improve it:",
+        other: "This scene can be used. {n} notes on how to improve it:",
       }),
     usable: "This scene can be used; no problems were found.",
     toFix: "To fix",
@@ -743,16 +743,16 @@ export const texts = {
     onHardware: (about: string) => `${about} on the hardware it is made for`,
     asMeasured: (about: string, jobs: number) =>
       count(jobs, {
-        one: `${about}, measured here on # job`,
-        other: `${about}, measured here on # jobs`,
+        one: `${about}, measured here on {n} job`,
+        other: `${about}, measured here on {n} jobs`,
       }),
     corrected: (marks: number) =>
       count(marks, {
-        one: "Use the corrected masks (# mark)",
-        other: "Use the corrected masks (# marks)",
+        one: "Use the corrected masks ({n} mark)",
+        other: "Use the corrected masks ({n} marks)",
       }),
     ahead: (jobs: number) =>
-      count(jobs, { one: "# job may run before it.", other: "# jobs may run before it." }),
+      count(jobs, { one: "{n} job may run before it.", other: "{n} jobs may run before it." }),
     more: "More settings",
     seed: "Seed of all random numbers",
     settings: "Settings that override the preset, one per line, such as stage_two.num_rays=512",
@@ -778,7 +778,7 @@ export const texts = {
       commit: "finishing",
     },
     known: (files: number) =>
-      count(files, { one: "# file was there already", other: "# files were there already" }),
+      count(files, { one: "{n} file was there already", other: "{n} files were there already" }),
     empty: "There are no files in it. Choose the folder with the photographs of one object.",
     notAScene: (name: string) =>
       `"${name}" alone is not a scene. Choose its folder, or a zip or tar archive of it.`,
@@ -811,7 +811,7 @@ export const texts = {
     notFound: (reason: string) =>
       `No object was found: ${reason}. Mark it with a box or a few strokes on two or three photographs.`,
     unchanged: "no mask changed",
-    changed: (masks: number) => count(masks, { one: "# mask changed", other: "# masks changed" }),
+    changed: (masks: number) => count(masks, { one: "{n} mask changed", other: "{n} masks changed" }),
     applied: (frames: number, seconds: string, changed: string, agree: string) =>
       `All ${frames} photographs compared in ${seconds} s: ${changed}. ${agree}`,
     again: "Find the masks again",
@@ -849,7 +849,7 @@ export const texts = {
     given: "The mark was discarded.",
     begun: "Mark started: move with the arrow keys, end it with Space, discard it with Escape.",
     doubtful: "doubtful",
-    marks: (number: number) => count(number, { one: "# mark", other: "# marks" }),
+    marks: (number: number) => count(number, { one: "{n} mark", other: "{n} marks" }),
     label: "Mark as",
     labels: { background: "background", object: "object" },
     tool: "Tool",

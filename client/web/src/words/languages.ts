@@ -24,7 +24,16 @@ export function languageOf(tag: string): string {
 
 /** Return the first of the wanted tags whose language is shipped, else "en". */
 export function chosen(wanted: readonly string[]): string {
-  return wanted.find((tag) => languages.includes(languageOf(tag))) ?? "en";
+  return wanted.flatMap(canonical).find((tag) => languages.includes(languageOf(tag))) ?? "en";
+}
+
+/** Return a tag as it is written, or nothing where it is none: what a page says of itself may be anything. */
+function canonical(tag: string): string[] {
+  try {
+    return Intl.getCanonicalLocales(tag.trim());
+  } catch {
+    return [];
+  }
 }
 
 const listeners = new Set<(catalogue: Catalogue | null) => void>();
@@ -36,9 +45,14 @@ export function onSpeech(take: (catalogue: Catalogue | null) => void): void {
   if (spoken !== null) take(spoken);
 }
 
-/** Fetch the catalogue of a tag's language and speak it from then on. */
+/** Whether a tag's language has to be fetched. */
+export function isFetched(tag: string): boolean {
+  return Object.hasOwn(others, languageOf(tag));
+}
+
+/** Fetch the catalogue of a tag's language and speak it from then on; English where it cannot be fetched. */
 export async function speakAs(tag: string): Promise<void> {
-  spoken = (await others[languageOf(tag)]?.()) ?? null;
+  spoken = isFetched(tag) ? await others[languageOf(tag)]!().catch(() => null) : null;
   for (const take of listeners) take(spoken);
 }
 

@@ -1,7 +1,7 @@
 /** What the pages say, in the language that was chosen; one for all that is on a page. */
 
 import { type Texts, texts as english } from "./en.js";
-import { chosen, onSpeech, speakAs } from "./languages.js";
+import { chosen, isFetched, onSpeech, speakAs } from "./languages.js";
 
 /** Read it when something is said: it is English until another catalogue is there. */
 export let texts: Texts = english;
@@ -16,7 +16,8 @@ onSpeech((catalogue) => {
 /** Speak the language of a tag from now on, once its catalogue is there. */
 export async function speak(tag: string): Promise<void> {
   await speakAs(tag);
-  locale = tag;
+  // Numbers go with the words, also where those could not be fetched.
+  locale = isFetched(tag) && texts === english ? "en" : tag;
 }
 
 /** Speak as the browser does, on a page of our own. */
@@ -25,10 +26,10 @@ export async function speakAsBrowser(): Promise<void> {
   document.documentElement.lang = locale;
 }
 
-/** Speak as the page does where the first element `name` is: by its own attribute `lang`, or that of what it is in. */
-export async function speakAsPage(name: string): Promise<void> {
+/** Return the language of the page where the first element `name` is: of its own attribute `lang`, or what it is in. */
+export function languageOfPage(name: string): string {
   const element = document.querySelector(name) ?? document.documentElement;
-  await speak(chosen([element.closest("[lang]")?.getAttribute("lang") ?? ""]));
+  return chosen([element.closest("[lang]")?.getAttribute("lang") ?? ""]);
 }
 
 /** Return what a code is called, or the code itself where this page does not know it. */

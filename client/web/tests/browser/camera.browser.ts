@@ -115,6 +115,30 @@ describe("the camera", () => {
     expect(after.turn.yawDeg).toBeCloseTo(before.turn.yawDeg + 7, 6);
   });
 
+  it("and the light stay where they are once something took the pointer away", async () => {
+    await page.keyboard.down("Shift");
+    await page.mouse.move(100, 180);
+    await page.mouse.down();
+    await page.mouse.move(110, 180);
+    const canvas = page.locator("canvas[role=application]");
+    await canvas.evaluate((element: HTMLElement) => element.releasePointerCapture(1));
+    const lit = await state();
+    await page.mouse.move(160, 180);
+    expect((await state()).turn).toEqual(lit.turn);
+    await page.mouse.up();
+    await page.keyboard.up("Shift");
+    await page.mouse.down();
+    await page.mouse.move(180, 180);
+    await canvas.dispatchEvent("pointercancel", { pointerId: 1, pointerType: "mouse", bubbles: true });
+    const turned = await state();
+    expect(turned.pose.azimuthDeg).not.toBeCloseTo(lit.pose.azimuthDeg, 1);
+    await page.mouse.move(240, 180);
+    expect((await state()).pose).toEqual(turned.pose);
+    await page.mouse.up();
+    await update({ pose: lit.pose });
+    await rest();
+  });
+
   it("looks at the point of the surface that is clicked twice, from nearer, and nowhere else", async () => {
     const before = await state();
     await page.mouse.dblclick(20, 200);

@@ -107,6 +107,86 @@ describe("twelve elements on a page", () => {
   });
 });
 
+describe("an element that shows dropped files", () => {
+  it("shows them again after a rest, and not what could not be shown", { timeout: 300_000 }, async () => {
+    const page = await open({ count: String(mostSeats + 1) });
+    await allShown(page);
+    const first = page.locator("lambent-viewer").first();
+    const drop = (name: string, address: string | null): Promise<void> =>
+      first.evaluate(
+        async (element: HTMLElement, given) => {
+          const data = given.address === null ? "no archive" : await (await fetch(given.address)).blob();
+          const transfer = new DataTransfer();
+          transfer.items.add(new File([data], given.name));
+          element.dispatchEvent(
+            new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }),
+          );
+        },
+        { name, address },
+      );
+    const shown = (): Promise<string | undefined> =>
+      first.evaluate((each: HTMLElementTagNameMap["lambent-viewer"]) => each.viewer?.bundle?.name);
+    const before = await shown();
+    await drop("ball.relight.zip", "/data/golden/ball_1.3.relight.zip");
+    await expect.poll(shown, { timeout: 30_000 }).not.toBe(before);
+    const dropped = await shown();
+    await drop("broken.relight.zip", null);
+    await first.locator("[data-problem]").waitFor();
+    expect(await shown()).toBe(dropped);
+    await page.evaluate(() => {
+      for (const each of [...document.querySelectorAll("lambent-viewer")].slice(1)) each.reveal();
+    });
+    await expect.poll(shown).toBeUndefined();
+    await first.getByRole("button", { name: "Show in 3D: Object 0" }).click();
+    await expect.poll(shown, { timeout: 30_000 }).toBe(dropped);
+  });
+});
+
+describe("an element that works in a dialog", () => {
+  it("goes on drawing while others would like its context", { timeout: 300_000 }, async () => {
+    const page = await open({ count: String(mostSeats + 1), controls: "" });
+    await allShown(page);
+    const first = page.locator("lambent-viewer").first();
+    const isDrawing = (): Promise<boolean> =>
+      first.evaluate((each: HTMLElementTagNameMap["lambent-viewer"]) => each.viewer !== null);
+    /** Use all others, so that the first one is the one whose use is longest ago. */
+    const useOthers = (): Promise<void> =>
+      page.evaluate(() => {
+        for (const each of [...document.querySelectorAll("lambent-viewer")].slice(1)) each.reveal();
+      });
+    const press = (text: string): Promise<void> =>
+      first.evaluate((element: HTMLElement, wanted) => {
+        const buttons = [...element.shadowRoot!.querySelectorAll("button")];
+        buttons.find(({ textContent }) => textContent === wanted)!.click();
+      }, text);
+    await first.evaluate(async (element: HTMLElementTagNameMap["lambent-viewer"]) => {
+      element.viewer!.refineOptions = { ...element.viewer!.refineOptions, workers: 1 };
+      await element.update({ refine: true });
+    });
+    await press("Save PNG");
+    const still = page.getByRole("dialog", { name: "Refining a picture" });
+    await still.getByText(/Part \d+ of/).waitFor();
+    await useOthers();
+    expect(await isDrawing()).toBe(true);
+    await press("Cancel");
+    await still.waitFor({ state: "detached" });
+    await press("Make a film…");
+    const film = page.getByRole("dialog", { name: "Make a film" });
+    await film.getByLabel("Size").selectOption({ label: "Another size" });
+    await film.getByLabel("Width").fill("160");
+    await film.getByLabel("Height").fill("120");
+    await film.getByLabel("Seconds").fill("60");
+    await film.getByRole("button", { name: "Make the film" }).click();
+    await film.getByText(/Frame \d+ of/).waitFor();
+    await useOthers();
+    expect(await isDrawing()).toBe(true);
+    await press("Cancel");
+    await film.getByText("nothing was saved").waitFor();
+    await useOthers();
+    expect(await isDrawing()).toBe(false);
+  });
+});
+
 describe("an element on a page of somebody else", () => {
   it("lets the page be seen behind the object, and has a pattern there on its own page", async () => {
     const page = await open({ count: "1", state: "env=preset:even&background=transparent" });

@@ -2,9 +2,10 @@ import { ALL_FORMATS, BufferSource, EncodedPacketSink, Input } from "mediabunny"
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { FilmPlan } from "../../src/film/plan.js";
+import { texts } from "../../src/words/en.js";
 import { momentAt, momentOf, planned } from "../../src/film/plan.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { keep, meanDifference, openViewer } from "./support.js";
+import { announcements, keep, meanDifference, openViewer } from "./support.js";
 
 let browser: Browser;
 let page: Page;
@@ -240,12 +241,22 @@ describe("the dialog of films", () => {
     await dialog.getByLabel("Seconds").fill("0.5");
     await dialog.getByLabel("Frames per second").fill("12");
     await dialog.getByLabel("Format").selectOption("webm");
+    const announced = await announcements(page);
     const [download] = await Promise.all([
       page.waitForEvent("download"),
       dialog.getByRole("button", { name: "Make the film" }).click(),
     ]);
     expect(download.suggestedFilename()).toBe("analytic-turntable.webm");
     await dialog.getByText("Saved: 6 frames").waitFor();
+    // Not every frame.
+    expect((await announced()).map((text) => text.replace(/, .*/, ""))).toEqual([
+      texts.film.starting,
+      "25 %",
+      "50 %",
+      "75 %",
+      "100 %",
+      "Saved: 6 frames",
+    ]);
     await dialog.getByLabel("Seconds").fill("60");
     await dialog.getByRole("button", { name: "Make the film" }).click();
     await dialog.getByText(/Frame \d+ of 720/).waitFor();

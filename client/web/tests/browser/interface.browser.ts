@@ -124,7 +124,9 @@ describe("maps of other hosts", () => {
         return `${code}: ${message}`;
       }
     }, url);
-    expect(told).toMatch(/^environment\.blocked: .*localhost.*; download the map and drop it here$/);
+    expect(told).toMatch(
+      /^environment\.blocked: .*localhost.*; download the environment map and drop it here$/,
+    );
     expect((await state()).environment).toBe(before.environment);
   });
 });

@@ -133,6 +133,19 @@ describe("the ball that shows the direction of the light", () => {
     expect((await state()).turn).toEqual(before.turn);
   });
 
+  it("lets the light go where something took the pointer away", async () => {
+    const { x, y, width, height } = (await ball().boundingBox())!;
+    await page.mouse.move(x + width / 2, y + height / 2);
+    await page.mouse.down();
+    await page.mouse.move(x + width / 2 + 6, y + height / 2);
+    await ball().evaluate((element) => element.releasePointerCapture(1));
+    const { turn } = await state();
+    await page.mouse.move(x + width / 2 + 12, y + height / 2);
+    expect((await state()).turn).toEqual(turn);
+    await page.mouse.up();
+    await page.keyboard.press("Control+z");
+  });
+
   it("turns it by arrow keys, and back with Home or two clicks", async () => {
     await ball().focus();
     await page.keyboard.press("ArrowRight");

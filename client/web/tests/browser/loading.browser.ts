@@ -69,3 +69,80 @@ describe("while a bundle is read", () => {
     await page.waitForSelector(".message:empty", { state: "attached" });
   });
 });
+
+describe("pictures of a bundle", () => {
+  it("are closed when another one is shown, and with the element", async () => {
+    page = await openViewer(browser, {}, "data/golden/ball_1.3.relight.zip");
+    const widths = (change: "open" | "leave") =>
+      page.evaluate(async (what) => {
+        const element = document.querySelector("lambent-viewer")!;
+        const { maps, unseen } = element.viewer!.bundle!;
+        const all = [maps!.albedo, maps!.packed, maps!.normal, ...(unseen === null ? [] : [unseen])];
+        const before = Math.max(...all.map(({ width }) => width));
+        if (what === "open") await element.show("data/golden/ball_1.3.relight.zip");
+        else element.remove();
+        return [before, ...all.map(({ width }) => width)];
+      }, change);
+    for (const change of ["open", "leave"] as const) {
+      const [before, ...after] = await widths(change);
+      expect(before).toBeGreaterThan(1);
+      expect(after.every((width) => width === 0)).toBe(true);
+    }
+  });
+});
+
+describe("the controls", () => {
+  const isVisible = (selector: string): Promise<boolean> => page.locator(selector).isVisible();
+  const open = (src: string): Promise<string> =>
+    page.evaluate(
+      (address) =>
+        document
+          .querySelector("lambent-viewer")!
+          .show(address)
+          .then(
+            () => "shown",
+            (error: Error) => error.message,
+          ),
+      src,
+    );
+
+  it("are there with a bundle that gave way, before it was lit, to one that cannot be shown", async () => {
+    let release = (): void => {};
+    const held = new Promise<void>((resolve) => {
+      release = resolve;
+    });
+    page = await openViewer(browser, { env: `url:${inject("site")}/data/spots.exr` }, null);
+    await page.route("**/spots.exr", async (route) => {
+      await held;
+      await route.continue();
+    });
+    const first = open("data/bundle/");
+    await page.waitForFunction(() => document.querySelector("lambent-viewer")!.viewer!.bundle !== null);
+    expect(await isVisible(".welcome")).toBe(true);
+    expect(await open("data/nothing/")).toContain("manifest.json");
+    release();
+    expect(await first).toContain("another bundle");
+    expect([await isVisible(".welcome"), await isVisible(".chips")]).toEqual([false, true]);
+  });
+
+  it("go with a bundle that the card has no memory for, and come with the next one", async () => {
+    page = await openViewer(browser);
+    await page.evaluate(() => {
+      const card = WebGL2RenderingContext.prototype;
+      const plain = card.getError;
+      let times = 0;
+      card.getError = () => (times++ === 0 ? WebGL2RenderingContext.OUT_OF_MEMORY : 0);
+      Object.assign(globalThis, {
+        repair: () => {
+          card.getError = plain;
+        },
+      });
+    });
+    expect(await open("data/bundle/")).toContain("enough memory");
+    await page.waitForSelector(".welcome h1:text-is('This bundle cannot be shown')");
+    expect(await isVisible(".dock")).toBe(false);
+    await page.evaluate(() => (globalThis as unknown as { repair: () => void }).repair());
+    expect(await open("data/bundle/")).toBe("shown");
+    expect([await isVisible(".welcome"), await isVisible(".dock")]).toEqual([false, true]);
+  });
+});

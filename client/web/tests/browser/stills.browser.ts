@@ -3,7 +3,7 @@ import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import type { ViewCamera } from "../../src/render/looks.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { announcements, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 // More than one part in either direction.
 const size = { width: 260, height: 240 };
@@ -81,6 +81,40 @@ describe("a refined picture", () => {
     expect(seam).toBeLessThan(beside + 1);
   });
 
+  it.each([
+    ["another light", "light"],
+    ["another bundle", "bundle"],
+    ["a graphics card that is taken away", "card"],
+    ["an element that is taken out", "element"],
+  ] as const)("is given up for %s, and says so", async (_, what) => {
+    const own = await openViewer(browser, { env: "preset:studio" }, "data/bundle/", {
+      width: 320,
+      height: 240,
+    });
+    const code = await own.evaluate(async (change) => {
+      const element = document.querySelector("lambent-viewer")!;
+      element.viewer!.refineOptions = { ...element.viewer!.refineOptions, workers: 1 };
+      let picture: Promise<string | undefined> = Promise.resolve("not begun");
+      await new Promise<void>((reached) => {
+        picture = element.refinedPicture({ width: 600, height: 500 }, { onProgress: () => reached() }).then(
+          () => "made",
+          (error: Error & { code?: string }) => error.code,
+        );
+      });
+      if (change === "light") await element.update({ environment: "preset:even" });
+      if (change === "bundle") await element.show("data/golden/ball_1.3.relight.zip");
+      if (change === "card") {
+        const gl = element.viewer!.canvas.getContext("webgl2")!;
+        gl.getExtension("WEBGL_lose_context")!.loseContext();
+      }
+      if (change === "element") element.remove();
+      const late = new Promise<string>((resolve) => setTimeout(() => resolve("nothing"), 20_000));
+      return Promise.race([picture, late]);
+    }, what);
+    expect(code).toBe("refine.interrupted");
+    await own.close();
+  });
+
   it("of a camera is that of the view from there, wherever one looks from now", async () => {
     const small = { width: 65, height: 60 };
     const there = (await refined(small)).picture;
@@ -109,6 +143,7 @@ describe("a refined picture", () => {
     await page.click("summary:text-is('Save')");
     await page.getByLabel("Width (pixels)").fill("48");
     await page.getByLabel("Height (pixels)").fill("36");
+    const announced = await announcements(page);
     for (const kind of ["PNG", "EXR"]) {
       const [download] = await Promise.all([page.waitForEvent("download"), page.click(`text=Save ${kind}`)]);
       const chunks: Buffer[] = [];
@@ -123,6 +158,8 @@ describe("a refined picture", () => {
       }
       await page.getByRole("dialog").waitFor({ state: "detached" });
     }
+    // One part each, and not every number of directions.
+    expect(await announced()).toEqual(["100 %", "100 %"]);
     await page.setViewportSize({ width: 700, height: 400 });
     await page.getByLabel("Width (pixels)").fill("4000");
     await page.getByLabel("Height (pixels)").fill("3000");

@@ -76,6 +76,21 @@ export async function pictureOf(
   return Uint8Array.from(Buffer.from(text, "base64"));
 }
 
+/** Collect what dialogs of the viewer announce from now on; returns what reads it. */
+export async function announcements(page: Page): Promise<() => Promise<string[]>> {
+  await page.evaluate(() => {
+    const texts: string[] = [];
+    Object.assign(globalThis, { announced: texts });
+    new MutationObserver((records) => {
+      for (const { target, addedNodes } of records) {
+        if (!(target instanceof Element) || target.closest("dialog [role=status]") === null) continue;
+        texts.push(...[...addedNodes].map((node) => node.textContent ?? ""));
+      }
+    }).observe(document.querySelector("lambent-viewer")!.shadowRoot!, { subtree: true, childList: true });
+  });
+  return () => page.evaluate(() => (globalThis as unknown as { announced: string[] }).announced);
+}
+
 /** Return the mean absolute difference of two pictures over white, in steps of 1/255. */
 export function meanDifference(a: Uint8Array, b: Uint8Array): number {
   if (a.length !== b.length) throw new Error(`${a.length} and ${b.length} bytes`);

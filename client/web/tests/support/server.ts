@@ -18,8 +18,17 @@ const policy =
 /** A server on a port of this machine. */
 export type TestServer = { readonly url: string; readonly close: () => Promise<void> };
 
+/** Headers of pages that share no process with others. */
+const isolation = {
+  "cross-origin-opener-policy": "same-origin",
+  "cross-origin-embedder-policy": "require-corp",
+};
+
 /** Serve folders under their names: `{ "": pages, bundle: folder }`. Ranges are answered. */
-export async function serveFolders(folders: Readonly<Record<string, string>>): Promise<TestServer> {
+export async function serveFolders(
+  folders: Readonly<Record<string, string>>,
+  { isolated = false } = {},
+): Promise<TestServer> {
   const server: Server = createServer((request, response) => {
     const path = decodeURIComponent(new URL(request.url ?? "/", "http://localhost").pathname).slice(1);
     const name = Object.keys(folders)
@@ -36,6 +45,7 @@ export async function serveFolders(folders: Readonly<Record<string, string>>): P
       "content-type": types[extname(file)] ?? "application/octet-stream",
       "content-security-policy": policy,
       "cache-control": "no-store",
+      ...(isolated ? isolation : {}),
     };
     const range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? "");
     if (range === null) {

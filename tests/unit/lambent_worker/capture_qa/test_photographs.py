@@ -76,6 +76,16 @@ def test_a_mask_among_photographs_never_stands_for_them(tmp_path):
     assert of_portrait(among).std(axis=(0, 1)).min() > 5.0
 
 
+@pytest.mark.parametrize("level", [0, 255])
+def test_the_mask_of_a_photograph_without_the_object_does_not_stand_for_all(tmp_path, level):
+    write_views(tmp_path, 1)
+    Image.new("L", (192, 144), level).save(tmp_path / "0000_mask.png")
+    alone, among = (
+        look(tmp_path, [*masks, "IMG_0000.jpg"], LIMITS).portrait for masks in ([], ["0000_mask.png"])
+    )
+    assert among == alone
+
+
 def test_the_first_picture_stands_for_all_where_all_look_like_masks(tmp_path):
     figures = look(tmp_path, write_masks(tmp_path, 2), LIMITS)
     assert figures.left_out == ()

@@ -5,7 +5,7 @@ main.classList.toggle("tall", parameters.has("tall"));
 for (let index = 0; index < Number(parameters.get("count")); index++) {
   const element = document.createElement("lambent-viewer");
   element.setAttribute("alt", `Object ${index}`);
-  for (const name of ["poster", "loading", "reveal"]) {
+  for (const name of ["poster", "loading", "reveal", "controls"]) {
     const value = parameters.get(name);
     if (value !== null) element.setAttribute(name, value);
   }
