@@ -8,7 +8,9 @@ import lambent
 import make_sample_scene
 import numpy as np
 import pytest
+from lambent_relight.environment.exr import read_exr_parts
 from lambent_relight.environment.maps import load_environment
+from lambent_relight.images import srgb_from_linear
 from lambent_worker.scenes.inspect import inspect_capture
 from PIL import Image
 
@@ -26,10 +28,10 @@ def read(path: Path) -> np.ndarray:
     return np.asarray(Image.open(path), dtype=np.float64) / 255.0
 
 
-def render(scene: str, folder: Path, spp: int, view: str = VIEW) -> Path:
+def render(scene: str, folder: Path, spp: int, view: str = VIEW, *more: str) -> Path:
     if make_sample_scene.llvm_library() is None:
         pytest.skip("needs an LLVM library to render with (Debian: libllvm19)")
-    make_sample_scene.main(["-o", str(folder), "--scene", scene, "--spp", str(spp), "--only", view])
+    make_sample_scene.main(["-o", str(folder), "--scene", scene, "--spp", str(spp), "--only", view, *more])
     return folder
 
 
@@ -37,7 +39,7 @@ def render(scene: str, folder: Path, spp: int, view: str = VIEW) -> Path:
 def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Path]:
     """Return a scene's name, where it is stored, and one view of it rendered anew."""
     name = request.param
-    return name, STORED[name], render(name, tmp_path_factory.mktemp(name), SPP[name])
+    return name, STORED[name], render(name, tmp_path_factory.mktemp(name), SPP[name], VIEW, "--radiance")
 
 
 @pytest.mark.slow
@@ -59,6 +61,20 @@ def test_the_stored_photographs_are_what_the_script_renders(pair: tuple[str, Pat
     difference = (stored - fresh)[inside][:, :3]
     assert np.sqrt((difference**2).mean()) < NOISE[name]
     assert np.abs(difference.mean(axis=0)).max() < NOISE[name] / 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("light", ["morning_000", "studio", "sunset"])
+def test_linear_pictures_are_the_photographs_without_their_limit(pair: tuple[str, Path, Path], light: str):
+    _, _, rendered = pair
+    photograph = read(rendered / VIEW / f"rgba_{light}.png")
+    path = rendered / VIEW / f"radiance_{light}.exr"
+    channels = read_exr_parts(path, max_pixels=1 << 20)[0].channels
+    linear = np.stack([channels[name].pixels.astype(np.float64) for name in "RGBA"], axis=-1)
+    encoded = np.concatenate([srgb_from_linear(linear[..., :3]), linear[..., 3:]], axis=-1)
+    # A half float, and a level of the photograph.
+    assert np.abs(encoded - photograph).max() < 0.6 / 255.0
+    assert linear[..., :3].max() > 1.0
 
 
 @pytest.mark.slow
