@@ -4,12 +4,14 @@ import { transferablesOf } from "../page/buffers.js";
 import { bundleTold } from "./fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
+import type { FinerTables } from "./transport.js";
 import { workerSpeaks } from "../words/languages.js";
 
-/** Messages of the worker; the last one is "loaded" or "failed". */
+/** Messages of the worker; the last one is "failed", "finer", or "loaded" where there is no `more`. */
 export type BundleAnswer =
   | BundleNews
-  | { readonly kind: "loaded"; readonly bundle: LoadedBundle }
+  | { readonly kind: "loaded"; readonly bundle: LoadedBundle; readonly more: boolean }
+  | { readonly kind: "finer"; readonly tables: FinerTables }
   | { readonly kind: "failed"; readonly code: string; readonly message: string };
 
 const answer = (message: BundleAnswer, transfer: Transferable[] = []): void => {
@@ -26,8 +28,18 @@ const decode = (png: Uint8Array<ArrayBuffer>): Promise<ImageBitmap> =>
 self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
   await workerSpeaks();
   try {
-    const bundle = await loadBundle(data, (news) => answer(news), decode);
-    answer({ kind: "loaded", bundle }, transferablesOf(bundle));
+    const later: (() => Promise<FinerTables>)[] = [];
+    const bundle = await loadBundle(
+      data,
+      (news) => answer(news),
+      decode,
+      (finer) => later.push(finer),
+    );
+    answer({ kind: "loaded", bundle, more: later.length > 0 }, transferablesOf(bundle));
+    for (const finer of later) {
+      const tables = await finer();
+      answer({ kind: "finer", tables }, transferablesOf(tables));
+    }
   } catch (error) {
     answer({ kind: "failed", ...bundleTold(error) });
   }

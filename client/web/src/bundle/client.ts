@@ -4,35 +4,44 @@ import { startWorker } from "../page/workers.js";
 import workerUrl from "./bundleWorker.ts?worker&url";
 import { BundleFault } from "./fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
-import type { BundleNews, LoadedBundle } from "./load.js";
+import type { BundleNews, ShownBundle } from "./load.js";
 import { closePictures } from "./pictures.js";
 import type { BundleOrigin } from "./source.js";
+import type { FinerTables } from "./transport.js";
 import { bundleFaults } from "../words/bundleFaults.js";
 
-/** Read a bundle in a worker that exits afterwards; `signal` aborts it. Throws BundleFault. */
+/** Read a bundle in a worker that exits when all is there; `signal` aborts it. Throws BundleFault. */
 export function loadInWorker(
   origin: BundleOrigin,
   tell: (news: BundleNews) => void,
   signal: AbortSignal,
-): Promise<LoadedBundle> {
+): Promise<ShownBundle> {
   const worker = startWorker(workerUrl);
-  return new Promise<LoadedBundle>((resolve, reject) => {
-    const end = (): void => worker.terminate();
-    signal.addEventListener("abort", () => {
-      end();
-      reject(signal.reason);
-    });
+  let resolveFiner = (_: FinerTables): void => {};
+  let rejectFiner = (_: unknown): void => {};
+  const finer = new Promise<FinerTables>((resolve, reject) => {
+    [resolveFiner, rejectFiner] = [resolve, reject];
+  });
+  finer.catch(() => {}); // Told to whoever waits for it.
+  return new Promise<ShownBundle>((resolve, reject) => {
+    const fail = (reason: unknown): void => {
+      worker.terminate();
+      reject(reason);
+      rejectFiner(reason);
+    };
+    signal.addEventListener("abort", () => fail(signal.reason));
     worker.onerror = (event) => {
-      end();
-      reject(new BundleFault("bundle.failed", event.message || bundleFaults.reader, bundleFaults.reload));
+      fail(new BundleFault("bundle.failed", event.message || bundleFaults.reader, bundleFaults.reload));
     };
     worker.onmessage = ({ data }: MessageEvent<BundleAnswer>) => {
       if (data.kind === "loaded") {
-        end();
-        resolve(data.bundle);
+        if (!data.more) worker.terminate();
+        resolve({ ...data.bundle, finer: data.more ? finer : null });
+      } else if (data.kind === "finer") {
+        worker.terminate();
+        resolveFiner(data.tables);
       } else if (data.kind === "failed") {
-        end();
-        reject(Object.assign(new BundleFault(data.code, "", ""), { message: data.message }));
+        fail(Object.assign(new BundleFault(data.code, "", ""), { message: data.message }));
       } else tell(data);
     };
     worker.postMessage(origin);
@@ -43,7 +52,7 @@ export function loadInWorker(
 export async function loadBeside(
   other: Promise<void>,
   ...[origin, tell, signal]: Parameters<typeof loadInWorker>
-): Promise<LoadedBundle> {
+): Promise<ShownBundle> {
   const reading = loadInWorker(origin, tell, signal);
   reading.catch(() => {}); // Told below.
   try {

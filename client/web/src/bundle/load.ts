@@ -7,7 +7,7 @@ import { BundleFault, exportAgain } from "./fault.js";
 import { openBundle } from "./manifest.js";
 import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.js";
 import { type BundleOrigin, openSource } from "./source.js";
-import { type PackedTransport, readTransport } from "./transport.js";
+import { type FinerTables, finerTables, type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
 import { bundleFaults } from "../words/bundleFaults.js";
 
@@ -51,6 +51,9 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   readonly previews: readonly BundlePicture[];
 };
 
+/** A bundle that can be shown, and a promise of the planes of its transport that it has not yet; null where it has all. */
+export type ShownBundle = LoadedBundle & { readonly finer: Promise<FinerTables> | null };
+
 /** Information sent before the whole bundle has been read, so that its light can be prepared meanwhile. */
 export type BundleNews =
   | { readonly kind: "progress"; readonly readBytes: number; readonly totalBytes: number }
@@ -64,13 +67,17 @@ export type BundleNews =
     }
   | { readonly kind: "map"; readonly map: BundlePicture };
 
-/** Read a bundle; `tell` receives information about it meanwhile. Throws BundleFault. */
+/**
+ * Read a bundle; `tell` receives information about it meanwhile. With `later` the bundle may have only the first planes
+ * of its transport, those of a lite bundle; `later` is then called with what reads all of them. Throws BundleFault.
+ */
 export async function loadBundle(
   origin: BundleOrigin,
   tell: (news: BundleNews) => void,
   decode: Decode,
+  later: ((finer: () => Promise<FinerTables>) => void) | null = null,
 ): Promise<LoadedBundle> {
-  const { manifest, read } = await openBundle(await openSource(origin));
+  const { manifest, read, begin } = await openBundle(await openSource(origin));
   const stated = manifest.transport;
   if (stated === undefined) {
     throw new BundleFault("bundle.transport_missing", ...bundleFaults.noTransport());
@@ -92,9 +99,13 @@ export async function loadBundle(
   ].filter((path) => path !== "");
   const total = wanted.reduce((sum, path) => sum + (sizes.get(path) ?? 0), 0);
   let arrived = 0;
-  const counted = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
-    const data = await read(path);
-    arrived += data.length;
+  const wholes = new Map<string, () => Promise<Uint8Array<ArrayBuffer>>>();
+  const counted = async (path: string, bytes = Infinity): Promise<Uint8Array<ArrayBuffer>> => {
+    const { data, whole } =
+      later === null ? { data: await read(path), whole: null } : await begin(path, bytes);
+    if (whole !== null) wholes.set(path, whole);
+    // What comes later is not waited for.
+    arrived += whole === null ? data.length : (sizes.get(path) ?? 0);
     tell({ kind: "progress", readBytes: arrived, totalBytes: total });
     return data;
   };
@@ -124,6 +135,8 @@ export async function loadBundle(
       pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
     ),
   ]);
+  const all = (path: string): Promise<Uint8Array<ArrayBuffer>> => wholes.get(path)?.() ?? read(path);
+  if (wholes.size > 0) later?.(() => finerTables(stated, all));
   const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
     ...{ name, sceneId, preset, albedoScaleRgb, metrics, trainLights },

@@ -23,6 +23,14 @@ export type OpenBundle = {
   readonly manifest: BundleManifest;
   /** Return a listed file's bytes, of the stated size and digest; throws BundleFault otherwise. */
   readonly read: (path: string) => Promise<Uint8Array<ArrayBuffer>>;
+  /** Return the first bytes of a listed file, which are checked with the rest of it; all where parts save nothing. */
+  readonly begin: (path: string, bytes: number) => Promise<Beginning>;
+};
+
+/** What is there of a file, and what reads all of it; null where that is all. */
+export type Beginning = {
+  readonly data: Uint8Array<ArrayBuffer>;
+  readonly whole: (() => Promise<Uint8Array<ArrayBuffer>>) | null;
 };
 
 /** Read and check the manifest behind a source. */
@@ -32,16 +40,38 @@ export async function openBundle(source: FileSource): Promise<OpenBundle> {
   checkFiles(manifest, source.paths);
   checkValues(manifest);
   const files = new Map(manifest.files.map((file) => [file.path, file]));
-  const read = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
+  const listed = (path: string) => {
     const stated = files.get(path);
     if (stated === undefined) throw exportAgain("bundle.file_missing", bundleFaults.unlisted(path));
-    const data = await source.read(path, fileLimit);
-    if (data.length !== stated.sizeBytes || (await sha256Hex(data)) !== stated.sha256) {
-      throw fetchAgain("bundle.digest_mismatch", bundleFaults.otherFile(path));
-    }
-    return data;
+    return stated;
   };
-  return { manifest, read };
+  const checked = async (path: string, data: Uint8Array<ArrayBuffer>) => {
+    const { sizeBytes, sha256 } = listed(path);
+    if (data.length === sizeBytes && (await sha256Hex(data)) === sha256) return data;
+    throw fetchAgain("bundle.digest_mismatch", bundleFaults.otherFile(path));
+  };
+  const read = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
+    listed(path);
+    return checked(path, await source.read(path, fileLimit));
+  };
+  const begin = async (path: string, bytes: number): Promise<Beginning> => {
+    const { part } = source;
+    const { sizeBytes } = listed(path);
+    if (part === undefined || bytes >= sizeBytes) return { data: await read(path), whole: null };
+    const data = await part(path, 0, bytes, fileLimit);
+    // A host without parts has sent everything.
+    if (data.length !== bytes) return { data: await checked(path, data), whole: null };
+    const whole = async (): Promise<Uint8Array<ArrayBuffer>> => {
+      const rest = await part(path, bytes, sizeBytes, fileLimit);
+      if (rest.length !== sizeBytes - bytes) return checked(path, rest);
+      const all = new Uint8Array(sizeBytes);
+      all.set(data);
+      all.set(rest, bytes);
+      return checked(path, all);
+    };
+    return { data, whole };
+  };
+  return { manifest, read, begin };
 }
 
 function parseManifest(data: Uint8Array): BundleManifest {

@@ -12,6 +12,8 @@ export type FileSource = {
   /** All paths, or null where they cannot be listed. */
   readonly paths: ReadonlySet<string> | null;
   readonly read: (path: string, limitBytes: number) => Promise<Bytes>;
+  /** Return bytes `from` up to `to` of a file, or all of it where the host sends no parts; absent where reading is quick. */
+  readonly part?: (path: string, from: number, to: number, limitBytes: number) => Promise<Bytes>;
 };
 
 /** The origin of a bundle; can be sent to a worker. The secret of a share link may follow an address, after "#". */
@@ -63,17 +65,19 @@ function folderSource(given: URL): FileSource {
     base.pathname = `${base.pathname.replace(/\/$/, "")}/files/`;
   }
   if (!base.pathname.endsWith("/")) base.pathname += "/";
+  const get = async (path: string, limitBytes: number, more: Record<string, string> = {}): Promise<Bytes> => {
+    const address = new URL(path.split("/").map(encodeURIComponent).join("/"), base);
+    const response = await request(address, { ...headers, ...more });
+    if (!response.ok) throw refusal(response.status, path, address, secret !== null);
+    if (Number(response.headers.get("content-length") ?? 0) > limitBytes) throw tooLarge(path, limitBytes);
+    const data = new Uint8Array(await response.arrayBuffer());
+    if (data.length > limitBytes) throw tooLarge(path, limitBytes);
+    return data;
+  };
   return {
     paths: null,
-    read: async (path, limitBytes) => {
-      const address = new URL(path.split("/").map(encodeURIComponent).join("/"), base);
-      const response = await request(address, headers);
-      if (!response.ok) throw refusal(response.status, path, address, secret !== null);
-      if (Number(response.headers.get("content-length") ?? 0) > limitBytes) throw tooLarge(path, limitBytes);
-      const data = new Uint8Array(await response.arrayBuffer());
-      if (data.length > limitBytes) throw tooLarge(path, limitBytes);
-      return data;
-    },
+    read: (path, limitBytes) => get(path, limitBytes),
+    part: (path, from, to, limitBytes) => get(path, limitBytes, { range: `bytes=${from}-${to - 1}` }),
   };
 }
 

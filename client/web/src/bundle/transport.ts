@@ -50,9 +50,19 @@ export type PackedTransport = {
 };
 
 type Reader = (path: string) => Promise<Uint8Array<ArrayBuffer>>;
+/** Returns a file, or only its first bytes where these are enough for now. */
+type HeadReader = (path: string, bytes: number) => Promise<Uint8Array<ArrayBuffer>>;
 
-// Channels, and the largest number of bands.
-const sets = { direct: [1, 9], visibility: [1, 9], indirect: [3, 9], material: [8, 1] } as const;
+// Channels, the largest number of bands, and how many of them make a first picture: those of a lite bundle.
+const sets = {
+  direct: [1, 9, 5],
+  visibility: [1, 9, 3],
+  indirect: [3, 9, 9],
+  material: [8, 1, 1],
+} as const;
+
+/** The bytes of tables whose planes were not all there. */
+export type FinerTables = { readonly [name in "direct" | "visibility"]: Int8Array<ArrayBuffer> };
 
 function invalid(what: string): BundleFault {
   return exportAgain("bundle.transport_invalid", bundleFaults.transport(what));
@@ -63,11 +73,24 @@ export function tableRows(count: number): number {
   return Math.max(1, Math.ceil(count / tableWidth));
 }
 
-/** Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first. */
-export async function readTransport(stated: Transport, read: Reader): Promise<PackedTransport> {
+/** Return all steps of the tables of which the first planes were read; `read` returns all of a file. */
+export async function finerTables(stated: Transport, read: Reader): Promise<FinerTables> {
+  const load = async (name: keyof FinerTables) => {
+    const planes = stated.planes.find((each) => each.name === name)!;
+    return packPlanes(planes, await read(planes.path), stated.numTexels, Infinity).steps;
+  };
+  const [direct, visibility] = await Promise.all([load("direct"), load("visibility")]);
+  return { direct, visibility };
+}
+
+/**
+ * Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first. Where
+ * `read` returns only the first planes of a table, the others are about zero.
+ */
+export async function readTransport(stated: Transport, read: HeadReader): Promise<PackedTransport> {
   const { size } = stated;
   if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(bundleFaults.atlasSize(size));
-  const texelIndex = coveredTexels(await read(stated.texelsPath), size);
+  const texelIndex = coveredTexels(await read(stated.texelsPath, Infinity), size);
   const numTexels = texelIndex.length;
   if (numTexels !== stated.numTexels || numTexels === 0) {
     throw invalid(bundleFaults.covers(numTexels, stated.numTexels));
@@ -76,11 +99,13 @@ export async function readTransport(stated: Transport, read: Reader): Promise<Pa
   const load = async (name: keyof typeof sets): Promise<PlaneTable> => {
     const planes = stated.planes.find((each) => each.name === name);
     if (planes === undefined) throw invalid(bundleFaults.noPlanes(name));
-    const [channels, most] = sets[name];
+    const [channels, most, first] = sets[name];
     if (planes.channels !== channels || !(planes.bands >= 1 && planes.bands <= most)) {
       throw invalid(bundleFaults.planes(name, planes.bands, planes.channels));
     }
-    return packPlanes(planes, await read(planes.path), name === "indirect" ? numCoarse : numTexels);
+    const texels = name === "indirect" ? numCoarse : numTexels;
+    const head = planes.bands > first ? first ** 2 * channels * texels : Infinity;
+    return packPlanes(planes, await read(planes.path, head), texels, head);
   };
   const [direct, visibility, indirect, material] = await Promise.all([
     load("direct"),
@@ -151,13 +176,15 @@ function coarseTexels(
   return { numCoarse, coarseOfTexel };
 }
 
-function packPlanes(stated: TransportPlanes, data: Uint8Array<ArrayBuffer>, numTexels: number): PlaneTable {
+function packPlanes(
+  stated: TransportPlanes,
+  data: Uint8Array<ArrayBuffer>,
+  numTexels: number,
+  head: number,
+): PlaneTable {
   const count = stated.bands ** 2 * stated.channels;
-  if (
-    stated.scales.length !== count ||
-    stated.offsets.length !== count ||
-    data.length !== count * numTexels
-  ) {
+  const isThere = data.length === count * numTexels || data.length === head;
+  if (stated.scales.length !== count || stated.offsets.length !== count || !isThere) {
     throw invalid(
       bundleFaults.planeBytes(
         stated.path.slice(0, 200),
@@ -171,17 +198,32 @@ function packPlanes(stated: TransportPlanes, data: Uint8Array<ArrayBuffer>, numT
   const layers = Math.ceil(count / 4);
   const rows = tableRows(numTexels);
   const steps = new Int8Array(4 * layers * rows * tableWidth);
-  const bytes = new Int8Array(data.buffer, data.byteOffset, data.length);
-  for (let plane = 0; plane < count; plane++) {
-    let target = 4 * (plane >> 2) * rows * tableWidth + (plane & 3);
-    const start = plane * numTexels;
-    for (let texel = 0; texel < numTexels; texel++, target += 4) steps[target] = bytes[start + texel]!;
-  }
+  fill(steps, data, stated, numTexels, rows);
   const scales = new Float32Array(4 * layers);
   const offsets = new Float32Array(4 * layers);
   scales.set(stated.scales);
   offsets.set(stated.offsets);
   return { bands: stated.bands, layers, rows, steps, scales, offsets };
+}
+
+/** Write planes into a table; those that are not there become about zero. */
+function fill(
+  steps: Int8Array,
+  data: Uint8Array<ArrayBuffer>,
+  { bands, channels, scales, offsets }: TransportPlanes,
+  numTexels: number,
+  rows: number,
+): void {
+  const bytes = new Int8Array(data.buffer, data.byteOffset, data.length);
+  for (let plane = 0; plane < bands ** 2 * channels; plane++) {
+    let target = 4 * (plane >> 2) * rows * tableWidth + (plane & 3);
+    const start = plane * numTexels;
+    const isThere = start < bytes.length;
+    const zero = Math.min(Math.max(Math.round(-offsets[plane]! / (scales[plane]! || 1)), -127), 127);
+    for (let texel = 0; texel < numTexels; texel++, target += 4) {
+      steps[target] = isThere ? bytes[start + texel]! : zero;
+    }
+  }
 }
 
 function packShadowBits(data: Uint8Array<ArrayBuffer>, numTexels: number): Uint32Array<ArrayBuffer> {

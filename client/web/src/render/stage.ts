@@ -10,7 +10,7 @@ import {
   WebGLRenderTarget,
 } from "three";
 import type { DataTexture } from "three";
-import type { LoadedBundle } from "../bundle/load.js";
+import type { ShownBundle } from "../bundle/load.js";
 import { closePictures } from "../bundle/pictures.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
@@ -46,7 +46,7 @@ export type Side = {
 };
 
 type Scenery = {
-  readonly bundle: LoadedBundle;
+  readonly bundle: ShownBundle;
   readonly textures: BundleTextures;
   readonly passes: IrradiancePasses;
   readonly surface: Surface;
@@ -85,17 +85,16 @@ export class Stage {
     this.renderer = rendererOn(canvas);
     this.#screen = new FullScreen(this.renderer);
     this.#splitSum = splitSumTexture(splitSumTable);
-    this.#camera.matrixAutoUpdate = false;
-    this.#camera.matrixWorldAutoUpdate = false;
+    Object.assign(this.#camera, { matrixAutoUpdate: false, matrixWorldAutoUpdate: false });
   }
 
   /** The bundle that is shown. */
-  get bundle(): LoadedBundle | null {
+  get bundle(): ShownBundle | null {
     return this.#scenery?.bundle ?? null;
   }
 
   /** Show another bundle; lights go with the one before. Throws GraphicsFault where its tables do not fit. */
-  setBundle(bundle: LoadedBundle): void {
+  setBundle(bundle: ShownBundle): void {
     const { maxTextureSize } = this.renderer.capabilities;
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
@@ -127,6 +126,11 @@ export class Stage {
       this.#clear();
       throw new GraphicsFault(...deviceFaults.memory());
     }
+  }
+
+  /** Resolves when all of the bundle is on the stage; the first pictures may have to do with less. */
+  async finished(): Promise<void> {
+    if (await this.#scenery?.textures.fill(this.#scenery.bundle.finer)) this.restored();
   }
 
   /** Keep a light under a name, in place of the one before. */

@@ -21,7 +21,7 @@ import {
 } from "three";
 import type { MaterialMaps } from "../bundle/load.js";
 import type { UncertaintyGrid } from "../bundle/uncertainty.js";
-import { type PackedTransport, type PlaneTable, tableWidth } from "../bundle/transport.js";
+import { type FinerTables, type PackedTransport, type PlaneTable, tableWidth } from "../bundle/transport.js";
 import { ggxBands, numLobeSteps } from "../engine/lobes.js";
 import { tableSide } from "../engine/splitSum.js";
 import type { PreparedLight } from "../light/prepare.js";
@@ -55,7 +55,17 @@ function numbers(data: Uint32Array<ArrayBuffer>, width: number, channels: 1 | 4 
  * Planes laid out as the atlas, its gutters filled with the nearest covered texel, for filtering by the hardware: a
  * value is offset + 127 scale times what is looked up.
  */
-function atlasPlanes(table: PlaneTable, { texelPlane, size }: PackedTransport): DataArrayTexture {
+function atlasPlanes(table: PlaneTable, transport: PackedTransport): DataArrayTexture {
+  const { size } = transport;
+  const texture = new DataArrayTexture(atlasSteps(table, transport), size, size, table.layers);
+  texture.format = RGBAFormat;
+  texture.type = ByteType;
+  texture.minFilter = LinearFilter;
+  texture.magFilter = LinearFilter;
+  return ready(texture, "RGBA8_SNORM");
+}
+
+function atlasSteps(table: PlaneTable, { texelPlane, size }: PackedTransport): Int8Array<ArrayBuffer> {
   const places = size * size;
   const data = new Int8Array(4 * places * table.layers);
   const from = new Int32Array(table.steps.buffer);
@@ -64,12 +74,7 @@ function atlasPlanes(table: PlaneTable, { texelPlane, size }: PackedTransport): 
     const [start, first] = [layer * table.rows * tableWidth, layer * places];
     for (let place = 0; place < places; place++) to[first + place] = from[start + texelPlane[place]!]!;
   }
-  const texture = new DataArrayTexture(data, size, size, table.layers);
-  texture.format = RGBAFormat;
-  texture.type = ByteType;
-  texture.minFilter = LinearFilter;
-  texture.magFilter = LinearFilter;
-  return ready(texture, "RGBA8_SNORM");
+  return data;
 }
 
 /** Return scales for what the hardware makes of signed bytes, -1 to 1. */
@@ -123,6 +128,18 @@ export class BundleTextures {
       if (framed) this.normalMap = pictureTexture(fitted(maps.normal, largestSide));
     }
     if (this.normalMap === null) this.surface = atlasPlanes(transport.material, transport);
+  }
+
+  /** Take all planes in where they were not all there; returns whether anything has changed. */
+  async fill(finer: Promise<FinerTables> | null): Promise<boolean> {
+    if (finer === null) return false;
+    const { direct, visibility } = await finer;
+    this.transport.direct.steps.set(direct);
+    this.transport.visibility.steps.set(visibility);
+    this.direct.needsUpdate = true;
+    (this.visibility.image.data as Int8Array).set(atlasSteps(this.transport.visibility, this.transport));
+    this.visibility.needsUpdate = true;
+    return true;
   }
 
   /** All of them. */

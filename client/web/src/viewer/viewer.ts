@@ -1,7 +1,7 @@
 /** A bundle on a canvas under lights: redraws on changes, and prepares light in a worker. */
 
 import { loadBeside } from "../bundle/client.js";
-import type { BundleNews, LoadedBundle } from "../bundle/load.js";
+import type { BundleNews, ShownBundle } from "../bundle/load.js";
 import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
@@ -77,7 +77,7 @@ export class Viewer {
   }
 
   /** The bundle that is shown, or null. */
-  get bundle(): LoadedBundle | null {
+  get bundle(): ShownBundle | null {
     return this.#stage?.bundle ?? null;
   }
 
@@ -150,6 +150,8 @@ export class Viewer {
     this.#tell("load", bundle);
     this.#tell("change");
     if (trouble !== null) this.#tell("message", trouble.message, true);
+    this.invalidate();
+    await this.#stage!.finished();
     this.invalidate();
   }
 
@@ -253,12 +255,11 @@ export class Viewer {
   /** Give up refining what is shown, and return what refines a picture of any size; its `end` goes on with it. */
   refineElsewhere(): StillHost & { readonly end: () => void } {
     this.#endRefining();
-    const host = {
-      stage: this.#ready(),
-      view: this.#refineView(),
+    return {
+      ...{ stage: this.#ready(), view: this.#refineView() },
       sides: sidesOf(this.#drawn(), this.homeTurn),
+      ...this.#stills.begin(() => this.invalidate()),
     };
-    return { ...host, ...this.#stills.begin(() => this.invalidate()) };
   }
 
   /** The elevations to look from, degrees. */
@@ -367,8 +368,8 @@ export class Viewer {
       this.#refinement.rest();
       return;
     }
-    import("../refine/refinement.js")
-      .then(({ Refinement }) => {
+    Promise.all([import("../refine/refinement.js"), this.bundle?.finer])
+      .then(([{ Refinement }]) => {
         const given = this.#closed || this.#stills.isAny || this.#refinement !== null;
         if (given || !this.#state.refine) return;
         this.#refinement = new Refinement({

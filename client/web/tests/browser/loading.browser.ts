@@ -1,7 +1,7 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { openViewer } from "./support.js";
+import { meanDifference, openViewer, pictureOf } from "./support.js";
 
 let browser: Browser;
 let page: Page;
@@ -52,6 +52,49 @@ describe("while a bundle is read", () => {
     await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
     expect(await page.locator(".welcome").isVisible()).toBe(false);
     expect(await page.evaluate(() => (globalThis as unknown as { shift: number }).shift)).toBeLessThan(0.01);
+  });
+
+  it("the object is shown with the first planes of its transport, and finer once all of them are there", async () => {
+    let release = (): void => {};
+    const held = new Promise<void>((resolve) => {
+      release = resolve;
+    });
+    page = await openViewer(browser, { env: "preset:sunset", tone: "linear" }, null);
+    const ranges: string[] = [];
+    await page.route("**/data/bundle/transport/**", async (route) => {
+      const range = (await route.request().allHeaders()).range ?? "";
+      if (range !== "") ranges.push(range);
+      if (range !== "" && !range.startsWith("bytes=0-")) await held;
+      await route.continue();
+    });
+    await page.evaluate(
+      (src) => {
+        const element = document.querySelector("lambent-viewer")!;
+        element.addEventListener("load", () => element.setAttribute("data-shown", ""));
+        element.setAttribute("src", src);
+        element.ready.then(() => element.setAttribute("data-whole", ""));
+      },
+      `${inject("site")}/data/bundle/`,
+    );
+    await page.waitForSelector("lambent-viewer[data-shown]");
+    expect(await page.locator("lambent-viewer[data-whole]").count()).toBe(0);
+    const size = { width: 160, height: 120 };
+    const first = await pictureOf(page, size);
+    release();
+    await page.waitForSelector("lambent-viewer[data-whole]");
+    const whole = await pictureOf(page, size);
+    expect(ranges).toHaveLength(4);
+    const apart = meanDifference(first, whole);
+    expect(apart).toBeGreaterThan(0.01);
+    expect(apart).toBeLessThan(3);
+    // As it is where all was there at once.
+    const other = await openViewer(
+      browser,
+      { env: "preset:sunset", tone: "linear" },
+      "data/bundle.relight.zip",
+    );
+    expect(meanDifference(await pictureOf(other, size), whole)).toBe(0);
+    await other.close();
   });
 
   it("a host's problem is told, and trying again helps once it is over", async () => {
