@@ -93,7 +93,7 @@ def test_it_starts_rises_stops_and_gives_way_to_input(opened):
     assert counts == sorted(counts)
     assert counts[0] < counts[-1] < done["samplesPerPixel"] < 4096
     assert done["relativeError"] <= 0.12
-    assert f"{done['samplesPerPixel']} samples a pixel" in shown_text(page)
+    assert f"{done['samplesPerPixel']} samples per pixel" in shown_text(page)
     assert fetched(page, "models/weights.bin") == (backend != "auto")
     assert fetched(page, "models/fast_cache_sky.onnx") == (backend != "auto")
     assert fetched(page, ".wasm") == (backend == "wasm")

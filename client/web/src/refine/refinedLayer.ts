@@ -222,7 +222,7 @@ export class RefinedLayer {
     screen: FullScreen,
     camera: ViewCamera,
     { channel }: Pick<Look, "channel">,
-    { radiance, seen, facing, mask, samples }: Baked,
+    { radiance, seen, facing, mask, samples, live }: Baked,
     target: WebGLRenderTarget,
   ): void {
     const { shown, edit } = this;
@@ -235,8 +235,8 @@ export class RefinedLayer {
       height: camera.height,
       channel: channels[channel],
       albedoGain: gain,
-      arrived: this.#arriving.next(),
-      settled: this.#isDone ? this.#settling.next() : 0,
+      arrived: live ? this.#arriving.next() : 1,
+      settled: this.#isDone ? (live ? this.#settling.next() : 1) : 0,
     });
     screen.draw(this.#material, target);
   }

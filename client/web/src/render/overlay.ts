@@ -14,6 +14,8 @@ export type Baked = {
   /** How much of every pixel is covered; null where its samples say so. */
   readonly mask: Texture | null;
   readonly samples: number;
+  /** Whether it is what people see: a picture that is read shows where a change of it leads to. */
+  readonly live: boolean;
 };
 
 /** A picture that may be drawn in place of the light "a" with baked transport. */

@@ -301,7 +301,7 @@ export class Stage {
     if (isFiner) {
       this.#finer = fitting(this.#finer, width, height, halfFloatTarget);
       this.#scissor(this.#finer, columns, height);
-      finer!.draw(this.#screen, camera, side.look, this.#baked(samples), this.#finer);
+      finer!.draw(this.#screen, camera, side.look, this.#baked(samples, target === null), this.#finer);
     }
     const ground = this.#ground(side, light, samples > 1, scenery);
     this.#resolve.prepare(
@@ -322,10 +322,10 @@ export class Stage {
   }
 
   /** Return what was drawn last, with its samples. */
-  #baked(samples: number): Baked {
+  #baked(samples: number, live: boolean): Baked {
     const [seen, facing] = this.#seen!.textures;
     const mask = samples === 1 ? this.#mask!.texture : null;
-    return { radiance: this.#radiance!.texture, seen: seen!, facing: facing!, mask, samples };
+    return { radiance: this.#radiance!.texture, seen: seen!, facing: facing!, mask, samples, live };
   }
 
   /** Draw the shadow on the ground if it is enabled; returns the ground, or null. */

@@ -55,7 +55,7 @@ globalThis.drawLayer = (given) => {
   const layer = new RefinedLayer(camera, picture, { albedoGain, albedoScaleRgb: [1, 1, 1] }, 0);
   layer.set(picture, features, { smoothed: false, done });
   const baked = {
-    ...{ radiance, mask: null, samples },
+    ...{ radiance, mask: null, samples, live: false },
     seen: table(given.seen, RGBAIntegerFormat, "RGBA32UI"),
     facing: table(given.facing, RedIntegerFormat as PixelFormat, "R32UI"),
   };
