@@ -51,5 +51,5 @@ def test_a_mark_on_one_photograph_takes_a_wrong_part_out_of_the_others():
 
 @pytest.mark.long
 @pytest.mark.timeout(1300)
-def test_photographs_become_a_bundle_in_the_browser():
-    run("training", 1290.0)
+def test_photographs_that_are_dropped_become_a_relit_object_on_another_site():
+    run("artist", 1290.0)

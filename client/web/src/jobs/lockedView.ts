@@ -18,7 +18,13 @@ export function lockedView(
   fail: (error: unknown) => void,
   loggedIn: () => void,
 ): View {
-  const link = h("input", { id: "link", name: "link", autocomplete: "off", spellcheck: "false" });
+  const link = h("input", {
+    type: "text",
+    id: "link",
+    name: "link",
+    autocomplete: "off",
+    spellcheck: "false",
+  });
   const problem = h("p", { class: "notice bad", role: "alert", hidden: true });
 
   async function enter(): Promise<void> {

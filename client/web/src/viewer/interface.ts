@@ -220,6 +220,7 @@ export class Interface {
 
   #drag(event: DragEvent, over: boolean): void {
     event.preventDefault();
+    this.#view.dataset.drop = texts.viewer.drop;
     this.#view.classList.toggle("dropping", over);
   }
 

@@ -46,7 +46,7 @@ button:hover { background: #394049; }
 .welcome .row { display: block; }
 .welcome button { min-height: 2.75rem; padding: 0 1.2rem; }
 progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff; }
-.dropping::after { content: "Drop a bundle, its folder, or a .hdr or .exr map"; position: absolute; inset: 0.5rem; display: grid;
+.dropping::after { content: attr(data-drop); position: absolute; inset: 0.5rem; display: grid;
   place-content: center; border: 3px dashed #8ec7ff; border-radius: 0.8rem; background: rgb(23 25 28 / 80%); pointer-events: none; }
 .split { position: absolute; top: 0; bottom: 0; width: 0; left: 50%; pointer-events: none; }
 .split::before { content: ""; position: absolute; top: 0; bottom: 0; left: -1px; width: 2px; background: #fff; box-shadow: 0 0 3px #000; }
@@ -65,7 +65,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
   background: rgb(24 27 31 / 88%); border: 1px solid #4b525b; border-radius: 0.8rem; overscroll-behavior-x: contain; }
 .chip { flex: none; width: 6rem; display: grid; justify-items: center; align-content: start; gap: 0.15rem; padding: 0.3rem 0.2rem;
   background: none; border-color: transparent; border-radius: 0.6rem; font-size: 0.72rem; line-height: 1.2; }
-.chip canvas { position: static; width: 3rem; height: 3rem; cursor: inherit; touch-action: auto; border-radius: 50%; background: #3a4048; }
+.chip canvas { position: static; width: 3rem; height: 3rem; pointer-events: none; border-radius: 50%; background: #3a4048; }
 .chip span { max-width: 100%; overflow: hidden; display: -webkit-box; -webkit-line-clamp: 2; -webkit-box-orient: vertical; overflow-wrap: anywhere; }
 .chip[aria-pressed=true] { border-color: #8ec7ff; background: #22384d; }
 .chip .plus { display: grid; place-content: center; width: 3rem; height: 3rem; border-radius: 50%; border: 2px dashed #7b858f; font-size: 1.4rem; }
@@ -86,6 +86,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .actions { display: grid; grid-template-columns: auto 1fr; gap: 0.45rem; align-items: center; }
 .actions label { display: contents; }
 .actions button { grid-column: 1 / -1; }
+#share { display: grid; gap: 0.45rem; }
 .shares { list-style: none; margin: 0; padding: 0; display: grid; gap: 0.6rem; }
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }
@@ -102,6 +103,8 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
   .panel > summary { position: sticky; top: 0; z-index: 1; margin: 0 -0.75rem; padding: 0.75rem; background: #181b1f; touch-action: none; }
   .panel > summary::before { content: ""; position: absolute; top: 0.35rem; left: calc(50% - 1.2rem); width: 2.4rem; height: 0.25rem; border-radius: 1rem; background: #7b858f; }
   .message:has(~ .dock:not([hidden]) > .strip:not([hidden])) { bottom: 11rem; }
+  /* In the middle of what the open sheet leaves. */
+  .view:has(~ .dock > .panel[open]) .handle { top: 22cqh; }
   label, .row { grid-template-columns: 7.5rem 1fr; }
 }
 /* Fingers need more room than pointers. */
@@ -109,6 +112,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
   input, select, button, label.check, .panel summary { min-height: 2.75rem; }
   .panel details > summary { padding: 0.75rem 0; }
   input[type=checkbox] { min-height: 1.5rem; width: 1.5rem; }
+  label.check { grid-template-columns: 1.5rem 1fr; }
 }
 @media (prefers-reduced-motion: no-preference) { .panel { transition: opacity 0.15s; } }
 `;

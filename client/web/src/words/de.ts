@@ -276,6 +276,7 @@ export const texts: Texts = {
       "vor dem Ende wurde ein anderes Bundle oder Licht gezeigt, oder die Grafikkarte fiel aus",
       "noch einmal starten",
     ],
+    drop: "Bundle, dessen Ordner oder Umgebungsbild (.hdr, .exr) ablegen",
     invite: "Bundle hier ablegen",
     inviteMore:
       "Ein Ordner oder eine .relight.zip, von Lambent exportiert. Beides bleibt auf diesem Computer.",

@@ -284,6 +284,7 @@ export const texts = {
       "another bundle or light was shown, or the graphics card was lost, before it was complete",
       "make it again",
     ],
+    drop: "Drop a bundle, its folder, or a .hdr or .exr map",
     invite: "Drop a relightable bundle here",
     inviteMore: "A folder or a .relight.zip that Lambent has exported. It stays on this computer.",
     opening: "Opening the bundle…",

@@ -44,10 +44,28 @@ async function slide(from: number, up: number, steps = 12): Promise<void> {
   await touch("touchEnd", null);
 }
 
+type Point = readonly [x: number, y: number];
+
+/** Put fingers down, move each of them along its way in steps, and lift them. */
+async function fingers(way: (share: number) => readonly Point[], steps = 5): Promise<void> {
+  const touch = (type: "touchStart" | "touchMove" | "touchEnd", points: readonly Point[]) =>
+    session.send("Input.dispatchTouchEvent", {
+      type,
+      touchPoints: points.map(([x, y], id) => ({ x, y, id })),
+    });
+  await touch("touchStart", way(0));
+  for (let step = 1; step <= steps; step++) await touch("touchMove", way(step / steps));
+  await touch("touchEnd", []);
+}
+const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
+const update = (change: object) =>
+  page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
+
 beforeAll(async () => {
   browser = await sharedChromium();
   const context = await browser.newContext({
     ...{ viewport: { width, height }, hasTouch: true, isMobile: true, reducedMotion: "reduce" },
+    locale: "en-US",
   });
   page = await openViewer(context, { v: "2", env: "preset:studio", rotate: "0,0,0" });
   session = await context.newCDPSession(page);
@@ -139,6 +157,72 @@ describe("on a phone", () => {
     await soon(isOpen).toBe(true);
     await soon(() => drawn(1500)).toBe(0);
     expect(await drawn(1500)).toBe(0);
+  });
+
+  it("a tap on a light chooses it, and the row is swiped to the others", async () => {
+    await page.evaluate(() => {
+      const root = document.querySelector("lambent-viewer")!.shadowRoot!;
+      root.querySelector<HTMLDetailsElement>(".panel")!.open = false;
+    });
+    const row = page.locator(".chips");
+    const scrolled = () => row.evaluate((element) => element.scrollLeft);
+    await page.getByRole("button", { name: "Clear sky" }).tap();
+    await soon(async () => (await state()).environment).toBe("preset:sky");
+    await row.evaluate((element) => element.scrollTo(0, 0));
+    const { left, right, top, bottom } = await boxOf(".chips");
+    // From the picture of a light, too.
+    const y = top + 0.35 * (bottom - top);
+    await fingers((share) => [[right - 20 - share * (right - left - 60), y]]);
+    await soon(scrolled).toBeGreaterThan(50);
+    await page.getByRole("button", { name: "Low sun" }).tap();
+    await soon(async () => (await state()).environment).toBe("preset:sunset");
+    await update({ environment: "preset:studio" });
+  });
+
+  it("a finger on the ball turns the light, and on the picture the camera", async () => {
+    const before = await state();
+    const ball = await boxOf(".ball");
+    const [x, y] = [0.5 * (ball.left + ball.right), 0.5 * (ball.top + ball.bottom)];
+    await fingers((share) => [[x - 16 * share, y]]);
+    const lit = await state();
+    expect(Math.abs(lit.turn.yawDeg - before.turn.yawDeg)).toBeGreaterThan(20);
+    expect(lit.pose).toEqual(before.pose);
+    await update({ turn: before.turn });
+    await fingers((share) => [[140 + 80 * share, 300]]);
+    const turned = await state();
+    expect(turned.pose.azimuthDeg).toBeLessThan(before.pose.azimuthDeg - 15);
+    expect(turned.turn).toEqual(before.turn);
+    await update({ pose: before.pose });
+    // Nothing of the page scrolls meanwhile.
+    await fingers((share) => [[195, 200 + 120 * share]]);
+    expect(await page.evaluate(() => [scrollX, scrollY, visualViewport!.scale])).toEqual([0, 0, 1]);
+    expect((await state()).pose.elevationDeg).not.toBeCloseTo(before.pose.elevationDeg, 0);
+    await update({ pose: before.pose });
+  });
+
+  it("two fingers zoom as they part, and turn the light as they turn", async () => {
+    const before = await state();
+    await fingers((share) => [
+      [175 - 45 * share, 300],
+      [215 + 45 * share, 300],
+    ]);
+    const near = await state();
+    expect(near.pose.distance).toBeLessThan(0.8 * before.pose.distance);
+    expect(near.turn).toEqual(before.turn);
+    expect(await page.evaluate(() => visualViewport!.scale)).toBe(1);
+    await update({ pose: before.pose });
+    await fingers((share) => {
+      const angle = (40 * share * Math.PI) / 180;
+      const [dx, dy] = [60 * Math.cos(angle), 60 * Math.sin(angle)];
+      return [
+        [195 - dx, 300 - dy],
+        [195 + dx, 300 + dy],
+      ];
+    });
+    const after = await state();
+    expect(after.turn.yawDeg).toBeLessThan(before.turn.yawDeg - 28);
+    expect(Math.abs(after.pose.distance / before.pose.distance - 1)).toBeLessThan(0.05);
+    await update({ turn: before.turn, pose: before.pose });
   });
 });
 

@@ -56,6 +56,15 @@ describe("in a German browser the viewer", () => {
 
   it("says in German what its workers found wrong, and before there is a bundle", async () => {
     const page = await opened("de", 640, 480, null);
+    const invited = await page.evaluate(() => {
+      const viewer = document.querySelector("lambent-viewer")!;
+      const drag = (name: string) => viewer.dispatchEvent(new DragEvent(name, { cancelable: true }));
+      drag("dragover");
+      const { content } = getComputedStyle(viewer.shadowRoot!.querySelector(".dropping")!, "::after");
+      drag("dragleave");
+      return content;
+    });
+    expect(invited).toBe(JSON.stringify(de.texts.viewer.drop));
     await page.waitForFunction(
       (text) =>
         document.querySelector("lambent-viewer")!.shadowRoot!.querySelector("h1")?.textContent === text,

@@ -1,37 +1,12 @@
-import { once } from "node:events";
-import { createServer, type Server } from "node:http";
-import type { AddressInfo } from "node:net";
 import { resolve } from "node:path";
-import type { Browser, Frame, Page } from "playwright-core";
+import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { startChromium } from "../support/chromium.js";
 import { JobServer } from "./server.js";
-import { choose, folderOf, keepPicture, live } from "./support.js";
+import { Site } from "./site.js";
+import { choose, coloursOf, folderOf, keepPicture, live, shown } from "./support.js";
 
 const archive = resolve(import.meta.dirname, "../../../../tests/golden/bundles/ball_1.3.relight.zip");
-
-/** A site of somebody else: its pages, and the headers that all of them have. */
-class Site {
-  readonly pages = new Map<string, string>();
-  headers: Record<string, string> = {};
-  #server: Server | null = null;
-  origin = "";
-
-  async start(): Promise<void> {
-    this.#server = createServer((request, response) => {
-      const page = request.url === "/favicon.ico" ? "" : this.pages.get(request.url ?? "");
-      response.writeHead(page === undefined ? 404 : 200, { "content-type": "text/html", ...this.headers });
-      response.end(`<!doctype html><title>A shop</title><body style="margin:0">${page ?? ""}`);
-    }).listen(0, "127.0.0.1");
-    await once(this.#server, "listening");
-    // Another site than 127.0.0.1, as far as cookies are concerned.
-    this.origin = `http://localhost:${(this.#server.address() as AddressInfo).port}`;
-  }
-
-  close(): void {
-    this.#server?.close();
-  }
-}
 
 type Share = { readonly id: string; readonly url: string; readonly frame_ancestors: string[] };
 
@@ -97,37 +72,6 @@ async function visit(address: string): Promise<{ page: Page; complaints: string[
   page.on("pageerror", (error) => complaints.push(error.message));
   await page.goto(address);
   return { page, complaints };
-}
-
-/** Wait until the viewer of a page or a frame shows its bundle. */
-async function shown(frame: Page | Frame): Promise<void> {
-  await frame.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
-  await frame.evaluate(async () => {
-    const element = document.querySelector("lambent-viewer")!;
-    await element.ready;
-    element.viewer!.drawNow(2);
-  });
-}
-
-/** Return how many colours (of 16 levels a channel) a part of a page shows. */
-async function coloursOf(page: Page, selector: string): Promise<number> {
-  const picture = (await page.locator(selector).screenshot()).toString("base64");
-  const reader = await browser.newPage();
-  const count = await reader.evaluate(async (text) => {
-    const image = new Image();
-    image.src = `data:image/png;base64,${text}`;
-    await image.decode();
-    const context = new OffscreenCanvas(image.width, image.height).getContext("2d")!;
-    context.drawImage(image, 0, 0);
-    const { data } = context.getImageData(0, 0, image.width, image.height);
-    const seen = new Set<number>();
-    for (let at = 0; at < data.length; at += 4) {
-      seen.add(((data[at]! >> 4) << 8) | ((data[at + 1]! >> 4) << 4) | (data[at + 2]! >> 4));
-    }
-    return seen.size;
-  }, picture);
-  await reader.close();
-  return count;
 }
 
 describe("a shared bundle on another site", () => {

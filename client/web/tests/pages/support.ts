@@ -4,7 +4,7 @@ import { mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { dirname, join, resolve } from "node:path";
-import type { Page } from "playwright-core";
+import type { Frame, Page } from "playwright-core";
 
 const axeSource = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const pictures = resolve(import.meta.dirname, "../../build/browser-tests");
@@ -59,4 +59,35 @@ export async function overflowOnPhone(page: Page): Promise<number> {
 export async function keepPicture(page: Page, name: string): Promise<void> {
   mkdirSync(pictures, { recursive: true });
   await page.screenshot({ path: join(pictures, `${name}.png`), fullPage: true });
+}
+
+/** Wait until the viewer of a page or a frame shows its bundle. */
+export async function shown(frame: Page | Frame): Promise<void> {
+  await frame.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
+  await frame.evaluate(async () => {
+    const element = document.querySelector("lambent-viewer")!;
+    await element.ready;
+    element.viewer!.drawNow(2);
+  });
+}
+
+/** Return how many colours (of 16 levels a channel) a part of a page shows. */
+export async function coloursOf(page: Page, selector: string): Promise<number> {
+  const picture = (await page.locator(selector).screenshot()).toString("base64");
+  const reader = await page.context().browser()!.newPage();
+  const count = await reader.evaluate(async (text) => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${text}`;
+    await image.decode();
+    const context = new OffscreenCanvas(image.width, image.height).getContext("2d")!;
+    context.drawImage(image, 0, 0);
+    const { data } = context.getImageData(0, 0, image.width, image.height);
+    const seen = new Set<number>();
+    for (let at = 0; at < data.length; at += 4) {
+      seen.add(((data[at]! >> 4) << 8) | ((data[at + 1]! >> 4) << 4) | (data[at + 2]! >> 4));
+    }
+    return seen.size;
+  }, picture);
+  await reader.close();
+  return count;
 }

@@ -1,7 +1,7 @@
 /** Starts the system's Chromium for tests in a real browser; WebGL2 in software. */
 
 import { accessSync, constants } from "node:fs";
-import { delimiter, join } from "node:path";
+import { delimiter, join, resolve } from "node:path";
 import { type Browser, chromium } from "playwright-core";
 
 const flags = [
@@ -14,6 +14,9 @@ const flags = [
   "--lang=en-US",
   "--accept-lang=en-US",
 ];
+
+/** Pages are set in one font on all machines, so that they have one layout. */
+const fonts = resolve(import.meta.dirname, "fonts.conf");
 
 /** Return the browser's path; throws where there is none. */
 export function chromiumPath(): string {
@@ -33,7 +36,11 @@ export function chromiumPath(): string {
 
 /** Start a browser; `more` are further flags, such as those of WebGPU. */
 export async function startChromium(more: readonly string[] = []): Promise<Browser> {
-  return chromium.launch({ executablePath: chromiumPath(), args: [...flags, ...more] });
+  return chromium.launch({
+    executablePath: chromiumPath(),
+    args: [...flags, ...more],
+    env: { ...process.env, FONTCONFIG_FILE: fonts } as Record<string, string>,
+  });
 }
 
 let shared: Promise<Browser> | null = null;
