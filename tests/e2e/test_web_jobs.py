@@ -4,6 +4,7 @@ The tests themselves are those of client/web/tests/pages, which drive the system
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -53,3 +54,14 @@ def test_a_mark_on_one_photograph_takes_a_wrong_part_out_of_the_others():
 @pytest.mark.timeout(1300)
 def test_photographs_that_are_dropped_become_a_relit_object_on_another_site():
     run("artist", 1290.0)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_the_pages_speak_german():
+    run("words", 390.0)
+
+
+def test_no_file_of_browser_tests_is_left_out():
+    run_here = set(re.findall(r'^    run\("(\w+)"', Path(__file__).read_text(encoding="utf-8"), re.MULTILINE))
+    assert {path.name.split(".")[0] for path in (WEB / "tests" / "pages").glob("*.browser.ts")} == run_here
