@@ -17,9 +17,6 @@ const rewrites = process.env.UPDATE_GOLDENS === "1";
 export const cellSide = 8;
 /** A channel of a cell may differ by that much, in steps of 1/255; the canvas of the viewer by `most.drawn`. */
 export const most = { page: 8, drawn: 12 } as const;
-/** Golden pictures are smaller than the pages by this factor. */
-const reduction = 2;
-
 /** Means of red, green and blue of cells, row by row; the last ones of a row or column may be smaller. */
 export type Cells = { readonly columns: number; readonly rows: number; readonly rgb: readonly number[] };
 /** A part of a page, in its pixels. */
@@ -73,8 +70,8 @@ export class GoldenPictures {
     return new GoldenPictures(reader);
   }
 
-  /** Return the means of the cells of a picture that is `scale` times smaller than its page. */
-  cellsOf(picture: Buffer, type: "png" | "webp", scale = 1): Promise<Cells> {
+  /** Return the means of cells of a picture; those of a golden one are its pixels. */
+  cellsOf(picture: Buffer, type: "png" | "webp", pixels = cellSide): Promise<Cells> {
     return this.reader.evaluate(
       async ([text, format, side]) => {
         const image = new Image();
@@ -103,7 +100,7 @@ export class GoldenPictures {
         }
         return { columns, rows, rgb };
       },
-      [picture.toString("base64"), type, cellSide / scale] as const,
+      [picture.toString("base64"), type, pixels] as const,
     );
   }
 
@@ -119,7 +116,10 @@ export class GoldenPictures {
     const path = join(folder, `${name}.webp`);
     if (rewrites) {
       mkdirSync(folder, { recursive: true });
-      writeFileSync(path, await this.#reduced(picture));
+      mkdirSync(kept, { recursive: true });
+      writeFileSync(path, await this.#written(await this.cellsOf(picture, "png")));
+      // To be looked at.
+      writeFileSync(join(kept, `${name}.png`), picture);
       return [];
     }
     const boxes = await boxesOf(page, drawn);
@@ -136,7 +136,7 @@ export class GoldenPictures {
   async against(name: string, picture: Buffer, drawn: readonly Box[] = []): Promise<string[]> {
     const path = join(folder, `${name}.webp`);
     if (!existsSync(path)) return ["there is no golden picture; UPDATE_GOLDENS=1 makes it"];
-    const golden = await this.cellsOf(readFileSync(path), "webp", reduction);
+    const golden = await this.cellsOf(readFileSync(path), "webp", 1);
     return differences(await this.cellsOf(picture, "png"), golden, drawn);
   }
 
@@ -145,28 +145,23 @@ export class GoldenPictures {
     return this.#seen;
   }
 
-  async #reduced(picture: Buffer): Promise<Buffer> {
+  /** Return a picture without loss, with a pixel for each cell. */
+  async #written({ columns, rows, rgb }: Cells): Promise<Buffer> {
     const text = await this.reader.evaluate(
-      async ([png, factor]) => {
-        const image = new Image();
-        image.src = `data:image/png;base64,${png}`;
-        await image.decode();
-        const [width, height] = [image.naturalWidth / factor, image.naturalHeight / factor].map(
-          Math.ceil,
-        ) as [number, number];
-        const canvas = new OffscreenCanvas(width, height);
-        const context = canvas.getContext("2d")!;
-        context.imageSmoothingQuality = "high";
-        context.drawImage(image, 0, 0, image.naturalWidth / factor, image.naturalHeight / factor);
-        const blob = await canvas.convertToBlob({ type: "image/webp", quality: 0.8 });
-        const bytes = new Uint8Array(await blob.arrayBuffer());
-        let binary = "";
-        for (let start = 0; start < bytes.length; start += 32768) {
-          binary += String.fromCharCode(...bytes.subarray(start, start + 32768));
+      async ([width, height, values]) => {
+        const data = new ImageData(width, height);
+        for (let pixel = 0; pixel < width * height; pixel++) {
+          for (let channel = 0; channel < 3; channel++) {
+            data.data[4 * pixel + channel] = Math.round(values[3 * pixel + channel]!);
+          }
+          data.data[4 * pixel + 3] = 255;
         }
-        return btoa(binary);
+        const canvas = new OffscreenCanvas(width, height);
+        canvas.getContext("2d")!.putImageData(data, 0, 0);
+        const blob = await canvas.convertToBlob({ type: "image/webp", quality: 1 });
+        return btoa(String.fromCharCode(...new Uint8Array(await blob.arrayBuffer())));
       },
-      [picture.toString("base64"), reduction] as const,
+      [columns, rows, rgb] as const,
     );
     return Buffer.from(text, "base64");
   }
