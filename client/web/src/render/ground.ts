@@ -58,6 +58,10 @@ export function hasGround({ look, method }: { readonly look: Look; readonly meth
   return look.ground && method === "baked" && (look.channel === "final" || look.channel === "direct");
 }
 
+/** Directions of the sky that are drawn for a frame of something that moves, and how far apart they are in the list. */
+const skyPerFrame = 16;
+const skyStride = 97;
+
 /** Return the ground under a box at a height. */
 export function groundUnder(low: readonly number[], high: readonly number[], height: number): GroundPlace {
   const { centre, radius } = ballOf(low, high);
@@ -144,7 +148,8 @@ export class Ground {
   readonly #cast: RawShaderMaterial;
   readonly #scene = new Scene();
   readonly #camera = new Camera();
-  #known = false;
+  /** How many directions of the sky its tiles hold. */
+  #drawn = 0;
 
   constructor(
     geometry: BufferGeometry,
@@ -175,7 +180,15 @@ export class Ground {
     setUniforms(this.#sharePass, { sky: this.#sky.texture, lights: this.#lights.texture });
   }
 
-  /** Draw the shares that a light loses into a table; `still` draws discs finely. */
+  /** Whether all of the sky is known; what is not yet throws no shadow. */
+  get isWhole(): boolean {
+    return this.#drawn === numSky;
+  }
+
+  /**
+   * Draw the shares that a light loses into a table; `still` draws discs finely, and all of the sky, of which pictures
+   * of something that moves, and the first one, do with a part that grows.
+   */
   draw(
     renderer: WebGLRenderer,
     screen: FullScreen,
@@ -184,7 +197,7 @@ export class Ground {
     into: WebGLRenderTarget,
     still: boolean,
   ): void {
-    if (!this.#known) this.#drawTiles(renderer);
+    this.#drawTiles(renderer, still ? numSky : Math.min(this.#drawn + skyPerFrame, numSky));
     this.#drawLights(renderer, lights, still ? discSamples.still : discSamples.moving);
     (this.#skyLight.image.data as Float32Array).set(light.skyRgba);
     this.#skyLight.needsUpdate = true;
@@ -200,7 +213,7 @@ export class Ground {
 
   /** Draw everything again on the next use. */
   forget(): void {
-    this.#known = false;
+    this.#drawn = 0;
   }
 
   dispose(): void {
@@ -209,14 +222,19 @@ export class Ground {
     this.#skyLight.dispose();
   }
 
-  #drawTiles(renderer: WebGLRenderer): void {
-    clear(renderer, this.#tiles);
-    skyDirections(numSky).forEach((direction, index) => {
+  /** Draw tiles until there are `count`. */
+  #drawTiles(renderer: WebGLRenderer, count: number): void {
+    if (this.isWhole) return;
+    if (this.#drawn === 0) clear(renderer, this.#tiles);
+    const directions = skyDirections(numSky);
+    for (; this.#drawn < count; this.#drawn++) {
+      // From everywhere alike, so that the shadow becomes darker and does not wander.
+      const index = (this.#drawn * skyStride) % numSky;
+      const direction = directions[index]!;
       const corner = [index % tilesAcross, Math.floor(index / tilesAcross)];
       this.#tiles.viewport.set(corner[0]! * skySide, corner[1]! * skySide, skySide, skySide);
       this.#castAlong(renderer, direction, 0, 1, this.#tiles);
-    });
-    this.#known = true;
+    }
   }
 
   #drawLights(renderer: WebGLRenderer, { directions, radiiRad }: CastLights, count: number): void {

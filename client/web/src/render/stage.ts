@@ -303,7 +303,7 @@ export class Stage {
       this.#scissor(this.#finer, columns, height);
       finer!.draw(this.#screen, camera, side.look, this.#baked(samples, target === null), this.#finer);
     }
-    const ground = this.#ground(side, light, samples > 1, scenery);
+    const ground = this.#ground(side, light, samples > 1 || target !== null, scenery);
     this.#resolve.prepare(
       (isFiner ? this.#finer! : this.#radiance).texture,
       camera,
@@ -337,10 +337,8 @@ export class Stage {
       groundUnder(boundsMin, boundsMax, groundHeight(scenery.bundle)),
     );
     const key = turnKey(turn);
-    if (
-      light.drawnGround !== `${key} still` &&
-      light.drawnGround !== `${key} ${still ? "still" : "moving"}`
-    ) {
+    const known = [`${key} still`, `${key} ${still ? "still" : "moving"}`];
+    if (!scenery.ground.isWhole || !known.includes(light.drawnGround ?? "")) {
       const falling = light.falling(turn);
       const discs = light.cast(turn);
       this.renderer.setScissorTest(false);

@@ -168,3 +168,40 @@ describe("the shadow on the ground", () => {
     expect(meanDifference(below, await pictureOf(page, { width: 96, height: 72 }))).toBe(0);
   });
 });
+
+describe("the shadow on the ground while something moves", () => {
+  it("becomes darker from frame to frame, and is whole at rest", async () => {
+    const own = await openViewer(browser, { env: "preset:even", background: "colour", ground: "1" }, null, {
+      width: 320,
+      height: 240,
+    });
+    const { means, rest } = await own.evaluate(async () => {
+      const element = document.querySelector("lambent-viewer")!;
+      const viewer = element.viewer!;
+      viewer.moving = true;
+      await element.show("data/bundle/");
+      viewer.dither = false;
+      const meanOf = (data: Uint8ClampedArray): number =>
+        data.reduce((sum, value) => sum + value, 0) / data.length;
+      const shown = (): number => {
+        const { canvas } = viewer;
+        const context = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d")!;
+        context.drawImage(canvas, 0, 0);
+        return meanOf(context.getImageData(0, 0, canvas.width, canvas.height).data);
+      };
+      const found: number[] = [];
+      for (let frame = 0; frame < 17; frame++) {
+        viewer.drawNow(1);
+        found.push(shown());
+      }
+      viewer.drawNow(2);
+      return { means: found, rest: shown() };
+    });
+    for (let frame = 1; frame < means.length; frame++) {
+      expect(means[frame]!).toBeLessThanOrEqual(means[frame - 1]! + 0.01);
+    }
+    expect(means[0]! - means.at(-1)!).toBeGreaterThan(0.3);
+    expect(Math.abs(means.at(-1)! - rest)).toBeLessThan(0.2);
+    await own.close();
+  });
+});
