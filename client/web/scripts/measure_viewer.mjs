@@ -73,7 +73,13 @@ async function open(folder) {
     const watch = () => {
       const viewer = document.querySelector("lambent-viewer")?.viewer;
       if (!viewer) return requestAnimationFrame(watch);
+      let loaded = false;
+      viewer.on("load", () => {
+        loaded = true;
+      });
       const stop = viewer.on("draw", () => {
+        // Before, there may be an object without its light.
+        if (!loaded) return;
         stop();
         // Reading a pixel waits until the picture is there.
         const gl = viewer.canvas.getContext("webgl2");
