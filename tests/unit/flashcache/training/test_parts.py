@@ -27,6 +27,15 @@ def processes():
         yield made
 
 
+@pytest.fixture
+def one_thread():
+    """Let torch add in one order: several threads add to a table in any."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 def model() -> InverseModel:
     torch.manual_seed(0)
     return InverseModel(tiny().model, DOMAIN)
@@ -65,6 +74,7 @@ def test_the_parts_together_have_the_gradient_of_their_mean_loss(processes, coun
         torch.testing.assert_close(added[name], gradient, msg=name, rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.usefixtures("one_thread")
 def test_without_processes_the_batch_stays_whole():
     split, whole, rays = model(), model(), batch(4 * LEAST_RAYS)
     parts = Parts(split, lambda found: found.nerf, LOSSES, len(rays))
