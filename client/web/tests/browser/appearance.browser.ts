@@ -43,6 +43,13 @@ async function settled(page: Page): Promise<void> {
       card.style.contentVisibility = "visible";
     await Promise.all(lazy.map((image) => image.decode().catch(() => {})));
     scrollTo(0, 0);
+    for (const { viewer } of document.querySelectorAll("lambent-viewer")) {
+      if (viewer?.bundle == null) continue;
+      // As at rest; and wait for the graphics card.
+      viewer.drawNow(2);
+      const gl = viewer.canvas.getContext("webgl2")!;
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    }
     await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
   });
 }
